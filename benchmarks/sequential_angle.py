@@ -1,7 +1,7 @@
 """Figures of the sequential-angle classifier: simulated static scans beside the paper's Table 1, real scans, speed.
 
-    python -m benchmarks.sequential_angle > docs/sequential_angle_figures.md     # everything, minutes
-    python -m benchmarks.sequential_angle simulated speed                        # some of the parts
+    python -m benchmarks.sequential_angle > docs/sequential_angle_figures.md     # all but speed and memory, minutes
+    python -m benchmarks.sequential_angle speed memory                           # tables of docs/speed_figures.md
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the same figures.
 """
@@ -475,6 +475,8 @@ def stage_times(block: ScanBlock) -> dict[str, float]:
     return times
 
 
+SPEED = ("speed", "memory")
+"""Parts whose tables are on the page of all speeds, and nowhere else."""
 PARTS: dict[str, Callable[[Path], None]] = {
     "simulated": simulated,
     "readings": readings,
@@ -490,11 +492,13 @@ PARTS: dict[str, Callable[[Path], None]] = {
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all but {', '.join(SPEED)}"
+    )
     arguments = parser.parse_args()
     print("<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# Sequential-angle: figures\n")
     with tempfile.TemporaryDirectory() as name:
-        for part in arguments.parts or PARTS:
+        for part in arguments.parts or [part for part in PARTS if part not in SPEED]:
             if part not in PARTS:
                 parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
             PARTS[part](Path(name))

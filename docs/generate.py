@@ -1,13 +1,31 @@
-"""Write the reference pages from the code; ``--check`` fails when a page on disk differs.
+"""Write the reference pages from the code, and the figures in prose from the tables of the benchmarks.
 
-Run ``python docs/generate.py`` after changing an option, a parameter or a class code.
+``--check`` fails when a page on disk differs. Run ``python docs/generate.py`` after changing an option, a parameter or
+a class code, and after a benchmark wrote its page of figures.
+
+A figure in prose is a link to the page of its table. The title of the link names the cell, and its text is written
+anew with as many digits as it has: ``[.527](sequential_angle_figures.md#readings-one-at-a-time
+"car.fourier.window = 0 > car recall")``.
+
+- The title holds as many leading cells of the row as are needed, with ``*`` for any text, then the column. Tables of
+  two columns need no column.
+- Where several headings below the section have such a row, the heading comes first.
+- A column "precision" after "car recall" is "car precision". "A / B" is a quotient of two columns, "share of A" the
+  figure in brackets.
+- "least of" and "most of" before the row take the least and the most of all rows that fit.
+
+A table of prose whose rows are rows of figures has ``<!-- rows of PAGE.md#section -->`` above it: every row becomes the
+one with the same first cell in the first table there.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 import textwrap
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +35,7 @@ from prc_cli.cli import cli
 from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
+from prc_cli.formats.writing.options import HIGH_NOISE_CODE
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
 from prc_cli.streams.evidence.checks import CHECKS
@@ -194,6 +213,258 @@ def _plain(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+Table = tuple[str, list[str], list[list[str]], list[str]]
+"""Heading above it, names of columns, cells of rows, rows as they are written."""
+_QUOTED = re.compile(r"""\[([\d.,]+)\]\(([\w/.]+\.md)#([\w-]+)\s"([^"]*)"\)""")
+_ROWS = re.compile(r"<!-- rows of ([\w/.]+\.md)#([\w-]+) -->\n\n((?:\|.*\n)+)")
+_NUMBER = re.compile(r"-?\d[\d,]*\.?\d*|-?\.\d+")
+
+
+def with_figures(path: Path, text: str) -> str:
+    """Return a page of prose with its figures written anew from the tables that they name.
+
+    Raises
+    ------
+    ValueError
+        When a figure names a table, row or column that is not there, or a row that several fit.
+    """
+
+    def number(found: re.Match[str]) -> str:
+        shown, page, section, title = found.groups()
+        told = " ".join(title.split())
+        try:
+            value = _looked_up(tables(path.parent / page, section), told)
+        except (LookupError, ValueError, OSError) as error:
+            raise ValueError(f"{path.name}: {shown} of {page}#{section} {told!r}: {error}") from None
+        return found.group().replace(f"[{shown}]", f"[{_like(shown, value)}]", 1)
+
+    def rows(found: re.Match[str]) -> str:
+        page, section, table = found.groups()
+        _, _, all_cells, lines = tables(path.parent / page, section)[0]
+        known = {cells[0]: row for cells, row in zip(all_cells, lines, strict=True)}
+        kept = []
+        for row in table.splitlines()[2:]:
+            if (name := _cells(row)[0]) not in known:
+                raise ValueError(f"{path.name}: no row {name!r} in {page}#{section}")
+            kept.append(known[name])
+        return found.group().replace(table, "\n".join([*table.splitlines()[:2], *kept]) + "\n")
+
+    return _ROWS.sub(rows, _QUOTED.sub(number, text))
+
+
+@cache
+def tables(page: Path, section: str) -> tuple[Table, ...]:
+    """Return the tables below a heading, up to the next one that is not below it.
+
+    Raises
+    ------
+    LookupError
+        When there is no such heading.
+    """
+    level, heading = 0, ""
+    blocks: list[tuple[str, list[str]]] = [("", [])]
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if line.startswith("#"):
+            depth = len(line) - len(line.lstrip("#"))
+            level = depth if _anchor(line) == section else level if depth > level else 0
+            heading = line.lstrip("# ")
+        elif level and line.startswith("|"):
+            blocks[-1][1].append(line)
+        elif (level and blocks[-1][1]) or heading != blocks[-1][0]:
+            blocks.append((heading, []))
+    found = [
+        (name, _columns(_cells(rows[0])), [_cells(row) for row in rows[2:]], rows[2:]) for name, rows in blocks if rows
+    ]
+    if not found:
+        raise LookupError("there is no table below such a heading")
+    return tuple(found)
+
+
+def _anchor(heading: str) -> str:
+    """Return the anchor of a heading, as mkdocs and GitHub make it.
+
+    >>> _anchor("## Forest: Table II")
+    'forest-table-ii'
+    """
+    return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.lstrip("# ").strip().lower(), flags=re.ASCII))
+
+
+def _cells(row: str) -> list[str]:
+    return [cell.strip().strip("*`") for cell in row.strip().strip("|").split("|")]
+
+
+def _columns(cells: list[str]) -> list[str]:
+    """Return names of columns; those after "car recall" that say no class are of the car too."""
+    names, of = [], ""
+    for cell in cells:
+        if cell.endswith(" recall"):
+            of = cell.removesuffix("recall")
+        names.append(of + cell if cell in ("precision", "accuracy") else cell)
+    return names
+
+
+def _looked_up(found: tuple[Table, ...], title: str) -> float:
+    """Return the figure that a title names."""
+    parts = title.split(" > ")
+    if any(heading == parts[0] for heading, *_ in found):
+        found = tuple(table for table in found if table[0] == parts[0])
+        parts = parts[1:]
+    which = re.match(r"(least|most) of (.*)", parts[0])
+    if which:
+        parts[0] = which.group(2)
+    leading, column = (parts[:-1], parts[-1]) if len(parts) > 1 else (parts, None)
+    values = []
+    for _, columns, rows, _ in found:
+        places = [1] if column is None else _places(columns, column)
+        for cells in rows:
+            if places and len(cells) > max(places) and all(map(fnmatchcase, cells, leading)):
+                is_share = column is not None and column.startswith("share of ")
+                one, *other = (_number(cells[place], is_share=is_share) for place in places)
+                values.append(one / other[0] if other else one)
+    if not values:
+        raise LookupError("no row and column of this name")
+    if which:
+        return min(values) if which.group(1) == "least" else max(values)
+    if len(values) > 1:
+        raise LookupError(f"{len(values)} rows of this name")
+    return values[0]
+
+
+def _places(columns: list[str], column: str) -> list[int]:
+    """Return the place of a column, or of the two of a quotient; none where the table has none of that name."""
+    names = [column] if column in columns else column.removeprefix("share of ").split(" / ")
+    return [columns.index(name) for name in names] if set(names) <= set(columns) else []
+
+
+def _number(cell: str, *, is_share: bool) -> float:
+    """Return the first figure of a cell, or the first one in brackets."""
+    found = _NUMBER.search(cell.partition("(")[2] if is_share else cell)
+    if found is None:
+        raise LookupError(f"no figure in {cell!r}")
+    return float(found.group().replace(",", ""))
+
+
+def _like(shown: str, value: float) -> str:
+    """Write a value with the digits of another.
+
+    >>> _like(".53", 0.527), _like("1,200", 34567.8), _like("3", 2.9)
+    ('.53', '34,568', '3')
+    """
+    digits = len(shown.partition(".")[2])
+    text = f"{value:,.{digits}f}" if "," in shown or value >= 10_000 else f"{value:.{digits}f}"
+    return text.removeprefix("0") if shown.startswith(".") and text != "0" else text
+
+
+def prose() -> dict[Path, str]:
+    """Return every page that is written by hand, with its figures from the tables."""
+    found = {}
+    for path in sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]):
+        text = path.read_text(encoding="utf-8")
+        if not text.startswith("<!-- ") and (_QUOTED.search(text) or _ROWS.search(text)):
+            found[path] = with_figures(path, text)
+    return found
+
+
+def shown_classes() -> list[tuple[int, str, tuple[int, int, int]]]:
+    """Return code, name and colour of every class that other programs may show."""
+    codes = ClassCodes()
+    found = {codes.code(label): (label.name.lower(), LABEL_COLOURS[label]) for label in Label}
+    found[0] = ("never classified", LABEL_COLOURS[Label.UNCLASSIFIED])
+    found[HIGH_NOISE_CODE] = ("high noise", LABEL_COLOURS[Label.NOISE])
+    return [(code, *found[code]) for code in sorted(found)]
+
+
+def qgis_style() -> str:
+    """Return a style for point cloud layers of QGIS: every class code with its name and colour."""
+    rows = "\n".join(
+        f'      <category render="true" value="{code}" label="{code} {name}" color="{r},{g},{b},255"/>'
+        for code, name, (r, g, b) in shown_classes()
+    )
+    return f"""<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<!-- written by docs/generate.py from the class codes; do not edit -->
+<qgis styleCategories="Symbology" version="3.22">
+  <renderer type="classified" attribute="Classification" pointSymbol="0" pointSize="1" pointSizeUnit="MM" \
+maximumScreenError="0.3" maximumScreenErrorUnit="MM">
+    <categories>
+{rows}
+    </categories>
+  </renderer>
+</qgis>
+"""
+
+
+def potree_classes() -> str:
+    """Return a script that names and colours the class codes in a Potree viewer."""
+    rows = "\n".join(
+        f'    {code}: {{visible: true, name: "{name}", color: [{r / 255:.3f}, {g / 255:.3f}, {b / 255:.3f}, 1]}},'
+        for code, name, (r, g, b) in shown_classes()
+    )
+    return f"""// written by docs/generate.py from the class codes; do not edit
+viewer.setClassifications({{
+{rows}
+    DEFAULT: {{visible: true, name: "other", color: [0.5, 0.5, 0.5, 1]}},
+}});
+"""
+
+
+def accuracy_page() -> str:
+    """Return the page of accuracy: a few rows of the figures of the contest, and what they do not say."""
+    figures = (ROOT / "docs/contest_figures.md").read_text(encoding="utf-8")
+    streets = [_table_of(figures, f"{scan}: F1 of the classes") for scan in ("Oakland 2, 3", "KITTI frame")]
+    forests = [_table_of(figures, "forests: F1 of the classes")]
+    methods = ("PRC, published", "PRC, for push-brooms", "sequential-angle", "fused")
+    real = _short_table(
+        "F1, real scans | street: ground | building | vegetation | 64-ring frame: ground | building | vegetation",
+        methods, streets, ("ground", "building", "vegetation"),
+    )  # fmt: skip
+    simulated = _short_table(
+        "F1, simulated forests | ground | stem | vegetation",
+        tuple(forests[0]),
+        forests,
+        ("ground", "stem", "vegetation"),
+    )
+    text = """\
+        # How accurate is it?
+
+        What `prc classify` takes by itself is `fused` in streets and `fused-forest` in forests. The other rows are the
+        papers' methods. Oakland strip 1 is left out, because parameters were chosen on it.
+
+        {real}
+
+        {simulated}
+
+        - **Street**: Oakland strips 2 and 3, a push-broom scanner with 0.5° steps. **Frame**: one of KITTI.
+          **Forests**: three simulated walks, because no labelled raw forest scan is at hand.
+        - Two real places are few, and their references hold next to no noise. Expect less elsewhere.
+        - Cars, curbs and poles are not in this table: [every class](fused.md#figures). Poles are weak.
+        - Where it fails: [a list](contest.md#where-fused-fails) and [pictures](contest_figures.md#where-it-fails).
+        - The figure that counts is yours: label a short stretch of your drive by hand, then `prc evaluate labels.npy
+          reference.npy` ([how](evaluation.md)).
+
+        All scans, all methods and the commands: [the contest](contest.md), [its figures](contest_figures.md),
+        [real scans](real_scans.md).
+        """
+    return "\n".join([GENERATED, textwrap.dedent(text).format(real=real, simulated=simulated)])
+
+
+def _short_table(
+    head: str, methods: tuple[str, ...], scans: list[dict[str, dict[str, str]]], classes: tuple[str, ...]
+) -> str:
+    """Return a table of the means, one row a method."""
+    rows = [f"| {head} |", "|---|" + "---:|" * (len(scans) * len(classes))]
+    for method in methods:
+        cells = [scan.get(method, {}).get(one, "").partition(" ")[0] for scan in scans for one in classes]
+        rows.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _table_of(page: str, title: str) -> dict[str, dict[str, str]]:
+    """Return the table under a heading: cells by column, by the name of the row."""
+    lines = page.split(f"### {title}\n", 1)[1].split("\n#", 1)[0].splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    return {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[2:]}
+
+
 def pages() -> dict[Path, str]:
     """Return every generated file and its content."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
@@ -203,7 +474,11 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/classes.md": classes_page(),
         ROOT / "docs/reference/checks.md": checks_page(),
         ROOT / "docs/reference/simulation.md": simulation_page(),
+        ROOT / "sample_configs/viewers/prc_classes.qml": qgis_style(),
+        ROOT / "sample_configs/viewers/prc_classes_potree.js": potree_classes(),
+        ROOT / "docs/accuracy.md": accuracy_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
+        **prose(),
     }
 
 
@@ -215,9 +490,12 @@ def main() -> int:
             continue
         stale.append(str(path.relative_to(ROOT)))
         if "--check" not in sys.argv:
+            path.parent.mkdir(exist_ok=True)
             path.write_text(text, encoding="utf-8")
     if stale:
-        verb = "differ from the code; run python docs/generate.py" if "--check" in sys.argv else "written"
+        verb = (
+            "differ from the code or the figures; run python docs/generate.py" if "--check" in sys.argv else "written"
+        )
         sys.stderr.write(f"{', '.join(stale)}: {verb}\n")
     return 1 if stale and "--check" in sys.argv else 0
 

@@ -22,7 +22,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.samples import samples_folder
 from prc_cli.core.stream import Assumption
-from prc_cli.formats.options import LAYOUT_SUFFIXES, InputConfig, Layout
+from prc_cli.formats.options import DUMP_SUFFIXES, LAYOUT_SUFFIXES, InputConfig, Layout
 from prc_cli.formats.writing.options import OutputConfig
 
 
@@ -132,6 +132,18 @@ class MethodChoice:
         return Assumption("method", f"{self.method} (--preset {self.preset})", self.why)
 
 
+def refuse_window(config: RunConfig, command: str) -> None:
+    """Refuse a part of a stream where whole ones are needed.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if config.input.window is not None:
+        problem = f"found {config.input.window.option}, but {command} takes files whole"
+        raise ConfigError("[input]", problem, "leave it out; prc classify, convert, calibrate and objects take a part")
+
+
 @dataclass(frozen=True, slots=True)
 class LoadedConfig:
     """A configuration and the source of each of its values."""
@@ -237,6 +249,18 @@ _PRESET = "preset "
 """Beginning of the source of values that a preset sets."""
 
 
+def preset_of(loaded: LoadedConfig) -> str | None:
+    """Return the preset that named the method, or whose labels the chosen method gives; None = there is none.
+
+    >>> preset_of(load_config(preset="street-scan")), preset_of(load_config())
+    ('street-scan', None)
+    """
+    if loaded.choice is not None:
+        return loaded.choice.preset
+    source = loaded.sources.get("method", "")
+    return source.removeprefix(_PRESET) if source.startswith(_PRESET) else None
+
+
 def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     """Resolve a relative trajectory path against the folder of the configuration file that names it."""
     inputs = table.get("input")
@@ -296,6 +320,17 @@ def preset_summaries() -> list[PresetSummary]:
     return summaries
 
 
+def sample_summaries() -> list[tuple[Path, str]]:
+    """Return the sample configurations that are no presets, each with its first line.
+
+    >>> [file.name for file, _ in sample_summaries()]
+    ['archive.toml', 'kitti_frame.toml', 'sick_push_broom.toml']
+    """
+    presets = {preset_file(name) for name in PRESETS}
+    files = sorted(file for file in samples_folder().glob("*.toml") if file not in presets)
+    return [(file, file.read_text(encoding="utf-8").partition("\n")[0].removeprefix("#").strip()) for file in files]
+
+
 def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     """Add the layout that lies beside a dump (``drive.bin.toml`` or ``drive.toml``), if none was given.
 
@@ -310,7 +345,7 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     -------
     LoadedConfig
         With ``[layout]`` and ``[input]`` of the file, and a note that says so; or with a note that a layout that was
-        given is of no use to this format.
+        given is of no use to this format. A frame as KITTI stores it gets the rules of its sample configuration.
 
     Raises
     ------
@@ -330,19 +365,40 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
         if not isinstance(found.get("layout"), dict):
             continue
         own: dict[str, Any] = {key: found[key] for key in ("input", "layout") if key in found}
-        own = dict(from_folder(own, beside.parent))
-        usual = dict(flatten(RunConfig().to_table()))
-        table = merge(loaded.config.to_table(), own)
-        for key, value in flatten(loaded.config.to_table()):
-            if key in loaded.sources or value != usual.get(key):
-                table = merge(table, _nested(key, value))
-        config = build(RunConfig, table, str(beside))
-        sources = {**{key: str(beside) for key, _ in flatten(own)}, **loaded.sources}
         note = f"the layout is that of {beside.name} beside the dump; --layout gives another"
-        return replace(
-            loaded, config=config, sources=sources, files=(*loaded.files, beside), notes=(*loaded.notes, note)
-        )
-    return loaded
+        told = _with_table(loaded, from_folder(own, beside.parent), str(beside), note)
+        return replace(told, files=(*loaded.files, beside))
+    inputs = loaded.config.input
+    is_told = inputs.points_per_line is not None or (inputs.lines, inputs.columns, inputs.range) != ("auto",) * 3
+    if is_told or suffix_of(path) not in DUMP_SUFFIXES or not path.is_file():
+        return loaded
+    # imported here: only dumps need it
+    from prc_cli.formats.guessing import is_frame
+
+    if not is_frame(path):
+        return loaded
+    sample = read_toml(samples_folder() / FRAME_SAMPLE)
+    del sample["method"], sample["input"]["points_per_line"]  # frames of other scanners have other rings
+    note = (
+        f"the records look like x, y, z and intensity of a frame: read as {FRAME_SAMPLE} says; --layout says otherwise"
+    )
+    return _with_table(loaded, sample, FRAME_SAMPLE, note)
+
+
+FRAME_SAMPLE = "kitti_frame.toml"
+"""Sample configuration that reads a frame of x, y, z and intensity."""
+
+
+def _with_table(loaded: LoadedConfig, own: Mapping[str, Any], name: str, note: str) -> LoadedConfig:
+    """Lay a table under what was told."""
+    usual = dict(flatten(RunConfig().to_table()))
+    table = merge(loaded.config.to_table(), own)
+    for key, value in flatten(loaded.config.to_table()):
+        if key in loaded.sources or value != usual.get(key):
+            table = merge(table, _nested(key, value))
+    config = build(RunConfig, table, name)
+    sources = {**{key: name for key, _ in flatten(own)}, **loaded.sources}
+    return replace(loaded, config=config, sources=sources, notes=(*loaded.notes, note))
 
 
 def _nested(key: str, value: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import COMMANDS, cli
+from prc_cli.config import PRESETS
 from tests.street import angles, street
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -67,6 +68,11 @@ def test_every_parameter_and_class_is_in_the_reference() -> None:
     algorithm = (ROOT / "docs/algorithm.md").read_text(encoding="utf-8")
     for table in ("support", "background", "components", "surfaces", "urban", "forest"):
         assert f"`[prc.{table}]`" in algorithm
+
+
+def test_every_preset_is_in_the_page_that_chooses() -> None:
+    page = (ROOT / "docs/which_preset.md").read_text(encoding="utf-8")
+    assert all(re.search(rf"(--preset |or )`?{preset}`", page) for preset in PRESETS)
 
 
 def test_tables_of_the_contest_are_those_of_its_figures() -> None:

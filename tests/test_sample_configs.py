@@ -114,11 +114,15 @@ def test_the_wheel_and_the_source_archive_take_the_samples_in() -> None:
 def test_presets_are_listed_one_a_line() -> None:
     result = CliRunner().invoke(cli, ["config", "presets"])
     assert result.exit_code == 0
-    head, *rows = result.output.splitlines()
+    table, samples, last = result.output.split("\n\n")
+    head, *rows = table.splitlines()
     assert head.split() == ["preset", "changed", "what", "for"]
     assert [row.split()[0] for row in rows] == list(PRESETS)
     assert [int(row.split()[1]) for row in rows] == [1, 6, 1, 2, 1, 34]
     assert all(len(row) <= 150 and row.endswith(".") for row in rows)
+    others = {path.name for path in FILES} - {preset_file(name).name for name in PRESETS}
+    assert {row.split()[0] for row in samples.splitlines()[1:]} == others
+    assert "prc info FILE" in last
 
 
 def test_presets_as_json_hold_every_value() -> None:

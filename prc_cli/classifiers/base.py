@@ -151,6 +151,8 @@ class UsualLabels:
     """Largest lean of the ground across the lines [deg]."""
     vanished_share: float = 0.0
     """Ground has vanished where its share is below this part of what three quarters of the stream do not exceed."""
+    reach_m: float = 0.0
+    """Some of what is not noise is farther than this [m]."""
 
 
 class Classifier(Protocol[ScannerT, StateT_co]):

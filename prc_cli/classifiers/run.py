@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import count
 from typing import Any, TypeVar
 
@@ -51,9 +51,15 @@ def run_blocks(
     """
     needs = classifier.needs
     scanners: dict[int, _Scanner] = {}
+    firsts: dict[int, int] = {}
 
     def begin() -> Iterator[_Job]:
-        cut = regroup(blocks, needs.lines_per_block, shots_per_block=shots_at_once, look_ahead=needs.look_ahead)
+        cut = regroup(
+            _from_zero(blocks, firsts),
+            needs.lines_per_block,
+            shots_per_block=shots_at_once,
+            look_ahead=needs.look_ahead,
+        )
         for block in cut:
             scanner = scanners.pop(block.scanner, None) or _Scanner.of(classifier, block)
             if not block.is_last:
@@ -72,10 +78,24 @@ def run_blocks(
     found = ordered(work, begin(), threads=threads, ahead=threads + 1)
     try:
         for labelled in found:
-            yield from labelled
+            for item in labelled:
+                first = firsts[item.block.scanner]
+                yield item if not first else replace(item, block=_moved(item.block, first))
             del labelled
     finally:
         close_items(found)
+
+
+def _from_zero(blocks: Iterator[ScanBlock], firsts: dict[int, int]) -> Iterator[ScanBlock]:
+    """Count the lines of every scanner from the first that comes: methods may know by it that none was before."""
+    for block in blocks:
+        first = firsts.setdefault(block.scanner, block.first_line)
+        yield block if not first else _moved(block, -first)
+
+
+def _moved(block: ScanBlock, n_lines: int) -> ScanBlock:
+    """Return a block with other line numbers and the same records."""
+    return replace(block, first_line=block.first_line + n_lines, record=block.records())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

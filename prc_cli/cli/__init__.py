@@ -24,12 +24,14 @@ from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.errors import PrcError
 from prc_cli.core.garbage import no_collecting
 from prc_cli.core.interrupts import raise_or_hold
+from prc_cli.core.process import claim_process
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
     "info": ("prc_cli.cli.info:info", "Say what a file holds, whether it can be classified, and how."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "explain": ("prc_cli.cli.explain:explain", "Say why a shot has its class, stage by stage."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
@@ -109,6 +111,7 @@ def main(args: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if args is None else args
     if args is None:
         begin(arguments, frozenset(COMMANDS))
+        claim_process()
     # the parent process may have closed stdout and stderr, as some daemons do
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115

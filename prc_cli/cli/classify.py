@@ -11,7 +11,8 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.next_step import after_classify
+from prc_cli.cli.options import config_from, output_options, stream_options, window_options
 from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
@@ -22,6 +23,7 @@ from prc_cli.cli.report import (
     print_classes,
     print_doubts,
 )
+from prc_cli.cli.safe import printable
 from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import profiling, timed
@@ -34,6 +36,7 @@ from prc_cli.kernels import ENGINES, Engine
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @stream_options
+@window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--segment-ids", is_flag=True, help="Also write the segment id of every shot.")
 @click.option(
@@ -102,6 +105,8 @@ def classify(
         click.echo(json.dumps(result, indent=2, sort_keys=True))
     if not quiet:
         _print_summary(summary, seconds, verbose=verbose)
+        for command in after_classify(source, output, summary.record.config["method"], options):
+            console().print(printable(command), soft_wrap=True)
     if profile is not None and not (quiet and as_json):
         print_profile(profile, summary.counts.n_shots, threads)
     if code := print_doubts(summary.doubts):

@@ -10,7 +10,7 @@ import click
 
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.safe import printable, printable_lines
-from prc_cli.config import json_schema, load_config, preset_summaries, to_toml
+from prc_cli.config import json_schema, load_config, preset_summaries, sample_summaries, to_toml
 from prc_cli.core.config import read_toml
 
 
@@ -50,6 +50,8 @@ def check(file: Path) -> None:
     \b
     Example: prc config check night_run.toml
     """
+    from prc_cli.classifiers.prc.support import unusual
+
     overrides = read_toml(file).get("override")
     if overrides is None:
         loaded, more = load_config(file), ""
@@ -60,6 +62,8 @@ def check(file: Path) -> None:
         loaded = BatchConfig(ConfigLayers(file)).base
         more = f" and {len(overrides)} override{'s' * (len(overrides) != 1)}"
     click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set{more}"))
+    if loaded.config.method == "prc" and (found := unusual(loaded.config.prc.support)) is not None:
+        click.echo(f"warning: {found}", err=True)
 
 
 @config.command()
@@ -67,7 +71,7 @@ def check(file: Path) -> None:
 def presets(as_json: bool) -> None:
     """List the presets and what each is for.
 
-    Also shown is how many values a preset changes, compared with the defaults.
+    Also shown is how many values a preset changes, compared with the defaults; then the other sample configurations.
 
     \b
     Example: prc config presets
@@ -91,6 +95,10 @@ def presets(as_json: bool) -> None:
     click.echo(f"{'preset':{width}}  changed  what for")
     for each in summaries:
         click.echo(f"{each.name:{width}}  {each.n_changed:7}  {each.purpose}")
+    click.echo("\nsample configurations, for --config:")
+    for file, purpose in sample_summaries():
+        click.echo(f"{file.name:{width}}  {purpose}")
+    click.echo("\nWithout a preset the input decides: prc info FILE says how, and ends with the command to type.")
 
 
 @config.command()

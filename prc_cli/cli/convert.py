@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, input_options, output_options
+from prc_cli.cli.options import config_from, input_options, output_options, window_options
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_doubts
 from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
@@ -21,6 +21,7 @@ from prc_cli.jobs.convert import convert as convert_file
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @input_options
+@window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def convert(

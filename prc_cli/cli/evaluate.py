@@ -10,12 +10,15 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
+from prc_cli.cli.options import window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
 from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
+from prc_cli.core.window import Window, parse_window
 from prc_cli.evaluation.gates import GateResult, check_gates, parse_gate, refuse_failed
 from prc_cli.evaluation.html import as_html, check_picture
 from prc_cli.evaluation.latex import as_latex
@@ -27,6 +30,7 @@ from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.evaluate.pictures import class_pictures
+from prc_cli.jobs.render.heading import origin
 from prc_cli.matching.pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
@@ -40,6 +44,7 @@ _OPTIONS = [
     click.option(
         "--mapping",
         metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
         help="Which codes mean which class: a preset (prc, street, street_scan, oakland, ...) or a file.  "
         "[default: that of the method in the run record beside PREDICTED, else prc]",
     ),
@@ -173,6 +178,7 @@ def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.argument("predicted", type=click.Path(path_type=Path))
 @click.argument("reference", type=click.Path(path_type=Path))
 @_evaluate_options
+@window_options
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
@@ -201,7 +207,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     found = evaluate_all(left, right, name, options=how)
     gates = check_gates(scores(found.matrix), demanded)
-    if how.match == "order" and page_wanted:
+    if how.match == "order" and page_wanted and how.window is None:  # they show the first lines
         dimensions = how.predicted_dimension, how.reference_dimension
         points = how.predicted_points, how.reference_points
         pictures = (
@@ -227,7 +233,9 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
 def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:
     """Return the result in one of the report formats."""
     if form == "html":
-        return as_html(found, gates, mapping=mapping, pictures=pictures)
+        return as_html(
+            found, gates, mapping=mapping, pictures=pictures, origin=origin([Path(name) for name in found.predicted])
+        )
     if form in ("csv", "latex"):
         return as_csv(found) if form == "csv" else as_latex(found)
     return as_json(found, gates) + "\n" if form == "json" else as_markdown(found, gates)
@@ -254,7 +262,16 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         one_to_one=not options["several"],
         allow_missing=options["allow_missing"],
         pool=options["pool"],
+        window=_window(options),
     )
+
+
+def _window(options: dict[str, Any]) -> Window | None:
+    """Return the part that is scored."""
+    try:
+        return parse_window(options["window_lines"], options["window_time"], options["window_first"])
+    except ValueError as error:
+        raise ConfigError("window", f"expected {error}") from None
 
 
 def _edges(text: str | None) -> tuple[float, ...]:

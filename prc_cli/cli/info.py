@@ -11,15 +11,14 @@ from typing import Any
 import click
 from rich.table import Table
 
+from prc_cli.cli.next_step import given_words, output_for
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.cli.sections import Sectioned
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
-from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
-from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.contents import Contents
 from prc_cli.formats.las.crs import short_crs
 from prc_cli.jobs.draft import draft as write_draft
@@ -105,14 +104,6 @@ ASPRS = {
 """Names of the standard codes (ASPRS, LAS 1.4 R15, table 17); codes from 64 on mean what the file's maker says."""
 MOST_SHOWN = 12
 """Classes, returns and point sources that are printed; ``--json`` has them all."""
-FLAGS = {
-    "method": "--method", "preset": "--preset", "config_file": "--config", "layout_file": "--layout",
-    "points_per_line": "-M", "lines": "--lines", "columns": "--columns", "range_": "--range", "scanner": "--scanner",
-    "topic": "--topic", "metadata": "--metadata", "return_": "--return", "max_range": "--max-range",
-    "assignments": "--set", "accept_doubts": "--accept-doubt",
-    "sort_by_time": "--sort-by-time", "trust_order": "--trust-order",
-}  # fmt: skip
-"""Options of the command line by parameter, in the order in which they are offered."""
 
 
 def _command(inspection: Inspection, options: dict[str, Any]) -> str:
@@ -131,19 +122,11 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
         if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
             return ""
     path = Path(inspection.path)
-    is_las = suffix_of(path) in LAS_SUFFIXES
-    stem = path.name[: len(path.name) - len(suffix_of(path))]
-    output = path.with_name(f"{stem}_{'classified' + suffix_of(path) if is_las else 'labels.npy'}")
-    words = ["prc", "classify", str(path), str(output)]
-    if inspection.choice is not None:
+    words = ["prc", "classify", str(path), str(output_for(path))]
+    if inspection.choice is not None and not inspection.missing:  # with all of it another method may be chosen
         words += ["--preset", inspection.choice.preset]
-    for name, flag in FLAGS.items():
-        value = options.get(name)
-        if not value or any(mend.startswith(f"{flag} ") and flag != "--set" for mend in mends):
-            continue
-        for one in value if isinstance(value, tuple) else (value,):
-            words += [flag] if one is True else [flag, str(one)]
-    return shlex.join(words) + "".join(f" {mend}" for mend in mends)
+    mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
+    return shlex.join([*words, *given_words(options, mended)]) + "".join(f" {mend}" for mend in mends)
 
 
 def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:

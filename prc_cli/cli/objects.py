@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.options import config_from, output_options, stream_options, window_options
 from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_choice, print_doubts
 from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
@@ -25,6 +25,7 @@ from prc_cli.jobs.objects.write import COLUMNS, plain
 )
 @click.option("--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Only these; repeat for several.")
 @stream_options
+@window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def objects(

@@ -2,6 +2,7 @@
 
 ``stream_options``  how a stream is read from an input, and with which parameters it is classified
 ``input_options``   only how a stream is read
+``window_options``  which part of it
 ``output_options``  ``--json --quiet --verbose``
 """
 
@@ -15,9 +16,11 @@ from typing import Any, TypeVar
 import click
 
 from prc_cli.classifiers.methods import METHODS
+from prc_cli.cli.completing import complete_assignment
 from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
 from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.core.samples import or_sample
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
@@ -31,8 +34,8 @@ _CLASSIFIER_OPTIONS = [
 
 _INPUT_OPTIONS = [
     click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
-                 help="Configuration."),
-    click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE",
+                 help="Configuration, or the name of a sample: prc config presets lists them."),
+    click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", shell_complete=complete_assignment,
                  help="Any key, e.g. prc.support.zeta_p=0.1."),
     click.option("--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml",
                  help="Record layout of a raw dump or a text file."),
@@ -51,6 +54,13 @@ _INPUT_OPTIONS = [
 ]  # fmt: skip
 
 _SORT_OPTION = click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first.")
+
+_WINDOW_OPTIONS = [
+    click.option("--only-lines", "window_lines", metavar="A:B", help="Take lines A to B - 1 alone, from 0."),
+    click.option("--only-time", "window_time", metavar="A:B",
+                 help="Take the lines of these times alone [s]; +A:+B = since the first one."),
+    click.option("--first", "window_first", metavar="LENGTH", help="Take the first 30s, 2min or 500lines alone."),
+]  # fmt: skip
 
 _OUTPUT_OPTIONS = [
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
@@ -74,6 +84,13 @@ def live_options(command: CommandT) -> CommandT:
 def input_options(command: CommandT) -> CommandT:
     """Add the options for reading a stream, for commands that do not classify."""
     for option in reversed([*_INPUT_OPTIONS, _SORT_OPTION]):
+        command = option(command)
+    return command
+
+
+def window_options(command: CommandT) -> CommandT:
+    """Add the options for reading a part of a stream, to try settings."""
+    for option in reversed(_WINDOW_OPTIONS):
         command = option(command)
     return command
 
@@ -116,6 +133,7 @@ def layers_from(options: dict[str, Any]) -> Layers:
     table: dict[str, Any] = {}
     layout_file: Path | None = options["layout_file"]
     if layout_file is not None:
+        layout_file = or_sample(layout_file)
         content = read_toml(layout_file)
         table["layout"] = content.get("layout", content)
     for assignment in options["assignments"]:
@@ -132,6 +150,9 @@ def layers_from(options: dict[str, Any]) -> Layers:
         "max_range": options["max_range"],
         "order": order,
         "accept_doubts": list(options["accept_doubts"]) or None,
+        "only_lines": options.get("window_lines"),
+        "only_time": options.get("window_time"),
+        "first": options.get("window_first"),
     }
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:
@@ -143,4 +164,7 @@ def layers_from(options: dict[str, Any]) -> Layers:
             message = f"--preset {preset} is for --method {of_preset}, not {method}"
             raise click.UsageError(message)
         table = merge(table, {"method": method})
-    return Layers(options["config_file"], preset, table, () if layout_file is None else (layout_file,))
+    config_file: Path | None = options["config_file"]
+    if config_file is not None:
+        config_file = or_sample(config_file)
+    return Layers(config_file, preset, table, () if layout_file is None else (layout_file,))

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress
 from prc_cli.cli.sections import Sectioned
@@ -26,8 +27,14 @@ _FILE = click.Path(path_type=Path)
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="INPUT", type=_FILE)
-@click.argument("output", metavar="OUT", type=_FILE)
+@click.argument("source", metavar="IN", type=_FILE)
+@click.argument("output", metavar="[OUT]", type=_FILE, required=False)
+@click.option(
+    "--html",
+    type=_FILE,
+    metavar="FILE.html",
+    help="Instead of OUT: cloud and range image to turn, zoom and click, in one page.",
+)
 @click.option("--steps", metavar="A,B,...", help="Pictures, e.g. range,support,classes; default: those that suit.")
 @click.option("--block", type=int, metavar="N", help="One block of prc, from 0.")
 @click.option("--only-lines", metavar="A:B", help="Lines A to B - 1, from 0.")
@@ -37,7 +44,12 @@ _FILE = click.Path(path_type=Path)
 @click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
 @click.option("--reference", type=_FILE, metavar="FILE", help="Classes to compare with.")
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
-@click.option("--mapping", metavar="NAME|FILE.toml", help="Which codes mean which class, as for prc evaluate.")
+@click.option(
+    "--mapping",
+    metavar="NAME|FILE.toml",
+    shell_complete=complete_mapping,
+    help="Which codes mean which class, as for prc evaluate.",
+)
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
@@ -49,10 +61,10 @@ _FILE = click.Path(path_type=Path)
     "--from",
     "eye",
     metavar="AZIMUTH,ELEVATION",
-    default="215,30",
-    show_default=True,
-    help="Where the eye of the perspective stands [deg], azimuth clockwise from north.",
+    help="Where the eye of the perspective stands [deg], azimuth clockwise from north.  [default: the side from which "
+    "the picture is fullest, 30]",
 )
+@click.option("--hide", metavar="CLASS,...", help="Classes that are not drawn, e.g. noise.")
 @click.option("--colour", type=click.Choice(COLOURS), help="What points are coloured by.")
 @click.option(
     "--width", type=click.IntRange(200, 20_000), default=2200, show_default=True, help="Widest picture [pixels]."
@@ -67,12 +79,27 @@ _FILE = click.Path(path_type=Path)
     show_default=True,
     help="Most pages; what does not fit is thinned.",
 )
+@click.option(
+    "--shots",
+    type=click.IntRange(1_000, 20_000_000),
+    default=1_500_000,
+    show_default=True,
+    help="Most shots in the page of --html.",
+)
+@click.option(
+    "--line-spacing",
+    type=click.FloatRange(0, min_open=True),
+    metavar="METRES",
+    help="Distance of lines in the page of --html, if there is no trajectory.",
+)
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
-def render(source: Path, output: Path, *, overwrite: bool, as_json: bool, quiet: bool, **options: Any) -> None:
-    """Draw INPUT into OUT, a .png or a single .html.
+def render(
+    source: Path, output: Path | None, *, html: Path | None, overwrite: bool, as_json: bool, quiet: bool, **options: Any
+) -> None:
+    """Draw IN into OUT, a .png or a single .html, or into a page to look around in (--html).
 
     Ranges, the steps of the classifier, classes, differences to a reference; or the points from above or in
     perspective.
@@ -80,15 +107,25 @@ def render(source: Path, output: Path, *, overwrite: bool, as_json: bool, quiet:
     \b
     Examples:
       prc render drive.laz drive.png --preset urban
+      prc render out.laz --html out.html
       prc render drive.laz block.png --preset urban --block 12
       prc render drive.laz figure1.html --preset urban --figure1
       prc render drive.laz differences.png --labels out.laz --reference car.laz --steps classes,reference,difference
       prc render out.laz cloud.png --view perspective --from 215,30
     """  # fmt: skip
     chosen = _render_options(options)
+    if (output is None) == (html is None):
+        problem = "expected one output, found none" if html is None else "given together with OUT, expected one of them"
+        raise ConfigError("OUT" if html is None else "--html", problem, "give OUT.png, OUT.html or --html PAGE.html")
     loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
-        result = render_file(source, output, loaded, chosen, overwrite=overwrite, progress=progress)
+        if output is not None:
+            result = render_file(source, output, loaded, chosen, overwrite=overwrite, progress=progress)
+        elif html is not None:
+            # loaded where it is needed, which keeps the start of pictures short
+            from prc_cli.jobs.render.viewer import render_viewer
+
+            result = render_viewer(source, html, loaded, chosen, overwrite=overwrite, progress=progress)
     if as_json:
         click.echo(json.dumps(_as_dict(result), indent=2))
     if not quiet:
@@ -101,26 +138,32 @@ def render(source: Path, output: Path, *, overwrite: bool, as_json: bool, quiet:
 
 _AS_GIVEN = (
     "view", "block", "figure1", "station", "labels", "labels_dimension", "reference", "reference_dimension", "mapping",
-    "colour", "width", "height", "pages",
+    "colour", "width", "height", "pages", "shots",
 )  # fmt: skip
 """Options of the command that :class:`RenderOptions` has under the same name."""
 
 
 def _render_options(options: dict[str, Any]) -> RenderOptions:
     """Build what is drawn from the options of the command."""
-    azimuth_deg, elevation_deg = _eye(options["eye"])
+    azimuth_deg, elevation_deg = (None, 30.0) if options["eye"] is None else _eye(options["eye"])
     steps, lines = options["steps"], options["only_lines"]
     return RenderOptions(
-        steps=None if steps is None else tuple(part.strip() for part in steps.split(",") if part.strip()),
+        steps=None if steps is None else _names(steps),
+        hide=_names(options["hide"] or ""),
         lines=None if lines is None else _span(lines),
         azimuth_deg=azimuth_deg,
         elevation_deg=elevation_deg,
+        line_spacing_m=options["line_spacing"],
         **{name: options[name] for name in _AS_GIVEN},
     )
 
 
 def _as_dict(result: RenderResult) -> dict[str, Any]:
     return {**asdict(result), "files": [str(path) for path in result.files]}
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
 def _span(text: str) -> tuple[int, int]:

@@ -71,14 +71,39 @@ def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
 
 @contextlib.contextmanager
 def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
-    """Show a progress bar of scan lines on a terminal; nothing elsewhere."""
+    """Show a progress bar of scan lines on a terminal; nothing elsewhere.
+
+    Per cent and time left are shown where the number of lines or records is known.
+    """
     if quiet or not sys.stderr.isatty():
         yield None
         return
     from tqdm import tqdm
 
     with tqdm(desc=printable(name), unit=" lines", unit_scale=True, leave=False) as bar:
-        yield bar.update
+        yield LineBar(bar)
+
+
+class LineBar:
+    """Moves a bar of tqdm by lines; its end follows from the share that is done.
+
+    Parameters
+    ----------
+    bar : tqdm
+    """
+
+    def __init__(self, bar: Any) -> None:
+        self._bar = bar
+        self._share = 0.0
+
+    def __call__(self, n_lines: int) -> None:
+        """Move on by some lines."""
+        self._bar.total = None if self._share <= 0 else max(round((self._bar.n + n_lines) / self._share), 1)
+        self._bar.update(n_lines)
+
+    def reached(self, share: float) -> None:
+        """Take the share of the input that is done with the next lines; less than before = the input is read again."""
+        self._share = share if share >= self._share else 0.0
 
 
 def print_doubts(doubts: Iterable[Finding]) -> int:

@@ -13,8 +13,9 @@ from typing import Any
 import click
 from rich.table import Table
 
+from prc_cli.cli.former import Renamed
 from prc_cli.cli.options import output_options
-from prc_cli.cli.report import console, print_assumptions
+from prc_cli.cli.report import LineBar, console, print_assumptions
 from prc_cli.cli.sections import Sectioned
 from prc_cli.config import load_config
 from prc_cli.core.config import read_toml
@@ -39,12 +40,14 @@ from prc_cli.jobs.transfer.options import TransferOptions
     "--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml", help="Record layout of RAW."
 )
 @click.option(
-    "--by",
+    "--match",
+    cls=Renamed,
+    former=("--by",),
     default="time",
     show_default=True,
-    metavar="RULE",
-    help="time (and return number), record (equal order), record:NAME (a dimension of REGISTERED with the "
-    "index of the raw record), or dimension:NAME (an integer dimension of both).",
+    metavar="HOW",
+    help="How points find their label: time (and return number), order (the same on both sides), record:NAME (a "
+    "dimension of REGISTERED with the index of the raw record), or dimension:NAME (an integer dimension of both).",
 )
 @click.option(
     "--tolerance",
@@ -77,7 +80,9 @@ from prc_cli.jobs.transfer.options import TransferOptions
     help="Transfer no label with less confidence; such points keep their class.",
 )
 @click.option(
-    "--min-match",
+    "--min-matched",
+    cls=Renamed,
+    former=("--min-match",),
     type=float,
     default=0.5,
     show_default=True,
@@ -123,7 +128,7 @@ def _progress(name: str, *, quiet: bool) -> Iterator[Callable[[int], object] | N
     from tqdm import tqdm
 
     with tqdm(desc=name, unit=" points", unit_scale=True, leave=False) as bar:
-        yield bar.update
+        yield LineBar(bar)
 
 
 def _layout(path: Path | None) -> Layout | None:

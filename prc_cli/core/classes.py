@@ -47,6 +47,35 @@ class Surface(IntEnum):
     """A return on a line where no angle can be measured: fewer than two returns, or all at the same place."""
 
 
+class TriggerSide(IntEnum):
+    """Place of a shot relative to the trigger of its half-line (Stamos et al. 2012, sec. 7.2)."""
+
+    NONE = 0
+    """The half-line has no trigger."""
+    BEFORE = 1
+    AT = 2
+    """The trigger, on the shot that sets it off; that shot may be missing."""
+    AFTER = 3
+
+
+class CarTest(IntEnum):
+    """What the search for cars made of a return between dividers (Stamos et al. 2012, sec. 7.3 to 8)."""
+
+    OUTSIDE = 0
+    """In no interval."""
+    VERTICAL = 1
+    """Cut out of its interval as a tall vertical run (sec. 7.3)."""
+    VEGETATION = 2
+    """Its piece of the interval failed the Fourier test (sec. 7.5)."""
+    BEHIND_WALL = 3
+    """Behind a high vertical (sec. 7.4)."""
+    ON_GROUND = 4
+    """Horizontal and next to the ground."""
+    BEHIND_CURB = 5
+    """On or behind a verified curb (sec. 8)."""
+    CAR = 6
+
+
 LABEL_OF_SURFACE: tuple[Label, ...] = tuple(
     {
         Surface.MISSING: Label.MISSING,
@@ -64,19 +93,22 @@ LABEL_NAMES: tuple[str, ...] = tuple(label.name.lower() for label in Label)
 
 LABEL_COLOURS: dict[Label, tuple[int, int, int]] = {
     Label.MISSING: (255, 255, 255),
-    Label.UNCLASSIFIED: (170, 170, 170),
-    Label.NOISE: (30, 30, 30),
-    Label.GROUND: (0, 114, 178),
-    Label.BUILDING: (213, 94, 0),
-    Label.VEGETATION: (0, 158, 115),
-    Label.STEM: (126, 72, 33),
-    Label.CAR: (204, 121, 167),
-    Label.CURB: (240, 228, 66),
-    Label.VERTICAL: (230, 159, 0),
-    Label.HORIZONTAL: (86, 180, 233),
-    Label.POLE: (106, 61, 154),
+    Label.UNCLASSIFIED: (180, 180, 180),
+    Label.NOISE: (38, 38, 38),
+    Label.GROUND: (143, 69, 18),
+    Label.BUILDING: (245, 80, 30),
+    Label.VEGETATION: (42, 157, 104),
+    Label.STEM: (232, 196, 24),
+    Label.CAR: (42, 76, 194),
+    Label.CURB: (252, 229, 34),
+    Label.VERTICAL: (247, 70, 19),
+    Label.HORIZONTAL: (173, 228, 187),
+    Label.POLE: (166, 111, 208),
 }
-"""Colour of every label in pictures [sRGB]; distinct for colour-blind readers (Okabe and Ito; poles darker)."""
+"""Colour of every label in pictures, charts, reports and the viewer [sRGB].
+
+The hues of QGIS and most programs for LAS files (ground brown, vegetation green, buildings red), shifted in lightness
+until the classes of a method differ for colour-blind readers too (``tests/core/test_palette.py``)."""
 
 FIRST_USER_CODE = 64
 """LAS 1.4 table 17: codes from here on are defined by their users."""

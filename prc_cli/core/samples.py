@@ -22,3 +22,28 @@ def samples_folder(package: Path = _PACKAGE) -> Path:
     """
     installed = package / "sample_configs"
     return installed if installed.is_dir() else package.parent / "sample_configs"
+
+
+def or_sample(path: Path) -> Path:
+    """Return a file, or where there is none the sample configuration of this name.
+
+    Parameters
+    ----------
+    path : Path
+        As given, for example ``kitti_frame.toml`` or ``sample_configs/layouts/ranges_f32.toml``.
+
+    Returns
+    -------
+    Path
+        The sample only if no file of the name exists; other names are returned as they are.
+
+    Examples
+    --------
+    >>> or_sample(Path("kitti_frame.toml")).is_file(), or_sample(Path("no_sample.toml")).is_file()
+    (True, False)
+    """
+    if path.exists() or path.is_absolute() or ".." in path.parts:
+        return path
+    own = path.relative_to("sample_configs") if path.parts[:1] == ("sample_configs",) else path
+    sample = samples_folder() / own
+    return sample if sample.is_file() else path

@@ -13,8 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
+from prc_cli.core.classes import Surface
 from prc_cli.core.facts import SourceFacts
-from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 
 FAR_M = 20_000.0
 """Beyond the range of any terrestrial scanner [m]: a sign of a wrong origin, unit or coordinate system."""
@@ -221,14 +222,40 @@ class StageLabels:
 
     surface: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`: the coarse classification (sec. 4)."""
-    dense_vegetation: Mask
-    """(lines, M) bool, T', vegetation by the less sensitive test (sec. 7.1)."""
+    car_surface: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface` of the car stages: T', H and V (sec. 7.1)."""
     ground_height_m: F32
     """(lines, M) float32, z_g, ground height relative to the scanner at that line [m]; NaN = unknown."""
+    trigger: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.TriggerSide` (sec. 7.2)."""
+    car_interval: U16
+    """(lines, M) uint16, number p of the interval between dividers on the shot's half-line, from 1; 0 = none
+    (sec. 7.3, before anything is taken out of the interval)."""
+    car_test: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.CarTest`."""
+
+    @property
+    def dense_vegetation(self) -> Mask:
+        """T', vegetation by the less sensitive test (sec. 7.1), (lines, M) bool."""
+        dense: Mask = self.car_surface == Surface.VEGETATION
+        return dense
 
     def of_lines(self, lines: slice) -> StageLabels:
         """Return some of the lines; views."""
-        return StageLabels(self.surface[lines], self.dense_vegetation[lines], self.ground_height_m[lines])
+        return StageLabels(**{one.name: getattr(self, one.name)[lines] for one in fields(self)})
+
+
+@dataclass(frozen=True, slots=True)
+class CriticalZetas:
+    """Range differences from which on a shot has the support of its neighbours (Lehtola et al. 2019, V-A).
+
+    A shot is supported when both values are below their threshold.
+    """
+
+    in_line_m: F32
+    """(lines, M) float32, compared with zeta_p [m]; infinite = too few neighbours, NaN = missing."""
+    adjacent_m: F32
+    """(lines, M) float32, compared with zeta_s [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,6 +274,8 @@ class LabelledBlock:
     above_m: F32 | None = None
     """(lines, M) float32, height above the ground [m]; NaN = missing, or no ground is known. None = the method has no
     ground, or it was not asked for."""
+    critical: CriticalZetas | None = None
+    """Critical thresholds of PRC."""
     confidence: U8 | None = None
     """(lines, M) uint8, per cent of such shots whose label is right; 0 = no return, or not known. None = the method has
     none, or it was not asked for."""

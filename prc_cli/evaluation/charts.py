@@ -43,7 +43,7 @@ def class_colour(name: str) -> str:
     """Return the colour of a class for CSS; that of an unknown class depends only on its name.
 
     >>> class_colour("ground")
-    '#0072b2'
+    '#8f4512'
     """
     if name == OTHER:
         rgb = _OTHER_COLOUR

@@ -201,6 +201,7 @@ class CloudBuilder(StagedWriter):
 
     def _add(self, block: LabelledBlock) -> None:
         scan = block.block
+        self._see_order(scan)
         if self._dtype is None:
             shape = StreamShape(
                 scan.points_per_line, scanners=True, returns=True, angles=scan.angle_rad is not None,
@@ -265,12 +266,13 @@ class CloudRewriter(ScatterWriter):
     """
 
     def __init__(
-        self, path: Path, codes: ClassCodes, options: OutputConfig, source: CloudSource, points_per_line: int
-    ) -> None:
+        self, path: Path, codes: ClassCodes, options: OutputConfig, source: CloudSource, points_per_line: int,
+        *, is_part: bool = False,
+    ) -> None:  # fmt: skip
         asked = [column for column in asked_columns(options) if column.dimension is not RANGE]
         own = {name.lower() for name in source.head.names}
         added = [_RANGE] if "range" not in source.dimensions else []
-        super().__init__(path, codes, options, [*_CELLS, *added, *asked], source.n_records)
+        super().__init__(path, codes, options, [*_CELLS, *added, *asked], source.n_records, is_part=is_part)
         self._own_comment = f"{OWN_COMMENT}{points_per_line}"
         self._source = source
         self._kept = tuple(
@@ -294,14 +296,16 @@ class CloudRewriter(ScatterWriter):
                 found = np.empty(n, dtype)
                 for name in self._kept:
                     found[name] = columns[name]
-                spools = {column.name: self._spools[column.name] for column in self._optional}
-                for name, spool in spools.items():
-                    found[name] = next(spool.chunks(n, first=first, stop=first + n))
-                codes = next(self._code_spool.chunks(n, first=first, stop=first + n))
-                found[_CLASS] = codes
-                self._count(codes)
+                for column in self._optional:
+                    found[column.name] = self._spools[column.name].span(first, first + n)
+                found[_CLASS] = self._code_spool.span(first, first + n)
+                if self._there is not None:
+                    found = found[self._there.span(first, first + n) != 0]
+                self._count(np.ascontiguousarray(found[_CLASS]))
                 handle.write(found.data)
-                total -= n
+                total -= len(found)
+                if not total and self._is_part:
+                    break
         if total:
             problem = "found another number of points than at the start of the run"
             raise InputError(source.path, problem, "run again when nothing else writes the input")
@@ -315,7 +319,7 @@ class CloudRewriter(ScatterWriter):
 
 
 def open_rewriter(
-    path: Path, codes: ClassCodes, options: OutputConfig, source: Path, points_per_line: int
+    path: Path, codes: ClassCodes, options: OutputConfig, source: Path, points_per_line: int, *, is_part: bool = False
 ) -> CloudRewriter | None:
     """Return the writer that keeps the properties of a PLY or PCD input; None for inputs of other formats."""
     if source.suffix.lower() not in CLOUD_SUFFIXES:
@@ -323,4 +327,6 @@ def open_rewriter(
     from prc_cli.formats import open_source
 
     cloud = open_source(source)
-    return CloudRewriter(path, codes, options, cloud, points_per_line) if isinstance(cloud, CloudSource) else None
+    if not isinstance(cloud, CloudSource):
+        return None
+    return CloudRewriter(path, codes, options, cloud, points_per_line, is_part=is_part)

@@ -427,9 +427,9 @@ def _with_units(
         notes.append(f"{own} holds whole numbers: taken as nanoseconds")
     if "range" in found and _is_whole(first[found["range"][0]]) and set(XYZ) <= set(found):
         own, item = found["range"]
-        xyz = np.stack([np.asarray(first[found[axis][0]], np.float64) for axis in XYZ], axis=1)
-        stored = np.asarray(first[own], np.float64)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):  # a NaN that signals warns when it is cast
+            xyz = np.stack([np.asarray(first[found[axis][0]], np.float64) for axis in XYZ], axis=1)
+            stored = np.asarray(first[own], np.float64)
             length = np.sqrt((xyz * xyz).sum(axis=1))
             use = np.isfinite(length) & (length > 0) & (stored > 0)
             scale = float(np.median(length[use] / stored[use])) if use.any() else 1.0
@@ -499,17 +499,19 @@ def turn_of_times(time_s: F64, angle: F64) -> float | None:
     time_s, angle = time_s[use], angle[use]
     if len(angle) < 2:
         return None
-    dt, turned, span = np.diff(time_s), np.diff(angle), float(np.ptp(angle))
-    ahead = (dt > 0) & (np.abs(turned) < 0.12 * span)
-    wraps = np.flatnonzero(np.abs(turned) > 0.5 * span)
-    if len(wraps) < _LEAST_WRAPS or not ahead.any():
-        return None
-    rate = float(np.median(turned[ahead] / dt[ahead]))
-    if not rate or not math.isfinite(rate):
-        return None
-    # from an angle in one line to the same angle in the next
-    start = time_s[wraps + 1] - angle[wraps + 1] / rate
-    return abs(rate * float(np.median(np.diff(start))))
+    with np.errstate(over="ignore", invalid="ignore"):  # of what no scanner measured
+        dt, turned, span = np.diff(time_s), np.diff(angle), float(np.ptp(angle))
+        ahead = (dt > 0) & (np.abs(turned) < 0.12 * span)
+        wraps = np.flatnonzero(np.abs(turned) > 0.5 * span)
+        if len(wraps) < _LEAST_WRAPS or not ahead.any():
+            return None
+        rate = float(np.median(turned[ahead] / dt[ahead]))
+        if not rate or not math.isfinite(rate):
+            return None
+        # from an angle in one line to the same angle in the next
+        start = time_s[wraps + 1] - angle[wraps + 1] / rate
+        turn = abs(rate * float(np.median(np.diff(start))))
+    return turn if math.isfinite(turn) else None
 
 
 def _shown(names: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.files import open_to_read
-from prc_cli.core.types import F64, U8
+from prc_cli.core.types import F64, U8, Mask
 
 LOOKED_BYTES = 1 << 20
 """Bytes at the end of a dump that are looked at."""
@@ -26,6 +26,11 @@ _ALIKE = 0.5
 """Neighbours of a range differ by at most this share of what random ones do."""
 _EVEN = 0.9
 _MAJORITY = 0.99
+LEAST_FRAME = 1000
+"""Fewer records are no frame."""
+FRAME_REACH_M = 300.0
+"""No coordinate of a frame lies beyond [m]."""
+_SOME = 0.05
 _TRIED = ("f8", "f4", "i4", "u2", "u1")
 
 
@@ -48,6 +53,49 @@ class GuessedRecords:
     header_bytes: int
     endian: str
     fields: tuple[GuessedField, ...]
+
+
+def is_frame(path: Path) -> bool:
+    """Tell whether a dump is a frame of a spinning scanner as KITTI stores it: x, y, z, intensity, ring after ring.
+
+    Parameters
+    ----------
+    path : Path
+        Dump without a layout.
+
+    Returns
+    -------
+    bool
+        True where the first records are little-endian float32 quadruples: coordinates within 300 m of the scanner on
+        all sides of it, azimuths that go on by less than 2 degrees, and an intensity from 0 to 255. No stream of ranges
+        looks like this: its values are not negative.
+    """
+    with open_to_read(path) as handle:
+        n_bytes = handle.seek(0, 2)
+        handle.seek(0)
+        head = handle.read(LOOKED_BYTES)
+    if n_bytes % 16 or n_bytes < 16 * LEAST_FRAME:
+        return False
+    rows = np.frombuffer(head[: len(head) // 16 * 16], "<f4").reshape(-1, 4).astype(np.float64)
+    if not np.isfinite(rows).all() or np.abs(rows[:, :3]).max() > FRAME_REACH_M:
+        return False
+    x, y, z, intensity = rows.T
+    distance = np.sqrt(x * x + y * y + z * z)
+    azimuth = np.arctan2(y, x)
+    step = np.abs(np.angle(np.exp(1j * np.diff(azimuth))))
+    return bool(
+        intensity.min() >= 0
+        and intensity.max() <= 255
+        and _mostly(distance > 0.5)
+        and _mostly(np.abs(z) < 0.8 * distance)
+        and np.mean(step < np.deg2rad(2.0)) > _EVEN
+        and min(np.mean(axis < 0) for axis in (x, y)) > _SOME
+        and min(np.mean(axis > 0) for axis in (x, y)) > _SOME
+    )
+
+
+def _mostly(mask: Mask) -> bool:
+    return bool(np.mean(mask) > _MAJORITY)
 
 
 def guess_records(path: Path) -> GuessedRecords | None:

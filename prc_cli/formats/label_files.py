@@ -57,6 +57,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     overwrite: bool,
     laz_contexts: ClassContexts | None = None,
     user_names: Mapping[int, str] | None = None,
+    is_part: bool = False,
 ) -> LabelWriter:
     """Choose and check a writer; nothing is created before its ``with`` block.
 
@@ -82,6 +83,8 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
         Kept from reading the LAZ input, to rewrite it faster; the output is the same without.
     user_names : mapping, optional
         Name of every user code that may be written; LAS and LAZ hold them. Default: none.
+    is_part : bool
+        Only a window of the input is classified: the output holds its records alone.
 
     Raises
     ------
@@ -111,16 +114,17 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     if suffix in (".ply", ".pcd"):
         from prc_cli.formats.cloud_writing import CloudBuilder, open_rewriter
 
-        rewriter = open_rewriter(path, codes, options, source, points_per_line)
+        rewriter = open_rewriter(path, codes, options, source, points_per_line, is_part=is_part)
         return rewriter if rewriter is not None else CloudBuilder(path, codes, options)
     if suffix not in (".las", ".laz"):
         from prc_cli.formats.labels.write import LabelFileWriter
 
-        return LabelFileWriter(path, codes, options, n_records)
+        return LabelFileWriter(path, codes, options, n_records, is_part=is_part)
     if source_is_las:
         from prc_cli.formats.las.rewrite import LasRewriter
 
-        return LasRewriter(path, codes, options, source, laz_contexts, user_names)
+        contexts = None if is_part else laz_contexts
+        return LasRewriter(path, codes, options, source, contexts, user_names, is_part=is_part)
     from prc_cli.formats.las.build import LasBuilder
 
     return LasBuilder(path, codes, options, points_per_line, user_names)

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from prc_cli.core.config import Params
 from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.core.window import Window, parse_window
 
 MAX_RECORD_BYTES = 1 << 20
 """Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
@@ -56,6 +57,14 @@ def _known_check(name: str) -> str:
 
 
 CheckName = Annotated[str, AfterValidator(_known_check)]
+
+
+def _window_text(name: str) -> AfterValidator:
+    def check(value: str) -> str:
+        parse_window(**{**dict.fromkeys(("only_lines", "only_time", "first")), name: value})
+        return value
+
+    return AfterValidator(check)
 
 
 class InputConfig(Params):
@@ -139,6 +148,16 @@ class InputConfig(Params):
         100_000, ge=0, description="more missing lines in a row than this are an error, not a gap"
     )
 
+    only_lines: Annotated[str, _window_text("only_lines")] | None = Field(
+        None, description="read only these scan lines, A:B from 0, B not included; to try settings"
+    )
+    only_time: Annotated[str, _window_text("only_time")] | None = Field(
+        None,
+        description="read only the lines of these times, A:B in the stream's own seconds, or +A:+B since its first one",
+    )
+    first: Annotated[str, _window_text("first")] | None = Field(
+        None, description="read only the first part: 30s, 2min or 500lines"
+    )
     accept_doubts: tuple[CheckName, ...] | None = Field(
         None, description="names of checks whose doubts the office knows better; they are recorded, and do no more"
     )
@@ -158,7 +177,13 @@ class InputConfig(Params):
             if rule.startswith("time:") and not LEAST_RATE_HZ <= parse_rate(rule) <= MOST_RATE_HZ:
                 message = f"{name} = time:HZ with {LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g} Hz, found {rule!r}"
                 raise ValueError(message)
+        parse_window(self.only_lines, self.only_time, self.first)
         return self
+
+    @property
+    def window(self) -> Window | None:
+        """The part of the stream that is read; None = all of it."""
+        return parse_window(self.only_lines, self.only_time, self.first)
 
 
 def parse_rate(rule: str) -> float:

@@ -43,6 +43,7 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.jobs.choice import choice_by_place, choice_by_request, choose, decided_by
+from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.evidence.result import ResultWatch
@@ -349,7 +350,7 @@ def _classify(
             confidence_kernels(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
     with (
-        FingerprintBeside(source, threads=threads) as beside,
+        FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
         open_writer(
             output,
             source=source,
@@ -361,6 +362,7 @@ def _classify(
             overwrite=overwrite,
             laz_contexts=stream.info.facts.laz_contexts,
             user_names=user_names(loaded.config),
+            is_part=loaded.config.input.window is not None,
         ) as writer,
     ):
         result = ResultWatch(usual_labels(loaded.config, stream.info))
@@ -415,10 +417,10 @@ def _write_labels(
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
+        info = stream.info
         for item in labelled:
             put(item)
-            if progress is not None:
-                progress(item.block.n_lines)
+            advance(progress, item.block, info, config.input.window)
     return counts
 
 
@@ -573,6 +575,8 @@ def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...
 def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
     """Return what labels of the method usually look like in an input of this kind."""
     usual = config.classifier.method().usual
+    if config.input.max_range is not None and config.input.max_range <= usual.reach_m:
+        usual = replace(usual, reach_m=0.0)
     # what a scanner on a tripod sees changes all the way round
     return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
 
@@ -641,14 +645,15 @@ def run_record(
 ) -> RunRecord:
     """Return the provenance of a finished run; reads the input again if its hash is not given."""
     config, trajectory = loaded.config, loaded.trajectory
+    is_whole = config.input.window is None
     return RunRecord(
         config=config.of_run(),
-        input=fingerprint(Path(info.path)) if input_print is None else input_print,
+        input=fingerprint(Path(info.path), hashes=is_whole) if input_print is None else input_print,
         trajectory=None if trajectory is None else fingerprint(trajectory),
         format=info.format,
         points_per_line=info.points_per_line,
         n_lines=counts.n_lines,
-        n_records=counts.tally.n_records if info.n_records is None else info.n_records,
+        n_records=info.n_records if is_whole and info.n_records is not None else counts.tally.n_records,
         n_missing=int(counts.labels[Label.MISSING]),
         assumptions=info.assumptions if loaded.choice is None else (loaded.choice.assumption, *info.assumptions),
         tally=counts.tally,

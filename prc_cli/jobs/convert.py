@@ -7,11 +7,13 @@ with the classes and the registered coordinates of the input. Whatever the outpu
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.classes import Label
@@ -19,6 +21,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_outputs, file_state, remove_stale, suffix_of, temporary_name
 from prc_cli.core.findings import Finding, Verdict, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import I64, Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.arrays.read import CLASS
 from prc_cli.formats.arrays.rows import ArrayFile
@@ -33,11 +36,14 @@ from prc_cli.formats.stream_files import (
 )
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.formats.writing.record_values import RecordValues
+from prc_cli.formats.writing.spool import Spool
 from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 from prc_cli.jobs.classify import Counts, Progress, run_record
+from prc_cli.jobs.progress import advance
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.open import open_input
+from prc_cli.streams.window import grid_of
 
 XYZ = ("x", "y", "z")
 _LAS = (".las", ".laz")
@@ -140,7 +146,9 @@ def convert(
     source, output = Path(source), Path(output)
     prepare_output(source, output, loaded, overwrite=overwrite)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in _LAS:
-        return _copy(source, output, loaded)
+        if loaded.config.input.window is None:
+            return _copy(source, output, loaded)
+        return _copy_window(source, output, loaded, progress)
     before = file_state(source)
     facts = Facts(Counts.none())
     watches: list[EvidenceStream] = []
@@ -157,9 +165,8 @@ def convert(
         for item in opened.items:
             writer.add_item(item)
             facts = facts.add(item.block)
-            if progress is not None:
-                progress(item.block.n_lines)
-        info = opened.info
+            advance(progress, item.block, opened.info, loaded.config.input.window)
+        info = opened.stream.info  # a window knows its lines by now
         losses = find_losses(output, opened, facts, writer.losses)
         record = run_record(info, facts.counts, loaded)
         told = tuple(f"not kept: {loss}" for loss in losses)
@@ -215,6 +222,51 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
     return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
 
 
+def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Progress | None) -> ConversionSummary:
+    """Copy the records of a window of a LAS or LAZ file, and nothing else changed."""
+    las, before = read_las(source), file_state(source)
+    facts = Facts(Counts.none())
+    with contextlib.ExitStack() as stack:
+        temporary, beside = stack.enter_context(atomic_outputs(output, record_path(output)))
+        path = temporary_name(output)
+        stack.callback(lambda: path.unlink(missing_ok=True))
+        stays = Spool(path, np.uint8, 0, n_records=las.n_records)
+        stack.callback(stays.close)
+        stream = watched(
+            open_input(source, loaded.config.input, loaded.config.layout), loaded.config.input, refuses=False
+        )
+        stop, info = 0, stream.info
+        for block in stream.blocks():
+            facts = facts.add(block)
+            record = np.concatenate([block.records().ravel(), block.extra.record])
+            record = record[record >= 0]
+            stays.put(record, np.ones(len(record), np.uint8))
+            stop = max(stop, int(record.max(initial=-1)) + 1)
+            advance(progress, block, info, loaded.config.input.window)
+
+        def masks(n: int) -> Iterator[Mask]:
+            return (part.view(np.bool_) for part in stays.chunks(n, stop=-(-stop // n) * n))
+
+        notices = copy_las(las, output, temporary, lambda n: _cut_last(masks(n), n, las.n_records))
+        check_unchanged(source, before)
+        found = stream.findings()
+        odd = tuple(finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
+        record_of_run = run_record(stream.info, facts.counts, loaded)
+        copied = "the records of the window were copied as bytes"
+        record_of_run = replace(record_of_run, notices=(*record_of_run.notices, copied, *notices, *odd))
+        beside.write_bytes(record_of_run.to_json())
+    counts = facts.counts
+    return ConversionSummary(output, record_of_run, (), counts.n_lines, counts.n_shots, facts.n_returned, found)
+
+
+def _cut_last(masks: Iterator[Mask], n: int, n_records: int) -> Iterator[Mask]:
+    """Yield the masks of whole batches; the last batch of the file may be shorter."""
+    first = 0
+    for mask in masks:
+        yield mask[: n_records - first]
+        first += n
+
+
 @dataclass(frozen=True, slots=True)
 class OpenedItems:
     """A stream, and which further values its records have."""
@@ -224,13 +276,17 @@ class OpenedItems:
     items: Iterator[StreamItem]
     source: RecordSource | None
     stream: ScanStream
-    n_odd_codes: int = 0
-    """Number of class codes that are not integers of at most 32 bits."""
+    carried: _Carried | None = None
+
+    @property
+    def n_odd_codes(self) -> int:
+        """Number of class codes that are not integers of at most 32 bits; complete once the items are."""
+        return 0 if self.carried is None else self.carried.n_odd
 
     @property
     def grid(self) -> GridStream | None:
         """The stream if lines and columns were found by rules; None for range images, organised scans and rings."""
-        return self.stream if isinstance(self.stream, GridStream) else None
+        return grid_of(self.stream)
 
 
 @contextlib.contextmanager
@@ -267,16 +323,18 @@ def open_items(
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
     axes = XYZ if xyz and first.xyz_m is None and set(XYZ) <= set(has) else ()
     with contextlib.ExitStack() as stack:
-        carried: RecordValues | None = None
-        n_odd = 0
+        carried: _Carried | None = None
         if records is not None and (class_name is not None or axes):
-            carried, n_odd = _carry(records, class_name, axes, output, stack)
+            carried = _carry(records, class_name, axes, output, stack)
+            if loaded.config.input.window is None:
+                carried.read_all()
         elif records is None and codes and suffix_of(source) == ".npz":
             carried = _carry_array(source, stream.info, output, stack)
         item = _item(first, carried)
         scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
         of_images = stream.info.facts.has_returns or stream.info.format == "E57"
-        returns = stream.rules.has_returns if isinstance(stream, GridStream) else of_images
+        grid = grid_of(stream)
+        returns = of_images if grid is None else grid.rules.has_returns
         shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
 
         def items() -> Iterator[StreamItem]:
@@ -284,35 +342,72 @@ def open_items(
             for block in blocks:
                 yield _item(block, carried)
 
-        yield OpenedItems(stream.info, shape, items(), records, stream, n_odd)
+        yield OpenedItems(stream.info, shape, items(), records, stream, carried)
+
+
+class _Carried:
+    """Values by record, read from the input as far as they are asked for."""
+
+    def __init__(self, values: RecordValues, rows: Iterator[tuple[NDArray[Any], int]]) -> None:
+        self._values, self._rows = values, rows
+        self.n_odd = 0
+        """Number of invalid codes so far."""
+
+    def get(self, record: I64) -> NDArray[Any]:
+        """Return the values of records; see :meth:`RecordValues.get`."""
+        last = int(record.max(initial=-1))
+        while last >= len(self._values) and self._read():
+            pass
+        return self._values.get(record)
+
+    def read_all(self) -> None:
+        """Read what is left."""
+        while self._read():
+            pass
+
+    def _read(self) -> bool:
+        rows, n_odd = next(self._rows, (None, 0))
+        if rows is None:
+            return False
+        self._values.append(rows)
+        self.n_odd += n_odd
+        return True
 
 
 def _carry(
     records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
-) -> tuple[RecordValues, int]:
-    """Write classes and coordinates of all records to a temporary file; also count invalid codes."""
-    n_odd = 0
+) -> _Carried:
+    """Keep classes and coordinates of records in a temporary file; also count invalid codes."""
     fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
     path = temporary_name(output)
     stack.callback(lambda: path.unlink(missing_ok=True))
     fill = (*((np.nan,) * len(xyz)), *([NO_CODE] if class_name is not None else []))
     values = RecordValues(path, np.dtype(fields), fill)
     stack.callback(values.close)
+    rows = _rows_of(records, class_name, xyz, np.dtype(fields))
+    stack.callback(rows.close)
+    return _Carried(values, rows)
+
+
+def _rows_of(
+    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], fields: np.dtype[Any]
+) -> Generator[tuple[NDArray[Any], int]]:
+    """Yield classes and coordinates of the next records, and the number of codes that are no whole numbers."""
     names = (*xyz, *([class_name] if class_name is not None else []))
     for chunk in records.chunks(names):
-        rows = np.empty(chunk.n, np.dtype(fields))
+        n_odd = 0
+        rows = np.empty(chunk.n, fields)
         for name in xyz:
             rows[name] = chunk.values[name]
         if class_name is not None:
             given = np.asarray(chunk.values[class_name], np.float64)
             whole = np.isfinite(given) & (given == np.floor(given)) & (np.abs(given) < 2**31)
-            n_odd += int(np.count_nonzero(~whole & ~np.isnan(given)))
+            n_odd = int(np.count_nonzero(~whole & ~np.isnan(given)))
             rows["code"] = np.where(whole, given, NO_CODE)
-        values.append(rows)
-    return values, n_odd
+        yield rows, n_odd
 
 
-def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> RecordValues | None:
+def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> _Carried | None:
     """Write the class codes of a range image to a temporary file; None if it has none."""
     if CLASS not in ArrayFile(source).headers:
         return None
@@ -329,10 +424,10 @@ def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib
         rows = np.empty(len(codes), kind)
         rows["code"] = np.where(np.abs(codes) < 2**31, codes, NO_CODE)
         values.append(rows)
-    return values
+    return _Carried(values, iter(()))
 
 
-def _item(block: ScanBlock, carried: RecordValues | None) -> StreamItem:
+def _item(block: ScanBlock, carried: _Carried | None) -> StreamItem:
     if carried is None:
         return StreamItem(block)
     own, extra = carried.get(block.records()), carried.get(block.extra.record)

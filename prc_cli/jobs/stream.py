@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from prc_cli.classifiers.run import run_blocks
-from prc_cli.config import LoadedConfig, MethodChoice, RunConfig
+from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.findings import Finding, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
@@ -143,6 +143,7 @@ def stream(
     """
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
     config = loaded.config
+    refuse_window(config, "prc stream")
     if config.input.scanner != "none":
         problem = (
             f"found {config.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"
@@ -151,6 +152,7 @@ def stream(
     start = time.perf_counter()
     pipe, opened = open_pipe(source, config.input.model_copy(update={"partial_line": "pad"}), config.layout)
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
+    told = None
     if not config.is_decided:
         choice = choice_by_request(config, hops=hop is not None)
         if choice is None:
@@ -158,7 +160,7 @@ def stream(
         loaded = decided_by(choice, loaded)
         config = loaded.config
         load_classifier(loaded)
-        chosen(choice)
+        told = choice
     classifier = config.classifier.method()
     if classifier.needs.beams:
         opened = with_beams(opened, config.input, from_ground=classifier.needs.nadir_from_ground)
@@ -170,6 +172,9 @@ def stream(
     lookup = config.classes.lookup()
     counts, latency, result, asks_at = Counts.none(), 0.0, ResultWatch(classifier.usual), RESULT_LINES
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
+        if told is not None:  # not of an input that is refused
+            chosen(told)
+            told = None
         counts = counts.add(item)
         codes = lookup[item.labels]
         # in a dense stream only a padded last line has cells without a record

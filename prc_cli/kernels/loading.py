@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeAlias, get_args
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.garbage import no_collecting
 from prc_cli.core.interrupts import held
+from prc_cli.core.process import is_own_process
 
 _TABLE = Path(__file__).with_name("__init__.pyi")
 _HOME = "prc_cli.kernels."
@@ -84,7 +85,7 @@ def find_kernel(name: str) -> Callable[..., Any]:
 
 
 def load_compiler() -> None:
-    """Load numba.
+    """Load numba; in the command's own process without what prc does not need of it.
 
     Raises
     ------
@@ -92,16 +93,18 @@ def load_compiler() -> None:
         When it cannot be loaded.
     """
     try:
-        with _absent(UNNEEDED):
+        with _absent(UNNEEDED if is_own_process() else ()):
             import_module("numba")
+            if is_own_process():  # the rest of it is loaded with the first kernel otherwise
+                import_module("numba.core.registry").cpu_target.target_context.refresh()
     except (ImportError, OSError) as error:
         hint = "pip install --force-reinstall numba; until then prc classify --engine reference is the slow way"
         raise PrcError("numba", f"cannot be loaded ({error})", hint) from error
 
 
 UNNEEDED = ("cffi", "coverage", "scipy.linalg", "yaml")
-"""What numba looks for when it is loaded and does without: interfaces to C, counts of tests, linear algebra (found
-later where a kernel uses it), and a file of settings in the current folder. They take a good part of a short run."""
+"""What numba looks for and does without: interfaces to C, counts of tests, linear algebra, which no kernel uses, and a
+file of settings in the current folder. Loading them takes a fifth of a short run."""
 
 
 @contextmanager

@@ -23,9 +23,9 @@ from prc_cli.matching.streams import in_step
 
 FILE, ROW = "file", "row"
 """Index of the file, index of the record in it: int64, every side has them and :data:`CODE`."""
-RANGE, LINE, SCANNER, CONFIDENCE = "range", "line", "scanner", "confidence"
-"""What a side may have: range [m], scan line, scanner id, confidence [per cent]; -1 (NaN for ranges) = not known.
-:data:`SAME` is the return number, 0 to 255; 0 = not known."""
+RANGE, LINE, SCANNER, SECONDS, CONFIDENCE = "range", "line", "scanner", "seconds", "confidence"
+"""What a side may have: range [m], scan line, scanner id, time [s], confidence [per cent]; -1 (NaN for ranges and
+times) = not known. :data:`SAME` is the return number, 0 to 255; 0 = not known."""
 MAX_RETURN = 255
 RECORD = "record"
 """Name of the record index. Files without such a column have it too, except LAS files."""
@@ -37,6 +37,7 @@ _NAMES = {
     RANGE: ("range",),
     LINE: ("scan_line",),
     SCANNER: SCANNER_NAMES,
+    SECONDS: ("time",),
     CONFIDENCE: (CONFIDENCE,),
 }
 _INDEX = ""
@@ -171,7 +172,7 @@ class Side:
         """Names that :meth:`chunks` can deliver."""
         names = [
             name
-            for name in (SAME, RANGE, LINE, SCANNER, CONFIDENCE)
+            for name in (SAME, RANGE, LINE, SCANNER, SECONDS, CONFIDENCE)
             if all(self._place(file, name) for file in self.files)
         ]
         key = [] if self.key is None else [KEY]
@@ -285,7 +286,7 @@ class Side:
     def _typed(self, file: SideFile, name: str, found: NDArray[Any], first: int) -> NDArray[Any]:
         if name == KEY and self.key is not None and self.key.kind == "dimension":
             return self._ids(file, self.key.dimension, found, first)
-        if name in (KEY, RANGE, *AXES):
+        if name in (KEY, RANGE, SECONDS, *AXES):
             return np.asarray(found, np.float64)
         return np.clip(_whole(found), 0, MAX_RETURN) if name == SAME else _whole(found)
 

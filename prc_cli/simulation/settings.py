@@ -17,7 +17,7 @@ from prc_cli.simulation.drive import MOST_LINES
 from prc_cli.simulation.forest.params import PRESETS as FORESTS
 from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.street.params import CHARACTERS, StreetSceneParams
+from prc_cli.simulation.street.params import CHARACTERS, VARIED, StreetSceneParams
 from prc_cli.simulation.trajectory import MOTIONS, MotionParams
 from prc_cli.simulation.trajectory_files import Frame
 
@@ -27,6 +27,7 @@ SCENES: dict[Kind, dict[str, dict[str, Any]]] = {
     "street": {"mixed": {}, **{name: {"character": name} for name in CHARACTERS}},
     "forest": {name: params.model_dump() for name, params in FORESTS.items()},
 }
+SCENES["street"]["varied"] = dict(VARIED)
 SCENES["street-scan"] = SCENES["street"]
 """Parameters of scenes by name."""
 

@@ -35,6 +35,7 @@ from prc_cli.streams.setup import ScannerSetup, column_rule, find_setups, given_
 from prc_cli.streams.sorting import sorted_by_time
 from prc_cli.streams.table import INTENSITY, RANGE, XYZ, Table, take
 from prc_cli.streams.whole_lines import LineRules
+from prc_cli.streams.window import WindowEnd
 
 
 def open_grid(
@@ -85,9 +86,12 @@ def open_grid(
     )
     m, assumption = given_points_per_line(rules, facts.points_per_line)
     counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
-    if counts_records and m is not None and n_records is not None:
+    if counts_records and m is not None and n_records is not None and config.window is None:
         check_partial_line(source.path, n_records, m)
-    setups, n_lines, found = find_setups(records, rules, ranges, m, geometry=geometry)
+    end = None
+    if config.window is not None and rules.scanner is None:
+        end = WindowEnd(config.window, rules.line_hz if rules.line_hz is not None else line_hz)
+    setups, n_lines, found = find_setups(records, rules, ranges, m, geometry=geometry, end=end)
     sizes = [setup.points_per_line for setup in setups.values()] or ([m] if m is not None else [])
     if not sizes:
         raise nothing_placed(source.path)

@@ -44,6 +44,26 @@ def open_input(
     InputError
         When the file is damaged or does not hold what the configuration asks for.
     """
+    if config.window is None:
+        return _open(path, config, layout, lines_at_once=lines_at_once, geometry=geometry, only_ranges=only_ranges)
+    from prc_cli.streams.window import windowed
+
+    # times say where the window is
+    only_ranges = only_ranges and config.window.in_lines
+    stream = _open(path, config, layout, lines_at_once=lines_at_once, geometry=geometry, only_ranges=only_ranges)
+    return windowed(stream, config)
+
+
+def _open(
+    path: Path,
+    config: InputConfig,
+    layout: Layout | None,
+    *,
+    lines_at_once: int,
+    geometry: bool,
+    only_ranges: bool,
+) -> ScanStream:
+    """Open the whole input."""
     source = open_source(path, layout)
     config = with_layout(config, layout)
     # imported here: images do not need it and start faster

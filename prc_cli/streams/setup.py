@@ -23,6 +23,7 @@ from prc_cli.streams.reading import whole_lines
 from prc_cli.streams.rules import GridRules
 from prc_cli.streams.table import LINE, START, Table, n_rows
 from prc_cli.streams.whole_lines import LineRules, WholeLines
+from prc_cli.streams.window import WindowEnd
 
 DOWN_LINES = 64
 """Number of lines with returns used to find straight down."""
@@ -56,7 +57,13 @@ class _Extent:
 
 
 def find_setups(
-    source: RecordSource, rules: GridRules, ranges: RangeRule, points_per_line: int | None, *, geometry: bool = True
+    source: RecordSource,
+    rules: GridRules,
+    ranges: RangeRule,
+    points_per_line: int | None,
+    *,
+    geometry: bool = True,
+    end: WindowEnd | None = None,
 ) -> tuple[dict[int, ScannerSetup], int | None, tuple[Assumption, ...]]:
     """Estimate the parameters that the rules need, for every scanner.
 
@@ -69,6 +76,8 @@ def find_setups(
         M if known already.
     geometry : bool
         Find column angles and straight down even if lines and columns do not need them.
+    end : WindowEnd, optional
+        Where the lines that are wanted end: the size of the image is that of the lines before.
 
     Returns
     -------
@@ -95,13 +104,15 @@ def find_setups(
             grid = found.angle_grid
             sizes[scanner] = grid.n_columns if grid is not None and grid.whole_turn else None
         if None in sizes.values() or not sizes:
-            extents = _survey(source, rules, estimates)
+            extents = _survey(source, rules, estimates, end)
             n_lines = sum(extent.n_lines for extent in extents.values())
             sizes = {scanner: sizes.get(scanner) or _size(rules, extents[scanner]) for scanner in sorted(extents)}
             images = {one: (extent.n_lines, sizes[one] or 1, extent.n_shots) for one, extent in extents.items()}
             check_image(rules.path, images, rules.scanner or "")
         shown = _shown_sizes(rules, sizes)
-        taken.append(Assumption("input.points_per_line", shown, _size_reason(rules, whole_pass=n_lines is not None)))
+        taken.append(
+            Assumption("input.points_per_line", shown, _size_reason(rules, end, whole_pass=n_lines is not None))
+        )
     setups = {}
     for scanner, size in sizes.items():
         if size is None:
@@ -132,10 +143,13 @@ def _shown_sizes(rules: GridRules, sizes: dict[int, int | None]) -> str:
     return ", ".join(f"scanner {scanner}: {sizes[scanner]}" for scanner in sorted(sizes))
 
 
-def _size_reason(rules: GridRules, *, whole_pass: bool) -> str:
+def _size_reason(rules: GridRules, end: WindowEnd | None, *, whole_pass: bool) -> str:
     if not whole_pass:
         return "steps of the scan angle in a whole turn"
-    return "shots of the longest line" if rules.columns == "order" else "highest column in the input"
+    where = "" if end is None else f" up to the end of {end.window.option}; -M gives that of the drive"
+    if rules.columns == "order":
+        return f"shots of the longest line{where}"
+    return f"highest column in the input{where}"
 
 
 def given_angles(rules: GridRules, points_per_line: int) -> F64 | None:
@@ -150,14 +164,18 @@ def column_rule(rules: GridRules, grid: AngleGrid | None) -> ColumnRule:
     return ColumnRule(rules.column_dimension, grid, rules.shot_hz, rules.line_hz)
 
 
-def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, Estimates]) -> dict[int, _Extent]:
-    """Read the whole input once for the size of the image."""
+def _survey(
+    source: RecordSource, rules: GridRules, estimates: dict[int, Estimates], end: WindowEnd | None
+) -> dict[int, _Extent]:
+    """Read the input once for the size of the image: the whole of it, or to the end of a window."""
 
     def of_scanner(scanner: int) -> LineRules:
         return line_rules(rules, None, estimates.get(scanner, Estimates()))
 
     extents: dict[int, _Extent] = {}
     for whole in whole_lines(source, rules, of_scanner):
+        if end is not None and extents and end.passed(whole.first_line, whole.records):
+            break
         extent = extents.get(whole.scanner, _Extent())
         records = whole.records
         if n_rows(records):

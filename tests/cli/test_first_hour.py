@@ -127,3 +127,47 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(prc: Prc, tm
     (tmp_path / "os.json").write_text("{}")
     (tmp_path / "os.pcap").write_bytes(b"x")
     assert prc("info", tmp_path / "os.json").err.endswith(f"name the capture beside it, {tmp_path / 'os.pcap'}\n")
+
+
+def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
+    frame = np.stack([*frame_xyz(), np.full(64 * 900, 0.3)], axis=1).astype("<f4")
+    frame.tofile(tmp_path / "frame.bin")
+    found = prc("classify", tmp_path / "frame.bin", tmp_path / "frame.laz", "--accept-doubt", "ground-below")
+    assert "look like x, y, z and intensity of a frame" in found.err
+    assert "points are in the order of the shots" in found.err
+    assert "compare it" not in found.err
+    ranges = street()
+    np.abs(frame).tofile(tmp_path / "other.bin")
+    for path in (write_raw(tmp_path / "drive.bin", ranges), tmp_path / "other.bin"):
+        refused = prc("classify", path, tmp_path / "labels.npy")
+        assert refused.code == 1
+        assert "no scan lines" in refused.err
+
+
+def frame_xyz() -> np.ndarray:
+    """Return a road and a round wall as 64 rings see them, ring after ring, (3, n)."""
+    azimuth = np.tile(np.linspace(0.0, 2 * np.pi, 900, endpoint=False), 64)
+    elevation = np.repeat(np.deg2rad(np.linspace(2.0, -24.8, 64)), 900)
+    distance = np.minimum(
+        20.0 / np.cos(elevation), np.where(elevation < 0, 1.7 / np.sin(np.maximum(-elevation, 1e-3)), 99)
+    )
+    flat = distance * np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)])
+
+
+def test_the_name_of_a_sample_is_enough(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("sick_push_broom.toml", "sample_configs/sick_push_broom.toml"):
+        assert "area = 12.0" in prc("config", "show", "--config", name).out
+    (tmp_path / "sick_push_broom.toml").write_text("prc.surfaces.area = 7.0\n")
+    assert "area = 7.0" in prc("config", "show", "--config", "sick_push_broom.toml").out
+    assert prc("config", "show", "--config", "nobody.toml").code == 2
+
+
+def test_a_result_says_how_to_draw_and_compare_it(prc: Prc, tmp_path: Path) -> None:
+    drive = write_raw(tmp_path / "drive.bin", street())
+    found = prc("classify", drive, tmp_path / "l.npy", "-M", POINTS_PER_LINE, "--preset", "urban")
+    draw = f"draw it: prc render {drive} {tmp_path / 'l.png'} --labels {tmp_path / 'l.npy'} -M {POINTS_PER_LINE}\n"
+    assert draw in found.err
+    assert f"compare it: prc evaluate {tmp_path / 'l.npy'} REFERENCE\n" in found.err
+    assert "draw it" not in prc("classify", drive, tmp_path / "q.npy", "-M", POINTS_PER_LINE, "-q").err

@@ -22,7 +22,7 @@ def drive(tmp_path: Path) -> Path:
 def test_it_says_what_it_drew_on_stderr(prc: Prc, drive: Path, tmp_path: Path) -> None:
     result = prc("render", drive, tmp_path / "drive.png", "--preset", "urban")
     assert (result.code, result.out) == (0, "")
-    assert f"drive.npz · prc, urban · all {N_LINES} lines" in result.err
+    assert f"drive.npz · preset urban · all {N_LINES} lines" in result.err
     assert "drive.png (" in result.err
     with Image.open(tmp_path / "drive.png") as image:
         assert image.width > 1000
@@ -55,6 +55,20 @@ def test_a_result_is_drawn_beside_its_reference(prc: Prc, drive: Path, tmp_path:
     assert "labels of labels.csv" in result.err
 
 
+def test_a_page_to_look_into(prc: Prc, drive: Path, tmp_path: Path) -> None:
+    result = prc("render", drive, "--html", tmp_path / "a.html", "--shots", 5000, "--hide", "noise", "--json")
+    assert result.code == 0, result.err
+    found = json.loads(result.out)
+    assert found["files"] == [str(tmp_path / "a.html")]
+    assert found["thinned_by"] != [1, 1]
+    assert "drive.npz · preset fused · all 137 lines · 1 line of " in result.err
+    assert "note: The page holds " in result.err
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "<h1>drive.npz</h1>" in page
+    assert "http://" not in page
+    assert "https://" not in page
+
+
 def refused(result: Result, code: int, *parts: str) -> None:
     assert result.code == code, result.err
     (line,) = result.err.strip().splitlines()
@@ -77,12 +91,16 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
         (["--view", "perspective", "--from", "10,95"], 2, ["elevation from -90 to 90"]),
         (["--view", "top", "--figure1"], 2, ["--figure1: belongs to the scan view"]),
         (["--figure1", "--method", "sequential-angle"], 2, ["--figure1: belongs to prc"]),
+        (["--html", tmp_path / "b.html"], 2, ["--html: given together with OUT, expected one of them"]),
+        (["--hide", "rain"], 2, ["--hide: found 'rain', expected classes: unclassified, noise, ground"]),
         (["--mapping", "nothing"], 2, ["class mapping: found 'nothing', expected a .toml file or one of"]),
     ):
         refused(prc("render", drive, out, "--quiet", *options), code, *parts)
         assert not out.exists()
     refused(prc("render", drive, tmp_path / "a.jpg"), 2, "expected one of: .png .html")
     refused(prc("render", drive, drive), 2, "found the suffix '.npz'")
+    refused(prc("render", drive), 2, "OUT: expected one output, found none; give OUT.png, OUT.html or --html PAGE.html")
+    refused(prc("render", drive, "--html", tmp_path / "b.png"), 2, "expected .html")
     out.write_bytes(b"old")
     refused(prc("render", drive, out), 2, "exists already", "--overwrite")
     assert prc("render", drive, out, "--overwrite").code == 0

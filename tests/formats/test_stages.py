@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, StageLabels
 from prc_cli.formats.writing import base as base_module
@@ -29,8 +29,9 @@ SOURCE = Path("drive.bin")
 LINES, M = 15, 20
 N = LINES * M
 STAGES = OutputConfig(stages=True)
-NAMES = ["surface", "dense_vegetation", "ground_height"]
-NOTICE = "output.stages needs the fused or sequential-angle method; nothing was added"
+NAMES = ["surface", "dense_vegetation", "ground_height", "trigger", "car_interval", "car_test"]
+EVERY = [*NAMES[:3], "height_above_ground", *NAMES[3:], "critical_zeta_p", "critical_zeta_s"]
+NOTICE = "output.stages needs the fused, prc or sequential-angle method; nothing was added"
 
 
 @dataclass
@@ -42,9 +43,12 @@ class Drive:
     surface: np.ndarray
     dense: np.ndarray
     height: np.ndarray
+    trigger: np.ndarray
+    interval: np.ndarray
+    test: np.ndarray
 
     def columns(self) -> list[np.ndarray]:
-        return [self.surface, self.dense, self.height]
+        return [self.surface, self.dense, self.height, self.trigger, self.interval, self.test]
 
 
 def drive(
@@ -59,17 +63,32 @@ def drive(
     dense = rng.random((LINES, M)) < 0.4
     height = np.repeat(rng.normal(-1.8, 0.1, (LINES, 1)), M, axis=1).astype(np.float32)
     height[5] = np.nan
+    trigger = rng.integers(0, 4, (LINES, M), dtype=np.uint8)
+    interval = rng.integers(0, 1 << 16, (LINES, M), dtype=np.uint16)
+    test = rng.integers(0, 7, (LINES, M), dtype=np.uint8)
+    car_surface = np.where(dense, Surface.VEGETATION, Surface.HORIZONTAL).astype(np.uint8)
     record = None if order is None else order.reshape(LINES, M)
     blocks = []
     for number, first in enumerate(range(0, LINES, 4)):
         rows = slice(first, first + 4)
-        stages: StageLabels | None = StageLabels(surface[rows], dense[rows], height[rows])
+        stages: StageLabels | None = StageLabels(
+            surface[rows], car_surface[rows], height[rows], trigger[rows], interval[rows], test[rows]
+        )
         if number in without:
             stages = None
             surface[rows], dense[rows], height[rows] = 0, False, np.nan
+            trigger[rows], interval[rows], test[rows] = 0, 0, 0
         own = None if record is None else record[rows]
         blocks.append(labelled(labels[rows], first_line=first, record=own, stages=stages))
-    return Drive(blocks, labels != Label.MISSING, surface, dense, height)
+    return Drive(blocks, labels != Label.MISSING, surface, dense, height, trigger, interval, test)
+
+
+def few(surface: np.ndarray, car_surface: np.ndarray, height: np.ndarray) -> StageLabels:
+    """Stages of a few shots, all of them the car in interval 300, where the line triggered."""
+    trigger, interval, test = (
+        np.full(surface.shape, value, kind) for value, kind in ((2, "u1"), (300, "u2"), (6, "u1"))
+    )
+    return StageLabels(surface, car_surface, height, trigger, interval, test)
 
 
 def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
@@ -82,7 +101,7 @@ def test_built_files_hold_them(tmp_path: Path, suffix: str) -> None:
     write(tmp_path / f"a{suffix}", SOURCE, given.blocks, options=STAGES)
     las = laspy.read(tmp_path / f"a{suffix}")
     assert list(las.point_format.extra_dimension_names) == ["range", "scan_line", "column", *NAMES]
-    assert [las[name].dtype.str for name in NAMES] == ["|u1", "|u1", "<f4"]
+    assert [las[name].dtype.str for name in NAMES] == ["|u1", "|u1", "<f4", "|u1", "<u2", "|u1"]
     for name, expected in zip(NAMES, given.columns(), strict=True):
         assert same_bits(las[name], expected[given.present])
 
@@ -118,7 +137,7 @@ def test_all_optional_columns_together(tmp_path: Path, form: int) -> None:
     once, twice = laspy.read(tmp_path / "once.laz"), laspy.read(tmp_path / "twice.laz")
     assert twice.point_format.id == 6
     for read, drawn in ((once, given), (twice, again)):
-        assert list(read.point_format.extra_dimension_names)[-5:] == ["segment_id", "range", *NAMES]
+        assert list(read.point_format.extra_dimension_names)[-8:] == ["segment_id", "range", *NAMES]
         for name, expected in zip(NAMES, drawn.columns(), strict=True):
             assert same_bits(read[name], expected.ravel())
     told = [text for text in record.notices if "already" in text]
@@ -148,24 +167,24 @@ def test_tables_hold_them(tmp_path: Path, known: bool, monkeypatch: pytest.Monke
     for suffix in (".csv", ".parquet"):
         write(tmp_path / f"a{suffix}", SOURCE, given.blocks, options=options, n_records=N if known else None)
     lines = (tmp_path / "a.csv").read_text().splitlines()
-    assert lines[0] == "record,class,name,segment,surface,dense_vegetation,ground_height"
+    assert lines[0] == ",".join(["record", "class", "name", "segment", *NAMES])
     cells = [line.split(",") for line in lines[1:]]
     table = pq.read_table(tmp_path / "a.parquet")
     assert table.schema.names == lines[0].split(",")
-    assert [table.schema.field(name).type for name in NAMES] == [pa.uint8(), pa.uint8(), pa.float32()]
+    assert [table.schema.field(name).type for name in NAMES] == [
+        *(pa.uint8(), pa.uint8(), pa.float32(), pa.uint8(), pa.uint16(), pa.uint8()),
+    ]
     for number, (name, expected) in enumerate(zip(NAMES, given.columns(), strict=True), start=4):
         assert same_bits(np.array([row[number] for row in cells], np.float32)[order], expected.ravel())
         assert same_bits(table[name].to_numpy()[order], expected.ravel())
 
 
 def test_numbers_in_text_are_short(tmp_path: Path) -> None:
-    stages = StageLabels(
-        np.array([[3, 0]], np.uint8), np.array([[True, False]]), np.array([[-1.8, np.nan]], np.float32)
-    )
+    stages = few(np.array([[3, 0]], np.uint8), np.array([[1, 0]], np.uint8), np.array([[-1.8, np.nan]], np.float32))
     block = labelled(np.array([[Label.VERTICAL, Label.MISSING]], np.uint8), stages=stages)
     write(tmp_path / "a.csv", SOURCE, [block], options=STAGES)
     assert (tmp_path / "a.csv").read_text() == (
-        "record,class,name,surface,dense_vegetation,ground_height\n0,67,vertical,3,1,-1.8\n1,0,missing,0,0,nan\n"
+        f"record,class,name,{','.join(NAMES)}\n0,67,vertical,3,1,-1.8,2,300,6\n1,0,missing,0,0,nan,2,300,6\n"
     )
 
 
@@ -174,7 +193,7 @@ def test_further_returns_and_records_in_no_line_have_none(tmp_path: Path, suffix
     extra = ExtraReturns(
         np.array([0], np.int32), np.array([1], np.int32), np.array([12], np.float32), np.array([2], np.int64)
     )
-    stages = StageLabels(np.full((1, 3), 2, np.uint8), np.ones((1, 3), np.bool_), np.full((1, 3), -2, np.float32))
+    stages = few(np.full((1, 3), 2, np.uint8), np.ones((1, 3), np.uint8), np.full((1, 3), -2, np.float32))
     block = labelled(
         np.full((1, 3), Label.GROUND, np.uint8),
         record=np.array([[0, 1, 3]]),
@@ -193,17 +212,18 @@ def test_further_returns_and_records_in_no_line_have_none(tmp_path: Path, suffix
         found = [table[name].to_numpy().tolist() for name in NAMES]
     else:
         rows = (tmp_path / "a.csv").read_text().splitlines()[1:]
-        found = [[float(row.split(",")[number]) for row in rows] for number in (3, 4, 5)]
+        found = [[float(row.split(",")[number]) for row in rows] for number in range(3, 9)]
     assert found[0] == [2, 2, 0, 2, 0]
     assert found[1] == [1, 1, 0, 1, 0]
     np.testing.assert_array_equal(found[2], [-2, -2, np.nan, -2, np.nan])
+    assert found[3:] == [[2, 2, 0, 2, 0], [300, 300, 0, 300, 0], [6, 6, 0, 6, 0]]
 
 
 def test_further_returns_have_none_in_built_files(tmp_path: Path) -> None:
     extra = ExtraReturns(
         np.array([0], np.int32), np.array([0], np.int32), np.array([12], np.float32), np.array([2], np.int64)
     )
-    stages = StageLabels(np.full((1, 1), 3, np.uint8), np.ones((1, 1), np.bool_), np.full((1, 1), -2, np.float32))
+    stages = few(np.full((1, 1), 3, np.uint8), np.ones((1, 1), np.uint8), np.full((1, 1), -2, np.float32))
     block = labelled(
         np.full((1, 1), Label.CAR, np.uint8), extra=extra, extra_labels=np.array([2], np.uint8), stages=stages
     )
@@ -262,11 +282,11 @@ def test_an_empty_output_has_the_columns(tmp_path: Path, suffix: str) -> None:
     write(tmp_path / f"a{suffix}", SOURCE, [], options=STAGES)
     path = tmp_path / f"a{suffix}"
     if suffix == ".csv":
-        assert path.read_text() == "record,class,name,surface,dense_vegetation,ground_height,height_above_ground\n"
+        assert path.read_text() == f"record,class,name,{','.join(EVERY)}\n"
     elif suffix == ".parquet":
-        assert pq.read_schema(path).names[-4:] == [*NAMES, "height_above_ground"]
+        assert pq.read_schema(path).names[-9:] == EVERY
     else:
-        assert list(laspy.read(path).point_format.extra_dimension_names)[-4:] == [*NAMES, "height_above_ground"]
+        assert list(laspy.read(path).point_format.extra_dimension_names)[-9:] == EVERY
 
 
 def test_names_and_descriptions_fit_their_fields() -> None:

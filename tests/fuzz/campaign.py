@@ -1,225 +1,203 @@
-"""Try many damaged files: ``python -m tests.fuzz.campaign [TARGET ...] --runs N --seconds S --seed K --keep FOLDER``.
+"""Try many damaged files: ``python -m tests.fuzz.campaign [TARGET ...] --seconds S --runs N --seed K --corpus FOLDER``.
 
-Every case runs in a watched worker process with an address space of 3 GiB. A fault is: an exception other than a
-refusal, another exit code than 0, 1, 2 or 4, a dead worker, more than ten seconds of processor time, memory beyond what
-the file explains, a forbidden event (guard.py), an unprintable character in what is printed, a file left behind. A
-faulty case is kept with the command beside it, once for every kind of fault.
+Most inputs are read by functions of the library in a forked process, traced; one that takes a new way through a parser
+is kept in the corpus and damaged further. One of ten goes through a command in that process, a few through ``prc`` as a
+user starts it. All targets get the same processor time. A fault is what docs/hostile_input.md lists. The first of its
+kind is made small and kept in ``--keep``, by default where the tests find it. Counts of all campaigns with one corpus
+are added up; ``--report FILE`` writes them as a table and tries nothing.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import hashlib
-import json
 import os
+import random
 import re
-import select
-import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 import time
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from prc_cli.kernels import load_kernels
-from tests.fuzz.mutations import mutate
-from tests.fuzz.seeds import seed as content_of
-from tests.fuzz.seeds import write_seeds
-from tests.fuzz.targets import TARGETS, arguments, suffix_of_seed
+from tests.fuzz.corpus import Corpus
+from tests.fuzz.figures import add_up, report
+from tests.fuzz.found import FOUND, Found, keep, known_kinds
+from tests.fuzz.minimise import minimise
+from tests.fuzz.seeds import seed, write_seeds
+from tests.fuzz.targets import INPUTS, LABELLED, TARGETS, Target, lay, sound_of
+from tests.fuzz.watched import WatchedWorker
 
-LIMIT_S = 10.0
-"""A command that takes more processor time hangs [s]."""
-WAIT_S = 15.0
-"""After so long without an answer, and so long again, the processor time of the worker is looked at [s]."""
-MOST_WAITS = 20
-JOBS_PER_WORKER = 3000
-
-
-class WatchedWorker:
-    """A worker process that is replaced when it dies or hangs."""
-
-    def __init__(self, folder: Path) -> None:
-        # compiling them, once after installation, is no hang of the command that happens to need them first
-        load_kernels()
-        self._folder = folder
-        self._process: subprocess.Popen[bytes] | None = None
-        self._n_jobs = 0
-
-    def run(self, command: tuple[str, ...], case: Path) -> dict[str, Any]:
-        """Run a command on a case; the answer has ``faults``."""
-        if self._process is None or self._n_jobs >= JOBS_PER_WORKER:
-            self._start()
-        assert self._process is not None
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write((json.dumps({"command": command, "case": str(case)}) + "\n").encode())
-        self._process.stdin.flush()
-        self._n_jobs += 1
-        used = _cpu_seconds(self._process.pid)
-        for _ in range(MOST_WAITS):
-            ready, _, _ = select.select([self._process.stdout], [], [], WAIT_S)
-            # others may use the machine, too; a fresh worker loads modules and compiled loops first
-            limit = LIMIT_S if self._n_jobs > 1 else 6 * LIMIT_S
-            if ready or _cpu_seconds(self._process.pid) - used > limit:
-                break
-        if not ready:
-            self.close()
-            return {"code": None, "seconds": LIMIT_S, "grown": 0, "faults": ["hang: no answer"]}
-        line = self._process.stdout.readline()
-        if not line:
-            code = self._process.wait()
-            self.close()
-            return {"code": code, "seconds": 0.0, "grown": 0, "faults": self._faults_under_guard(command, case)}
-        answer: dict[str, Any] = json.loads(line)
-        if answer["seconds"] > LIMIT_S:
-            answer["faults"].append(f"hang: {answer['seconds']:.1f} s")
-        return answer
-
-    def _faults_under_guard(self, command: tuple[str, ...], case: Path) -> list[str]:
-        """Run what ended the worker as the user runs it: a line, exit code 1 and nothing left are as they should be."""
-        with tempfile.TemporaryDirectory(prefix="out-", dir=self._folder) as out:
-            words = arguments(command, str(case), out, str(self._folder / "seeds"))
-            with case.open("rb") if command[0] == "stream" else open(os.devnull, "rb") as source:  # noqa: PTH123
-                ended = subprocess.run(
-                    [sys.executable, "-m", "prc_cli", *words], stdin=source, capture_output=True, check=False
-                )
-            lines, left = ended.stderr.decode("utf-8", "replace").splitlines(), os.listdir(out)
-        if ended.returncode == 1 and len(lines) == 1 and lines[0].startswith("error: ") and not left:
-            return []
-        return [f"died, and under the guard: exit code {ended.returncode}, printed {lines[:3]}, left {left}"]
-
-    def _start(self) -> None:
-        self.close()
-        environment = {
-            **os.environ,
-            "OMP_NUM_THREADS": "1",
-            "ARROW_DEFAULT_MEMORY_POOL": "system",
-            "MALLOC_ARENA_MAX": "2",
-        }
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.fuzz.worker", str(self._folder)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=environment,
-        )
-        self._n_jobs = 0
-
-    def close(self) -> None:
-        """End the worker and remove its files."""
-        if self._process is None:
-            return
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
-            with contextlib.suppress(OSError):
-                stream.close()  # type: ignore[union-attr]
-        for name in (f"out-{self._process.pid}", f"tmp-{self._process.pid}"):
-            shutil.rmtree(self._folder / name, ignore_errors=True)
-        (self._folder / f"printed-{self._process.pid}").unlink(missing_ok=True)
-        self._process = None
-
-
-def _cpu_seconds(process: int) -> float:
-    """Return the processor time of all threads of a process [s]; 0 if it is gone."""
-    try:
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+COMMAND_SHARE, GUARDED_SHARE = 0.1, 0.0003
+_ONLY_COMMANDS = ("stream", "simulate", "metadata")
+"""Targets that no function of the library reads alone."""
+_SAVE_S = 30.0
 
 
 @dataclass
 class Tally:
-    """What happened to the cases of a target."""
+    """What happened to the inputs of a target."""
 
-    n: int = 0
+    ways: dict[str, dict[str, int]] = field(default_factory=dict)
+    """Number of inputs by way (read, command, guarded) and outcome."""
     seconds: float = 0.0
-    codes: Counter[Any] = field(default_factory=Counter)
     slowest: float = 0.0
     grown: int = 0
-    faults: Counter[str] = field(default_factory=Counter)
+    faults: dict[str, int] = field(default_factory=dict)
+
+    def count(self, way: str, answer: dict[str, Any]) -> None:
+        """Add one input."""
+        outcomes = self.ways.setdefault(way, {})
+        outcomes[str(answer["code"])] = outcomes.get(str(answer["code"]), 0) + 1
+        self.slowest, self.grown = max(self.slowest, answer["seconds"]), max(self.grown, answer["grown"])
 
 
 def kind_of(fault: str) -> str:
     """Return what makes a fault the same as another: its text without numbers and names."""
     lines = fault.splitlines()
     places = [line.strip() for line in lines if line.strip().startswith("File ")]
-    where = re.sub(r".*/", "", places[-1]) if places else ""
+    where = re.sub(r"line \d+, ", "", re.sub(r".*/", "", places[-1])) if places else ""
     return re.sub(r"\d+", "N", lines[0][:80].split("/")[0]) + " " + where
 
 
-def campaign(names: list[str], runs: int, seconds: float, first_seed: int, keep: Path) -> dict[str, Tally]:
-    """Attack targets in turn; return what happened."""
-    keep.mkdir(parents=True, exist_ok=True)
-    tallies = {name: Tally() for name in names}
-    end = time.monotonic() + seconds
-    with tempfile.TemporaryDirectory(prefix="prc-fuzz-") as made:
-        folder = Path(made)
-        (folder / "seeds").mkdir()
-        write_seeds(folder / "seeds")
-        worker = WatchedWorker(folder)
-        try:
-            for number in range(first_seed, first_seed + runs):
-                for name in names:
-                    if time.monotonic() > end:
-                        return tallies
-                    _one(worker, folder, name, number, tallies[name], keep)
-        finally:
-            worker.close()
-    return tallies
+class Campaign:
+    """One campaign.
+
+    Parameters
+    ----------
+    names : list of str
+        Targets.
+    first_seed : int
+        Of the draws.
+    corpus, found : Path
+        Where inputs are kept that took new ways, and those that show faults.
+    """
+
+    def __init__(self, names: list[str], first_seed: int, corpus: Path, found: Path) -> None:
+        self.tallies = {name: Tally() for name in names}
+        self.corpora = {name: Corpus(corpus / name, TARGETS[name]) for name in names}
+        self._rng = random.Random(first_seed)
+        self._corpus, self._found = corpus, found
+        self._known = known_kinds(found)
+        self.n_faults = 0
+
+    def run(self, runs: int, seconds: float) -> int:
+        """Attack until there were so many inputs or seconds; return how many there were."""
+        begun, saved, n = time.monotonic(), time.monotonic(), 0
+        with tempfile.TemporaryDirectory(prefix="prc-fuzz-", dir=_memory()) as made:
+            self._folder = Path(made)
+            (self._folder / "seeds").mkdir()
+            write_seeds(self._folder / "seeds")
+            self._worker = WatchedWorker(self._folder)
+            try:
+                self._know_corpus()
+                while n < runs and time.monotonic() - begun < seconds:
+                    name = min(self.tallies, key=lambda one: self.tallies[one].seconds)
+                    start = time.monotonic()
+                    n += self._one(name)
+                    self.tallies[name].seconds += time.monotonic() - start
+                    if time.monotonic() - saved > _SAVE_S:
+                        saved = time.monotonic()
+                        add_up(self._corpus, self.tallies, self.corpora)
+            finally:
+                self._worker.close()
+                add_up(self._corpus, self.tallies, self.corpora)
+        return n
+
+    def _know_corpus(self) -> None:
+        """Take the steps of all seeds and of what was kept, so that only others count as new."""
+        for name, corpus in self.corpora.items():
+            target = TARGETS[name]
+            if name not in _ONLY_COMMANDS:
+                for chosen, data in [*((each, seed(each)) for each in target.seeds), *corpus.kept]:
+                    answer = self._worker.read(name, lay(self._folder, target, chosen, data))
+                    corpus.steps |= set(answer.get("fresh", ()))
+
+    def _one(self, name: str) -> int:
+        target, corpus = TARGETS[name], self.corpora[name]
+        chosen, data = corpus.draw(self._rng)
+        drawn = self._rng.random()
+        if drawn < GUARDED_SHARE:
+            return self._try(name, target, chosen, data, "guarded")
+        if drawn < COMMAND_SHARE or name in _ONLY_COMMANDS:
+            return self._try(name, target, chosen, data, "command")
+        n = self._try(name, target, chosen, data, "read")
+        if self._is_new:
+            n += self._try(name, target, chosen, data, "command")
+        return n
+
+    def _try(self, name: str, target: Target, chosen: str, data: bytes, way: str) -> int:
+        words: tuple[str, ...] = ()
+        if way != "read":
+            words = LABELLED if name in INPUTS and self._rng.random() < 0.3 else self._rng.choice(target.commands)
+        finding = Found(name, chosen, way, words)
+        answer = self._answer(finding, data)
+        tally = self.tallies[name]
+        tally.count(way, answer)
+        self._is_new = way == "read" and self.corpora[name].add(chosen, data, answer.get("fresh", []))
+        for fault in answer["faults"]:
+            kind = kind_of(fault)
+            self.n_faults += 1
+            tally.faults[kind] = tally.faults.get(kind, 0) + 1
+            if kind not in self._known:
+                self._known.add(kind)
+                self._keep(finding, data, kind, fault)
+        return 1
+
+    def _answer(self, finding: Found, data: bytes) -> dict[str, Any]:
+        return attempt(self._worker, self._folder, finding, data)
+
+    def _keep(self, finding: Found, data: bytes, kind: str, fault: str) -> None:
+        small = minimise(
+            data, seed(finding.seed), lambda trial: kind in map(kind_of, self._answer(finding, trial)["faults"])
+        )
+        stem = keep(self._found, finding, small, kind, fault)
+        print(f"{stem}: {len(small)} of {len(data)} bytes, {finding.way} {' '.join(finding.words)}\n{fault[:1500]}\n")
+        sys.stdout.flush()
 
 
-def _one(worker: WatchedWorker, folder: Path, name: str, number: int, tally: Tally, keep: Path) -> None:
-    target = TARGETS[name]
-    chosen = target.seeds[number % len(target.seeds)]
-    suffix = suffix_of_seed(chosen)
-    digest = int.from_bytes(hashlib.sha256(f"{name} {number}".encode()).digest()[:8], "little")
-    command = target.commands[digest % len(target.commands)]
-    data = mutate(content_of(chosen), suffix, digest)
-    case = folder / f"case{suffix}"
-    case.write_bytes(data)
-    answer = worker.run(command, case)
-    tally.n += 1
-    tally.seconds += answer["seconds"]
-    tally.codes[answer["code"]] += 1
-    tally.slowest, tally.grown = max(tally.slowest, answer["seconds"]), max(tally.grown, answer["grown"])
-    for fault in answer["faults"]:
-        kind = kind_of(fault)
-        tally.faults[kind] += 1
-        if tally.faults[kind] == 1:
-            stem = f"{name}-{number}-{hashlib.sha256(kind.encode()).hexdigest()[:8]}"
-            (keep / f"{stem}{suffix}").write_bytes(data)
-            text = f"prc {' '.join(command)}\nseed {chosen}, number {number}\n\n{fault}\n"
-            (keep / f"{stem}.txt").write_text(text, encoding="utf-8", errors="backslashreplace")
-            print(
-                f"{name} {number} {chosen}: {fault[:1500]}\n  prc {' '.join(command)}\n  kept as {stem}{suffix}",
-                flush=True,
-            )
+def attempt(worker: WatchedWorker, folder: Path, finding: Found, data: bytes) -> dict[str, Any]:
+    """Try one input in the way that a finding names."""
+    target = TARGETS[finding.target]
+    case = lay(folder, target, finding.seed, data)
+    if finding.way == "read":
+        return worker.read(finding.target, case)
+    if finding.way == "guarded":
+        return worker.run_guarded(finding.words, case)
+    return worker.run(finding.words, case, str(sound_of(folder / "seeds", target, finding.seed)))
+
+
+def _memory() -> str | None:
+    """Return a folder in memory, where there is one."""
+    return "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
 def main() -> None:
-    """Run a campaign and print a row a target."""
+    """Run a campaign and print what it met."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("targets", nargs="*", default=list(TARGETS), metavar="TARGET")
-    parser.add_argument("--runs", type=int, default=1_000_000)
+    parser.add_argument("--runs", type=int, default=10**9)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, default=Path("fuzz-found"))
+    parser.add_argument("--corpus", type=Path, default=Path("fuzz-corpus"))
+    parser.add_argument("--keep", type=Path, default=FOUND)
+    parser.add_argument("--report", type=Path)
     given = parser.parse_args()
-    tallies = campaign(given.targets, given.runs, given.seconds, given.seed, given.keep)
-    for name, tally in tallies.items():
-        codes = ", ".join(f"{code}: {n}" for code, n in sorted(tally.codes.items(), key=str))
-        print(
-            f"{name}: {tally.n} cases, {tally.seconds:.0f} s, exit codes {codes}; slowest {tally.slowest:.1f} s, "
-            f"memory at most {tally.grown >> 20} MiB, faults {sum(tally.faults.values())}"
-        )
-        for kind, n in tally.faults.items():
-            print(f"    {n} x {kind}")
+    if given.report is not None:
+        given.report.write_text(report(given.corpus), encoding="utf-8")
+        return
+    own = Campaign(given.targets, given.seed, given.corpus, given.keep)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what was counted is kept
+    begun = time.monotonic()
+    n = own.run(given.runs, given.seconds)
+    times = os.times()
+    used = times.user + times.system + times.children_user + times.children_system
+    print(f"{n} inputs in {time.monotonic() - begun:.0f} s, {used:.0f} s of processor time; {own.n_faults} faults")
 
 
 if __name__ == "__main__":
     main()
+
+
+__all__ = ["Campaign", "Tally", "attempt", "kind_of", "main"]

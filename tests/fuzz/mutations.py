@@ -514,6 +514,7 @@ MUTATIONS: dict[str, tuple[Mutation, ...]] = {
     ".ptx": TEXT,
     ".toml": TEXT,
     ".json": TEXT,
+    ".npy.prc.json": TEXT,
     ".tum": TEXT,
     ".csv.gz": (flip_bits, cut, set_number, *(inside_gzip,) * 5),
     ".csv.zst": (flip_bits, cut, set_number, *(inside_zstd,) * 5),

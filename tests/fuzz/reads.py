@@ -1,4 +1,4 @@
-"""Reads a complete file with functions of the library, for ``coverage.py``."""
+"""Reads a complete file with functions of the library, for ``campaign.py``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+from prc_cli.cli.batch import _read_command
 from prc_cli.config import load_config
 from prc_cli.core.config import build, read_toml
 from prc_cli.core.errors import PrcError
@@ -14,23 +15,31 @@ from prc_cli.formats import open_source
 from prc_cli.formats.labels.read import open_codes
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.tables.read import open_table
+from prc_cli.jobs.batch.clean import own_folder
+from prc_cli.jobs.batch.journal import read_entries, read_runs
+from prc_cli.jobs.batch.lock import holders
+from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.streams.open import open_input
 from prc_cli.streams.trajectory import load_trajectory
-from tests.fuzz.seeds import LAYOUT, seed
+from tests.fuzz.seeds import LAYOUT
 
 
-def blocks(path: Path, layout: Layout | None = None) -> None:
+def blocks(path: Path, layout: Layout | None = None, **options: object) -> None:
     """Read records, blocks and class codes of an archive file."""
     source = open_source(path, layout)
     if source is not None:
         for chunk in source.chunks(source.dimensions):
             del chunk
-    for rules in ({}, {"lines": "fixed", "points_per_line": 24}):
+    refused = []
+    fixed = {"lines": "fixed", "columns": "order", "points_per_line": 24}
+    for rules in ({}, fixed, {**fixed, "partial_line": "pad", "range": "origin:0,0,2"}):
         try:
-            for block in open_input(path, InputConfig(order="trust", **rules), layout).blocks():
+            for block in open_input(path, InputConfig(order="trust", **options, **rules), layout).blocks():
                 del block
-        except PrcError:
-            continue
+        except PrcError as error:
+            refused.append(error)
+    if len(refused) == 3:
+        raise refused[0]
 
 
 def _codes(path: Path) -> None:
@@ -49,13 +58,28 @@ def _raw(path: Path) -> None:
 def _layout(path: Path) -> None:
     content = read_toml(path)
     layout = build(Layout, content.get("layout", content), str(path))
-    data = Path(path.parent) / "data.bin"
-    data.write_bytes(seed("a.bin"))
-    blocks(data, layout)
+    blocks(path.parent / "seeds" / "a.bin", layout)
 
 
 def _trajectory(path: Path) -> None:
     load_trajectory(path, crs="EPSG:32635", source_crs_wkt=None, time_offset=0.0)
+
+
+def _state(out: Path) -> None:
+    """Read what a run left behind, as ``status``, ``clean`` and ``retry`` do."""
+    folder = own_folder(out)
+    read_entries(folder)
+    read_runs(folder)
+    holders(folder)
+    _read_command(folder / "command.json")
+
+
+def _record(labels: Path) -> None:
+    mapping_of_runs([labels])
+
+
+def _ouster(capture: Path) -> None:
+    blocks(capture, metadata=str(capture.parent / "seeds" / "ouster.json"))
 
 
 READS: dict[str, Callable[[Path], None]] = {
@@ -64,6 +88,9 @@ READS: dict[str, Callable[[Path], None]] = {
     "trajectory": _trajectory,
     "layout": _layout,
     "config": lambda path: void(load_config(path)),
+    "ouster": _ouster,
+    "state": _state,
+    "record": _record,
     "mapping": lambda path: void(load_mapping(path)),
 }
 """What is done with a file of a target; others are read by :func:`blocks`."""

@@ -314,6 +314,81 @@ def _metadata() -> bytes:
     return json.dumps(made.ouster()[0]).encode()
 
 
+PULSES = (
+    *("pulse-float32-theta.bin", "pulse-uint8-n_echo.bin", "echo-float32-range.bin", "echo-float32-amplitude.bin"),
+    "time.txt",
+)
+"""Files of a folder of pulses and echoes."""
+STATE_FILES = (".prc/journal.sqlite", ".prc/lock.json", ".prc/command.json")
+"""What a run of ``prc batch`` keeps in its output folder, and leaves there when it is killed."""
+
+
+@cache
+def _pulse_folder() -> dict[str, bytes]:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        cloud_files.pulse_folder(Path(folder) / "p", 8, 24)
+        return {path.name: path.read_bytes() for path in (Path(folder) / "p").iterdir()}
+
+
+def _pulses(name: str) -> bytes:
+    return _pulse_folder()[name]
+
+
+def _copc(point_format: int) -> bytes:
+    import tempfile
+
+    from tests.formats.las.copc_files import make_copc
+
+    with tempfile.TemporaryDirectory() as folder:
+        make_copc(Path(folder) / "a.copc.laz", point_format, n=300)
+        return (Path(folder) / "a.copc.laz").read_bytes()
+
+
+def _record() -> bytes:
+    """The record of labels that ``prc classify`` wrote."""
+    import tempfile
+
+    from prc_cli.config import load_config
+    from prc_cli.jobs.classify import classify
+
+    with tempfile.TemporaryDirectory() as folder:
+        source, output = Path(folder) / "a.npy", Path(folder) / "o.npy"
+        source.write_bytes(_npy(ranges()))
+        classify(source, output, load_config(preset="urban"), threads=1)
+        return output.with_name("o.npy.prc.json").read_bytes()
+
+
+@cache
+def _state() -> dict[str, bytes]:
+    """A journal of three files, one of them done, one failed and one running; whose run was killed; how it began."""
+    import tempfile
+
+    from prc_cli.jobs.batch.journal import Journal
+    from tests.jobs.batch.test_journal import done, failed, task
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with Journal(folder) as journal:
+            journal.begin_run("process 7 of me on here")
+            for entry in ("a.laz", "b.laz", "day 1/c.laz"):
+                journal.start(task(entry), "worker 1")
+            journal.finish(done("a.laz"))
+            journal.finish(failed("b.laz"))
+        lock = {
+            "host": "elsewhere", "pid": 2**22 + 7, "user": "me", "since": "2026-11-23T00:00:00+00:00", "shard": "",
+            "version": "0.1.0", "token": "0" * 32, "beats": False,
+        }  # fmt: skip
+        options = {"archive": "pulses", "out": "out", "preset": "urban", "jobs": 1, "quiet": True, "only": ["*.bin"]}
+        command = {"schema": 1, "folder": "/", "options": options}
+        return {
+            ".prc/journal.sqlite": (folder / "journal.sqlite").read_bytes(),
+            ".prc/lock.json": json.dumps(lock).encode(),
+            ".prc/command.json": json.dumps(command).encode(),
+        }
+
+
 RECORDINGS = (
     *("plain.bag", "bz2.bag", "lz4.bag", "plain.mcap", "zstd.mcap", "lz4.mcap", "plain.db3", "zstd.db3", "cloud.db3"),
     *("velodyne.pcap", "velodyne.pcapng", "ouster.pcap"),
@@ -390,6 +465,11 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "mapping.toml": lambda: MAPPING.encode(),
     **{name: lambda name=name: _captured(name) if "pcap" in name else _recorded(name) for name in RECORDINGS},
     "ouster.json": _metadata,
+    **{f"copc{n}.laz": lambda n=n: _copc(n) for n in (6, 7)},
+    **{f"pulses/{name}": lambda name=name: _pulses(name) for name in PULSES},
+    **{f"state/{name}": lambda name=name: _state()[name] for name in STATE_FILES},
+    "labelled/a.npy": lambda: _npy(_flat()["class"].astype(np.uint8)),
+    "labelled/a.npy.prc.json": lambda: _record(),
     "simulate.toml": lambda: b"seed = 3\nlength_m = 5.0\n[scanner]\npoints_per_line = 24\n",
 }
 """Content of a valid file by its name."""
@@ -404,6 +484,7 @@ def seed(name: str) -> bytes:
 def write_seeds(folder: Path) -> None:
     """Write every seed under its name."""
     for name in SEEDS:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(seed(name))
 
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
+from pathlib import Path
+
+from tests.fuzz.oracles import BLOCKS
+from tests.fuzz.seeds import SEEDS, seed
 
 INPUTS = {
     "las": (*(f"pf{n}.las" for n in range(11)), "v10.las", "v11.las", "plain.las"),
     "laz": tuple(f"pf{n}.laz" for n in (0, 1, 2, 3, 6, 7, 8)),
+    "copc": ("copc6.laz", "copc7.laz"),
     "npy": ("a.npy", "fortran.npy"),
     "npz": ("a.npz", "stored.npz"),
     "csv": ("a.csv",),
@@ -25,6 +31,13 @@ INPUTS = {
 
 _SMALL = ("--width", "300", "--height", "300")
 _P = ("--preset", "urban", "--trust-order")
+LABELLED = ("classify", "{case}", "{out}/o.npy", *BLOCKS)
+"""The command whose labels are compared with those of other ways."""
+_UPRIGHT = ("classify", "{case}", "{out}/o.npy", *_P, "--range", "sensor-xyz", "--lines", "elevation:20")
+TAKEN = {"uos": ("info", "{case}"), "clouds": _UPRIGHT, "copc": ("info", "{case}")}
+"""First commands of inputs that :data:`LABELLED` refuses sound: it names no lines, no columns, no ranges."""
+STATE = "state"
+"""Folder of an output tree, which commands may change."""
 READ: tuple[tuple[str, ...], ...] = (
     ("info", "{case}"),
     ("info", "-v", "{case}", "--trust-order"),
@@ -107,13 +120,50 @@ class Target:
 
     seeds: tuple[str, ...]
     commands: tuple[tuple[str, ...], ...]
+    given: str = ""
+    """What commands are given where the seeds are files of a folder."""
+
+    @property
+    def many(self) -> tuple[str, ...]:
+        """Return the seeds that are put beside each other."""
+        top = self.given.split("/")[0] + "/"
+        return tuple(name for name in SEEDS if name.startswith(top)) if self.given else ()
 
 
 TARGETS: dict[str, Target] = {
-    **{name: Target(seeds, (*READ, *LAS) if name in ("las", "laz") else READ) for name, seeds in INPUTS.items()},
+    **{
+        name: Target(seeds, (TAKEN.get(name, LABELLED), *READ, *(LAS if name in ("las", "laz", "copc") else ())))
+        for name, seeds in INPUTS.items()
+    },
+    "echopulse": Target(
+        tuple(name for name in SEEDS if name.startswith("pulses/")),
+        (LABELLED, *READ),
+        given="pulses/pulse-uint8-n_echo.bin",
+    ),
+    "state": Target(
+        tuple(name for name in SEEDS if name.startswith(f"{STATE}/.prc/")),
+        (
+            ("batch", "status", "{case}"),
+            ("batch", "status", "{case}", "--json"),
+            ("batch", "clean", "{case}", "--dry-run"),
+            ("batch", "clean", "{case}", "--forget", "{seeds}"),
+        ),
+        given=STATE,
+    ),
+    "record": Target(
+        ("labelled/a.npy.prc.json",),
+        (
+            ("evaluate", "{case}", "{case}"),
+            ("evaluate", "{case}", "{case}", "--format", "json"),
+            ("render", "{seeds}/a.npy", "{out}/o.png", "--labels", "{case}", *_SMALL),
+        ),
+        given="labelled/a.npy",
+    ),
     "raw": Target(
         ("a.bin", "f4.bin"),
-        tuple((*command, "--layout", "{seeds}/layout.toml") for command in READ if command[0] != "evaluate"),
+        tuple(
+            (*command, "--layout", "{seeds}/layout.toml") for command in (LABELLED, *READ) if command[0] != "evaluate"
+        ),
     ),
     "bag": Target(("plain.bag", "bz2.bag", "lz4.bag"), (*RECORDED, ("info", "{case}", "--topic", "/scan"))),
     "mcap": Target(("plain.mcap", "zstd.mcap", "lz4.mcap"), RECORDED),
@@ -145,6 +195,10 @@ TARGETS: dict[str, Target] = {
                 "trajectory:{case}",
                 "--set",
                 "input.trajectory_crs=EPSG:32635",
+            ),
+            (
+                *("convert", "{seeds}/a.csv", "{out}/o.npz", "--range", "trajectory:{case}"),
+                *("--set", "input.trajectory_time_offset=-1"),
             ),
         ),
     ),
@@ -183,7 +237,26 @@ TARGETS: dict[str, Target] = {
 
 def suffix_of_seed(name: str) -> str:
     """Return the suffix, with the compression behind it."""
-    return "." + name.split(".", 1)[1]
+    return "." + name.rpartition("/")[2].split(".", 1)[1]
+
+
+def lay(folder: Path, target: Target, name: str, data: bytes, stem: str = "case") -> Path:
+    """Write a damaged seed, among the others of its folder if it has one; return what a command is given."""
+    if not target.given:
+        case = folder / f"{stem}{suffix_of_seed(name)}"
+        case.write_bytes(data)
+        return case
+    shutil.rmtree(folder / name.split("/")[0], ignore_errors=True)
+    for each in target.many:
+        path = folder / each
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data if each == name else seed(each))
+    return folder / target.given
+
+
+def sound_of(seeds: Path, target: Target, name: str) -> Path:
+    """Return the undamaged seed as a command would be given it."""
+    return seeds / (target.given or name)
 
 
 def arguments(command: tuple[str, ...], case: str, out: str, seeds: str) -> list[str]:

@@ -20,11 +20,13 @@ from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.labels.read import OPENERS, open_codes
 from prc_cli.formats.options import InputConfig
 from tests import patience
-from tests.fuzz.campaign import LIMIT_S, WatchedWorker
+from tests.fuzz.campaign import attempt
+from tests.fuzz.found import FOUND, Found, all_found
 from tests.fuzz.guard import unprintable
 from tests.fuzz.mutations import MUTATIONS, mutate
 from tests.fuzz.seeds import RECORDINGS, SEEDS, seed, write_seeds
-from tests.fuzz.targets import TARGETS, suffix_of_seed
+from tests.fuzz.targets import TARGETS, lay, sound_of, suffix_of_seed
+from tests.fuzz.watched import LIMIT_S, WatchedWorker
 
 
 @pytest.fixture(scope="module")
@@ -45,22 +47,35 @@ def test_damaged_files_are_refused_or_read(worker: tuple[WatchedWorker, Path], n
     watched, folder = worker
     target = TARGETS[name]
     chosen = target.seeds[number % len(target.seeds)]
-    case = folder / f"case{suffix_of_seed(chosen)}"
-    case.write_bytes(mutate(seed(chosen), suffix_of_seed(chosen), number))
+    case = lay(folder, target, chosen, mutate(seed(chosen), suffix_of_seed(chosen), number))
     command = target.commands[number // 7 % len(target.commands)]
-    answer = watched.run(command, case)
+    answer = watched.run(command, case, str(sound_of(folder / "seeds", target, chosen)))
     assert not answer["faults"], (command, chosen, number, answer["faults"])
 
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], name: str) -> None:
     """Else every case would be refused for a reason that is not its damage."""
+    from tests.fuzz.worker import DONE  # of POSIX alone, as the worker
+
     watched, folder = worker
     chosen = TARGETS[name].seeds[0]
-    case = folder / f"sound{suffix_of_seed(chosen)}"
-    case.write_bytes(seed(chosen))
-    codes = {watched.run(command, case)["code"] for command in TARGETS[name].commands[:5]}
-    assert 0 in codes
+    case = lay(folder, TARGETS[name], chosen, seed(chosen), "sound")
+    sound = str(sound_of(folder / "seeds", TARGETS[name], chosen))
+    answers = [watched.run(command, case, sound) for command in TARGETS[name].commands[:6]]
+    assert answers[0]["code"] in DONE, TARGETS[name].commands[0]
+    assert not [answer["faults"] for answer in answers if answer["faults"]]
+
+
+@pytest.mark.parametrize(("stem", "table"), [pytest.param(*each, id=each[0]) for each in all_found()])
+def test_what_a_campaign_found_is_mended(
+    worker: tuple[WatchedWorker, Path], stem: str, table: dict[str, object]
+) -> None:
+    watched, folder = worker
+    finding = Found(str(table["target"]), str(table["seed"]), str(table["way"]), tuple(table["words"]))  # type: ignore[arg-type]
+    answer = attempt(watched, folder, finding, (FOUND / f"{stem}.data").read_bytes())
+    assert not answer["faults"]
+    assert answer["code"] in (table["expected"] or {"code": answer["code"]}).values()  # type: ignore[attr-defined]
 
 
 ATTACKS = (

@@ -1,12 +1,14 @@
-"""A process that runs commands of the program on damaged files, one after the other, and reports what happened.
+"""A process that reads damaged files and runs commands on them, one after the other, and reports what happened.
 
 Jobs are lines of JSON on stdin, answers go to the original stdout; output of the program and of libraries goes to a
-file.
+file. The process that is started loads everything once and forks the one that works; when that dies, or has done enough
+jobs to have leaked, it answers for it and forks another one.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import io
 import json
 import os
@@ -20,18 +22,26 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from prc_cli.core.errors import PrcError
 from prc_cli.core.files import cache_folder
+from prc_cli.kernels import load_kernels
 from prc_cli.kernels.cache import writable_cache
 from tests.fuzz.guard import Guard, unprintable
+from tests.fuzz.oracles import BLOCKS, judge_labels, judge_las
+from tests.fuzz.reads import READS, blocks
+from tests.fuzz.targets import LABELLED, STATE, arguments
+from tests.fuzz.tracing import Tracer
 
 ADDRESS_SPACE = 3 << 30
 """Most memory that a worker may map [bytes]."""
 GROWTH_BYTES, GROWTH_FACTOR = 400 << 20, 40
 """A command may take so much memory, and so many times the size of its file, beyond what the process held before."""
 
+JOBS_PER_PROCESS = 3000
 LOOK = 4
-DONE, ENDS = (0, LOOK), (0, 1, 2, LOOK)
-"""Exit codes of commands that leave an output, and of all commands: 4 is done, but look at it."""
+DONE, ENDS = (0, LOOK), (0, 1, 2, LOOK, 5)
+"""Exit codes of commands that leave an output, and of all commands: 4 is done, but look at it; 5 is that somebody else
+is at work."""
 
 
 class Worker:
@@ -44,39 +54,33 @@ class Worker:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._seeds, self._out = folder / "seeds", folder / f"out-{os.getpid()}"
-        self._scratch = folder / f"tmp-{os.getpid()}"
+        own = f"of-{os.getppid()}"
+        self._seeds, self._out, self._scratch = folder / "seeds", folder / f"out-{own}", folder / f"tmp-{own}"
         for made in (self._out, self._scratch):
-            made.mkdir(exist_ok=True)
+            shutil.rmtree(made, ignore_errors=True)  # of one that died
+            made.mkdir()
         os.environ["TMPDIR"] = str(self._scratch)
         tempfile.tempdir = str(self._scratch)
         compiled = writable_cache()
         caches = () if compiled is None else (compiled,)
-        self._guard = Guard((self._out, self._scratch, cache_folder(), *caches))
-        self._printed = (folder / f"printed-{os.getpid()}").open("w+b")
+        self._guard = Guard((self._out, self._scratch, folder / STATE, cache_folder(), *caches))
+        self._tracer = Tracer()
+        self._printed = (folder / f"printed-{own}").open("w+b")
         for descriptor in (1, 2):
             os.dup2(self._printed.fileno(), descriptor)
 
     def run(self, job: dict[str, Any]) -> dict[str, Any]:
-        """Run one command and judge it."""
-        from prc_cli.cli import _run
-        from tests.fuzz.targets import arguments
-
-        case = job["case"]
-        given = arguments(tuple(job["command"]), case, str(self._out), str(self._seeds))
-        faults: list[str] = []
+        """Do one job and judge it."""
+        begin = self._read if "read" in job else self._command
         self._printed.seek(0)
         self._printed.truncate()
         before = _reset_peak()
         start = time.process_time()
-        with self._streams(job), self._guard.armed() as seen, warnings.catch_warnings(record=True) as warned:
+        faults: list[str] = []
+        with self._guard.armed() as seen, warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             try:
-                code: Any = _run(given, debug=False)
-                if code not in ENDS:
-                    faults.append(f"exit code {code}")
-            except SystemExit as left:
-                code = left.code
+                code: Any = begin(job)
                 if code not in ENDS:
                     faults.append(f"exit code {code}")
             except BaseException as error:
@@ -94,10 +98,38 @@ class Worker:
         ]
         faults += [f"guard: {event}" for event in seen[:3]]
         grown = _peak() - before
-        if grown > max(GROWTH_BYTES, GROWTH_FACTOR * Path(case).stat().st_size):
+        if grown > max(GROWTH_BYTES, GROWTH_FACTOR * Path(job["case"]).stat().st_size):
             faults.append(f"memory: grew by {grown >> 20} MiB")
-        faults += self._judge_output(job, code)
-        return {"code": code, "seconds": seconds, "grown": grown, "faults": faults}
+        panicked = False
+        if "command" in job:
+            found, panicked = self._judge_output(job, code)
+            faults += found
+        return {
+            "code": code, "seconds": seconds, "grown": grown, "faults": faults, "fresh": self._tracer.fresh(),
+            "panicked": panicked,
+        }  # fmt: skip
+
+    def _read(self, job: dict[str, Any]) -> int:
+        self._tracer.start()
+        try:
+            READS.get(job["read"], blocks)(Path(job["case"]))
+        except PrcError as error:
+            # what a command prints
+            str(error)
+            return error.exit_code
+        finally:
+            self._tracer.stop()
+        return 0
+
+    def _command(self, job: dict[str, Any]) -> Any:
+        from prc_cli.cli import _run
+
+        given = arguments(tuple(job["command"]), job["case"], str(self._out), str(self._seeds))
+        with self._streams(job):
+            try:
+                return _run(given, debug=False)
+            except SystemExit as left:
+                return left.code
 
     @contextlib.contextmanager
     def _streams(self, job: dict[str, Any]) -> Any:
@@ -116,27 +148,43 @@ class Worker:
                         stream.close()
                 sys.stdin, sys.stdout, sys.stderr = held
 
-    def _judge_output(self, job: dict[str, Any], code: Any) -> list[str]:
+    def _judge_output(self, job: dict[str, Any], code: Any) -> tuple[list[str], bool]:
+        """Return the faults, and whether a library panicked: the guard is to keep that from the terminal."""
         faults = []
         self._printed.seek(0)
         text = self._printed.read(4 << 20).decode("utf-8", "surrogateescape")
         if bad := unprintable(text):
             at = min(text.index(character) for character in bad)
             faults.append(f"printed {bad!r}: {text[max(0, at - 60) : at + 40]!r}")
-        if "Traceback (most recent" in text or "panicked at" in text:
+        if "Traceback (most recent" in text:
             faults.append("printed " + text[:500])
         told = '"doubts": [' in text and '"doubts": []' not in text  # by --json
         if code == LOOK and "warning: " not in text and not told:
             faults.append(f"exit code {code} without a warning: {text[-200:]!r}")
-        if code in (1, 2) and "error: " not in text:
+        if code in (1, 2, 5) and "error: " not in text:
             faults.append(f"exit code {code} without a message: {text[-200:]!r}")
-        faults += _judge_las(job, self._out) if code in DONE else []
+        faults += self._judge_content(job) if code in DONE else []
         left = sorted(path.name for path in self._out.iterdir())
         if any(name.startswith(".") or name.endswith(".part") for name in left) or (code not in DONE and left):
             faults.append(f"exit code {code} left {left}")
         for path in self._out.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-        return faults
+        return faults, "panicked at" in text
+
+    def _judge_content(self, job: dict[str, Any]) -> list[str]:
+        """Compare an output with what other ways to it give."""
+        case = Path(job["case"])
+        try:
+            if faults := judge_las(job["command"][0], case, self._out):
+                return faults
+            if tuple(job["command"]) != LABELLED:
+                return []
+            return judge_labels(case, Path(job["sound"]), self._out / "o.npy", self._classify_again, self._scratch)
+        except Exception:
+            return ["not judged\n" + "".join(traceback.format_exc().splitlines(True)[-8:])]
+
+    def _classify_again(self, source: str, labels: str) -> Any:
+        return self._command({"command": ("classify", source, labels, *BLOCKS), "case": source})
 
     def close(self) -> None:
         """Remove what was made."""
@@ -144,40 +192,6 @@ class Worker:
             shutil.rmtree(made, ignore_errors=True)
         with contextlib.suppress(OSError):
             Path(self._printed.name).unlink()
-
-
-def _judge_las(job: dict[str, Any], out: Path) -> list[str]:
-    """Read LAS and LAZ outputs with laspy; of a file that was copied everything but the class is as it was."""
-    import laspy
-    import numpy as np
-
-    faults = []
-    case = Path(job["case"])
-    before, refusal = None, None
-    if case.suffix in (".las", ".laz"):
-        try:
-            before = laspy.read(case)
-        except BaseException as error:  # a panic of lazrs is no Exception
-            refusal = error
-    for path in (*out.glob("*.las"), *out.glob("*.laz")):
-        try:
-            found = laspy.read(path)
-        except BaseException as error:
-            # headers that it refuses and we do not are copied as they are; records must be sound
-            if type(refusal) is not type(error) or "Lazrs" in type(error).__name__ or "Panic" in type(error).__name__:
-                faults.append(f"laspy refuses the output: {type(error).__name__}: {error}"[:300])
-            continue
-        if before is None or job["command"][0] not in ("classify", "convert"):
-            continue
-        if len(before.points) != len(found.points):
-            faults.append(f"{len(found.points)} records of {len(before.points)}")
-        elif before.point_format.id == found.point_format.id:
-            same = set(before.points.array.dtype.names) & set(found.points.array.dtype.names)
-            for name in same - {"classification", "raw_classification"}:
-                old, new = before.points.array[name], found.points.array[name]
-                if old.tobytes() != new.tobytes() and old.dtype == new.dtype:
-                    faults.append(f"{name} differs in {np.count_nonzero(old != new)} records")
-    return faults
 
 
 def _reset_peak() -> int:
@@ -194,19 +208,64 @@ def _peak() -> int:
     return 0
 
 
-def main() -> None:
-    """Serve jobs until stdin ends."""
+def work(folder: Path) -> None:
+    """Serve jobs until stdin ends or there were many; in the process that was forked."""
+    # the one that forked may be killed
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, 9, 0, 0, 0)
     answers = os.fdopen(os.dup(1), "w")
-    jobs = os.fdopen(os.dup(0))
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 30, 1 << 30))
-    worker = Worker(Path(sys.argv[1]))
-    for line in jobs:
+    worker = Worker(folder)
+    for _ in range(JOBS_PER_PROCESS):
+        line = _next_line()
+        if not line:
+            break
         answer = worker.run(json.loads(line))
         answers.write(json.dumps(answer) + "\n")
         answers.flush()
     worker.close()
+    os._exit(0 if line else ENDED)
+
+
+ENDED = 77
+"""Exit code of a worker when there are no more jobs."""
+
+
+def _next_line() -> bytes:
+    """Return the next job; nothing of a later one is taken, which another process may have to read."""
+    line = b""
+    while not line.endswith(b"\n"):
+        piece = os.read(0, 1 << 16)
+        if not piece:
+            break
+        line += piece
+    return line
+
+
+def main() -> None:
+    """Load what commands need, then fork one worker after the other."""
+    import prc_cli.cli.batch
+    import prc_cli.cli.classify
+    import prc_cli.cli.evaluate
+    import prc_cli.cli.info
+    import prc_cli.jobs.render
+    import prc_cli.jobs.thin
+    import prc_cli.jobs.transfer  # noqa: F401 - loaded once for all workers
+
+    load_kernels()
+    folder = Path(sys.argv[1])
+    while True:
+        child = os.fork()
+        if not child:
+            work(folder)
+        _, status = os.waitpid(child, 0)
+        code = os.waitstatus_to_exitcode(status)
+        if code == ENDED:
+            return
+        if code:
+            os.write(1, json.dumps({"died": abs(code)}).encode() + b"\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64
-from prc_cli.imaging.cloud import DepthBuffer, FromAbove, Perspective, Sample, splat_for
+from prc_cli.imaging.cloud import (
+    USUAL_DEG,
+    DepthBuffer,
+    FromAbove,
+    Perspective,
+    Sample,
+    bounds,
+    fullest_azimuth,
+    splat_for,
+)
 
 
 def box(n: int = 4000, seed: int = 1) -> F64:
@@ -122,3 +131,30 @@ def test_gaps_in_a_near_surface_are_closed_and_edges_are_darker() -> None:
 def test_few_points_are_drawn_larger() -> None:
     sizes = [splat_for(n, (1000, 1000)) for n in (1_000_000, 200_000, 50_000, 100)]
     assert sizes == [1, 2, 3, 4]
+
+
+def test_a_view_holds_even_points_whole_and_leaves_stray_ones_out() -> None:
+    points = box(20_000)
+    whole = np.array([points.min(axis=0), points.max(axis=0)])
+    assert np.array_equal(bounds(points), whole)
+    stray = np.concatenate([points, np.random.default_rng(2).uniform(-500, 500, (300, 3))])
+    low, high = bounds(stray)
+    assert (low[:2] > (-13, -7)).all()
+    assert (high[:2] < (13, 7)).all()
+
+
+def test_the_side_that_is_taken_fills_the_picture() -> None:
+    rng = np.random.default_rng(3)
+    street = np.column_stack([rng.uniform(-50, 50, 20_000), rng.uniform(-8, 8, 20_000), rng.uniform(0, 1, 20_000)])
+    turn = math.radians(USUAL_DEG)
+    # seen end on from the usual side
+    street = street @ np.array([[math.sin(turn), math.cos(turn), 0], [-math.cos(turn), math.sin(turn), 0], [0, 0, 1]])
+
+    def filled(azimuth: float) -> int:
+        buffer = DepthBuffer(Perspective.around(street, azimuth, 30.0, 300, 200))
+        buffer.add(street, np.zeros((len(street), 3), np.uint8))
+        return int((buffer.picture(close=0) == 0).all(axis=2).sum())
+
+    best = fullest_azimuth(street, 30.0, 300, 200)
+    assert filled(best) > 1.1 * filled(USUAL_DEG)
+    assert fullest_azimuth(rng.normal(0, 5, (4000, 3)), 30.0, 800, 600) == USUAL_DEG

@@ -17,6 +17,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.imaging.sheet import Axis
+from prc_cli.imaging.stages import TRIGGER_COLOUR, trigger_codes, trigger_picture
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, _pages, render
 from prc_cli.jobs.render.classes import LABEL_TABLE, Vocabulary
@@ -24,6 +25,7 @@ from prc_cli.jobs.render.cloud import _draw_scale
 from prc_cli.jobs.render.frames import turns
 from prc_cli.jobs.render.options import FIGURE_1, choose_steps
 from prc_cli.jobs.render.scan import Part, _choose_layout, _elevations, choose_part, draw_scan
+from prc_cli.jobs.render.stages import INTERVALS
 from tests.formats.organised_files import grid_points, ptx_scan, write_text
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
@@ -117,14 +119,28 @@ def test_a_block_is_what_the_whole_run_made_of_it(drive: Path, tmp_path: Path) -
 
 def test_figure_1_is_the_papers_sequence(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
     drawing = draw_scan(drive, urban, RenderOptions(figure1=True), tmp_path)
-    assert drawing.steps == ("range", "support", "background", "segments", "surfaces", "classes")
+    assert drawing.steps == (
+        *("range", "support", "background", "components", "segments", "surfaces", "segmentation", "classes"),
+    )
     assert (drawing.part.first, drawing.part.stop) == (99, N_LINES)
-    support, background, segments, surfaces, classes = (panel.picture for panel in drawing.strips[0][1:])
+    support, background, components, segments, surfaces, segmentation, classes = (
+        panel.picture for panel in drawing.strips[0][1:]
+    )
     noise = (classes == LABEL_COLOURS[Label.NOISE]).all(axis=2) | (classes == 255).all(axis=2)
     assert np.array_equal((support == 0).all(axis=2), noise)  # what is not supported is noise or missing
     assert not (background.any(axis=2) & ~support.any(axis=2)).any()
-    assert segments.any()
+    assert np.array_equal(components.any(axis=2), support.any(axis=2) & ~background.any(axis=2))  # before filling
+    assert (segments.any(axis=2) & background.any(axis=2)).any()  # holes are filled
     assert surfaces.any()
+    assert np.array_equal(segmentation.any(axis=2), support.any(axis=2))  # H and V together are all of S
+
+
+def test_critical_thresholds_split_what_is_supported(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+    drawing = draw_scan(drive, urban, RenderOptions(block=1, steps=("support", "critical")), tmp_path)
+    support, critical = drawing.strips[0]
+    assert critical.bar is not None
+    never = (critical.picture == LABEL_COLOURS[Label.NOISE]).all(axis=2)
+    assert not (never & support.picture.any(axis=2)).any()
 
 
 def test_long_drives_are_folded_then_thinned_then_put_on_pages(urban: LoadedConfig, tmp_path: Path) -> None:
@@ -187,8 +203,8 @@ def test_differences_are_counted_and_shown(drive: Path, urban: LoadedConfig, tmp
     assert drawing.n_differing == wrong.sum() > 0
     assert drawing.n_compared == (labels != Label.MISSING).sum()
     difference = drawing.strips[0][2]
-    blue = (difference.picture == LABEL_COLOURS[Label.GROUND]).all(axis=2)
-    assert np.array_equal(blue, wrong)
+    wrong_ground = (difference.picture == LABEL_COLOURS[Label.GROUND]).all(axis=2)
+    assert np.array_equal(wrong_ground, wrong)
     assert f"of {drawing.n_compared:,} shots differ" in difference.note
 
 
@@ -239,6 +255,32 @@ def test_static_scans_stand_upright(static: tuple[Path, Path], tmp_path: Path) -
     n = len(missing)
     assert missing[: n // 4].mean() > 0.5 > missing[-n // 4 :].mean()  # the sky is at the top
     assert ranges.x.first > ranges.x.stop  # lines turn to the left, so the first one stands on the right
+
+
+def test_triggers_and_intervals_are_drawn(static: tuple[Path, Path], tmp_path: Path) -> None:
+    steps = ("triggers", "dividers", "tests", "classes")
+    drawing = draw_scan(static[0], load_config(preset="street-scan"), RenderOptions(steps=steps), tmp_path)
+    triggers, dividers, tests, classes = (panel.picture for panel in drawing.strips[0])
+    assert (triggers == TRIGGER_COLOUR).all(axis=2).any()
+    car = (classes == LABEL_COLOURS[Label.CAR]).all(axis=2)
+    assert car.any()
+    assert np.array_equal((tests == LABEL_COLOURS[Label.CAR]).all(axis=2), car)
+    inside = (dividers == INTERVALS.colours[2]).all(axis=2) | (dividers == INTERVALS.colours[3]).all(axis=2)
+    assert inside[car].all()
+    assert "trigger" in [name for name, _ in drawing.strips[0][0].key]
+    assert any(name.startswith("in no interval") for name, _ in drawing.strips[0][1].key)
+
+
+def test_triggers_survive_thinning() -> None:
+    side = np.repeat(np.array([[1] * 50 + [2] + [3] * 49], np.uint8), 3, axis=0)
+    whole = trigger_codes(np.full(side.shape, Label.HORIZONTAL, np.uint8), side)
+    for step in (1, 3, 7):
+        picture = trigger_picture(np.ascontiguousarray(whole[:, ::step]))
+        marked = np.flatnonzero((picture[0] == TRIGGER_COLOUR).all(axis=1))
+        assert marked.min() <= 50 / step <= marked.max()
+        assert len(marked) <= 6
+    none = trigger_picture(trigger_codes(np.full((2, 9), Label.HORIZONTAL, np.uint8), np.zeros((2, 9), np.uint8)))
+    assert not (none == TRIGGER_COLOUR).all(axis=2).any()
 
 
 def test_long_push_broom_drives_are_folded_upright(urban: LoadedConfig, tmp_path: Path) -> None:
@@ -554,3 +596,58 @@ def test_headings_of_pages_go_on_to_the_last_line(urban: LoadedConfig, tmp_path:
     first, last = ([int(words[k]) for words in headings] for k in (0, 1))
     assert (first[0], last[-1]) == (0, 1639)
     assert first[1:] == [line + 1 for line in last[:-1]]
+
+
+def test_noise_does_not_frame_a_cloud_and_can_be_hidden(urban: LoadedConfig, tmp_path: Path) -> None:
+    las = laspy.read(write_cloud(tmp_path / "cloud.las", np.full(20_000, 2, np.uint8)))
+    codes = np.array(las.classification)
+    codes[::10] = 7
+    las.classification = codes
+    las.x = np.where(codes == 7, 650_000 + np.arange(20_000) % 997, las.x)
+    las.write(tmp_path / "noisy.las")
+    source = tmp_path / "noisy.las"
+    alone = render(source, tmp_path / "a.png", urban, RenderOptions(view="top", width=400, hide=("noise",)))
+    framed = render(source, tmp_path / "b.png", urban, RenderOptions(view="top", width=400))
+    assert alone.size[0] == framed.size[0]
+    assert alone.counts == framed.counts == {"ground": 18_000, "noise": 2_000}
+    assert "18,000 points by class · without noise" in alone.drawn
+    assert has(pixels(tmp_path / "a.png"), Label.GROUND)
+    black = LABEL_COLOURS[Label.NOISE]
+    n_black = [int((pixels(tmp_path / name) == black).all(axis=2).sum()) for name in ("a.png", "b.png")]
+    assert n_black[0] < n_black[1]
+    by_height = RenderOptions(view="top", width=400, hide=("noise",), colour="height")
+    assert "18,000 points by height" in render(source, tmp_path / "c.png", urban, by_height).drawn
+    with pytest.raises(ConfigError, match="--hide: found 'rain', expected classes: unclassified, noise, ground"):
+        render(source, tmp_path / "d.png", urban, RenderOptions(view="top", hide=("rain",)))
+
+
+def test_scan_plane_coordinates_lead_to_the_page(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+    classify(drive, tmp_path / "out.laz", urban)
+    result = render(tmp_path / "out.laz", tmp_path / "a.png", urban, RenderOptions(view="top", width=300))
+    assert any("--html draws lines one behind the other" in note for note in result.notes)
+
+
+def test_hidden_classes_are_white_in_scan_pictures(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+    drawing = draw_scan(drive, urban, RenderOptions(steps=("classes",), hide=("ground",)), tmp_path)
+    labels = labels_of(drive, urban)
+    (panel,) = drawing.strips[0]
+    assert (panel.picture[labels == Label.GROUND] == 255).all()
+    assert not any(text.startswith("ground") for text, _ in panel.key)
+    assert drawing.counts["ground"] == (labels == Label.GROUND).sum()
+
+
+def test_a_headline_names_file_preset_lines_and_day(
+    drive: Path, urban: LoadedConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    result = render(drive, tmp_path / "a.png", urban)
+    assert result.drawn == f"drive.npz · preset urban · all {N_LINES} lines · 2023-11-14"
+    classify(drive, tmp_path / "labels.npy", urban)
+    shown = render(drive, tmp_path / "b.png", urban, RenderOptions(labels=tmp_path / "labels.npy", hide=("noise",)))
+    assert shown.drawn == f"drive.npz · labels of labels.npy, prc · all {N_LINES} lines · without noise · 2023-11-14"
+    (tmp_path / "labels.npy.prc.json").write_text("{", encoding="utf-8")
+    again = render(drive, tmp_path / "c.png", urban, RenderOptions(labels=tmp_path / "labels.npy"))
+    assert "labels of labels.npy · all" in again.drawn
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(ConfigError, match="SOURCE_DATE_EPOCH: found 'yesterday', expected whole seconds since 1970"):
+        render(drive, tmp_path / "d.png", urban)

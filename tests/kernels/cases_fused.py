@@ -34,13 +34,13 @@ from prc_cli.kernels.fused import (
     strips as fused_strips,
 )
 
-AROUND, INNER = 4, 2
+AROUND, INNER, THIN = 4, 2, 12
 USUAL = typed(
     DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
     car_top_m=3.75, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5,
-    keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5, ghost_near=15,
+    pole_shots=3, keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5, ghost_near=15,
     car_label=7, pole_label=11,
 )  # fmt: skip
 
@@ -253,6 +253,7 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         WallThresholds,
         height_m=rng.choice([0.01, 0.5, 1.5]),
         share=rng.choice([0.0, 0.3, 1.0]),
+        lines=rng.choice([0, 2, 4, 5]),
         before_m=1.6,
     )
     return sums, flanks, chosen
@@ -327,11 +328,13 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     walls = fused_strips.find_walls(
         (length, wall, place, top),
         np.zeros((n_lines, fused_strips.STRIPS), np.uint8),
-        typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, before_m=1.6),
+        typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, lines=rng.choice([0, 4]), before_m=1.6),
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
+    more = rng.integers(0, len(one.window), (2, THIN - AROUND))
+    window = np.concatenate([one.window[more[0]], one.window, one.window[more[1]]])
     return (
-        one.window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,
+        window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,
         one.step, decision(rng),
     )  # fmt: skip
 

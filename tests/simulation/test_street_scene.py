@@ -9,7 +9,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.simulation.casting import cast
 from prc_cli.simulation.street import StreetScene, StreetSceneParams
 from prc_cli.simulation.street.movers import TIME_STEP_S
-from prc_cli.simulation.street.params import CHARACTERS
+from prc_cli.simulation.street.params import CHARACTERS, VARIED
 from prc_cli.simulation.street.plan import ROAD_HALF_M, plan_of
 from prc_cli.simulation.world import Bodies, Material, Shape
 
@@ -225,3 +225,65 @@ def test_parameters_out_of_bounds_are_errors() -> None:
 
     with pytest.raises(ConfigError, match="trees"):
         build(StreetSceneParams, {"trees": 2.0}, "here")
+
+
+def varied(**only: float) -> StreetScene:
+    """A suburb with one of the things that streets have only where they are asked for."""
+    return StreetScene(StreetSceneParams.model_validate({"character": "suburb", "trees": 1.0, **only}), seed=2)
+
+
+def test_verges_are_raised_and_kerbs_lowered_where_asked_for() -> None:
+    s, d = np.arange(30.0, 100.0, 3.7), np.array([-ROAD_HALF_M - 0.7, -ROAD_HALF_M - 0.02, ROAD_HALF_M + 0.7])
+    for name, low, high in (("verges", 0.15, 0.24), ("lowered_kerbs", 0.0, 0.12)):
+        scene = varied(**{name: 1.0})
+        ground = part(around(scene, 65.0, 60.0), np.isin(around(scene, 65.0, 60.0).material, GROUND))
+        places = grid(scene, s, d, 1.0)
+        t, _ = look_down(ground, places)
+        kerb = scene.ground.road(np.repeat(s, 3), np.tile(d, len(s))).reshape(len(s), 3)
+        up = np.median(places[..., 2] - t - kerb, axis=0)
+        assert low < up[0] < high, name
+        assert low < up[2] < high, name
+
+
+def test_cars_behind_lowered_kerbs_stand_on_the_ground() -> None:
+    for only in ({"lowered_kerbs": 1.0}, {"side_on": 1.0}):
+        bodies = around(varied(**only), 100.0, 60.0)
+        hub = bodies.numbers[(bodies.material == Material.TYRE) & ~bodies.velocity.any(axis=1)]
+        t, body = look_down(part(bodies, np.isin(bodies.material, GROUND)), np.ascontiguousarray(hub[None, :, :3]))
+        assert np.all(body >= 0)
+        assert np.abs(t[0] - hub[:, 5]).max() < 0.06, only
+
+
+def test_cars_stand_along_the_street_far_from_it_where_asked_for() -> None:
+    scene = varied(side_on=1.0, parked=0.0, cars_per_km=0.0)
+    tyres = (bodies := around(scene, 100.0, 60.0)).numbers[bodies.material == Material.TYRE]
+    away = np.array(
+        [np.min(np.hypot(*(scene.line.place(np.arange(0, 200.0), np.zeros(200)) - p[:2]).T)) for p in tyres]
+    )
+    assert np.count_nonzero((away > 9.0) & (away < 20.0)) >= 24
+
+
+def test_crowns_reach_over_the_road_where_asked_for() -> None:
+    reach = []
+    for share in (0.0, 1.0):
+        bodies = around(scene := varied(canopies=share), 100.0, 60.0)
+        leaves = bodies.numbers[bodies.material == Material.LEAVES]
+        lane = scene.path_point(np.arange(40.0, 160.0, 0.5))[0]
+        gap = np.min(
+            np.hypot(*(leaves[:, None, :2] - lane[None, :, :2]).transpose(2, 0, 1)) - leaves[:, None, 3], axis=1
+        )
+        up = leaves[:, 2] - np.median(lane[:, 2]) - 1.75
+        reach.append(np.count_nonzero((gap < 0.5) & (up > 2.0)))
+    assert reach[1] > reach[0] + 5
+
+
+def test_gardens_end_with_fences_or_hedges_where_asked_for() -> None:
+    for name, material in (("fences", Material.FENCE), ("hedges", Material.HEDGE)):
+        few, many = (np.count_nonzero(around(varied(**{name: x}), 100.0).material == material) for x in (0.01, 1.0))
+        assert many > 1.5 * few, name
+
+
+def test_a_varied_street_is_an_endless_street_like_any_other() -> None:
+    scene = StreetScene(StreetSceneParams.model_validate(VARIED), seed=4)
+    for s in (0.0, 300.0, 600.0):
+        assert 1000 < len(around(scene, s, 70.0)) < 8000

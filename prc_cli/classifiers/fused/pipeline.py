@@ -5,7 +5,7 @@ the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces 
 the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
 
 Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are short, and run
-block after block. All others need the block and five lines before and after it, 35 for the distance of lines.
+block after block. All others need the block and 13 lines before and after it, 35 for the distance of lines.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pydantic import Field
 from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
+    BESIDE_THIN_LINES,
     CarParams,
     LeavesParams,
     NoiseParams,
@@ -56,6 +57,7 @@ from prc_cli.classifiers.fused.neighbours import (
 from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
+    VOTE_LINES,
     WIDE_LINES,
     Noise,
     Plane,
@@ -83,6 +85,8 @@ from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
+OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
+"""Outermost lines of the window that no label looks at."""
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
@@ -212,11 +216,11 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
     @property
     def usual(self) -> UsualLabels:
-        """Little noise, and level ground below the scanner; in forests plants cover and hills tilt it."""
+        """Little noise, and level ground below the scanner; plants and hills tilt it in forests, streets are wide."""
         common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
         if self.params.environment == "forest":
             return replace(common, level_share=0.35, lean_deg=12.0)
-        return replace(common, level_share=0.6, lean_deg=5.0)
+        return replace(common, level_share=0.6, lean_deg=5.0, reach_m=6.0)
 
     @property
     def gives(self) -> frozenset[Label]:
@@ -328,10 +332,9 @@ def _classify(
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         noise_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, plane, known, params.sensor))
         return forest(range_m, scanner.plane, noise_m, params.forest), None
-    if scanner.is_fan and params.rings.enabled:
-        params = _for_rings(params)
+    params = of_scanner(params, scanner)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
-    wide = _window(tail, range_m, next_m)
+    wide = window_of(tail, range_m, next_m)
     window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
     noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
     strides = _strides(wide, scanner, noise_m, turn, params)
@@ -339,7 +342,7 @@ def _classify(
     seen = _see(window, smooth, plane, params)
     ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
     evidence = _evidence(seen, ground.above_m, plane, params)
-    labels = _decide(seen, ground, evidence, plane, params)
+    labels = _decide(seen, wide[OUTSIDE_LINES:-OUTSIDE_LINES], ground, evidence, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
         return labels, evidence
     limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
@@ -347,9 +350,11 @@ def _classify(
     return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits)), evidence
 
 
-def _for_rings(params: FusedParams) -> FusedParams:
-    """Return the parameters for a fan of rings."""
+def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
+    """Return the parameters for a scanner: others for a fan of rings."""
     rings = params.rings
+    if not (scanner.is_fan and rings.enabled):
+        return params
     own = {
         "ground": rings.ground(params.ground),
         "smoothness": rings.smoothness(params.smoothness),
@@ -416,12 +421,12 @@ def _evidence(seen: _Seen, above_m: F32, plane: ScanPlane, params: FusedParams) 
     return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
 
 
-def _decide(seen: _Seen, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
-    """Label every shot."""
+def _decide(seen: _Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
+    """Label every shot; ``wide_m`` are the ranges of more lines around."""
     thresholds = decision_thresholds(
         params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    labels = decide(seen.window, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
+    labels = decide(wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
     return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)
@@ -433,7 +438,7 @@ def _last_lines(tail: F32, range_m: F32) -> F32:
     return last
 
 
-def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
+def window_of(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
     """Return a block with the lines before and after it, NaN beyond the stream."""
     width = range_m.shape[1]
     following = np.full((SPACED_LINES, width), np.nan, np.float32)

@@ -14,8 +14,9 @@ from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn
 from prc_cli.classifiers.blocks import WHERE, check_block
 from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.components import Components, ComponentsParams, Joined, identify, join
+from prc_cli.classifiers.prc.critical import critical_zetas
 from prc_cli.classifiers.prc.forest import ForestParams, forest
-from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, tail_after, window_reach
+from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, tail_after, unusual, window_reach
 from prc_cli.classifiers.prc.surfaces import (
     Surfaces,
     SurfacesParams,
@@ -28,7 +29,7 @@ from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, fin
 from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.stream import CriticalZetas, LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
 
 FOREST_NOISE_M = 0.012
@@ -97,6 +98,8 @@ class PrcTrace:
     """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
     segments: I64 | None
     """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere; None unless requested."""
+    critical: CriticalZetas | None
+    """Thresholds from which on every shot is supported; None unless requested."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,12 +138,19 @@ class Prc(Classifier[int, PrcState]):
     def label(self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by the support thresholds."""
         _check_shapes(block.range_m, block.next_m, scanner, self.params)
-        found = classify_block(block.range_m, block.next_m, turn, self.params, segments=wanted.segments)
+        found = classify_block(
+            block.range_m, block.next_m, turn, self.params, segments=wanted.segments, critical=wanted.stages
+        )
         further, limits = block.extra, self.params.support
         extra = label_extra_returns(
             block.range_m, found.labels, further.line, further.column, further.range_m, limits.zeta_p, limits.zeta_s
         )
-        return (LabelledBlock(block, found.labels, extra, found.segments),)
+        return (LabelledBlock(block, found.labels, extra, found.segments, critical=found.critical),)
+
+    def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
+        """Report thresholds that the paper advises against."""
+        found = unusual(self.params.support)
+        return () if found is None else (found,)
 
     def hopping(self, hop: int) -> Classifier[Any, Any]:
         """Return PRC that labels ``hop`` lines at a time, within the block of k lines that ends with them."""
@@ -159,7 +169,13 @@ def initial_state(points_per_line: int) -> PrcState:
 
 
 def classify_block(
-    range_m: F32, next_m: F32 | None, turn: Turn, params: PrcParams, *, segments: bool = False
+    range_m: F32,
+    next_m: F32 | None,
+    turn: Turn,
+    params: PrcParams,
+    *,
+    segments: bool = False,
+    critical: bool = False,
 ) -> PrcTrace:
     """Label a block of scan lines: Algorithm 1.
 
@@ -175,6 +191,8 @@ def classify_block(
     params : PrcParams
     segments : bool
         Also compute segment ids. Changing this within a stream changes the ids, not the labels.
+    critical : bool
+        Also compute the thresholds from which on every shot is supported.
 
     Returns
     -------
@@ -204,7 +222,8 @@ def classify_block(
     ground = turn.hand_on(TOTALS, lambda before: choose_ground(connected, smooth, before, params))
     labels = draw(seen, v, ground, params)
     ids = v.to_segments() if segments else None
-    return PrcTrace(seen.supported, seen.background, connected.components, v, labels, ids)
+    zetas = critical_zetas(seen.window, range_m.shape[1], params.support) if critical else None
+    return PrcTrace(seen.supported, seen.background, connected.components, v, labels, ids, zetas)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
-from prc_cli.classifiers.sequential_angle.dividers import DividersParams, dividers
+from prc_cli.classifiers.sequential_angle.dividers import DividersParams, Intervals, dividers
 from prc_cli.classifiers.sequential_angle.fourier import FourierParams, fourier
 from prc_cli.classifiers.sequential_angle.high_verticals import HighVerticalsParams, high_verticals
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.suspicious import SuspiciousParams, suspicious
 from prc_cli.core.config import Params
-from prc_cli.core.types import F32, U8, Mask
+from prc_cli.core.types import F32, I32, U8, Mask
 
 
 class CarParams(Params):
@@ -33,6 +35,22 @@ class CarParams(Params):
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Cars:
+    """Cars of R rows of n beams, and what they were decided by."""
+
+    car: Mask
+    """(R, n) bool, C before cars behind curbs are removed."""
+    trigger: I32
+    """(R,) int32, beam of the trigger (sec. 7.2), -1 = none."""
+    intervals: Intervals
+    """Intervals between dividers (sec. 7.3)."""
+    stable: Mask
+    """(L,) bool, pieces of intervals that pass the Fourier test (sec. 7.5)."""
+    limit_m: F32
+    """(R,) float32, horizontal distance beyond which there is no car (sec. 7.4) [m]."""
+
+
 def cars(
     lines: VerticalLines,
     surface: U8,
@@ -42,7 +60,7 @@ def cars(
     params: CarParams,
     *,
     range_noise_m: float,
-) -> Mask:
+) -> Cars:
     """Mark the points of cars.
 
     Parameters
@@ -62,7 +80,7 @@ def cars(
 
     Returns
     -------
-    (R, n) bool
+    Cars
         C: returns of the accepted intervals, no farther than the first high vertical, and not on the ground. None are
         of T', since intervals end before it.
 
@@ -74,8 +92,9 @@ def cars(
     """
     trigger = suspicious(car_surface, lines.n_beams, params.suspicious)
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, params.dividers, range_noise_m=range_noise_m)
-    intervals = intervals[fourier(signed_deg, intervals, params.fourier)]
+    stable = fourier(signed_deg, intervals.pieces, params.fourier)
     limit = high_verticals(lines, surface, z_g, params.high_verticals)
     low_m = z_g + np.float32(params.ground_layer_m if params.ground_layer_m > 0 else -np.inf)
-    marked: Mask = kernels.mark_cars(intervals, lines.horizontal_m, lines.xyz_m, car_surface, limit, low_m)
-    return marked
+    accepted = intervals.pieces[stable]
+    marked: Mask = kernels.mark_cars(accepted, lines.horizontal_m, lines.xyz_m, car_surface, limit, low_m)
+    return Cars(marked, trigger, intervals, stable, limit)

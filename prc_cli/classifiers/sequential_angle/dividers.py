@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from pydantic import Field, model_validator
 
@@ -112,6 +113,16 @@ class DividersParams(Params):
         return self
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Intervals:
+    """Parts of lines that may be cars: row, first beam, last beam, both of them returns; by row and beam."""
+
+    divided: I32
+    """(K, 3) int32, t1 and t2 of every interval."""
+    pieces: I32
+    """(L, 3) int32, v1 and v2 of what is left of them without long vertical runs."""
+
+
 def dividers(
     lines: VerticalLines,
     car_surface: U8,
@@ -121,7 +132,7 @@ def dividers(
     params: DividersParams,
     *,
     range_noise_m: float,
-) -> I32:
+) -> Intervals:
     """Cut suspicious lines into intervals that may be cars.
 
     The search covers the whole line, not only the part from the trigger on, because the trigger often comes late on
@@ -156,8 +167,7 @@ def dividers(
 
     Returns
     -------
-    (K, 3) int32
-        Row, first beam, last beam, both of them returns; by row and beam.
+    Intervals
 
     Notes
     -----
@@ -175,4 +185,4 @@ def dividers(
     left: I32 = kernels.cut_verticals(
         car_surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, intervals, thresholds
     )
-    return left
+    return Intervals(intervals, left)

@@ -38,13 +38,14 @@ from prc_cli.classifiers.sequential_angle.ground import (
     potential_ground,
 )
 from prc_cli.classifiers.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
+from prc_cli.classifiers.sequential_angle.search import CarSearch, car_search
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.core.blocks import LineBuffer
-from prc_cli.core.classes import LABEL_OF_SURFACE, Label, Surface
+from prc_cli.core.classes import LABEL_OF_SURFACE, CarTest, Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StageLabels
-from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 
 KERNELS = frozenset({"sequential_angle"})
 
@@ -131,6 +132,12 @@ class Undecided:
     """(R, n) float32, horizontal distance [m]."""
     ground_height_m: F32
     """(R,) float32, z_g [m]."""
+    trigger: U8
+    """(R, n) uint8, as in :class:`~prc_cli.classifiers.sequential_angle.search.CarSearch`; n = 0 if not wanted."""
+    car_interval: U16
+    """(R, n) uint16, likewise."""
+    car_test: U8
+    """(R, n) uint8, likewise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,8 +250,10 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
     def label(self, block: ScanBlock, scanner: Beams, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
         """Add the next lines, and label those that become final."""
         _check_shape(block.range_m, block.xyz_m, scanner)
-        found = classify_block(block.range_m, block.xyz_m, scanner, turn, self.params, last=block.is_last)
-        stages = stages_in_columns(found.rows, scanner) if wanted.stages else None
+        found = classify_block(
+            block.range_m, block.xyz_m, scanner, turn, self.params, last=block.is_last, stages=wanted.stages
+        )
+        stages = stages_in_columns(found.rows, found.labels, scanner) if wanted.stages else None
         final = turn.hand_on(WAITING, lambda before: _take_lines((*before, block), len(found.labels)))
         labelled, start = [], 0
         for part in final:
@@ -280,7 +289,14 @@ def initial_state(beams: Beams, params: SequentialAngleParams) -> SequentialAngl
 
 
 def classify_block(
-    range_m: F32, xyz_m: F32 | None, beams: Beams, turn: Turn, params: SequentialAngleParams, *, last: bool = False
+    range_m: F32,
+    xyz_m: F32 | None,
+    beams: Beams,
+    turn: Turn,
+    params: SequentialAngleParams,
+    *,
+    last: bool = False,
+    stages: bool = False,
 ) -> Final:
     """Add the next lines of a stream, any number, and label those that become final.
 
@@ -296,10 +312,12 @@ def classify_block(
     params : SequentialAngleParams
     last : bool
         No lines follow: all waiting lines become final.
+    stages : bool
+        Also keep what :func:`stages_in_columns` needs. It must not change within a stream.
     """
     rows = within_lines(range_m, xyz_m, beams, params)
     ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, params, last=last))
-    found = [find_cars(part, params) for part in ready]
+    found = [find_cars(part, params, stages=stages) for part in ready]
     done, curb = turn.hand_on(CURBS, lambda before: decide_curbs(found, before, params, last=last))
     return Final(in_columns(done, curb, beams), done)
 
@@ -389,13 +407,17 @@ def _start_ground(
 
 
 @stage("cars")
-def find_cars(part: OnGround, params: SequentialAngleParams) -> WithCars:
+def find_cars(part: OnGround, params: SequentialAngleParams, *, stages: bool = False) -> WithCars:
     """Find cars and possible curb points, which need only the ground height."""
     rows, z_g, noise = part.rows, part.height_m, params.angles.range_noise_m
     lines, surface = rows.lines, rows.surface
     possible = possible_curbs(lines, surface, part.ground, z_g, params.curb, range_noise_m=noise)
-    car = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
-    undecided = Undecided(surface, rows.car_surface, part.ground, car, lines.horizontal_m, z_g)
+    found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
+    seen = car_search(found, lines) if stages else CarSearch.none(len(z_g))
+    undecided = Undecided(
+        surface, rows.car_surface, part.ground, found.car, lines.horizontal_m, z_g, seen.trigger, seen.interval,
+        seen.test,
+    )  # fmt: skip
     return WithCars(lines, rows.signed_deg, possible, undecided)
 
 
@@ -455,16 +477,28 @@ def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams) ->
 
 
 @stage("stages")
-def stages_in_columns(done: Sequence[Undecided], beams: Beams) -> StageLabels:
-    """Map the intermediate results of final rows back to the columns of their scan lines."""
+def stages_in_columns(done: Sequence[Undecided], labels: U8, beams: Beams) -> StageLabels:
+    """Map the intermediate results of final rows back to the columns of their scan lines.
+
+    Parameters
+    ----------
+    done : sequence of Undecided
+    labels : (lines, M) uint8
+        Their labels, which show the cars that a curb took back.
+    beams : Beams
+    """
     sides, m = beams.sides, len(beams.beam_rad)
     if not done:
         none = np.empty((0, m), np.uint8)
-        return StageLabels(none, none.astype(np.bool_), none.astype(np.float32))
+        return StageLabels(none, none, none.astype(np.float32), none, none.astype(np.uint16), none)
     rows = _join(done)
     height = np.repeat(rows.ground_height_m[:, None], rows.surface.shape[1], axis=1)
-    dense = rows.car_surface == Surface.VEGETATION
-    return StageLabels(to_columns(rows.surface, sides, m), to_columns(dense, sides, m), to_columns(height, sides, m))
+    test = to_columns(rows.car_test, sides, m)
+    test[(test == CarTest.CAR) & (labels != Label.CAR)] = CarTest.BEHIND_CURB
+    return StageLabels(
+        to_columns(rows.surface, sides, m), to_columns(rows.car_surface, sides, m),
+        to_columns(height, sides, m), to_columns(rows.trigger, sides, m), to_columns(rows.car_interval, sides, m), test,
+    )  # fmt: skip
 
 
 def _split(parts: tuple[Undecided, ...], n_rows: int) -> tuple[list[Undecided], tuple[Undecided, ...]]:

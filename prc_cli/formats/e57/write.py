@@ -117,7 +117,7 @@ class E57Stream(StagedStreamWriter):
                 raise OutputError(str(self.path), problem, "write .csv, .laz or .parquet, or split the input first")
             with self._errors():
                 self._close_scan()
-                self._scan = _Scan(self, block.scanner)
+                self._scan = _Scan(self, block.scanner, block.first_line)
         lines = max(1, POINTS_AT_ONCE // block.points_per_line)
         for first in range(0, block.n_lines, lines):
             values = self._points(item, slice(first, min(first + lines, block.n_lines)))
@@ -156,7 +156,8 @@ class E57Stream(StagedStreamWriter):
         places[gone] = 0.0
         values |= {name: places[:, axis].copy() for axis, name in enumerate(_DOUBLES[:3])}
         values["cartesianInvalidState"] = gone * INVALID
-        values["rowIndex"], values["columnIndex"] = column[owner], block.first_line + line[owner]
+        first = 0 if self._scan is None else self._scan.first_line
+        values["rowIndex"], values["columnIndex"] = column[owner], block.first_line - first + line[owner]
         own = np.zeros(block.range_m[rows].size, np.float32)
         if block.intensity is not None:
             own = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)
@@ -194,8 +195,8 @@ class E57Stream(StagedStreamWriter):
 class _Scan:
     """A scan that is being written."""
 
-    def __init__(self, output: E57Stream, scanner: int) -> None:
-        self.scanner = scanner
+    def __init__(self, output: E57Stream, scanner: int, first_line: int) -> None:
+        self.scanner, self.first_line = scanner, first_line
         self._names = output._fields
         library, image = output._library, output._image
         self._library, self._image = library, image

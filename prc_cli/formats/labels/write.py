@@ -13,6 +13,7 @@ import numpy as np
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import LabelledBlock
+from prc_cli.core.types import I64
 from prc_cli.formats.writing.base import (
     CHUNK_RECORDS,
     Columns,
@@ -33,11 +34,13 @@ class LabelFileWriter(ScatterWriter):
     ``ground_height`` (float32, ``nan`` = unknown).
     """
 
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, n_records: int | None) -> None:
+    def __init__(
+        self, path: Path, codes: ClassCodes, options: OutputConfig, n_records: int | None, *, is_part: bool = False
+    ) -> None:
         self._kind = path.suffix.lower()
         asked = asked_columns(options)
         held = [column for column in asked if column.heading is not None and self._kind != ".npy"]
-        super().__init__(path, codes, options, held, n_records)
+        super().__init__(path, codes, options, held, n_records, is_part=is_part)
         self._straight: StraightCodes | None = None
         """The output, as long as codes arrive in record order."""
         for column in asked:
@@ -49,7 +52,7 @@ class LabelFileWriter(ScatterWriter):
 
     def _begin(self) -> None:
         super()._begin()
-        if self._kind == ".npy":
+        if self._kind == ".npy" and not self._is_part:
             self._straight = StraightCodes(self._temporary)
             self._stack.callback(close_quietly, self._straight)
 
@@ -107,8 +110,8 @@ class LabelFileWriter(ScatterWriter):
         tails = [f"{code},{_cell(self._name(code))}" for code in range(256)]
         with self._temporary.open("w", encoding="utf-8", newline="") as handle:
             handle.write(",".join(["record", "class", "name", *self._headings()]) + "\n")
-            for first, item in _numbered(columns):
-                numbers = range(first, first + len(item.codes))
+            for record, item in _numbered(columns):
+                numbers = record.tolist()
                 ends: Any = [tails[code] for code in item.codes.tolist()]
                 for column in self._optional:
                     texts = _texts(item.values[column.name])
@@ -127,10 +130,10 @@ class LabelFileWriter(ScatterWriter):
         try:
             # write to our own file object, so that a failed write shows the error of the system
             with self._temporary.open("wb") as handle, pq.ParquetWriter(handle, schema) as writer:
-                for first, item in _numbered(columns):
+                for record, item in _numbered(columns):
                     codes = pa.array(item.codes)
                     table = [
-                        pa.array(np.arange(first, first + len(item.codes))),
+                        pa.array(record),
                         codes,
                         pa.DictionaryArray.from_arrays(codes, names),
                     ]
@@ -146,11 +149,11 @@ class LabelFileWriter(ScatterWriter):
         return self._names.get(code, f"class {code}")
 
 
-def _numbered(columns: Iterator[Columns]) -> Iterator[tuple[int, Columns]]:
-    """Give every chunk the index of its first record."""
+def _numbered(columns: Iterator[Columns]) -> Iterator[tuple[I64, Columns]]:
+    """Give every chunk the indices of its records."""
     first = 0
     for item in columns:
-        yield first, item
+        yield np.arange(first, first + len(item.codes)) if item.record is None else item.record, item
         first += len(item.codes)
 
 

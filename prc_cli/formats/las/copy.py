@@ -51,7 +51,8 @@ COPC_USER = "copc"
 RECORD_TEXT = "prc run record"
 """Description of the VLR that holds the run record."""
 Masks = Callable[[int], Iterator[Mask]]
-"""Called with a batch size; yields a mask of the records to keep for every batch of the input."""
+"""Called with a batch size; yields a mask of the records to keep for every batch of the input; where they end, no
+further record is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +190,7 @@ def copy_las(
         notices.append(f"waveforms lie in a file of their own: copy {las.path.stem}.wdp beside the output")
     vlrs, notice = with_laszip(las, plan, vlrs)
     notices += [notice] if notice else []
-    seen = _Seen(las, masks is not None)
+    seen = Seen(las, masks is not None)
 
     def points(source: Source, _: Target, open_sink: Callable[[], PointSink]) -> None:
         _copy_points(plan, source, open_sink(), masks, seen)
@@ -200,7 +201,7 @@ def copy_las(
     return tuple(notices)
 
 
-class _Seen:
+class Seen:
     """Counts and bounds of the records written, for the header."""
 
     def __init__(self, las: LasHeader, is_part: bool) -> None:
@@ -239,14 +240,18 @@ class _Seen:
             fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
 
 
-def _copy_points(plan: Plan, source: Source, sink: PointSink, masks: Masks | None, seen: _Seen) -> None:
+def _copy_points(plan: Plan, source: Source, sink: PointSink, masks: Masks | None, seen: Seen) -> None:
     n = batch_records(seen.las, compressed=seen.las.compressed or plan.compress)
     keep = None if masks is None else masks(n)
     with contextlib.closing(read_records(source, seen.las, n)) as batches:
         for records in batches:
-            chosen = records if keep is None else records[next(keep)]
-            if keep is not None:
+            if keep is None:
+                chosen = records
+            elif (mask := next(keep, None)) is not None:
+                chosen = records[mask]
                 seen.see(chosen)
+            else:
+                break
             if plan.is_checked:
                 seen.checksum = crc(chosen, seen.checksum)
             if len(chosen):

@@ -20,6 +20,7 @@ from prc_cli.formats.las.copc import Copc, find_copc, move_index, splice_copc
 from prc_cli.formats.las.copy import (
     COPC_USER,
     Plan,
+    Seen,
     check_compressed,
     check_copied,
     has_waveform_file,
@@ -61,13 +62,15 @@ class LasRewriter(ScatterWriter):
         source: Path,
         laz_contexts: ClassContexts | None = None,
         user_names: Mapping[int, str] | None = None,
+        *,
+        is_part: bool = False,
     ) -> None:
         self._source_path = source
         self._laz_contexts = laz_contexts
         self._user_names = dict(user_names or {})
         self._state = self._source_state()
         self._las = read_las(source)
-        super().__init__(path, codes, options, asked_columns(options), self._las.n_records)
+        super().__init__(path, codes, options, asked_columns(options), self._las.n_records, is_part=is_part)
         self._compress = path.suffix.lower() == ".laz"
 
     def _source_state(self) -> tuple[int, int, int, int]:
@@ -86,7 +89,7 @@ class LasRewriter(ScatterWriter):
         copc = self._copc(las, plan)
         vlrs = self._vlrs(las, plan, keeps_index=copc is not None)
         record = self._completed(record)
-        points = _Points(las, plan)
+        points = _Points(las, plan, is_part=self._is_part)
 
         moved: dict[int, tuple[int, int]] = {}
 
@@ -94,9 +97,9 @@ class LasRewriter(ScatterWriter):
             if copc is not None:
                 n = batch_records(las, compressed=True)
                 codes = (columns.codes for columns in self._columns(las.n_records, n))
-                moved.update(splice_copc(source, target, copc, codes))
+                moved.update(splice_copc(source, target, copc, codes, self._laz_contexts))
                 return
-            chunks = find_chunks(source, las) if plan.only_classes(las) else None
+            chunks = find_chunks(source, las) if plan.only_classes(las) and not self._is_part else None
             if chunks is None:
                 n = batch_records(las, compressed=las.compressed or plan.compress)
                 points.write(source, open_sink(), n, self._columns(las.n_records, n))
@@ -150,7 +153,7 @@ class LasRewriter(ScatterWriter):
 
     def _copc(self, las: LasHeader, plan: Plan) -> Copc | None:
         """Return the index of a COPC input that the output keeps."""
-        if not plan.only_classes(las) or not any(vlr.user_id == COPC_USER for vlr in las.vlrs):
+        if self._is_part or not plan.only_classes(las) or not any(vlr.user_id == COPC_USER for vlr in las.vlrs):
             return None
         with open_source(self._source_path) as source:
             return find_copc(source, las)
@@ -190,17 +193,22 @@ class LasRewriter(ScatterWriter):
 class _Points:
     """Writes every record with its class, and collects counts and checksum for the header and the check."""
 
-    def __init__(self, las: LasHeader, plan: Plan) -> None:
+    def __init__(self, las: LasHeader, plan: Plan, *, is_part: bool = False) -> None:
         self._las = las
         self._plan = plan
         self.checksum = 0
+        self._is_part = is_part
+        self._seen = Seen(replace(las, point_format=plan.point_format), is_part)
         self._returns = np.zeros(15, np.int64)
 
     def write(self, source: Source, sink: PointSink, n: int, columns: Iterator[Columns]) -> None:
-        """Write all records, ``n`` at a time."""
+        """Write all records, ``n`` at a time; of a part, those of its records."""
         with contextlib.closing(read_records(source, self._las, n)) as batches:
-            for old, values in zip(batches, columns, strict=True):
+            pairs = _of_part(batches, columns, n) if self._is_part else zip(batches, columns, strict=True)
+            for old, values in pairs:
                 records = changed(old, values, self._las, self._plan)
+                if self._is_part:
+                    self._seen.see(records)
                 if self._plan.upgrades(self._las):
                     self._returns += count_returns(records)
                 if self._plan.is_checked:
@@ -209,10 +217,21 @@ class _Points:
         sink.close()
 
     def finish(self, fields: HeaderFields) -> None:
-        """Set the counts of a header that was of an older version."""
+        """Set the counts of a header that was of an older version, or of a part; and the bounds of a part."""
+        if self._is_part:
+            self._seen.set_counts(fields)
+            return
         if self._plan.upgrades(self._las):
             fields.set("n_points", self._las.n_records)
             fields.set("by_return", *self._returns.tolist())
+
+
+def _of_part(batches: Iterator[U8], columns: Iterator[Columns], n: int) -> Iterator[tuple[U8, Columns]]:
+    """Yield the records of a part with their values, and read no farther than to the last of them."""
+    # the columns first: where they end, no further batch is decoded
+    for k, (values, old) in enumerate(zip(columns, batches, strict=False)):
+        if values.record is not None and len(values.record):
+            yield old[values.record - k * n], values
 
 
 def changed(records: U8, columns: Columns, las: LasHeader, plan: Plan) -> U8:

@@ -23,8 +23,9 @@ ALIASES: dict[str, tuple[str, ...]] = {
 """Header names of the standard dimensions, in any case; the first one present is used."""
 CLOUD_SUFFIXES = (".xyz", ".asc", ".pts")
 """Files whose first columns are x, y, z where they have no names."""
-_UNIT = re.compile(r"(?P<name>.+?)\s*(?:_|\(|\[|\s)\s*(?P<unit>mm|cm|m|ft|s|ms|us|ns|rad|deg|gon)\s*[)\]]?")
-"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``."""
+_UNIT = re.compile(r"(?P<name>.+?) ?(?:_|\(|\[| ) ?(?P<unit>mm|cm|m|ft|s|ms|us|ns|rad|deg|gon) ?[)\]]?")
+"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``; runs of blanks are one blank by then, as
+many of them would take hours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
 
 def _with_unit(item: LayoutField, name: str) -> LayoutField:
     """Return a field with the unit from the name of its column, if the layout gives none."""
-    found = _UNIT.fullmatch(name.strip().lower())
+    found = _UNIT.fullmatch(" ".join(name.lower().split()))
     unit = None if found is None else found["unit"]
     if item.unit or item.scale != 1.0 or unit is None or unit not in UNITS.get(item.name, ()):
         return item
@@ -90,7 +91,7 @@ def _plain_name(name: str) -> str:
     >>> _plain_name("Range [mm]"), _plain_name("angle_gon"), _plain_name("scan_line")
     ('range', 'angle', 'scan_line')
     """
-    found = _UNIT.fullmatch(name.strip().lower())
+    found = _UNIT.fullmatch(" ".join(name.lower().split()))
     return name.strip().lower() if found is None else found["name"]
 
 

@@ -19,7 +19,7 @@ from prc_cli.core.bytewise import count_bytes, recode
 from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import output_errors, place_all, temporary_name
-from prc_cli.core.stream import LabelledBlock
+from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.writing.columns import OptionalColumn, Values
 from prc_cli.formats.writing.options import HIGH_NOISE_CODE, OutputConfig, class_names
@@ -38,6 +38,8 @@ class Columns:
     """(n,) uint8, class codes."""
     values: dict[str, Values]
     """(n,) arrays of the optional columns, by name."""
+    record: I64 | None = None
+    """(n,) int64, index in the input of every record; None = the next ones from 0 on, without a gap."""
 
 
 class Closable(Protocol):
@@ -93,6 +95,7 @@ class StagedOutput(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self._notices: list[str] = []
+        self._last_record: int | None = -1
         self._files: list[tuple[Path, Path, bool]] = []
         """Temporary name, name, and whether a file of this name is replaced: one that is there at the beginning."""
         self._temporary = self._output(path)
@@ -132,6 +135,19 @@ class StagedOutput(ABC):
     def _notice(self, text: str) -> None:
         if text not in self._notices:
             self._notices.append(text)
+
+    def _see_order(self, scan: ScanBlock) -> None:
+        """Notice once that shots are not in the order of the input's records."""
+        if scan.record is None or self._last_record is None:
+            return
+        known = scan.record[scan.record >= 0]
+        if not len(known):
+            return
+        if known[0] < self._last_record or np.any(known[1:] < known[:-1]):
+            self._notice("points are in the order of the shots, not of the input's records; label files keep that one")
+            self._last_record = None
+            return
+        self._last_record = int(known[-1])
 
     def _commit(self) -> None:
         """Give the files their final names, or none.
@@ -250,6 +266,8 @@ class ScatterWriter(StagedWriter):
     ----------
     n_records : int or None
         Number of input records; None if unknown before reading.
+    is_part : bool
+        The output holds only the records that get a label, in their order: those of a window.
     """
 
     def __init__(
@@ -259,13 +277,22 @@ class ScatterWriter(StagedWriter):
         options: OutputConfig,
         columns: Sequence[OptionalColumn],
         n_records: int | None,
+        *,
+        is_part: bool = False,
     ) -> None:
         super().__init__(path, codes, options, columns)
         self._n_records = n_records
+        self._is_part = is_part
         self._spools: dict[str, Spool] = {}
+        self._there: Spool | None = None
+        """Of a part: 1 for every record that it holds."""
+        self._first, self._stop = sys.maxsize, 0
+        """Bounds of the records that it holds."""
 
     def _start(self) -> None:
         self._code_spool = self._spool(np.uint8, self._codes.unclassified, self._n_records)
+        if self._is_part:
+            self._there = self._spool(np.uint8, 0, self._n_records)
 
     def _begin(self) -> None:
         for column in self._optional:
@@ -295,6 +322,9 @@ class ScatterWriter(StagedWriter):
         self._code_spool.put_run(first, codes)
         for name, column in values.items():
             self._spools[name].put_run(first, column)
+        if self._there is not None and len(codes):
+            self._there.put_run(first, np.ones(len(codes), np.uint8))
+            self._first, self._stop = min(self._first, first), max(self._stop, first + len(codes))
 
     def _put(self, record: I64, codes: U8, values: dict[str, Values]) -> None:
         keep = record >= 0
@@ -310,9 +340,16 @@ class ScatterWriter(StagedWriter):
         self._code_spool.put(record, codes if whole else codes[keep])
         for name, column in values.items():
             self._spools[name].put(record, column if whole else column[keep])
+        if self._there is not None and len(record):
+            self._there.put(record, np.ones(len(record), np.uint8))
+            self._first = min(self._first, int(record.min()))
+            self._stop = max(self._stop, int(record.max()) + 1)
 
     def _total(self, record: RunRecord) -> int:
         """Return the number of entries of the output: records read, if known."""
+        if self._there is not None:
+            first = min(self._first, self._stop)
+            return sum(int(np.count_nonzero(one)) for one in self._there.chunks(CHUNK_RECORDS, first=first))
         n = self._n_records if self._n_records is not None else record.n_records
         if n is None:
             return len(self._code_spool)
@@ -323,12 +360,26 @@ class ScatterWriter(StagedWriter):
         return n
 
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
-        """Codes and optional columns in record order, in chunks."""
+        """Codes and optional columns in record order, in chunks; of a part, those of its records."""
         n = chunk or CHUNK_RECORDS
+        if self._there is not None:
+            # chunks of a given size go with those of the input, from its first record on
+            yield from self._part_columns(n, min(self._first, self._stop) if chunk is None else 0)
+            return
         names = list(self._spools)
         columns = [spool.chunks(n, stop=total) for spool in self._spools.values()]
         for codes, *values in zip(self._code_spool.chunks(n, stop=total), *columns, strict=True):
             yield Columns(codes, dict(zip(names, values, strict=True)))
+
+    def _part_columns(self, n: int, first: int) -> Iterator[Columns]:
+        """Return codes and optional columns of the records of a part, of ``n`` records of the input at a time."""
+        assert self._there is not None
+        for start in range(first, self._stop, n):
+            stop = min(start + n, self._stop)
+            there = self._there.span(start, stop) != 0
+            record = start + np.flatnonzero(there)
+            values = {name: spool.span(start, stop)[there] for name, spool in self._spools.items()}
+            yield Columns(self._code_spool.span(start, stop)[there], values, record)
 
 
 def remove_quietly(path: Path) -> None:

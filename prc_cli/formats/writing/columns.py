@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.stream import LabelledBlock, StageLabels
+from prc_cli.core.stream import CriticalZetas, LabelledBlock, StageLabels
 from prc_cli.core.types import F32, U8
 from prc_cli.formats.writing.options import OutputConfig
 
@@ -72,6 +72,10 @@ def _stage(found: Callable[[StageLabels], Values]) -> Callable[[LabelledBlock], 
     return lambda block: None if block.stages is None else found(block.stages)
 
 
+def _critical(found: Callable[[CriticalZetas], Values]) -> Callable[[LabelledBlock], Values | None]:
+    return lambda block: None if block.critical is None else found(block.critical)
+
+
 def _surface(stages: StageLabels) -> U8:
     return stages.surface
 
@@ -88,7 +92,7 @@ def _extra_confidence(block: LabelledBlock) -> U8:
     return np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
 
 
-_WITH_GROUND = "fused or sequential-angle method"
+_WITH_STAGES = "fused, prc or sequential-angle method"
 
 OPTIONAL_COLUMNS = (
     OptionalColumn(
@@ -116,7 +120,7 @@ OPTIONAL_COLUMNS = (
         "stage",
         0,
         _stage(_surface),
-        needs=_WITH_GROUND,
+        needs=_WITH_STAGES,
     ),
     OptionalColumn(
         ExtraDimension("dense_vegetation", np.dtype("u1"), "less sensitive test T', 1 = yes"),
@@ -125,7 +129,7 @@ OPTIONAL_COLUMNS = (
         "stage",
         0,
         _stage(_dense_vegetation),
-        needs=_WITH_GROUND,
+        needs=_WITH_STAGES,
     ),
     OptionalColumn(
         ExtraDimension("ground_height", np.dtype("<f4"), "z_g, 0 = height of scanner [m]"),
@@ -134,7 +138,7 @@ OPTIONAL_COLUMNS = (
         "stage",
         np.nan,
         _stage(_ground_height),
-        needs=_WITH_GROUND,
+        needs=_WITH_STAGES,
     ),
     OptionalColumn(
         ExtraDimension("height_above_ground", np.dtype("<f4"), "above ground [m], NaN unknown"),
@@ -143,7 +147,52 @@ OPTIONAL_COLUMNS = (
         "stage",
         np.nan,
         lambda block: block.above_m,
-        needs=_WITH_GROUND,
+        needs=_WITH_STAGES,
+    ),
+    OptionalColumn(
+        ExtraDimension("trigger", np.dtype("u1"), "0 none, 1 before, 2 it, 3 after"),
+        "trigger",
+        "stages",
+        "stage",
+        0,
+        _stage(lambda stages: stages.trigger),
+        needs=_WITH_STAGES,
+    ),
+    OptionalColumn(
+        ExtraDimension("car_interval", np.dtype("<u2"), "divided interval, 0 = none"),
+        "car_interval",
+        "stages",
+        "stage",
+        0,
+        _stage(lambda stages: stages.car_interval),
+        needs=_WITH_STAGES,
+    ),
+    OptionalColumn(
+        ExtraDimension("car_test", np.dtype("u1"), "1 V 2 T 3 wall 4 low 5 curb 6 C"),
+        "car_test",
+        "stages",
+        "stage",
+        0,
+        _stage(lambda stages: stages.car_test),
+        needs=_WITH_STAGES,
+    ),
+    OptionalColumn(
+        ExtraDimension("critical_zeta_p", np.dtype("<f4"), "supported if below zeta_p [m]"),
+        "critical_zeta_p",
+        "stages",
+        "stage",
+        np.nan,
+        _critical(lambda zetas: zetas.in_line_m),
+        needs=_WITH_STAGES,
+    ),
+    OptionalColumn(
+        ExtraDimension("critical_zeta_s", np.dtype("<f4"), "supported if below zeta_s [m]"),
+        "critical_zeta_s",
+        "stages",
+        "stage",
+        np.nan,
+        _critical(lambda zetas: zetas.adjacent_m),
+        needs=_WITH_STAGES,
     ),
     OptionalColumn(
         ExtraDimension("confidence", np.dtype("u1"), "label is right [%], 0 unknown"),
@@ -162,7 +211,7 @@ OPTIONAL_COLUMNS = (
 def asked_columns(options: OutputConfig) -> tuple[OptionalColumn, ...]:
     """Return the columns that ``[output]`` requests, in order.
 
-    >>> [column.name for column in asked_columns(OutputConfig(segment_ids=True, stages=True))]
-    ['segment_id', 'surface', 'dense_vegetation', 'ground_height', 'height_above_ground']
+    >>> [column.name for column in asked_columns(OutputConfig(segment_ids=True, range=True))]
+    ['segment_id', 'range']
     """
     return tuple(column for column in OPTIONAL_COLUMNS if getattr(options, column.option))

@@ -29,8 +29,13 @@ class OutputConfig(Params):
         False,
         description="add what the classifier found on the way, as extra bytes or columns: float32 "
         "`height_above_ground` [m; NaN unknown] (fused, sequential-angle); of sequential-angle also uint8 `surface` "
-        "(coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 undecided), uint8 `dense_vegetation` (T') and "
-        "float32 `ground_height` [m, relative to the scanner; NaN unknown]",
+        "(coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 undecided), uint8 `dense_vegetation` (T'), "
+        "float32 `ground_height` [m, relative to the scanner; NaN unknown], uint8 `trigger` (of a suspicious "
+        "half-line: 1 before the trigger, 2 the trigger, 3 after it), uint16 `car_interval` (number of the interval "
+        "between dividers; 0 none) and uint8 `car_test` (what became of a return in an interval: 1 cut out as a tall "
+        "vertical run, 2 vegetation by the Fourier test, 3 behind a high vertical, 4 next to the ground, 5 on or "
+        "behind a curb, 6 car); of prc float32 `critical_zeta_p` and `critical_zeta_s` (a shot is supported if they "
+        "are below zeta_p and zeta_s [m]; infinite = never)",
     )
     confidence: bool = Field(
         False,

@@ -45,8 +45,8 @@ class Fingerprint:
     """File name, without its folder."""
     size: int
     """Size [bytes]."""
-    sha256: str
-    """SHA-256 of the content, hexadecimal."""
+    sha256: str | None
+    """SHA-256 of the content, hexadecimal; None where only a window of the file was read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +140,8 @@ def record_path(output: Path) -> Path:
     return output.with_name(output.name + RECORD_SUFFIX)
 
 
-def fingerprint(path: Path) -> Fingerprint:
-    """Return name, size and SHA-256 of a file, read in pieces.
+def fingerprint(path: Path, *, hashes: bool = True) -> Fingerprint:
+    """Return name, size and, unless it is not to be read whole, SHA-256 of a file, read in pieces.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def fingerprint(path: Path) -> Fingerprint:
     >>> fingerprint(path).size, fingerprint(path).sha256[:8]
     (3, 'ba7816bf')
     """
-    with FingerprintBeside(path, threads=1) as beside:
+    with FingerprintBeside(path, threads=1, hashes=hashes) as beside:
         return beside.result()
 
 
@@ -169,6 +169,8 @@ class FingerprintBeside:
         File.
     threads : int
         With 1 or fewer there is no thread: the file is read when the result is requested.
+    hashes : bool
+        False = the file is not read, and there is no SHA-256.
 
     Examples
     --------
@@ -180,8 +182,9 @@ class FingerprintBeside:
     True
     """
 
-    def __init__(self, path: Path, *, threads: int) -> None:
+    def __init__(self, path: Path, *, threads: int, hashes: bool = True) -> None:
         self._path = path
+        self._hashes = hashes
         self._stop = threading.Event()
         self._found: Fingerprint | None = None
         self._error: BaseException | None = None
@@ -225,6 +228,8 @@ class FingerprintBeside:
 
     @stage("fingerprint")
     def _read(self) -> Fingerprint | None:
+        if not self._hashes:
+            return Fingerprint(self._path.name, self._path.stat().st_size, None)
         digest = hashlib.sha256()
         size = 0
         piece = memoryview(bytearray(_READ_BYTES))

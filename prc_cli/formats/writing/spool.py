@@ -128,6 +128,10 @@ class Spool:
             bits = self._read(start, min(n, stop - start))
             yield (bits ^ self._mask).view(self._dtype)
 
+    def span(self, first: int, stop: int) -> NDArray[Any]:
+        """Return the values of records ``first`` to ``stop`` (exclusive), at least one."""
+        return next(self.chunks(stop - first, first=first, stop=stop))
+
     def close(self) -> None:
         """Close the temporary file."""
         self._pending.clear()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table
+from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table, refuse_window
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
 from prc_cli.core.files import suffix_of
@@ -184,6 +184,7 @@ class BatchConfig:
                 layers.append(("option", given.options))
             files = (*([] if given.path is None else [given.path]), *given.files)
             self._built[matching] = from_layers(layers, files)
+            refuse_window(self._built[matching].config, "prc batch")
         return self._built[matching]
 
     def of(self, name: str, path: Path) -> tuple[LoadedConfig, str]:
@@ -228,7 +229,7 @@ class BatchConfig:
             raise InputError(str(path), problem, "check [input] range and its placeholders") from error
         key = (path, status.st_size, status.st_mtime_ns)
         if key not in self._prints:
-            self._prints[key] = fingerprint(path).sha256
+            self._prints[key] = fingerprint(path).sha256 or ""
         return self._prints[key]
 
 

@@ -40,6 +40,7 @@ from prc_cli.jobs.calibrate.search import (
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.choice import decided_by
 from prc_cli.jobs.classify import Progress, open_stream
+from prc_cli.jobs.progress import advance
 from prc_cli.streams.evidence.watch import watched
 
 SHOTS_AT_ONCE = 1 << 18
@@ -200,14 +201,13 @@ def _measure(
     """Read the stream once; also return the lines of every scanner and the number of records."""
     meter, counter = SensorMeter(stream.info), CurveCounter(config.prc)
     lines: dict[int, int] = {}
-    tally = ReadTally()
+    tally, info = ReadTally(), stream.info
     for block in regroup(stream.blocks(), max(LEAST_LINES, SHOTS_AT_ONCE // stream.info.points_per_line)):
         meter.add(block)
         counter.add(block)
         lines[block.scanner] = lines.get(block.scanner, 0) + block.n_lines
         tally = tally + block.tally
-        if progress is not None:
-            progress(block.n_lines)
+        advance(progress, block, info, config.input.window)
     path = stream.info.path
     if max(lines.values(), default=0) < LEAST_LINES:
         problem = f"found {sum(lines.values())} scan lines, expected {LEAST_LINES} or more: support needs lines around"

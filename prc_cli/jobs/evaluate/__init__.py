@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.window import Window
 from prc_cli.evaluation.confusion import ConfusionMatrix, refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.result import Evaluation, MatchReport
@@ -30,6 +31,7 @@ from prc_cli.jobs.evaluate.counts import (
 )
 from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options, tolerance_of
 from prc_cli.jobs.evaluate.pools import open_pools
+from prc_cli.jobs.evaluate.window import ScoredWindow
 from prc_cli.matching.join import (
     CODE,
     KEY,
@@ -48,6 +50,7 @@ from prc_cli.matching.sides import (
     FILE,
     LINE,
     ROW,
+    SECONDS,
     Side,
 )
 from prc_cli.matching.streams import columns_of, in_step
@@ -188,7 +191,7 @@ def _compare(
     plan = _plan(left, right, options, by_lines=by_lines)
     mapping = counts.mapping
     for name in plan.reference:
-        counts.note(f"{SPLITS[name]}: taken from the reference")
+        counts.note(f"{SPLITS.get(name, name)}: taken from the reference")
     if options.match == "nearest":
         _check_crs(left, right, counts)
         key = KeyRule("place", _longest_axis(right))
@@ -197,9 +200,12 @@ def _compare(
     while True:
         found = {name: GroupedCounts(mapping, name) for name in counts.parts}
         tally, n_unsure = JoinTally(), 0
+        window = None if options.window is None else ScoredWindow(options.window)
         try:
             for one, other in _pairs(left, right, plan, tally, on_disk, options):
                 beside = {name: other[name] for name in plan.reference} | {name: one[name] for name in plan.predicted}
+                if window is not None:
+                    (one, other), beside = window.inside(beside, one, other)
                 if FILE in beside:
                     beside[FILE] = beside[FILE] + first_file
                 cells = cells_of(mapping, one[CODE], other[CODE])
@@ -215,6 +221,8 @@ def _compare(
         break
     for name, part in found.items():
         counts.parts[name].merge(part)
+    if window is not None:
+        window.report(left.path, counts)
     if options.min_confidence is not None:
         counts.note(f"{{n}} pairs have a confidence below {options.min_confidence} %: left out", n_unsure)
     _report(left, right, tally, counts, options)
@@ -233,6 +241,11 @@ class _Plan:
 def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> _Plan:
     has, other_has, asked = left.dimensions, right.dimensions, asked_parts(options)
     wanted = dict.fromkeys(LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines)
+    if options.window is not None:
+        place = LINE if options.window.in_lines else SECONDS
+        wanted[place] = None
+        if place not in (*has, *other_has):
+            raise _no_place(left, right, options.window)
     if options.min_confidence is not None:
         wanted[CONFIDENCE] = None
     for name in wanted:
@@ -254,6 +267,13 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
     elif options.match == "time" and SAME in has and SAME in other_has:
         keys = (KEY, SAME)
     return _Plan(tuple(predicted), tuple(reference), keys)
+
+
+def _no_place(left: Side, right: Side, window: Window) -> ConfigError:
+    what = "scan lines" if window.in_lines else "times"
+    problem = f"no {what} in {left.path} or {right.path}, expected them for {window.option}"
+    hint = "give --predicted-points with the points of the labels" + (", or -M" if window.in_lines else "")
+    return ConfigError("window", problem, hint)
 
 
 def _pairs(

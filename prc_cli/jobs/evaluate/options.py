@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.window import Window
 from prc_cli.evaluation.intervals import METHODS
 from prc_cli.evaluation.splits import (
     check_edges,
@@ -62,6 +63,8 @@ class EvaluateOptions:
     """``nearest``: only mutually nearest pairs; otherwise a reference record may have several partners."""
     allow_missing: bool = False
     """Whether files without partner in the other folder are left out instead of refused."""
+    window: Window | None = None
+    """Only the records of these lines or times are scored; lines and times are those of the files."""
     pool: bool = False
     """Whether all files of a side are compared as one, for example tiles with equal names but different bounds."""
 

@@ -30,6 +30,7 @@ from prc_cli.jobs.convert import check_unchanged, open_items
 from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing
 from prc_cli.jobs.objects.runs import runs_of
 from prc_cli.jobs.objects.write import check_suffix, open_things
+from prc_cli.jobs.progress import advance
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
@@ -162,8 +163,7 @@ class _Run:
             for item in opened.items:
                 for thing in self._add(item):
                     yield self._numbered(thing)
-                if progress is not None:
-                    progress(item.block.n_lines)
+                advance(progress, item.block, opened.info, self._loaded.config.input.window)
             for _, grower in sorted(self._growers.items()):
                 for thing in grower.finish():
                     yield self._numbered(thing)

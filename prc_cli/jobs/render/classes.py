@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import I64, U8, Mask
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
 from prc_cli.formats.labels.read import NO_CODE, open_codes
-from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
+from prc_cli.imaging.pictures import MISSING_COLOUR, NOT_SCORED_COLOUR
 from prc_cli.jobs.render.options import RenderOptions
 
 NOT_SCORED = "not scored"
@@ -29,15 +29,32 @@ class ClassTable:
     names: tuple[str, ...]
     colours: U8
     """(n, 3) uint8."""
+    hidden: frozenset[int] = frozenset()
+    """Indices of classes that are not drawn."""
+
+    def without(self, names: Collection[str]) -> ClassTable:
+        """Return the table with some classes hidden, if it has them; they are white in pictures of lines.
+
+        >>> sorted(LABEL_TABLE.without(["noise"]).hidden)
+        [2]
+        """
+        hidden = frozenset(place for place, name in enumerate(self.names) if place and name in names)
+        colours = self.colours.copy()
+        colours[sorted(hidden)] = MISSING_COLOUR
+        return replace(self, colours=colours, hidden=hidden)
 
     def key(self, counts: I64) -> tuple[tuple[str, tuple[int, int, int]], ...]:
         """Return names and colours of the classes that occur, with their shares of all classified records."""
-        total = max(int(counts[1:].sum()), 1)
+        drawn = [place for place in range(1, len(self.names)) if counts[place] and place not in self.hidden]
+        total = max(int(counts[drawn].sum()), 1)
         return tuple(
-            (f"{name} {share_text(int(count), total)}", (int(colour[0]), int(colour[1]), int(colour[2])))
-            for name, colour, count in zip(self.names[1:], self.colours[1:], counts[1:], strict=True)
-            if count
+            (f"{self.names[place]} {share_text(int(counts[place]), total)}", _as_colour(self.colours[place]))
+            for place in drawn
         )
+
+
+def _as_colour(colour: U8) -> tuple[int, int, int]:
+    return int(colour[0]), int(colour[1]), int(colour[2])
 
 
 def share_text(count: int, total: int) -> str:
@@ -141,7 +158,22 @@ class Vocabulary:
 
 
 def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
-    """Return the classes of a run: the program's own, or those of a mapping."""
+    """Return the classes of a run: the program's own, or those of a mapping.
+
+    Raises
+    ------
+    ConfigError
+        When a class to hide is none of them.
+    """
+    words = _vocabulary(options, codes)
+    known = words.table.names[1:]
+    for name in options.hide:
+        if name not in known:
+            raise ConfigError("--hide", f"found {name!r}, expected classes: {', '.join(known)}")
+    return replace(words, table=words.table.without(options.hide))
+
+
+def _vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
     if options.mapping is None:
         return Vocabulary(
             ClassTable(

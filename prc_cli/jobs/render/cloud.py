@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.config import LoadedConfig
+from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.records import RecordSource
-from prc_cli.imaging.cloud import Camera, DepthBuffer, FromAbove, Perspective, Sample, splat_for
+from prc_cli.imaging.cloud import (
+    Camera,
+    DepthBuffer,
+    FromAbove,
+    Perspective,
+    Sample,
+    fullest_azimuth,
+    splat_for,
+)
 from prc_cli.imaging.pictures import (
     Bar,
     range_bar,
@@ -32,6 +42,7 @@ from prc_cli.jobs.render.classes import (
     vocabulary,
 )
 from prc_cli.jobs.render.frames import of_station
+from prc_cli.jobs.render.heading import heading, made_by, made_with
 from prc_cli.jobs.render.options import CONFIDENCE_LIMITS, ColourBy, RenderOptions, RenderResult
 
 AXES = ("x", "y", "z")
@@ -159,39 +170,33 @@ def draw_cloud(
     colour = _choose_colour(cloud, options, has_classes)
     words = vocabulary(options, loaded.config.classes)
     classes = None
-    if colour == "class":
+    if colour == "class" or options.hide:
         classes = _classes(cloud, options, words, folder, progress, has_own=has_classes)
         known = None if cloud.records is None else cloud.records.n_records
         classes.check(known)
-    camera: Camera = (
-        FromAbove.around(kept[:, :3], options.width, min(options.height, round(HIGHEST_FROM_ABOVE * options.width)))
-        if options.view == "top"
-        else Perspective.around(
-            kept[:, :3],
-            options.azimuth_deg,
-            options.elevation_deg,
-            options.width,
-            min(options.height, round(HIGHEST_PERSPECTIVE * options.width)),
-        )
-    )
+    framed = _framed(kept, classes, words)
+    camera = _camera(framed, options)
     paint = _Paint.choose(colour, kept, words, classes, source)
     buffer = DepthBuffer(camera, splat_for(sample.n_seen, camera.size))
     counts = np.zeros(len(words.table.names), np.int64)
     for points in cloud.points(paint.names):
         for first in range(0, len(points.xyz), POINTS_AT_ONCE):
             part = slice(first, first + POINTS_AT_ONCE)
-            colours, places = paint.colours(points, part)
-            buffer.add(points.xyz[part], colours)
+            xyz, colours, places = paint.colours(points, part)
+            buffer.add(xyz, colours)
             if places is not None:
                 counts += np.bincount(places, minlength=len(counts))
+    n_hidden = sum(int(counts[place]) for place in words.table.hidden)
     panel = _panel(buffer.picture(), camera, paint.bar, options, colour)
-    names = {
-        "top": "from above",
-        "perspective": f"from azimuth {options.azimuth_deg:g}°, {options.elevation_deg:g}° up",
-    }
-    head = f"{source.name} · {names[options.view]} · {sample.n_seen:,} points by {colour}"
-    n_out = sample.n_seen - buffer.n_inside
+    shown = f"{sample.n_seen - n_hidden:,} points by {colour}"
+    hidden = f"without {', '.join(options.hide)}" if options.hide else ""
+    head = heading(
+        source.name, _labelled(cloud, options, colour, folder, own=has_classes), _seen_from(camera), shown, hidden
+    )
+    n_out = sample.n_seen - n_hidden - buffer.n_inside
     notes = [f"{n_out:,} points lie outside the picture"] if n_out else []
+    if not np.ptp(kept[:, 2]):
+        notes.append("all points have one height, as in the scan plane: --html draws lines one behind the other")
     if n_without:
         notes.append(f"{n_without:,} further returns or records that share a cell with another are not drawn")
     key = words.table.key(counts) if colour == "class" else ()
@@ -200,6 +205,52 @@ def draw_cloud(
         (), (0, 0), head, counts=found if colour == "class" else None, n_points=buffer.n_inside, notes=tuple(notes)
     )
     return panel, key, result
+
+
+def _framed(kept: F64, classes: RecordClasses | None, words: Vocabulary) -> F64:
+    """Return the points of a sample that a view must hold, (n, 3) float64: neither noise nor hidden ones, if any."""
+    if classes is None:
+        return kept[:, :3]
+    places = classes.look_up(kept[:, -1].astype(np.int64))
+    names = words.table.names
+    left_out = {*words.table.hidden, *(place for place, name in enumerate(names) if name == _NOISE)}
+    inside = ~np.isin(places, sorted(left_out))
+    return kept[inside, :3] if inside.any() else kept[:, :3]
+
+
+_NOISE = Label.NOISE.name.lower()
+
+
+def _camera(framed: F64, options: RenderOptions) -> Camera:
+    width = options.width
+    if options.view == "top":
+        return FromAbove.around(framed, width, min(options.height, round(HIGHEST_FROM_ABOVE * width)))
+    height, azimuth_deg = min(options.height, round(HIGHEST_PERSPECTIVE * width)), options.azimuth_deg
+    if azimuth_deg is None:
+        azimuth_deg = fullest_azimuth(framed, options.elevation_deg, width, height)
+    return Perspective.around(framed, azimuth_deg, options.elevation_deg, width, height)
+
+
+def _seen_from(camera: Camera) -> str:
+    if not isinstance(camera, Perspective):
+        return "from above"
+    back = -camera.axes[2]
+    azimuth = math.degrees(math.atan2(-camera.axes[0, 1], camera.axes[0, 0])) + 180.0
+    return f"from azimuth {round(azimuth, 3) % 360:g}°, {round(math.degrees(math.asin(back[2])), 3):g}° up"
+
+
+def _labelled(cloud: Cloud, options: RenderOptions, colour: str, folder: Path, *, own: bool) -> str:
+    """Return what the classes are from, for the headline."""
+    if colour != "class":
+        return ""
+    if options.reference is not None:
+        return f"reference {options.reference.name}"
+    given = options.labels
+    if given is None and not own:
+        decided = cloud.loaded.config.is_decided
+        return made_with(cloud.loaded) if decided else made_by(folder / _LABELS)
+    by = made_by(cloud.source if given is None else given)
+    return by if given is None else f"labels of {given.name}" + (f", {by}" if by else "")
 
 
 def _check_options(options: RenderOptions) -> None:
@@ -223,12 +274,16 @@ def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
     for points in cloud.points(names):
         finite = np.isfinite(points.xyz).all(axis=1)
         none = np.full(len(points.xyz), np.nan)
-        rows = np.column_stack([points.xyz, *(points.values.get(name, none) for name in shown)])
+        rows = np.column_stack([points.xyz, *(points.values.get(name, none) for name in shown), points.record])
         sample.add(rows[finite])
         n_without += points.n_without
         if not has_classes and "classification" in points.values:
             has_classes = bool((~np.isin(points.values["classification"], NO_CLASSES)).any())
     return sample, has_classes, n_without
+
+
+_LABELS = "labels.npy"
+"""Name of the classes that are made for the picture."""
 
 
 def _choose_colour(cloud: Cloud, options: RenderOptions, has_classes: bool) -> ColourBy:
@@ -255,7 +310,7 @@ def _classes(
     if path is None and has_own:
         return read_classes(cloud.source, dimension, words.turn_las, folder, "classes")
     if path is None:
-        path, dimension = folder / "labels.npy", None
+        path, dimension = folder / _LABELS, None
         classify(cloud.source, path, cloud.loaded, progress=progress)
     return read_classes(path, dimension, lambda codes: words.turn(codes, "predicted"), folder, "classes")
 
@@ -300,15 +355,19 @@ class _Paint:
             else value_bar(self.limits, {"height": "m", "confidence": "%"}.get(self.by, ""))
         )
 
-    def colours(self, points: Points, part: slice) -> tuple[U8, U8 | None]:
-        """Return the colours of some points, and their classes."""
+    def colours(self, points: Points, part: slice) -> tuple[F64, U8, U8 | None]:
+        """Return coordinates and colours of those of some points that are drawn, and the classes of all of them."""
+        places, drawn = None, np.ones(len(points.xyz[part]), bool)
         if self.classes is not None:
             places = self.classes.look_up(points.record[part])
-            places = self.words.mark_unscored(places, np.ones(places.shape, bool))
-            return self.words.table.colours[places], places
-        values = points.xyz[part, 2] if self.by == "height" else points.values[self.by][part]
+            places = self.words.mark_unscored(places, drawn)
+            drawn = ~np.isin(places, sorted(self.words.table.hidden))
+        xyz = points.xyz[part][drawn]
+        if self.by == "class" and places is not None:
+            return xyz, self.words.table.colours[places[drawn]], places
+        values = xyz[:, 2] if self.by == "height" else points.values[self.by][part][drawn]
         picture = range_picture if self.by == "range" else value_picture
-        return picture(values, self.limits), None
+        return xyz, picture(values, self.limits), places
 
 
 def _panel(picture: U8, camera: Camera, bar: Bar | None, options: RenderOptions, colour: str) -> Panel:

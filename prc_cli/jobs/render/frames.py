@@ -18,8 +18,10 @@ from prc_cli.core.classes import LABEL_OF_SURFACE, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
 from prc_cli.core.types import F64
+from prc_cli.imaging.stages import trigger_codes
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render.options import PRC_STEPS
+from prc_cli.jobs.render.stages import interval_codes, test_codes
 from prc_cli.streams.beams import with_beams
 
 Plane: TypeAlias = NDArray[Any]
@@ -124,25 +126,37 @@ def frames(
             yield Frame(item.block, planes)
 
 
-def trace_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[tuple[ScanBlock, PrcTrace]]:
-    """Run PRC over the blocks of one scanner; yield the intermediate images."""
+def trace_blocks(
+    blocks: Iterator[ScanBlock], params: PrcParams, *, critical: bool = False
+) -> Iterator[tuple[ScanBlock, PrcTrace]]:
+    """Run PRC over the blocks of one scanner; yield the intermediate images, critical thresholds on request."""
     turn: OneByOne[PrcState] | None = None
     for block in regroup(blocks, params.lines_per_block):
         turn = turn or OneByOne(initial_state(block.points_per_line))
-        yield block, classify_block(block.range_m, block.next_m, turn, params, segments=True)
+        yield block, classify_block(block.range_m, block.next_m, turn, params, segments=True, critical=critical)
 
 
 def _traced(blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ...]) -> Iterator[Frame]:
     images: dict[str, Callable[[PrcTrace], Plane]] = {
         "support": lambda trace: trace.supported,
         "background": lambda trace: trace.background,
+        "critical": _critical,
+        # filling gives labels to shots of G alone, so without them the components are those before it
+        "components": lambda trace: np.where(trace.supported & ~trace.background, trace.components.image, np.int32(0)),
         "segments": lambda trace: _ids(trace.components.to_segments()),
         "surfaces": lambda trace: _ids(trace.surfaces.to_patches()),
+        "segmentation": lambda trace: _ids(trace.surfaces.to_segments()),
     }
-    for block, trace in trace_blocks(blocks, params):
+    for block, trace in trace_blocks(blocks, params, critical="critical" in steps):
         planes = {**_of_block(block, steps), "classes": trace.labels}
         planes |= {step: images[step](trace) for step in steps if step in images}
         yield Frame(block, planes)
+
+
+def _critical(trace: PrcTrace) -> Plane:
+    """Return the larger critical threshold of every shot: from there on both neighbourhoods support it."""
+    assert trace.critical is not None
+    return np.maximum(trace.critical.in_line_m, trace.critical.adjacent_m)
 
 
 def _ids(segments: NDArray[np.int64]) -> Plane:
@@ -168,6 +182,9 @@ def _of_stages(block: ScanBlock, stages: StageLabels, steps: tuple[str, ...]) ->
             stages.dense_vegetation, Label.VEGETATION, np.where(seen, Label.UNCLASSIFIED, Label.MISSING)
         ).astype(np.uint8),
         "ground": lambda: np.where(seen, stages.ground_height_m, np.float32(np.nan)),
+        "triggers": lambda: trigger_codes(np.array(LABEL_OF_SURFACE, np.uint8)[stages.car_surface], stages.trigger),
+        "dividers": lambda: interval_codes(stages, seen),
+        "tests": lambda: test_codes(stages, seen),
     }
     return {step: images[step]() for step in steps if step in images}
 

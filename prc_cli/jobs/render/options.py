@@ -16,9 +16,9 @@ CONFIDENCE_LIMITS = (50.0, 100.0)
 """Ends of the colour scale of confidence [per cent]; less is drawn as the lower one."""
 SUFFIXES = (".png", ".html")
 
-PRC_STEPS = ("support", "background", "segments", "surfaces")
-SEQUENTIAL_STEPS = ("coarse", "dense", "ground")
-FIGURE_1 = ("range", *PRC_STEPS, "classes")
+PRC_STEPS = ("support", "critical", "background", "components", "segments", "surfaces", "segmentation")
+SEQUENTIAL_STEPS = ("coarse", "dense", "ground", "triggers", "dividers", "tests")
+FIGURE_1 = ("range", *(step for step in PRC_STEPS if step != "critical"), "classes")
 """The paper's Fig. 1 (Lehtola et al. 2019)."""
 
 CAPTIONS: dict[str, tuple[str, str]] = {
@@ -33,6 +33,16 @@ CAPTIONS: dict[str, tuple[str, str]] = {
         "Supported shots whose neighbourhood is not smooth (Lehtola et al. 2019, II-C): where one surface ends or all "
         "is rough.",
     ),
+    "critical": (
+        "critical zeta (black: never)",
+        "Range difference from which on a shot has the support of its neighbours, the larger of the two thresholds "
+        "(Lehtola et al. 2019, V-A), on a logarithmic scale; white: no return.",
+    ),
+    "components": (
+        "components before filling",
+        "Connected components of S without G (Lehtola et al. 2019, Fig. 3(c)), before holes are filled and labels of "
+        "the block before are taken over.",
+    ),
     "segments": (
         "smooth segments H",
         "Connected components of S without G, holes filled (Lehtola et al. 2019, II-D). A colour a segment, kept from "
@@ -42,18 +52,38 @@ CAPTIONS: dict[str, tuple[str, str]] = {
         "non-smooth surfaces V",
         "What is too small in H, grown together (Lehtola et al. 2019, II-E). A colour a surface.",
     ),
+    "segmentation": (
+        "segmentation R",
+        "H and V together (Lehtola et al. 2019, II-E): every supported shot with its final segment. A colour a "
+        "segment; black: noise, or no return.",
+    ),
     "coarse": (
         "coarse classes T, H, V",
         "Vegetation, horizontal and vertical of the first stage (Stamos et al. 2012, sec. 4).",
     ),
     "dense": (
-        "dense vegetation T′ (green)",
+        "dense vegetation T' (green)",
         "Vegetation of the less sensitive test, from which the car stage starts (Stamos et al. 2012, sec. 7.1).",
     ),
     "ground": (
         "height of the ground",
         "Height of the ground that was tracked at every line, relative to the scanner (Stamos et al. 2012, sec. 5); "
         "white: unknown, or no return.",
+    ),
+    "triggers": (
+        "triggers (dark) on T', H, V",
+        "Where the test for suspicious lines fires (Stamos et al. 2012, sec. 7.2 and Fig. 3), over the classes of the "
+        "car stages, which are paler. A line without a mark is not searched for cars.",
+    ),
+    "dividers": (
+        "intervals between dividers",
+        "Intervals that may be cars, in two colours in turn (Stamos et al. 2012, sec. 7.3 and Fig. 4), before anything "
+        "is taken out of them.",
+    ),
+    "tests": (
+        "what became of the intervals",
+        "Which test took a shot of an interval out of it, or the car that is left (Stamos et al. 2012, sec. 7.3 to 8; "
+        "Fig. 4, bottom).",
     ),
     "classes": ("classes", "The class of every shot."),
     "confidence": (
@@ -71,6 +101,8 @@ CAPTIONS: dict[str, tuple[str, str]] = {
 
 LABEL_FILE_STEPS = ("range", "intensity", "classes")
 """Steps of an existing result: label files hold no intermediate images."""
+ON_REQUEST = ("intensity", "confidence", "critical", "dense", "triggers", "dividers", "tests")
+"""Steps that are drawn only where they are named."""
 REFERENCE_STEPS = ("reference", "difference")
 
 
@@ -100,8 +132,11 @@ class RenderOptions:
     """Which codes mean which class on either side; None = the codes of ``[classes]`` on both."""
     colour: ColourBy | None = None
     """Value that colours a cloud; None = class if available, else height."""
-    azimuth_deg: float = 215.0
-    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]."""
+    hide: tuple[str, ...] = ()
+    """Names of classes that are not drawn."""
+    azimuth_deg: float | None = None
+    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]; None = the side from which the
+    points fill the picture best."""
     elevation_deg: float = 30.0
     """Elevation of the viewpoint, seen from the points [deg]."""
     width: int = 2200
@@ -110,6 +145,10 @@ class RenderOptions:
     """Highest page [pixels]."""
     pages: int = 1
     """Most pages; longer scans are thinned."""
+    shots: int = 1_500_000
+    """Most shots that a viewer page holds; of longer scans every n-th line and column is kept."""
+    line_spacing_m: float | None = None
+    """Distance of scan lines in a viewer page, where the input has no coordinates [m]; None = assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +206,7 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     chosen = FIGURE_1 if options.figure1 else options.steps
     if chosen is None:
         whole = options.block is None and options.lines is None and method != "sequential-angle"
-        chosen = (
-            ("range", "classes")
-            if whole
-            else tuple(s for s in possible if s not in ("intensity", "dense", "confidence"))
-        )
+        chosen = ("range", "classes") if whole else tuple(s for s in possible if s not in ON_REQUEST)
         if whole and options.reference is not None:
             chosen = (*chosen, *REFERENCE_STEPS)
     elif options.figure1 and options.reference is not None:

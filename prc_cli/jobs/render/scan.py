@@ -18,7 +18,6 @@ from prc_cli.imaging.pictures import (
     Bar,
     class_picture,
     difference_picture,
-    label_picture,
     mask_picture,
     range_bar,
     range_limits,
@@ -29,7 +28,9 @@ from prc_cli.imaging.pictures import (
     value_picture,
 )
 from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Colour, Key, Panel, zoom_for
+from prc_cli.imaging.stages import critical_bar, critical_limits, critical_picture, trigger_key, trigger_picture
 from prc_cli.jobs.classify import Progress
+from prc_cli.jobs.progress import advance
 from prc_cli.jobs.render.classes import (
     LABEL_TABLE,
     NOT_SCORED,
@@ -50,7 +51,9 @@ from prc_cli.jobs.render.frames import (
     turns,
     upright,
 )
+from prc_cli.jobs.render.heading import heading, made_by, made_with
 from prc_cli.jobs.render.options import CAPTIONS, CONFIDENCE_LIMITS, RenderOptions, choose_steps
+from prc_cli.jobs.render.stages import INTERVALS, TESTS
 
 STRIP_HEIGHT, PANEL_HEIGHT, UPRIGHT_HEIGHT = 380, 800, 1100
 """Highest picture of a strip of a folded drive, of a drive that needs no folding, of an upright scan [pixels]."""
@@ -164,18 +167,19 @@ def draw_scan(
     labelled = given is None and bool(set(steps) - {"range", "intensity", "reference"})
     kept = _Kept(beam_rad=first.beam_rad, turn_rad=turns(first))
     blocks = of_station(stream.blocks(), options.station, stream.info.path)
+    info = stream.info
     for frame in frames(blocks, loaded, steps, classify=labelled):
         frame = _with_classes(frame, words, given, reference)
         _keep(kept, frame, part, layout, steps, words)
-        if progress is not None:
-            progress(frame.block.n_lines)
+        advance(progress, frame.block, info)
         if frame.block.first_line + frame.block.n_lines >= part.stop:
             break
     if part.stop == part.n_lines and kept.tally.n_records:
         for side in (given, reference):
             if side is not None and stream.info.n_records is None and options.station is None:
                 side.check(max(kept.tally.n_records, kept.n_read))
-    return _draw(kept, part, layout, steps, words, given=given is not None)
+    own = words.table if given is not None else LABEL_TABLE.without(options.hide)
+    return _draw(kept, part, layout, steps, words, own)
 
 
 def _check_part(method: str, options: RenderOptions) -> None:
@@ -280,7 +284,7 @@ def _keep(
         return
     inside = {name: plane[low:high] for name, plane in frame.planes.items()}
     size = max(len(words.table.names), len(Label))
-    for side in ("classes", "predicted", "reference", "coarse", "dense"):
+    for side in ("classes", "predicted", "reference", *_STAGE_TABLES):
         if side in inside:
             counts = np.bincount(inside[side].ravel(), minlength=size)
             kept.counts[side] = counts + kept.counts.get(side, 0)
@@ -299,10 +303,9 @@ def _keep(
 
 
 def _draw(
-    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, *, given: bool
+    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, own: ClassTable
 ) -> Drawing:  # fmt: skip
     planes = {name: np.concatenate(parts) for name, parts in kept.planes.items()}
-    own = words.table if given else LABEL_TABLE
     painter = _Painter(planes, steps, words, own)
     if layout.kind != "strips":
         painter.keys = _keys(kept, words, own)
@@ -321,9 +324,13 @@ def _draw(
     )  # fmt: skip
 
 
+_STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
+"""Classes of the pictures of stages."""
+
+
 def _keys(kept: _Kept, words: Vocabulary, own: ClassTable) -> dict[str, Key]:
     """Return the key of every class picture: classes that occur, with shares."""
-    tables = {"classes": own, "reference": words.table, "coarse": LABEL_TABLE, "dense": LABEL_TABLE}
+    tables = {"classes": own, "reference": words.table, **_STAGE_TABLES}
     keys: dict[str, Key] = {}
     for step, counts in kept.counts.items():
         if step in tables:
@@ -331,6 +338,8 @@ def _keys(kept: _Kept, words: Vocabulary, own: ClassTable) -> dict[str, Key]:
             if counts[0]:
                 share = share_text(int(counts[0]), int(counts.sum()))
                 keys[step] += ((f"{_NO_RETURN} ({share} of all shots)", LABEL_COLOURS[Label.MISSING]),)
+    if "triggers" in kept.planes:
+        keys["triggers"] = trigger_key()
     if "predicted" in kept.counts and "reference" in kept.counts:
         counts = kept.counts["predicted"].copy()
         counts[words.unscored] += kept.counts["reference"][words.unscored]
@@ -344,7 +353,8 @@ _NO_RETURN = "no return"
 def _names(table: ClassTable, counts: I64) -> Key:
     """Return the classes that occur, without shares, which differ between pictures."""
     order = [*range(1, len(table.names)), 0]
-    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in order if counts[i]]
+    shown = [i for i in order if counts[i] and i not in table.hidden]
+    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in shown]
     return tuple((name, (int(colour[0]), int(colour[1]), int(colour[2]))) for name, colour in found)
 
 
@@ -356,8 +366,8 @@ def _shared_key(kept: _Kept, steps: tuple[str, ...], words: Vocabulary, own: Cla
         return keys[shown[0]]
     entries: dict[tuple[str, Colour], None] = {}
     for step in shown:
-        table = own if step == "classes" else LABEL_TABLE if step in ("coarse", "dense") else words.table
-        if step == "difference":
+        table = own if step == "classes" else _STAGE_TABLES.get(step, words.table)
+        if step in ("difference", "triggers"):
             entries |= dict.fromkeys(keys[step])
         else:
             entries |= dict.fromkeys(_names(table, kept.counts[step][: len(table.names)]))
@@ -383,6 +393,8 @@ class _Painter:
         for step in self.steps:
             if step == "range":
                 self.limits[step] = range_limits(self.planes[step])
+            elif step == "critical":
+                self.limits[step] = critical_limits(self.planes[step])
             elif step in ("intensity", "ground"):
                 self.limits[step] = value_limits(self.planes[step])
             elif step == "confidence":
@@ -398,10 +410,14 @@ class _Painter:
             return value_picture(plane, self.limits[step]), value_bar(self.limits[step], unit)
         if step in ("support", "background"):
             return mask_picture(plane), None
-        if step in ("segments", "surfaces"):
+        if step in ("components", "segments", "surfaces", "segmentation"):
             return segment_picture(plane), None
-        if step in ("coarse", "dense"):
-            return label_picture(plane), None
+        if step == "critical":
+            return critical_picture(plane, self.limits[step]), critical_bar(self.limits[step])
+        if step == "triggers":
+            return trigger_picture(plane), None
+        if step in _STAGE_TABLES:
+            return class_picture(plane, _STAGE_TABLES[step].colours), None
         if step == "classes":
             return class_picture(plane, self.own.colours), None
         reference = self.planes["reference"][lines]
@@ -486,14 +502,14 @@ def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
 
 
 def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, name: str) -> str:
-    """Return the headline of a picture."""
+    """Return the headline of a picture: file, what labelled it, lines, day."""
     part, config = drawing.part, loaded.config
     words = [name]
     if options.labels is not None:
-        words.append(f"labels of {options.labels.name}")
+        labelled = made_by(options.labels)
+        words.append(f"labels of {options.labels.name}" + (f", {labelled}" if labelled else ""))
     elif set(drawing.steps) - {"range", "intensity", "reference"}:
-        kind = f"prc, {config.prc.environment}" if config.method == "prc" else config.method
-        words.append(kind)
+        words.append(made_with(loaded))
     if part.is_whole:
         words.append(f"all {part.n_lines:,} lines")
     else:
@@ -509,4 +525,6 @@ def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, nam
         words.append(f"{' and '.join(thinned)} drawn")
     if options.station is not None:
         words.append(f"scanner {options.station}")
-    return " · ".join(words)
+    if options.hide:
+        words.append(f"without {', '.join(options.hide)}")
+    return heading(*words)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, refuse_window
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_outputs, file_state, suffix_of, temporary_name
@@ -46,6 +46,7 @@ from prc_cli.jobs.convert import (
     prepare_output,
     record_of_scanners,
 )
+from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.rules import ThinRule, parse_rules
 from prc_cli.jobs.thin.selection import choose, without
 from prc_cli.streams.beams import with_beams
@@ -158,6 +159,7 @@ def thin(
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    refuse_window(loaded.config, "prc thin")
     source, output = Path(source), Path(output)
     rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
     if labels == CLASSIFY:
@@ -210,8 +212,7 @@ class _Run:
                         [block.records()[~kept & ~np.isnan(block.range_m)], block.extra.record[~kept_extra]]
                     )
                     stays.put(gone[gone >= 0], np.zeros(int((gone >= 0).sum()), np.uint8))
-                    if progress is not None:
-                        progress(block.n_lines)
+                    advance(progress, block, opened.info)
                 self._check_labels(opened.info)
                 if len(set(self.facts.scanners.values())) > 1:
                     hints = (
@@ -235,8 +236,7 @@ class _Run:
                 for item, codes, extra_codes in items:
                     kept, kept_extra = self._choose(item, codes, extra_codes)
                     writer.add_item(without(replace(item, codes=codes, extra_codes=extra_codes), kept, kept_extra))
-                    if progress is not None:
-                        progress(item.block.n_lines)
+                    advance(progress, item.block, opened.info)
                 self._check_labels(opened.info)
                 opened = replace(opened, shape=shape)
                 found = find_losses(self.output, opened, self.facts, writer.losses)

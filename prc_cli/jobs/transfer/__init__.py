@@ -26,6 +26,7 @@ from prc_cli.formats.writing.record import (
     fingerprint,
     record_path,
 )
+from prc_cli.jobs.progress import tell_share
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.jobs.transfer.sides import CONFIDENCE, check_paths, open_sides
 from prc_cli.jobs.transfer.verdict import TransferCounts, counts_of, notices_of, refuse_poor_match
@@ -102,8 +103,9 @@ def transfer(
     Raises
     ------
     InputError
-        When a side is damaged or lacks the key, labels and points differ in number, less than ``options.min_match`` of
-        the smaller side is matched, or more than the rest of the matches are ambiguous (several different labels).
+        When a side is damaged or lacks the key, labels and points differ in number, less than
+        ``options.min_matched`` of the smaller side is matched, or more than the rest of the matches are ambiguous
+        (several different labels).
     OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
@@ -118,8 +120,7 @@ def transfer(
     before = [_state(path) for path in inputs]
     sides = open_sides(labels, registered, points, layout, options)
     tally = JoinTally()
-    n_unsure = 0
-    n_changed, moved = 0, np.zeros(256, np.bool_)
+    n_changed, n_done, n_unsure, moved = 0, 0, 0, np.zeros(256, np.bool_)
     names = (KEY, SAME, CODE)
     with LasRecoder(output, registered, options.carry) as writer:
         target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
@@ -139,6 +140,9 @@ def transfer(
             writer.put(record, codes)
             if options.carry:
                 writer.put_values(record[at], {name: item.right[name][to] for name in options.carry})
+            n_done += len(record)
+            if n_points := sides.points.n_records:
+                tell_share(progress, min(n_done / n_points, 1.0))
             if progress is not None:
                 progress(len(record))
         counts = counts_of(tally, n_changed, sides)

@@ -42,10 +42,10 @@ class Model:
         return float(np.interp(u, places, heights))
 
 
-def draw_model(rng: np.random.Generator) -> Model:
-    """Draw a car, now and then a van."""
+def draw_model(rng: np.random.Generator, vans: float = 0.12) -> Model:
+    """Draw a car, or a van with a probability."""
     u = rng.random(6).tolist()
-    if u[0] < 0.12:
+    if u[0] < vans:
         return _van(u)
     half, tyre = 1.9 + 0.45 * u[1], 0.31 + 0.02 * u[2]
     roof, hatch = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0), u[4] < 0.6

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
@@ -94,7 +95,12 @@ def wires(pile: Pile, start: Frame, end: Frame) -> None:
 
 
 def boundary(
-    pile: Pile, place: Callable[[float], Frame], span: Span, gaps: list[Span], rng: np.random.Generator
+    pile: Pile,
+    place: Callable[[float], Frame],
+    span: Span,
+    gaps: list[Span],
+    rng: np.random.Generator,
+    wanted: Literal["any", "hedge", "fence"] = "any",
 ) -> None:
     """Add what ends a garden at the sidewalk: a hedge, wall or fence, or nothing.
 
@@ -110,8 +116,12 @@ def boundary(
         Driveways and gates [m].
     rng : Generator
         Decides what it is.
+    wanted : {"any", "hedge", "fence"}
+        What it must be; a fence is close or a wall.
     """
     kind, high = rng.random(), rng.random()
+    if wanted != "any":
+        kind = 0.0 if wanted == "hedge" else 0.45 if kind < 0.5 else 0.80
     low, end = span
     stops = []
     for gap in sorted(gaps):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -21,8 +22,9 @@ from prc_cli.simulation.street.plan import (
     Side,
     character_of,
     generator,
+    kerbside_of,
 )
-from prc_cli.simulation.street.road import Ground, frame_at
+from prc_cli.simulation.street.road import WALK_SLOPE, Ground, Kerbside, frame_at
 
 _STRIP_M = ROAD_HALF_M + 0.75
 """Crown to the row of trees, lamps and signs [m]."""
@@ -40,6 +42,9 @@ class Kerb:
     side: Side
     pile: Pile
     params: StreetSceneParams
+    kerbside: Kerbside
+    variety: np.random.Generator
+    """Draws what a street has only where it is asked for."""
     taken: list[Span] = field(default_factory=list)
 
     def frame(self, s: float, d: float) -> Frame:
@@ -62,10 +67,23 @@ class Kerb:
         return True
 
 
+def kerbsides(plan: Plan, params: StreetSceneParams, seed: int) -> tuple[Kerbside, Kerbside]:
+    """Return what the sides of a piece, left and right, have between road and sidewalk."""
+    found = []
+    for side in plan.sides:
+        low, raised = kerbside_of(seed, plan.piece, side.side)
+        lowered = low < params.lowered_kerbs
+        verge = not lowered and raised < params.verges
+        found.append(Kerbside(lowered, 0.05 + 0.04 * raised / params.verges if verge else 0.0))
+    return found[0], found[1]
+
+
 def build_kerbs(pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, seed: int) -> None:
     """Add everything of a piece but its ground and its houses."""
-    for side in plan.sides:
-        kerb = Kerb(ground, plan, side, pile, params)
+    for side, kerbside in zip(plan.sides, kerbsides(plan, params, seed), strict=True):
+        kerb = Kerb(ground, plan, side, pile, params, kerbside, generator(seed, Purpose.VARIETY, plan.piece, side.side))
+        if kerbside.lowered:
+            kerb.taken.append((plan.start, plan.start + PIECE_M))
         _parked(kerb, generator(seed, Purpose.PARKED, plan.piece, side.side))
         _furniture(kerb, generator(seed, Purpose.FURNITURE, plan.piece, side.side))
         _trees(kerb, generator(seed, Purpose.TREES, plan.piece, side.side))
@@ -86,7 +104,7 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
     after_lorry = False
     for i in range(count):
         low = start + 6.0 * i
-        model, chance, turn = cars.draw_model(rng), rng.random(4), rng.random()
+        model, chance, turn = cars.draw_model(rng, kerb.params.vans), rng.random(4), rng.random()
         long = bool(chance[0] < 0.03 and i + 1 < count)
         high = low + (12.0 if long else 6.0)
         blocked = any(high > span[0] and low < span[1] for span in closed)
@@ -96,11 +114,16 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
         after_lorry = long
         # from the curb to the wheels; lorries are wide and stand close to it
         gap, wide = (0.1 + 0.05 * chance[2], 1.2) if long else (0.2 + 0.2 * chance[2], model.wide)
-        d = side.side * (ROAD_HALF_M - float(gap) - wide)
+        d = side.side * (ROAD_HALF_M + (float(gap) + wide) * (1.0 if kerb.kerbside.lowered else -1.0))
         room = 0.5 if long else 2.75 - model.half
         frame = frame_at(
             kerb.ground, 0.5 * (low + high) + room * (2.0 * float(chance[3]) - 1.0), d, tilted=True
         )  # fmt: skip
+        if kerb.kerbside.lowered:
+            # inner and outer wheels
+            near, far = (kerb.ground.ramp(abs(d) + side_m) for side_m in (0.12 - wide, wide - 0.12))
+            rise = WALK_SLOPE + (near - far) / (2.0 * (wide - 0.12))
+            frame = replace(frame, z=frame.z - 0.5 * (near + far), roll=side.side * rise)
         # cars drive on the right; now and then one is parked against it
         backwards = (side.side > 0) != (turn < 0.08)
         if backwards:
@@ -165,7 +188,9 @@ def _trees(kerb: Kerb, rng: np.random.Generator) -> None:
             continue
         near = [lot.setback for lot in kerb.side.lots if lot.span[0] - 2 < s < lot.span[1] + 2 and lot.kind != "yard"]
         room = BUILDING_LINE_M + min(near, default=4.0) - _STRIP_M - 0.25
-        trees.tree(kerb.pile, kerb.frame(s, _STRIP_M), trees.BIRCH if birch else kind, rng, room)
+        wide = kerb.params.canopies > 0 and kerb.variety.random() < kerb.params.canopies
+        own = trees.CANOPY if wide else trees.BIRCH if birch else kind
+        trees.tree(kerb.pile, kerb.frame(s, _STRIP_M), own, rng, max(room, 3.5) if wide else room)
 
 
 def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
@@ -177,8 +202,13 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
     gaps = [lot.driveway] if lot.driveway is not None else []
     if lot.kind != "yard":
         gaps.append((middle - 2.0, middle - 0.8))
-    furniture.boundary(kerb.pile, lambda s: kerb.frame(s, BUILDING_LINE_M), (low + 0.05, high - 0.05), gaps, rng)
     depth = 14.0 if yard else lot.setback
+    if kerb.params.side_on > 0 and depth > 3.4 and kerb.variety.random() < kerb.params.side_on:
+        _forecourt(kerb, lot, depth)
+        return
+    furniture.boundary(
+        kerb.pile, lambda s: kerb.frame(s, BUILDING_LINE_M), (low + 0.05, high - 0.05), gaps, rng, _boundary(kerb)
+    )
     for share in (0.22, 0.55):
         wanted, away = rng.random() < kerb.params.trees, rng.uniform(0.4, 0.6)
         room = min(away * depth - 0.7, (1.0 - away) * depth - 0.4, 4.0)
@@ -202,6 +232,28 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
         yaw = frame.yaw + kerb.side.side * 0.5 * np.pi
         turned = replace(frame, yaw=yaw, slope=fall, roll=-kerb.side.side * frame.slope)
         cars.car(kerb.pile, turned, model)
+
+
+def _boundary(kerb: Kerb) -> Literal["any", "hedge", "fence"]:
+    """Choose what a garden ends with, where the street asks for it."""
+    if kerb.params.fences == 0 and kerb.params.hedges == 0:
+        return "any"
+    fence, hedge = kerb.variety.random(2).tolist()
+    return "fence" if fence < kerb.params.fences else "hedge" if hedge < kerb.params.hedges else "any"
+
+
+def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
+    """Park cars in front of a house or on a yard, open to the street and along it."""
+    low, high = lot.span
+    away = BUILDING_LINE_M + 1.3 + float(kerb.variety.random()) * (min(depth, 9.0) - 2.6)
+    for i in range(int((high - low) / 6.0)):
+        model, u = cars.draw_model(kerb.variety, kerb.params.vans), kerb.variety.random(2).tolist()
+        if u[0] > 0.8:
+            continue
+        s = low + 6.0 * i + 3.0 + 0.3 * u[1]
+        frame = frame_at(kerb.ground, s, kerb.side.side * away, tilted=True)
+        roll = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
+        cars.car(kerb.pile, replace(frame, roll=kerb.side.side * roll), model)
 
 
 def _wires(pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, seed: int) -> None:

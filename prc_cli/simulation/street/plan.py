@@ -40,6 +40,8 @@ class Purpose(IntEnum):
     GARDENS = 8
     MOVERS = 9
     WIRES = 10
+    KERBSIDE = 11
+    VARIETY = 12
 
 
 def generator(seed: int, purpose: Purpose, number: int = 0, side: int = 1) -> np.random.Generator:
@@ -228,3 +230,9 @@ def _kind(rng: np.random.Generator, character: Character, width: float) -> tuple
     if chance < 0.35:
         return "terrace", 0.0
     return ("yard" if chance < 0.5 or width < 8 else "house" if chance < 0.8 else "block"), 2.0 + 2.0 * depth
+
+
+def kerbside_of(seed: int, piece: int, side: int) -> Span:
+    """Return two numbers from 0 to 1 of a side of a block: they decide on its kerb and its verge."""
+    low, raised = generator(seed, Purpose.KERBSIDE, piece // PIECES_IN_BLOCK, side).random(2).tolist()
+    return low, raised

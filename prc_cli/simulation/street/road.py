@@ -8,6 +8,7 @@ on a line between stations leave no cracks.
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,12 +33,26 @@ FAR_M = 62.0
 _FRONT_M = 14.8
 """Front gardens end here [m]."""
 _CROSS_FALL = 0.0225
-_WALK_SLOPE = 0.02
+WALK_SLOPE = 0.02
 _RAMP_M = 1.4
 """Width of the strip beside the curb: verge, or the ramp of a dropped curb [m]."""
 _BATTER_M = 0.02
 """The top of a curb stands back from its foot by this much [m]."""
 _LOW_CURB_M = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Kerbside:
+    """What a side of a piece has between road and sidewalk."""
+
+    lowered: bool = False
+    """The curb is low everywhere."""
+    verge_m: float = 0.0
+    """Height of a raised verge above the curb [m]; 0 = none."""
+
+
+PLAIN = Kerbside()
+"""A curb, and no raised verge."""
 
 
 class Ground:
@@ -66,7 +81,7 @@ class Ground:
         away = np.abs(d_m)
         slope = np.where(d_m > 0, self.line.side_slope(s_m, 1), self.line.side_slope(s_m, -1))
         fall = -_CROSS_FALL * np.minimum(away, ROAD_HALF_M)
-        walk = _WALK_SLOPE * np.clip(away - ROAD_HALF_M, 0.0, BUILDING_LINE_M - ROAD_HALF_M)
+        walk = WALK_SLOPE * np.clip(away - ROAD_HALF_M, 0.0, BUILDING_LINE_M - ROAD_HALF_M)
         result: F64 = self.line.height(s_m) + fall + walk + slope * np.maximum(away - BUILDING_LINE_M, 0.0)
         return result
 
@@ -74,6 +89,10 @@ class Ground:
         """Height of the ground at a place that is neither in a side street nor at a dropped curb [m]."""
         raised = self.curb_m if abs(d_m) > ROAD_HALF_M else 0.0
         return float(self.road(np.array([s_m]), np.array([d_m]))[0]) + raised
+
+    def ramp(self, away_m: float) -> float:
+        """How much lower than usual the ground behind a lowered curb is at a distance from the crown [m]."""
+        return (self.curb_m - _LOW_CURB_M) * max(1.0 - (away_m - ROAD_HALF_M) / _RAMP_M, 0.0)
 
     def spot(self, s: float, d: float, *, tilted: bool) -> tuple[float, float, float, float, float, float]:
         """Place and height [m], heading [rad], slopes along and to the left, 0 where not asked for."""
@@ -87,16 +106,19 @@ class Ground:
         roll = -float(np.sign(d)) * _CROSS_FALL if abs(d) < ROAD_HALF_M else 0.0
         return x, y, z[0] + up, float(heading[0]), 0.5 * (z[2] - z[1]), roll
 
-    def lay(self, pile: Pile, plan: Plan) -> None:
-        """Add the ground of a piece."""
+    def lay(self, pile: Pile, plan: Plan, kerbsides: tuple[Kerbside, Kerbside] = (PLAIN, PLAIN)) -> None:
+        """Add the ground of a piece; its sides have the kerbs and verges of ``kerbsides``."""
         mesh = _Mesh(self, plan.start, pile)
         base = mesh.s.tolist()
-        for side in plan.sides:
+        for side, kerbside in zip(plan.sides, kerbsides, strict=True):
             for s0, s1 in itertools.pairwise(base):
                 mesh.strip((s0, s1), (0.0, side.side * ROAD_HALF_M), 0.0, Material.ASPHALT)
             verge = plan.character in ("suburb", "boulevard")
             for low, high in _stretches(side, base):
-                mesh.kerbside(_stops(side, base, (low, high), self.curb_m), side, verge=verge)
+                curb_m = _LOW_CURB_M if kerbside.lowered else self.curb_m
+                mesh.kerbside(_stops(side, base, (low, high), curb_m), side, verge=verge)
+                if kerbside.verge_m > 0:
+                    mesh.raised_verge(_verges(side, base, (low, high)), side, kerbside.verge_m)
             self._land(mesh, side, base, plan)
             if side.junction is not None:
                 _side_street(mesh, side.junction, side.side, self.curb_m)
@@ -151,7 +173,7 @@ class _Mesh:
             (1 - f) * one + f * two for one, two in zip(self._rows[i], self._rows[i + 1], strict=True)
         )
         away = abs(d)
-        fall = _WALK_SLOPE * min(max(away - ROAD_HALF_M, 0.0), BUILDING_LINE_M - ROAD_HALF_M)
+        fall = WALK_SLOPE * min(max(away - ROAD_HALF_M, 0.0), BUILDING_LINE_M - ROAD_HALF_M)
         fall -= _CROSS_FALL * min(away, ROAD_HALF_M)
         beyond = max(away - BUILDING_LINE_M, 0.0) * slopes[0 if d > 0 else 1]
         return x + d * left, y + d * ahead, z + fall + beyond + up
@@ -189,6 +211,35 @@ class _Mesh:
                 if i == 0 and max(one[1], two[1]) <= ROAD_HALF_M:
                     continue
                 self.pile.quad((a[i], b[i], b[i + 1], a[i + 1]), material)
+
+    def raised_verge(self, stretches: list[Span], side: Side, height_m: float) -> None:
+        """Add a verge over the strip at the curb, between edging stones on all sides."""
+        top = self.ground.curb_m + height_m
+        d0, d1 = (side.side * d for d in (ROAD_HALF_M + 2 * _BATTER_M, ROAD_HALF_M + _RAMP_M))
+        for low, high in stretches:
+            places = [low, *(s for s in self.s.tolist() if low < s < high), high]
+            for s0, s1 in itertools.pairwise(places):
+                self.strip((s0, s1), (d0, d1), top, Material.GRASS)
+            corners = [(s, d0) for s in places] + [(s, d1) for s in reversed(places)]
+            for (s0, from_d), (s1, to_d) in zip(corners, corners[1:] + corners[:1], strict=True):
+                a, b = self.point(s0, from_d, self.ground.curb_m), self.point(s1, to_d, self.ground.curb_m)
+                c, d = self.point(s1, to_d, top), self.point(s0, from_d, top)
+                self.pile.quad((a, b, c, d), Material.CURB)
+
+
+def _verges(side: Side, base: list[float], stretch: Span) -> list[Span]:
+    """Return what is left of a stretch for a raised verge between low curbs and the bends of side streets."""
+    low, high = stretch
+    if side.junction is not None:
+        low, high = (low, side.junction.bend[0]) if high < side.junction.s else (side.junction.bend[1], high)
+    low, high = max(low, base[0]), min(high, base[-1])
+    found = []
+    for d0, d1 in [*side.dropped, (high + DROP_M, high)]:
+        end = min(d0 - DROP_M, high)
+        if end - low > 1.0:
+            found.append((low, end))
+        low = max(low, d1 + DROP_M)
+    return found
 
 
 def _edges(junction: Junction) -> Span:

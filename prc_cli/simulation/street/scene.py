@@ -13,7 +13,7 @@ from prc_cli.simulation.street.centreline import LANE_M, Centreline
 from prc_cli.simulation.street.houses import build_houses
 from prc_cli.simulation.street.movers import Movers
 from prc_cli.simulation.street.params import StreetSceneParams
-from prc_cli.simulation.street.pieces import build_kerbs
+from prc_cli.simulation.street.pieces import build_kerbs, kerbsides
 from prc_cli.simulation.street.pile import Pile, outlines
 from prc_cli.simulation.street.plan import PIECE_M, Purpose, generator, plan_of
 from prc_cli.simulation.street.road import Ground
@@ -114,7 +114,7 @@ class StreetScene:
     def _make(self, number: int) -> Bodies:
         pile = Pile((number + _FIRST / _NUMBERS) * _NUMBERS)
         plan = plan_of(self.seed, number, self.params.character, self.params.setback_m)
-        self.ground.lay(pile, plan)
+        self.ground.lay(pile, plan, kerbsides(plan, self.params, self.seed))
         build_houses(pile, self.ground, plan, self.seed)
         build_kerbs(pile, self.ground, plan, self.params, self.seed)
         return pile.bodies()

@@ -200,6 +200,7 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
     stands = not near >= MOVED_NOISE * figures.roughness
     if stands:
         doubtful = ratio < MOVED_SAME and seen.n_lines >= STANDING_LINES
+        expected = f"{expected} in {STANDING_LINES} lines or more"
         hint = "the platform stands: cut such stretches out, or accept them"
         return Finding("standing", Verdict.DOUBTFUL if doubtful else Verdict.FINE, found, expected, hint)
     hint = "put the lines into the order in which they were scanned"

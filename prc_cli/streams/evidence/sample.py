@@ -63,6 +63,8 @@ class LineSample:
         self._points_per_line = points_per_line
         self._n_lines = lines_of_window(points_per_line)
         self._stride = 1
+        self._first: int | None = None
+        """Number of the first line of the stream."""
         self._kept: dict[int, F32] = {}
         self._open: dict[int, int] = {}
         self.n_full = 0
@@ -70,12 +72,15 @@ class LineSample:
 
     def add(self, block: ScanBlock) -> None:
         """Take what is needed of the next lines of the scanner."""
-        line, stop = block.first_line, block.first_line + block.n_lines
+        if self._first is None:
+            self._first = block.first_line
+        line = first = block.first_line - self._first
+        stop = line + block.n_lines
         while line < stop:
             index = line // self._n_lines
             end = min((index + 1) * self._n_lines, stop)
             if index % self._stride == 0:
-                self._take(index, line, block.range_m[line - block.first_line : end - block.first_line])
+                self._take(index, line, block.range_m[line - first : end - first])
                 line = end
             else:
                 line = min(-(-index // self._stride) * self._stride * self._n_lines, stop)
@@ -101,5 +106,6 @@ class LineSample:
     def windows(self) -> tuple[Window, ...]:
         """Return the windows in the order of the stream; the last may be shorter."""
         return tuple(
-            Window(index * self._n_lines, self._kept[index][: self._open[index]]) for index in sorted(self._kept)
+            Window((self._first or 0) + index * self._n_lines, self._kept[index][: self._open[index]])
+            for index in sorted(self._kept)
         )

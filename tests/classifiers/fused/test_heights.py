@@ -68,10 +68,9 @@ def test_a_leaning_plane_has_true_heights() -> None:
 def test_prc_has_none(tmp_path: Path) -> None:
     np.savez(tmp_path / "s.npz", range_m=street_lines(140)[0], angle_deg=np.rad2deg(BEAM))
     config = load_config(preset="urban", options={"output": {"stages": True}})
-    notices = classify(tmp_path / "s.npz", tmp_path / "o.csv", config).record.notices
-    assert [one for one in notices if "stages" in one] == [
-        "output.stages needs the fused or sequential-angle method; nothing was added"
-    ]
+    classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
+    heading = (tmp_path / "o.csv").read_text().splitlines()[0]
+    assert heading == "record,class,name,critical_zeta_p,critical_zeta_s"
 
 
 @pytest.mark.parametrize("suffix", [".laz", ".csv"])

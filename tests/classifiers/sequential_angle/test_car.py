@@ -25,7 +25,7 @@ def find(found: Seen, params: CarParams | None = None) -> Mask:
     signed = signed_angles(found.lines)
     return cars(
         found.lines, found.surface, found.surface, signed, found.z_g, params or CarParams(), range_noise_m=NOISE_M
-    )
+    ).car
 
 
 def test_recall_and_precision_on_lines_of_a_street() -> None:
@@ -73,7 +73,7 @@ def test_high_verticals_are_sought_in_the_layer_of_vegetation_and_surfaces() -> 
     layer[0, found.where("sign")] = DENSE
     signed, behind = signed_angles(found.lines), found.where("car")
     for surface, hidden in ((found.surface, True), (layer, False)):
-        marked = cars(found.lines, surface, layer, signed, found.z_g, CarParams(), range_noise_m=NOISE_M)
+        marked = cars(found.lines, surface, layer, signed, found.z_g, CarParams(), range_noise_m=NOISE_M).car
         assert marked[0, behind].any() != hidden
 
 

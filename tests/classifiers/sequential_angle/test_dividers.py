@@ -34,7 +34,7 @@ def find(found: Seen, params: DividersParams = PARAMS, *, trigger: int = 0, nois
     triggers = np.full(len(found.surface), trigger, np.int32)
     literal = max(params.change_chord_m, params.change_chord_sigmas * noise_m) == 0
     signed = signed_angles(found.lines) if literal else np.full_like(found.lines.range_m, np.nan)
-    return dividers(found.lines, found.surface, signed, triggers, found.z_g, params, range_noise_m=noise_m)
+    return dividers(found.lines, found.surface, signed, triggers, found.z_g, params, range_noise_m=noise_m).pieces
 
 
 def look(pieces: list[Piece], seed: int = 1, **how: Any) -> Seen:
@@ -117,7 +117,7 @@ def test_line_without_trigger_or_ground_gives_nothing() -> None:
     found = see([[*road(), *car(6)]] * 3, np.random.default_rng(1))
     signed = signed_angles(found.lines)
     trigger, z_g = np.array([-1, 5, 5], np.int32), np.array([-1.8, np.nan, -1.8], np.float32)
-    rows = dividers(found.lines, found.surface, signed, trigger, z_g, PARAMS, range_noise_m=NOISE_M)[:, 0]
+    rows = dividers(found.lines, found.surface, signed, trigger, z_g, PARAMS, range_noise_m=NOISE_M).pieces[:, 0]
     assert set(rows.tolist()) == {2}
 
 
@@ -244,7 +244,9 @@ def test_angle_of_the_point_itself_where_no_chord_can_be_laid() -> None:
     def n_found(angle: float) -> int:
         signed[0, -1] = angle
         trigger = np.zeros(1, np.int32)
-        return len(dividers(found.lines, found.surface, signed, trigger, found.z_g, PARAMS, range_noise_m=NOISE_M))
+        return len(
+            dividers(found.lines, found.surface, signed, trigger, found.z_g, PARAMS, range_noise_m=NOISE_M).pieces
+        )
 
     assert [n_found(angle) for angle in (-5.1, -5, 0, 20, 20.1, np.nan)] == [1, 0, 0, 0, 1, 0]
 
@@ -261,7 +263,7 @@ def test_hostile_row_takes_no_more_than_a_moment() -> None:
     z_g = np.full(4, -1.8, np.float32)
     signed = np.full((4, n), 50, np.float32)
     params = DividersParams(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
-    intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params, range_noise_m=NOISE_M)
+    intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params, range_noise_m=NOISE_M).pieces
     assert intervals[:, 0].max() <= 3
     limits = params.thresholds(NOISE_M)._replace(vertical_extent_m=1.0, vertical_break_m=0.0)
     left = kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, limits)

@@ -28,7 +28,7 @@ from prc_cli.classifiers.sequential_angle.pipeline import (
 )
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import cut
-from prc_cli.core.classes import Label, Surface
+from prc_cli.core.classes import CarTest, Label, Surface, TriggerSide
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
@@ -64,10 +64,10 @@ def run(blocks: Iterator[ScanBlock], params: SequentialAngleParams, n_lines: int
         scanner = method.scanner(block)
         turn = turn or OneByOne(method.initial_state(scanner))
         n_in += block.n_lines
-        found = classify_block(block.range_m, block.xyz_m, scanner, turn, params, last=n_in == n_lines)
+        found = classify_block(block.range_m, block.xyz_m, scanner, turn, params, last=n_in == n_lines, stages=True)
         n_out += len(found.labels)
-        stages = stages_in_columns(found.rows, scanner)
-        parts.append([found.labels, stages.surface, stages.dense_vegetation, stages.ground_height_m])
+        stages = stages_in_columns(found.rows, found.labels, scanner)
+        parts.append([found.labels, *(getattr(stages, one.name) for one in fields(stages))])
         most = max(most, n_in - n_out)
     assert n_out == n_in == n_lines
     return [np.concatenate(each) for each in zip(*parts, strict=True)], most
@@ -178,7 +178,7 @@ def test_without_ground_lines_wait_so_long_and_no_longer() -> None:
     ranges, beam = wall(300)
     params = PARAMS.model_copy(update={"start_lines": 70, "curb": CurbParams(max_lines=20)})
     block = ScanBlock(0, ranges, beam_rad=beam)
-    (labels, _, _, height), most = run(cuts(block, lines=7), params, 300)
+    (labels, _, _, height, *_), most = run(cuts(block, lines=7), params, 300)
     assert most <= 70
     assert np.isnan(height).all()
     assert (labels == Label.VERTICAL).all()
@@ -204,12 +204,12 @@ def test_lines_without_returns_and_with_one() -> None:
     ranges[11] = np.nan
     ranges[11, 30] = 7.0
     gone = replace(block, range_m=ranges, xyz_m=None)
-    (labels, surface, dense, _), _ = run(cuts(gone, lines=13), PARAMS, block.n_lines)
+    (labels, surface, dense, *_), _ = run(cuts(gone, lines=13), PARAMS, block.n_lines)
     assert (labels[10] == Label.MISSING).all()
     assert (labels[11, :30] == Label.MISSING).all()
     assert labels[11, 30] == Label.UNCLASSIFIED
     assert surface[11, 30] == Surface.UNDECIDED
-    assert not dense[10:12].any()
+    assert not (dense[10:12] == Surface.VEGETATION).any()
 
 
 def test_a_stream_without_a_single_return() -> None:
@@ -241,6 +241,9 @@ def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
         car=np.array([[False, True, True, True, False]]),
         horizontal_m=np.array([[2.0, 3.0, 5.0, 6.0, np.nan]], np.float32),
         ground_height_m=np.array([-1.8], np.float32),
+        trigger=np.empty((1, 0), np.uint8),
+        car_interval=np.empty((1, 0), np.uint16),
+        car_test=np.empty((1, 0), np.uint8),
     )
     none = np.zeros((1, 5), np.bool_)
     expected = [Label.GROUND, Label.CAR, Label.CAR, Label.CAR, Label.MISSING]
@@ -354,6 +357,30 @@ def test_threads_change_nothing(threads: int) -> None:
         np.testing.assert_array_equal(np.concatenate([item.labels for item in parts]), whole[0])
         surfaces = [item.stages.surface for item in parts if item.stages is not None]
         np.testing.assert_array_equal(np.concatenate(surfaces), whole[1])
+
+
+def test_the_search_for_cars_can_be_followed() -> None:
+    """Every car lies in an interval of a line with a trigger, and every other shot of an interval has a reason."""
+    block, _ = scan(azimuth_step=1.0)
+    (found,) = run_blocks(iter([replace(block, is_last=True)]), SequentialAngle(PARAMS), wanted=Wanted(stages=True))
+    stages, labels = found.stages, found.labels
+    assert stages is not None
+    car = labels == Label.CAR
+    assert car.any()
+    np.testing.assert_array_equal(stages.car_test == CarTest.CAR, car)
+    inside = stages.car_interval > 0
+    np.testing.assert_array_equal(stages.car_test > 0, inside & (labels != Label.MISSING))
+    assert (stages.trigger[inside] > 0).all()
+    assert set(np.unique(stages.car_test).tolist()) >= {CarTest.OUTSIDE, CarTest.VERTICAL, CarTest.CAR}
+    assert (np.count_nonzero(stages.trigger == TriggerSide.AT, axis=1) <= 1).all()
+    # dividers are returns: the first and last shot of every interval
+    for line in np.flatnonzero(inside.any(axis=1)):
+        for number in range(1, int(stages.car_interval[line].max()) + 1):
+            places = np.flatnonzero(stages.car_interval[line] == number)
+            assert (np.diff(places) == 1).all()
+            assert (labels[line, places[[0, -1]]] != Label.MISSING).all()
+    (plain,) = run_blocks(iter([replace(block, is_last=True)]), SequentialAngle(PARAMS))
+    np.testing.assert_array_equal(plain.labels, labels)
 
 
 @pytest.mark.parametrize("step", ["within_lines", "follow_ground", "find_cars", "decide_curbs", "in_columns"])

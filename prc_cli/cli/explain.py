@@ -1,0 +1,73 @@
+"""``prc explain``: why a shot has its class."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.report import compiling_note, line_progress, results
+from prc_cli.cli.sections import Sectioned
+from prc_cli.core.errors import ConfigError
+from prc_cli.jobs.explain import Explanation
+from prc_cli.jobs.explain import explain as explain_shot
+
+
+@click.command(cls=Sectioned)
+@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.option("--at", "place", required=True, metavar="LINE,COLUMN", help="The shot, both counted from 0.")
+@click.option("--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]")
+@stream_options
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+def explain(source: Path, place: str, station: int | None, as_json: bool, quiet: bool, **options: Any) -> None:
+    """Say why a shot of IN has its class: what every stage found, and the parameters that decided.
+
+    IN is classified from its start to the block of the shot, as prc classify does, so that the class is the one that
+    prc classify writes.
+
+    \b
+    Examples:
+      prc explain drive.laz --at 1200,537
+      prc explain drive.laz --at 1200,537 --preset urban --json
+    """
+    line, column = _place(place)
+    loaded = config_from(options)
+    with line_progress(source.name, quiet=quiet) as progress:
+        found = explain_shot(
+            source, line, column, loaded, scanner=station, progress=progress,
+            loading=lambda: compiling_note(quiet=quiet),
+        )  # fmt: skip
+    if as_json:
+        click.echo(json.dumps(found.as_dict(), indent=2))
+    elif not quiet:
+        _print(found)
+
+
+def _place(text: str) -> tuple[int, int]:
+    line, _, column = text.partition(",")
+    if not (line.strip().isdecimal() and column.strip().isdecimal()):
+        raise ConfigError("--at", f"found {text!r}, expected LINE,COLUMN, both from 0, such as 1200,537")
+    return int(line), int(column)
+
+
+def _print(found: Explanation) -> None:
+    table = Table(title=f"{found.path}: line {found.line:,}, column {found.column:,}: {found.label.name.lower()}")
+    for heading in ("stage", "found", "so", "decided by"):
+        table.add_column(heading)
+    for answer in found.answers:
+        limits = "\n".join(f"{key} = {value}" for key, value in answer.limits)
+        table.add_row(answer.stage, answer.found, answer.so, limits)
+    results().print(table)
+    facts = [f"record {found.record:,}" if found.record >= 0 else "no record"]
+    facts += [] if found.range_m is None else [f"range {found.range_m:.3f} m"]
+    facts += [] if found.time_s is None else [f"time {found.time_s!r} s"]
+    facts += [] if found.beam_deg is None else [f"{found.beam_deg:.2f} deg from straight down"]
+    facts += [f"scanner {found.scanner}"] if found.scanner else []
+    results().print(f"{', '.join(facts)}: {found.label.name.lower()}, code {found.code}", soft_wrap=True)
+    chosen = "" if found.choice is None else f" (--preset {found.choice.preset}): {found.choice.why}"
+    results().print(f"method: {found.method}{chosen}", soft_wrap=True)

@@ -1,0 +1,100 @@
+"""What to type next: commands that carry on with the options of the one before."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from prc_cli.core.files import suffix_of
+from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.options import DUMP_SUFFIXES
+
+_CLOUDS = (".ply", ".pcd")
+FLAGS = {
+    "method": "--method", "preset": "--preset", "config_file": "--config", "layout_file": "--layout",
+    "points_per_line": "-M", "lines": "--lines", "columns": "--columns", "range_": "--range", "scanner": "--scanner",
+    "topic": "--topic", "metadata": "--metadata", "return_": "--return", "max_range": "--max-range",
+    "assignments": "--set", "accept_doubts": "--accept-doubt",
+    "sort_by_time": "--sort-by-time", "trust_order": "--trust-order",
+}  # fmt: skip
+"""Options of the command line by parameter, in the order in which they are offered."""
+
+
+def given_words(options: dict[str, Any], leave_out: Collection[str] = ()) -> list[str]:
+    """Return options as they were given.
+
+    Parameters
+    ----------
+    options : dict
+        Values of :func:`prc_cli.cli.options.stream_options`.
+    leave_out : collection of str
+        Flags that are said otherwise.
+
+    Examples
+    --------
+    >>> given_words({"preset": "urban", "points_per_line": 2154, "assignments": (), "trust_order": False})
+    ['--preset', 'urban', '-M', '2154']
+    """
+    words: list[str] = []
+    for name, flag in FLAGS.items():
+        value = options.get(name)
+        if not value or flag in leave_out:
+            continue
+        for one in value if isinstance(value, tuple) else (value,):
+            words += [flag] if one is True else [flag, str(one)]
+    return words
+
+
+def output_for(source: Path) -> Path:
+    """Return a name for the classified file: point clouds stay what they are, of other files the labels are written.
+
+    Examples
+    --------
+    >>> output_for(Path("drive.laz")).name, output_for(Path("drive.csv.gz")).name
+    ('drive_classified.laz', 'drive_labels.npy')
+    """
+    suffix = suffix_of(source)
+    stem = source.name[: len(source.name) - len(suffix)]
+    is_cloud = suffix in (*LAS_SUFFIXES, *_CLOUDS)
+    return source.with_name(f"{stem}_classified{suffix}" if is_cloud else f"{stem}_labels.npy")
+
+
+def after_classify(source: Path, output: Path, method: str, options: dict[str, Any]) -> list[str]:
+    """Return the commands that draw the result and compare it with a reference, if the output allows it.
+
+    Parameters
+    ----------
+    source, output : Path
+        Of the run.
+    method : str
+        The classifier that ran.
+    options : dict
+        As given to ``prc classify``.
+    """
+    kinds = [_kind(source), _kind(output)]
+    # a cloud that was made of another kind of input has its own records, in another number or order
+    has_records = kinds[1] == "labels" or kinds[0] == kinds[1]
+    picture = output.with_name(f"{output.name.partition('.')[0]}.png")
+    if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
+        # labels of a part do not fit the whole input; a cloud of a part stands for itself
+        draw = ["prc", "render", str(output), str(picture), "--labels", str(output)]
+        return [] if kinds[1] == "labels" else [f"draw it: {shlex.join(draw)}"]
+    draw = ["prc", "render", str(source), str(picture), *given_words(options)]
+    if not has_records:
+        return [f"draw it: {shlex.join(draw)}"]
+    draw = [*draw[:4], "--labels", str(output), *given_words(options, ("--method", "--preset"))]
+    reference = source.with_suffix(".label")
+    compare = ["prc", "evaluate", str(output)]
+    if suffix_of(source) in DUMP_SUFFIXES and reference.is_file():
+        mapping = "street_scan_kitti" if method == "sequential-angle" else "semantic_kitti"
+        compare += [str(reference), "--mapping", mapping]
+    else:
+        compare.append("REFERENCE")
+    return [f"draw it: {shlex.join(draw)}", f"compare it: {shlex.join(compare)}"]
+
+
+def _kind(path: Path) -> str:
+    suffix = suffix_of(path)
+    return "las" if suffix in LAS_SUFFIXES else "cloud" if suffix in _CLOUDS else "labels"

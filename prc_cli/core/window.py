@@ -1,0 +1,117 @@
+"""A part of a drive: some scan lines, or some seconds; parsed from text and compared with lines and times."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+_LINES = re.compile(r"([0-9]*):([0-9]*)")
+_MOMENT = r"(\+?)(-?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(s|min|h)?"
+_TIMES = re.compile(rf"(?:{_MOMENT})?:(?:{_MOMENT})?")
+_FIRST = re.compile(r"([0-9]+\.?[0-9]*|\.[0-9]+)\s*(s|min|h|lines?)")
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Lines or seconds ``first`` to ``stop`` (exclusive) of a stream, for every scanner."""
+
+    option: str
+    """As it is typed: ``--only-lines 5:9``."""
+    in_lines: bool
+    """Line numbers, from 0; otherwise times [s]."""
+    first: float = -math.inf
+    stop: float = math.inf
+    first_is_relative: bool = False
+    """Counted from the first time of the stream; likewise below."""
+    stop_is_relative: bool = False
+
+    def bounds(self, origin: float) -> tuple[float, float]:
+        """Return first and stop for a stream whose first line has this number, or whose first time is this one."""
+        return (
+            self.first + (origin if self.first_is_relative else 0.0),
+            self.stop + (origin if self.stop_is_relative else 0.0),
+        )
+
+
+def parse_window(only_lines: str | None, only_time: str | None, first: str | None) -> Window | None:
+    """Read a window; at most one text may be given.
+
+    Parameters
+    ----------
+    only_lines : str or None
+        ``A:B``, lines A to B - 1 from 0; either end may be left out.
+    only_time : str or None
+        ``A:B``, from A until just before B, in the stream's own seconds; with a ``+`` since its first time.
+    first : str or None
+        ``30s``, ``2min``, ``500lines``.
+
+    Raises
+    ------
+    ValueError
+        Saying what is expected.
+
+    Examples
+    --------
+    >>> parse_window("200:", None, None)
+    Window(option='--only-lines 200:', in_lines=True, first=200.0, stop=inf, first_is_relative=False, \
+stop_is_relative=False)
+    >>> parse_window(None, None, "2min").bounds(1000.0)
+    (1000.0, 1120.0)
+    """
+    given = [text for text in (only_lines, only_time, first) if text is not None]
+    if len(given) > 1:
+        message = "one of only_lines, only_time and first, not several"
+        raise ValueError(message)
+    if only_lines is not None:
+        return _of_lines(only_lines)
+    if only_time is not None:
+        return _of_times(only_time)
+    return None if first is None else _of_first(first)
+
+
+def _of_lines(text: str) -> Window:
+    found = _LINES.fullmatch(text.strip())
+    expected = "A:B, lines A to B - 1 counted from 0, such as 200:300, 200: or :300"
+    if found is None:
+        raise ValueError(expected)
+    low, high = found.groups()
+    window = Window(f"--only-lines {text}", True, float(low or 0), float(high or math.inf))
+    if window.first >= window.stop:
+        raise ValueError(expected)
+    return window
+
+
+def _of_times(text: str) -> Window:
+    found = _TIMES.fullmatch(text.strip())
+    expected = (
+        "A:B, from A until just before B, in the stream's own seconds (prc info shows them), or with a + since its "
+        "first one: 512.5:542.5, +10:+40, +1min:"
+    )
+    if found is None:
+        raise ValueError(expected)
+    plus, low, low_unit, other_plus, high, high_unit = found.groups()
+    window = Window(
+        f"--only-time {text}",
+        False,
+        -math.inf if low is None else float(low) * _SECONDS[low_unit or "s"],
+        math.inf if high is None else float(high) * _SECONDS[high_unit or "s"],
+        bool(plus),
+        bool(other_plus),
+    )
+    if window.first_is_relative == window.stop_is_relative and window.first >= window.stop:
+        raise ValueError(expected)
+    return window
+
+
+def _of_first(text: str) -> Window:
+    found = _FIRST.fullmatch(text.strip())
+    size = float(found.group(1)) if found is not None else 0.0
+    in_lines = found is not None and found.group(2).startswith("line")
+    if found is None or size <= 0 or (in_lines and size != int(size)):
+        expected = "a length with its unit, such as 30s, 2min or 500lines"
+        raise ValueError(expected)
+    if in_lines:
+        return Window(f"--first {text}", True, 0.0, size)
+    return Window(f"--first {text}", False, 0.0, size * _SECONDS[found.group(2)], True, True)

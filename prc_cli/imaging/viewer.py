@@ -1,0 +1,210 @@
+"""A page to look into a scan: its cloud and its range image, to turn, zoom and click, in one HTML file.
+
+Values travel as planes: integers of one to four bytes, 0 = none, differences between neighbouring shots, byte by byte,
+deflated, base64. The page decodes them with what every browser has.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.pages import render_page
+from prc_cli.core.types import F64, I64, U8
+from prc_cli.imaging.cloud import bounds, fullest_azimuth
+from prc_cli.imaging.pictures import colour_map, range_limits, value_limits
+
+_ROOM = 0.5
+"""Room around the framed box within which points are kept, as a share of its longest side."""
+_SEEN_DEG = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Values:
+    """A number for every shot."""
+
+    title: str
+    values: F64
+    """(lines, columns) float64; NaN = none."""
+    step: float
+    """What values are rounded to, or coarser where ``n_bytes`` do not suffice."""
+    n_bytes: int = 2
+    unit: str = "m"
+    is_scale: bool = True
+    """Whether shots can be coloured by it."""
+    is_logarithmic: bool = False
+    words: Mapping[int, str] = field(default_factory=dict)
+    """What whole numbers mean, where they are no quantity."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClassEntry:
+    """A class of the legend."""
+
+    place: int
+    """Its number among the shots' classes."""
+    name: str
+    colour: tuple[int, int, int]
+    share: str
+    hidden: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Shots:
+    """What the page shows: lines and columns of a scan at even steps."""
+
+    classes: U8
+    """(lines, columns) uint8; 0 = no return."""
+    range_m: F64
+    """(lines, columns) float64; NaN = no return."""
+    xyz_m: F64 | None
+    """(lines, columns, 3) float64 [m], NaN = no place; None = nothing says where shots are."""
+    framed: NDArray[np.bool_]
+    """(lines, columns) bool: the shots that the view of the cloud is framed by."""
+    first: tuple[int, int]
+    """Line and column of the first shot."""
+    step: tuple[int, int]
+    """Lines and columns between shots."""
+    entries: Sequence[ClassEntry]
+    more: Mapping[str, Values] = field(default_factory=dict)
+    """Further values by a name of letters."""
+    order: Sequence[int] | None = None
+    """Columns from top to bottom; None = as they come."""
+    is_mirrored: bool = False
+    """Whether the first line is on the right."""
+
+
+def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], foot: str, why: str = "") -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    shots : Shots
+        What is shown.
+    title, head : str
+        Heading, and the line below it.
+    notes : sequence of str
+        Sentences that say where the data come from and what is left out.
+    foot : str
+        Last line.
+    why : str
+        A command that ends before ``LINE,COLUMN`` and explains the class of that shot; empty = none.
+    """
+    n_lines, n_columns = shots.classes.shape
+    near, far = range_limits(shots.range_m)
+    planes: dict[str, dict[str, Any]] = {"class": {"bytes": 1, "n": shots.classes.size, "title": "class"}}
+    texts = {"class": pack(shots.classes.ravel().astype(np.uint32), 1)}
+    box: dict[str, Any] = {"centre": [0.0, 0.0, 0.0], "size": [1.0, 1.0, 1.0], "azimuth": 0.0}
+    more = {"range": Values("range", shots.range_m, 0.001, 3, is_logarithmic=True), **shots.more}
+    if shots.xyz_m is not None:
+        box, places = _placed(shots.xyz_m, shots.framed)
+        more = {**more, **places}
+    for name, each in more.items():
+        planes[name], texts[name] = _plane(each, (near, far) if name == "range" else None)
+    about = {
+        "lines": {"n": n_lines, "first": shots.first[0], "step": shots.step[0]},
+        "columns": {"n": n_columns, "first": shots.first[1], "step": shots.step[1]},
+        "classes": [
+            {"place": one.place, "name": one.name, "colour": one.colour, "share": one.share, "hidden": one.hidden}
+            for one in shots.entries
+        ],
+        "planes": planes,
+        "box": box,
+        "order": list(range(n_columns)) if shots.order is None else [int(column) for column in shots.order],
+        "mirrored": shots.is_mirrored,
+        "why": why,
+        "ramp": colour_map().tolist(),
+    }
+    files = resources.files("prc_cli.imaging")
+    style, script = ((files / f"viewer.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    values = {
+        "title": title,
+        "head": head,
+        "notes": notes,
+        "foot": foot,
+        "style": style,
+        "style_hash": _hash(style),
+        "script": script,
+        "script_hash": _hash(script),
+        # "<" is escaped, so that user text cannot end the element
+        "about": json.dumps(about, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        "planes": texts.items(),
+    }
+    return render_page("prc_cli.imaging", "viewer.html", values)
+
+
+def _hash(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+
+
+def _placed(xyz_m: F64, framed: NDArray[np.bool_]) -> tuple[dict[str, Any], dict[str, Values]]:
+    """Return the box to look at, and the coordinates of the shots near it."""
+    seen = np.isfinite(xyz_m).all(axis=2)
+    inside = xyz_m[seen & framed] if (seen & framed).any() else xyz_m[seen]
+    if not len(inside):
+        inside = np.zeros((1, 3))
+    low, high = bounds(inside)
+    room = _ROOM * float((high - low).max())
+    near = seen & (xyz_m >= low - room).all(axis=2) & (xyz_m <= high + room).all(axis=2)
+    held = inside[((inside >= low) & (inside <= high)).all(axis=1)]
+    azimuth = fullest_azimuth(held if len(held) else inside, _SEEN_DEG, 1200, 700)
+    box = {
+        "centre": ((low + high) / 2).tolist(),
+        "size": np.maximum(high - low, 0.1).tolist(),
+        "azimuth": azimuth,
+    }
+    places = {
+        axis: Values(axis, np.where(near, xyz_m[..., k], np.nan), 0.001, is_scale=axis == "z")
+        for k, axis in enumerate("xyz")
+    }
+    return box, places
+
+
+def _plane(each: Values, limits: tuple[float, float] | None) -> tuple[dict[str, Any], str]:
+    """Return the description of a plane, and its packed values."""
+    values = np.asarray(each.values, np.float64).ravel()
+    known = np.isfinite(values)
+    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    most = 256**each.n_bytes - 2
+    scale = each.step * max(1, math.ceil((high - low) / each.step / most))
+    whole = np.zeros(len(values), np.int64)
+    whole[known] = np.rint((values[known] - low) / scale).astype(np.int64) + 1
+    about: dict[str, Any] = {
+        "bytes": each.n_bytes, "n": len(values), "offset": low, "scale": scale, "title": each.title, "unit": each.unit,
+        "digits": max(0, -math.floor(math.log10(scale) + 1e-9)),
+    }  # fmt: skip
+    if each.words:
+        about["words"] = {str(number): word for number, word in each.words.items()}
+    elif each.is_scale:
+        about["low"], about["high"] = value_limits(values) if limits is None else limits
+        about["log"] = each.is_logarithmic
+    return about, pack(whole.astype(np.uint32), each.n_bytes)
+
+
+def pack(whole: NDArray[np.uint32], n_bytes: int) -> str:
+    """Return integers below 256 ** n_bytes, (n,) uint32, as text; :func:`unpack` turns it back.
+
+    >>> unpack(pack(np.array([5, 70_000, 0], np.uint32), 3), 3).tolist()
+    [5, 70000, 0]
+    """
+    steps = np.diff(whole, prepend=np.uint32(0)).astype("<u4")
+    planes = steps.view(np.uint8).reshape(-1, 4).T[:n_bytes]
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)).decode("ascii")
+
+
+def unpack(text: str, n_bytes: int) -> I64:
+    """Return the integers of :func:`pack`, (n,) int64, as the page decodes them."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(n_bytes, -1).astype(np.int64)
+    steps = sum(planes[k] << (8 * k) for k in range(n_bytes))
+    found: I64 = np.cumsum(steps) % 256**n_bytes
+    return found

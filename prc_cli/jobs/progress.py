@@ -1,0 +1,70 @@
+"""Tells a listener how far a run is: lines that were finished, and the share of the input where that is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+
+from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.window import Window
+
+
+@runtime_checkable
+class Reached(Protocol):
+    """A listener that also wants the share of the input that is done."""
+
+    def reached(self, share: float) -> None:
+        """Take the share, above 0 and at most 1."""
+
+
+def advance(
+    progress: Callable[[int], object] | None, block: ScanBlock, info: StreamInfo, window: Window | None = None
+) -> None:
+    """Tell that the lines of a block are finished.
+
+    Parameters
+    ----------
+    progress : callable or None
+        Called with the number of lines; asked for the share if it is :class:`Reached`.
+    block : ScanBlock
+    info : StreamInfo
+        Its numbers of lines and records say how much there is.
+    window : Window, optional
+        The part of the stream that is read.
+    """
+    if progress is None:
+        return
+    if is_asked(progress):
+        tell_share(progress, share_done(block, info, window))
+    progress(block.n_lines)
+
+
+def is_asked(progress: object) -> bool:
+    """Return whether a listener wants the share."""
+    return isinstance(progress, Reached)
+
+
+def tell_share(progress: object, share: float | None) -> None:
+    """Tell the share to a listener that wants it; None = not known."""
+    if isinstance(progress, Reached) and share is not None:
+        progress.reached(share)
+
+
+def share_done(block: ScanBlock, info: StreamInfo, window: Window | None = None) -> float | None:
+    """Return how much of the input is done after a block, above 0 and at most 1; None = not known.
+
+    >>> import numpy as np
+    >>> block = ScanBlock(30, np.zeros((10, 8), np.float32))
+    >>> share_done(block, StreamInfo("d.npy", "array", 8, 640, 80))
+    0.5
+    """
+    done = block.first_line + block.n_lines
+    if window is not None:
+        if not window.in_lines or not math.isfinite(window.stop):
+            return None
+        return min((done - window.first) / (window.stop - window.first), 1.0)
+    if not info.n_records:
+        return None
+    last = done * block.points_per_line if block.record is None else int(block.record.max(initial=-1)) + 1
+    return min(last / info.n_records, 1.0) if last > 0 else None

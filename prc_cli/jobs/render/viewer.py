@@ -1,0 +1,461 @@
+"""``prc render --html``: the page to look into a scan."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli import __version__
+from prc_cli.config import LoadedConfig, preset_of, refuse_window
+from prc_cli.core.classes import Label, Surface
+from prc_cli.core.errors import ConfigError, InputError, PrcError
+from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
+from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
+from prc_cli.core.types import F64, I64
+from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
+from prc_cli.formats.records import RecordSource
+from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
+from prc_cli.jobs.choice import decide
+from prc_cli.jobs.classify import Progress, label_blocks, open_stream
+from prc_cli.jobs.render.classes import RecordClasses, Vocabulary, read_classes, share_text, vocabulary
+from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud
+from prc_cli.jobs.render.frames import count_lines, of_station, turns, upright
+from prc_cli.jobs.render.heading import heading, made_by, made_with
+from prc_cli.jobs.render.options import RenderOptions, RenderResult
+from prc_cli.jobs.render.scan import Part, choose_part
+from prc_cli.streams.beams import with_beams
+
+SPEED_M_S, WALK_M_S = 8.0, 1.2
+"""Speeds on streets and in forests that are taken where neither a trajectory nor ``--line-spacing`` tells how far apart
+lines are."""
+SPACING_M = 0.1
+"""Line spacing where times are not known either [m]."""
+_FLAT = 1e-3
+"""Extent across a plane, as a share of that within, below which all lines are thought to lie in one plane."""
+
+STAGES: dict[str, Values] = {
+    "height_above_ground": Values("height above ground", np.empty(0), 0.001),
+    "ground_height": Values("height of the ground", np.empty(0), 0.001, is_scale=False),
+    "surface": Values(
+        "coarse class",
+        np.empty(0),
+        1.0,
+        1,
+        "",
+        words={surface.value: surface.name.lower() for surface in Surface if surface},
+    ),
+    "dense_vegetation": Values("dense vegetation", np.empty(0), 1.0, 1, "", words={0: "no", 1: "yes"}),
+    "segment_id": Values("segment", np.empty(0), 1.0, 4, "", is_scale=False),
+    "confidence": Values("confidence", np.empty(0), 0.01, 2, ""),
+}
+"""Values of the classifier by the names of its output columns."""
+
+
+@dataclass(slots=True)
+class _Kept:
+    """Shots that the page holds, collected while the stream is read."""
+
+    parts: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
+    counts: I64 = field(default_factory=lambda: np.zeros(1, np.int64))
+    """Shots by class over all lines, before thinning."""
+    beam_rad: F64 | None = None
+    turn_rad: float = 0.0
+
+    def add(self, name: str, values: NDArray[Any]) -> None:
+        self.parts.setdefault(name, []).append(np.array(values))
+
+    def take(self, name: str) -> NDArray[Any] | None:
+        """Return what was collected, if every block had it, and forget it."""
+        found = self.parts.pop(name, None)
+        if found is None or len(found) != len(self.parts.get("range", found)):
+            return None
+        return np.concatenate(found)
+
+
+def render_viewer(
+    source: Path | str,
+    output: Path | str,
+    config: LoadedConfig,
+    options: RenderOptions | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RenderResult:
+    """Write a page with a scan's cloud and range image, to turn, zoom and click.
+
+    Parameters
+    ----------
+    source : path
+        Any readable input with scan lines.
+    output : path
+        ``.html``.
+    config : LoadedConfig
+        How the input is read and classified.
+    options : RenderOptions, optional
+        Lines, labels, hidden classes, and how many shots the page may hold.
+    overwrite : bool
+        Replace an existing output.
+    progress : callable, optional
+        Called with the number of lines that were just read.
+
+    Raises
+    ------
+    ConfigError
+        Lines out of range, or options of pictures.
+    InputError
+        Damaged input; labels of another length.
+    OutputError
+        When it cannot be written; nothing is left behind.
+    """
+    source, output = Path(source), Path(output)
+    chosen = RenderOptions() if options is None else options
+    _check(output, chosen)
+    refuse_window(config.config, "prc render")
+    inputs = tuple(path for path in (source, chosen.labels, *config.files) if path is not None)
+    check_output(output, overwrite=overwrite, inputs=inputs)
+    remove_stale(output)
+    check_input(source)
+    with temporary_folder("prc-render-") as scratch:
+        words = vocabulary(chosen, config.config.classes)
+        given, origin = _given(source, config, chosen, words, scratch)
+        if given is None:
+            config = config if config.config.is_decided else decide(source, config)
+            origin = made_with(config)
+        stream = _open(source, config)
+        if given is not None:
+            given.check(stream.info.n_records)
+        part = choose_part(chosen, config, count_lines(stream, chosen.station, config))
+        step, kept = _collect(stream, config, chosen, part, given, words, progress)
+        shots, notes = _shots(source, config, chosen, stream, part, step, kept, words)
+    lines = "all" if part.is_whole else f"lines {part.first:,} to {part.stop - 1:,} of"
+    head = heading(origin, f"{lines} {part.n_lines:,} lines", _thinned(step))
+    text = viewer_page(
+        shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.",
+        why="" if given is not None else _explain(source, config, chosen),
+    )  # fmt: skip
+    with atomic_output(output, overwrite=overwrite) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+    names = words.table.names
+    counts = {name: int(count) for name, count in zip(names, kept.counts, strict=False) if count}
+    return RenderResult(
+        (output,), (0, 0), f"{source.name} · {head}", lines=(part.first, part.stop), thinned_by=step, counts=counts,
+        n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()), notes=notes,
+    )  # fmt: skip
+
+
+def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
+    """Return the command that tells why a shot has its class, without the place of the shot."""
+    preset, station = preset_of(loaded), options.station
+    words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
+    return shlex.join([*words, *([] if station is None else ["--station", str(station)]), "--at"])
+
+
+def _open(source: Path, loaded: LoadedConfig) -> ScanStream:
+    """Open a stream, with beam angles wherever they can be found, even from the ground."""
+    stream = open_stream(source, loaded)
+    if loaded.config.needs_beams:
+        return stream
+    # damage is reported when the stream is read
+    with suppress(InputError, ConfigError):
+        return with_beams(stream, loaded.config.input, from_ground=True)
+    return stream
+
+
+def _check(output: Path, options: RenderOptions) -> None:
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(str(output), f"found the suffix {output.suffix!r}, expected .html", "rename the output")
+    for name, given in (
+        ("--steps", options.steps), ("--figure1", options.figure1 or None), ("--reference", options.reference),
+        ("--colour", options.colour), ("--block", options.block),
+        ("--view", None if options.view == "scan" else options.view),
+    ):  # fmt: skip
+        if given is not None:
+            raise ConfigError(name, "belongs to pictures, found --html", "leave one of them out")
+
+
+def _given(
+    source: Path, loaded: LoadedConfig, options: RenderOptions, words: Vocabulary, folder: Path
+) -> tuple[RecordClasses | None, str]:
+    """Return the classes that exist, those of a label file or of the input itself, and where they are from."""
+    if options.labels is not None:
+        by = made_by(options.labels)
+        found = read_classes(
+            options.labels, options.labels_dimension, lambda codes: words.turn(codes, "predicted"), folder, "classes"
+        )
+        return found, f"labels of {options.labels.name}" + (f", {by}" if by else "")
+    if source.suffix.lower() not in LAS_SUFFIXES or not _holds_classes(source, loaded):
+        return None, ""
+    found = read_classes(source, options.labels_dimension, words.turn_las, folder, "classes")
+    return found, made_by(source) or "classes of the file"
+
+
+def _holds_classes(source: Path, loaded: LoadedConfig) -> bool:
+    records = open_source(source, loaded.config.layout)
+    if records is None:
+        return False
+    name = "classification"
+    return any((~np.isin(chunk.values[name], NO_CLASSES)).any() for chunk in records.chunks((name,)))
+
+
+def _thinned(step: tuple[int, int]) -> str:
+    told = [f"1 {name} of {n}" for name, n in zip(("line", "column"), step, strict=True) if n > 1]
+    return " and ".join(told)
+
+
+def _steps(n_lines: int, n_columns: int, most: int) -> tuple[int, int]:
+    """Return every how many lines and columns a shot is kept, about the same for both.
+
+    >>> _steps(600, 2154, 1_500_000), _steps(6_000, 2154, 1_500_000), _steps(1_000_000, 100, 1_000_000)
+    ((1, 1), (3, 3), (10, 10))
+    """
+    if n_lines * n_columns <= most:
+        return 1, 1
+    columns = min(math.isqrt((n_lines * n_columns - 1) // most) + 1, n_columns)
+    lines = min(-(-n_lines * -(-n_columns // columns) // most), n_lines)
+    # few lines are all thinned out before their columns are
+    columns = max(columns, -(-n_columns // max(1, most // -(-n_lines // lines))))
+    return lines, columns
+
+
+def _collect(
+    stream: ScanStream,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    part: Part,
+    given: RecordClasses | None,
+    words: Vocabulary,
+    progress: Progress | None,
+) -> tuple[tuple[int, int], _Kept]:
+    """Read, and classify unless classes are given; keep every n-th shot of the lines to show, count them all."""
+    blocks = of_station(stream.blocks(), options.station, stream.info.path)
+    step, kept = (1, 1), _Kept(counts=np.zeros(len(words.table.names), np.int64))
+    for item in _labelled(blocks, loaded, classify=given is None):
+        block = item.block
+        if not kept.parts:
+            step = _steps(part.stop - part.first, block.points_per_line, options.shots)
+        if kept.beam_rad is None:
+            kept.beam_rad, kept.turn_rad = block.beam_rad, kept.turn_rad or turns(block)
+        _keep(kept, item, part, step, given, words)
+        if progress is not None:
+            progress(block.n_lines)
+        if block.first_line + block.n_lines >= part.stop:
+            break
+    if not kept.parts:
+        raise InputError(stream.info.path, "found no scan lines, expected at least one")
+    return step, kept
+
+
+def _labelled(blocks: Iterator[ScanBlock], loaded: LoadedConfig, *, classify: bool) -> Iterator[LabelledBlock]:
+    if classify:
+        yield from label_blocks(blocks, loaded.config.classifier, stages=True)
+        return
+    for block in blocks:
+        yield LabelledBlock(block, np.zeros(block.range_m.shape, np.uint8), np.zeros(len(block.extra), np.uint8))
+
+
+def _keep(
+    kept: _Kept, item: LabelledBlock, part: Part, step: tuple[int, int], given: RecordClasses | None, words: Vocabulary
+) -> None:
+    block = item.block
+    low, high = max(part.first - block.first_line, 0), min(part.stop - block.first_line, block.n_lines)
+    if low >= high:
+        return
+    record, seen = block.records(), ~np.isnan(block.range_m)
+    classes = words.turn_labels(item.labels) if given is None else given.look_up(record)
+    classes = words.mark_unscored(np.where(seen, classes, np.uint8(0)), seen)
+    kept.counts += np.bincount(classes[low:high].ravel(), minlength=len(kept.counts))
+    start = low + (part.first - block.first_line - low) % step[0]
+    cells = (slice(start, high, step[0]), slice(None, None, step[1]))
+    planes: dict[str, NDArray[Any] | None] = {
+        "range": block.range_m, "class": classes, "record": record, "time": block.time_s, "intensity": block.intensity,
+        "xyz": block.xyz_m, "height_above_ground": item.above_m,
+    }  # fmt: skip
+    if item.stages is not None:
+        planes |= {
+            "surface": item.stages.surface,
+            "dense_vegetation": item.stages.dense_vegetation,
+            "ground_height": item.stages.ground_height_m,
+        }
+    for name, plane in planes.items():
+        if plane is not None:
+            kept.add(name, plane[cells])
+
+
+def _shots(
+    source: Path,
+    loaded: LoadedConfig,
+    options: RenderOptions,
+    stream: ScanStream,
+    part: Part,
+    step: tuple[int, int],
+    kept: _Kept,
+    words: Vocabulary,
+) -> tuple[Shots, tuple[str, ...]]:
+    """Put together what the page shows, and what it says of it."""
+    classes = np.concatenate(kept.parts["class"])
+    range_m = np.concatenate(kept.parts["range"]).astype(np.float64)
+    record, seen = np.concatenate(kept.parts["record"]), classes > 0
+    found = {name: kept.take(name) for name in ("time", "intensity", "xyz", *STAGES)}
+    values: dict[str, F64] = {name: each.astype(np.float64) for name, each in found.items() if each is not None}
+    sensor_m = values.pop("xyz", None)
+    values |= _of_files(source, loaded, options, record)
+    file_m = np.stack([values.pop(axis) for axis in AXES], axis=2) if set(AXES) <= set(values) else None
+    config = loaded.config
+    in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
+    speed_m_s = WALK_M_S if in_forest else SPEED_M_S
+    spacing_m, assumed = _spacing(options, stream, values.get("time"), step[0], speed_m_s)
+    beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
+    xyz_m, notes = _place(range_m, beam_rad, sensor_m, file_m, spacing_m * step[0], seen, _how(spacing_m, assumed))
+    noise = [place for place, name in enumerate(words.table.names) if name == Label.NOISE.name.lower()]
+    left_out = [*noise, *sorted(words.table.hidden)]
+    more = {name: _values(name, each, seen) for name, each in values.items() if np.isfinite(each[seen]).any()}
+    order = upright(beam_rad)
+    n_all = (part.stop - part.first) * stream.info.points_per_line
+    entries = _entries(words, kept.counts, options)
+    if step != (1, 1):
+        told = f"The page holds {classes.size:,} of {n_all:,} shots, {_thinned(step)}; --shots sets the most."
+        notes = (*notes, told)
+    mirrored = order is not None and kept.turn_rad > 0
+    shots = Shots(
+        classes, range_m, xyz_m, seen & ~np.isin(classes, left_out), (part.first, 0), step, entries, more,
+        None if order is None else order.tolist(), mirrored,
+    )  # fmt: skip
+    return shots, notes
+
+
+def _entries(words: Vocabulary, counts: I64, options: RenderOptions) -> list[ClassEntry]:
+    colours = vocabulary(replace(options, hide=()), words.codes).table.colours
+    total = max(int(counts[1:].sum()), 1)
+    return [
+        ClassEntry(
+            place, name, (int(colours[place][0]), int(colours[place][1]), int(colours[place][2])),
+            share_text(int(counts[place]), total),
+            place in words.table.hidden or name == Label.NOISE.name.lower(),
+        )
+        for place, name in enumerate(words.table.names)
+        if place and counts[place]
+    ]  # fmt: skip
+
+
+def _values(name: str, values: F64, seen: NDArray[np.bool_]) -> Values:
+    if name in STAGES:
+        return replace(STAGES[name], values=np.where(seen, values, np.nan))
+    if name == "time":
+        span = float(np.nanmax(values) - np.nanmin(values))
+        return Values("time", values, max(1e-7, 10.0 ** math.ceil(math.log10(max(span, 1e-3) / 4e9))), 4, "s", False)
+    known = values[np.isfinite(values)]
+    step = 1.0 if (known == np.rint(known)).all() else max(float(np.ptp(known)), 1e-9) / 60_000
+    return Values(name, values, step, 2, "")
+
+
+def _of_files(source: Path, loaded: LoadedConfig, options: RenderOptions, record: I64) -> dict[str, F64]:
+    """Return coordinates and stages that files hold, by name, each in the shape of ``record``."""
+    found: dict[str, F64] = {}
+    cloud = None
+    with suppress(InputError):
+        cloud = Cloud.open(source, loaded, options.station).records
+    own = open_source(source, loaded.config.layout)
+    for records, names in ((cloud, AXES), (own, tuple(STAGES)), (_label_source(options.labels), tuple(STAGES))):
+        wanted = () if records is None else tuple(name for name in names if name in records.dimensions)
+        if records is not None and wanted and (names is not AXES or wanted == AXES):
+            found |= _look_up(records, wanted, record)
+    return found
+
+
+def _label_source(labels: Path | None) -> RecordSource | None:
+    if labels is None:
+        return None
+    # a label file that is no list of records, such as .npy, holds no stages
+    with suppress(PrcError):
+        return open_source(labels, None)
+    return None
+
+
+def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict[str, F64]:
+    """Read columns of the records of some cells; NaN where a cell has none."""
+    flat = record.ravel()
+    order = np.argsort(flat, kind="stable")
+    sorted_ids = flat[order]
+    found = {name: np.full(flat.shape, np.nan) for name in names}
+    for chunk in records.chunks(names):
+        ids = chunk.record
+        if ids is None:
+            ids = np.arange(chunk.first_record, chunk.first_record + chunk.n, dtype=np.int64)
+        low, high = np.searchsorted(sorted_ids, (ids.min(initial=0), ids.max(initial=-1) + 1))
+        if low >= high:
+            continue
+        by_id = np.argsort(ids, kind="stable")
+        place = np.minimum(np.searchsorted(ids[by_id], sorted_ids[low:high]), len(ids) - 1)
+        hit = ids[by_id][place] == sorted_ids[low:high]
+        for name in names:
+            found[name][order[low:high][hit]] = np.asarray(chunk.values[name], np.float64)[by_id][place[hit]]
+    return {name: values.reshape(record.shape) for name, values in found.items()}
+
+
+def _spacing(
+    options: RenderOptions, stream: ScanStream, time_s: F64 | None, step: int, speed_m_s: float
+) -> tuple[float, str]:
+    """Return the distance of lines [m], and how it is known; empty where it was given."""
+    if options.line_spacing_m is not None:
+        return options.line_spacing_m, ""
+    hz = stream.info.line_hz
+    if hz is None and time_s is not None and len(time_s) > 1:
+        with np.errstate(invalid="ignore"):
+            starts = np.array([np.nanmin(line) if np.isfinite(line).any() else np.nan for line in time_s])
+        period = float(np.nanmedian(np.diff(starts))) / step if np.isfinite(np.diff(starts)).any() else 0.0
+        hz = 1 / period if period > 0 else None
+    if hz is None:
+        return SPACING_M, "assumed"
+    return speed_m_s / hz, f"assumed: {speed_m_s:g} m/s"
+
+
+def _how(spacing_m: float, assumed: str) -> str:
+    told = f"{spacing_m:.2g} m apart" + (f" ({assumed}; --line-spacing tells it)" if assumed else "")
+    return f"The input has no trajectory: its lines are drawn one behind the other, {told}."
+
+
+def _place(
+    range_m: F64,
+    beam_rad: F64 | None,
+    sensor_m: F64 | None,
+    file_m: F64 | None,
+    apart_m: float,
+    seen: NDArray[np.bool_],
+    how: str,
+) -> tuple[F64 | None, tuple[str, ...]]:
+    """Return where shots are, (lines, columns, 3) float64 [m], and a note where that is not as measured."""
+    for xyz_m in (file_m, sensor_m):
+        if xyz_m is None:
+            continue
+        placed = np.where(seen[..., None], xyz_m, np.nan)
+        across = _normal(placed[np.isfinite(placed).all(axis=2)])
+        if across is None:
+            return placed, ()
+        # upright planes only: those of scan-plane coordinates say nothing of up and down
+        if abs(across[2]) < 0.5:
+            return placed + np.arange(len(placed))[:, None, None] * apart_m * across, (how,)
+    if beam_rad is None:
+        return None, ()
+    along = np.broadcast_to(np.arange(len(range_m))[:, None] * apart_m, range_m.shape)
+    placed = np.stack([along, range_m * np.sin(beam_rad), -range_m * np.cos(beam_rad)], axis=2)
+    return np.where(seen[..., None], placed, np.nan), (how,)
+
+
+def _normal(points: F64) -> F64 | None:
+    """Return the normal of a plane that holds all points, (3,) float64, None where they fill space."""
+    if len(points) < 3:
+        return None
+    some = points[:: max(1, len(points) // 20_000)]
+    _, extents, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
+    if extents[2] > _FLAT * extents[1]:
+        return None
+    found: F64 = axes[2]
+    return found

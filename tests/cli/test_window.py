@@ -1,0 +1,198 @@
+"""A window of a drive: --only-lines, --only-time, --first."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli.config import load_config
+from prc_cli.core.window import parse_window
+from prc_cli.jobs.classify import open_stream
+from tests.cli.test_commands import Prc
+from tests.simulated import drive_arrays
+
+N_LINES, M, HZ = 60, 360, 10.0
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One drive in several formats; its times begin at 1000 s."""
+    place = tmp_path_factory.mktemp("window")
+    block, _ = drive_arrays(N_LINES, M, 20)
+    time_s = 1000.0 + np.arange(N_LINES * M).reshape(N_LINES, M) / (HZ * M)
+    assert block.angle_rad is not None
+    np.savez(place / "d.npz", range_m=block.range_m, angle_rad=block.angle_rad, time_s=time_s)
+    from prc_cli.jobs.convert import convert
+
+    for name in ("d.laz", "d.csv", "d.ply", "d.bin"):
+        convert(place / "d.npz", place / name)
+    return place
+
+
+URBAN = ("--preset", "urban", "-q", "--overwrite")
+
+
+@pytest.mark.parametrize("name", ["d.npz", "d.laz", "d.csv", "d.ply"])
+@pytest.mark.parametrize(
+    "window", [("--only-lines", "13:41"), ("--only-time", "1001.3:1004.1"), ("--only-time", "+1.28:+4.08")]
+)
+def test_a_window_is_a_drive_of_its_own(prc: Prc, folder: Path, name: str, window: tuple[str, str]) -> None:
+    whole = np.load(folder / "d.npz")["range_m"][13:41]
+    np.save(folder / "part.npy", whole)
+    assert prc("classify", folder / "part.npy", folder / "expected.npy", *URBAN).code == 0
+    assert prc("classify", folder / name, folder / "w.npy", *window, *URBAN).code == 0
+    expected = np.load(folder / "expected.npy")
+    expected = expected[expected > 0] if name == "d.laz" else expected
+    assert np.array_equal(np.load(folder / "w.npy"), expected)
+    record = json.loads((folder / "w.npy.prc.json").read_text())
+    assert record["config"]["input"][window[0][2:].replace("-", "_")] == window[1]
+    assert record["stream"]["n_lines"] == 28
+    assert record["stream"]["n_records"] == len(expected)
+    assert record["input"]["sha256"] is None
+    assert any("only lines 13 to 40 were taken" in notice for notice in record["notices"])
+
+
+def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> None:
+    source = laspy.read(folder / "d.laz")
+    inside = (source.scan_line >= 13) & (source.scan_line < 41)
+    for output in ("w.laz", "w.las"):
+        result = prc("classify", folder / "d.laz", folder / output, "--only-lines", "13:41", *URBAN)
+        assert result.code == 0, result.err
+        found = laspy.read(folder / output)
+        assert found.header.point_count == np.count_nonzero(inside)
+        for name in source.point_format.dimension_names:
+            if name != "classification":
+                assert np.array_equal(found[name], source[name][inside]), name
+        xyz = np.stack([found.x, found.y, found.z])
+        assert np.allclose(found.header.mins, xyz.min(axis=1), atol=1e-9)
+        assert np.allclose(found.header.maxs, xyz.max(axis=1), atol=1e-9)
+        assert found.header.number_of_points_by_return[0] == np.count_nonzero(found.return_number == 1)
+    assert prc("classify", folder / "d.laz", folder / "w.npy", "--only-lines", "13:41", *URBAN).code == 0
+    assert np.array_equal(laspy.read(folder / "w.laz").classification, np.load(folder / "w.npy"))
+    told = prc("classify", folder / "d.laz", folder / "w.laz", "--only-lines", "13:41", "--overwrite").err
+    assert "draw it: prc render" in told
+    assert f"--labels {folder / 'w.laz'}" in " ".join(told.split())
+    assert "compare it" not in told
+    # codes above 31 make the point format a larger one; segment ids are appended
+    result = prc("classify", folder / "d.laz", folder / "s.laz", "--first", "2s", "--segment-ids", *URBAN)
+    assert result.code == 0, result.err
+    assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(source.scan_line < 20)
+
+
+def test_tables_and_clouds_keep_the_numbers_of_the_drive(prc: Prc, folder: Path) -> None:
+    assert prc("classify", folder / "d.csv", folder / "w.csv", "--only-lines", "13:15", *URBAN).code == 0
+    rows = list(csv.DictReader((folder / "w.csv").read_text().splitlines()))
+    assert [int(row["record"]) for row in rows] == list(range(13 * M, 15 * M))
+    assert prc("classify", folder / "d.ply", folder / "w.ply", "--only-lines", "13:15", *URBAN).code == 0
+    from prc_cli.formats import open_source
+
+    source = open_source(folder / "w.ply")
+    assert source is not None
+    lines = np.concatenate([chunk.values["scan_line"] for chunk in source.chunks(("scan_line",))])
+    assert np.array_equal(lines, np.repeat([13, 14], M))
+
+
+def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
+    source = laspy.read(folder / "d.laz")
+    inside = (source.scan_line >= 20) & (source.scan_line < 30)
+    result = prc("convert", folder / "d.laz", folder / "c.las", "--only-time", "+1.98:+2.98", "--overwrite")
+    assert result.code == 0, result.err
+    found = laspy.read(folder / "c.las")
+    assert np.array_equal(found.points.array, source.points.array[inside])
+    assert "only lines 20 to 29 were taken" in result.err
+    result = prc("convert", folder / "d.csv", folder / "c.csv", "--first", "50lines", "--overwrite")
+    assert "only lines 0 to 49 were taken" in result.err
+    for name in ("c.csv", "c.npz", "c.e57"):
+        assert prc("convert", folder / "d.laz", folder / name, "--only-lines", "20:30", "--overwrite", "-q").code == 0
+        blocks = list(open_stream(folder / name, load_config(preset="urban")).blocks())
+        ranges = np.concatenate([block.range_m for block in blocks])
+        assert np.array_equal(ranges, np.load(folder / "d.npz")["range_m"][20:30], equal_nan=True)
+
+
+def test_what_lies_behind_is_not_read(prc: Prc, folder: Path) -> None:
+    """Rows that cannot be read stand behind the window."""
+    text = (folder / "d.csv").read_text()
+    (folder / "broken.csv").write_text(text + "this is no row\n" * 3)
+    assert prc("classify", folder / "broken.csv", folder / "b.npy", "-M", M, *URBAN).code == 1
+    # text is read in large pieces
+    longer = "\n".join(text.splitlines()[1:]) + "\n"
+    (folder / "broken.csv").write_text(text + longer * 8 + "this is no row\n" * 3)
+    result = prc("classify", folder / "broken.csv", folder / "b.npy", "-M", M, "--first", "30lines", *URBAN)
+    assert result.code == 0, result.err
+
+
+def test_times_that_are_not_known(prc: Prc, folder: Path) -> None:
+    np.load(folder / "d.npz")["range_m"].astype("<f4").tofile(folder / "bare.bin")
+    result = prc("classify", folder / "bare.bin", folder / "n.npy", "-M", M, "--first", "2s", *URBAN)
+    assert result.code == 1
+    assert "found neither times of the shots nor a line frequency, expected them for --first 2s" in result.err
+    assert "--first 500lines" in result.err
+    (folder / "hz.toml").write_text(f"[layout]\nline_frequency = {HZ}\npoints_per_line = {M}\n")
+    given = ("--layout", folder / "hz.toml", "--first", "2s", *URBAN)
+    assert prc("classify", folder / "bare.bin", folder / "n.npy", *given).code == 0
+    assert len(np.load(folder / "n.npy")) == 20 * M
+
+
+@pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz"), ("render", "d.laz")])
+def test_commands_that_take_files_whole_refuse(prc: Prc, folder: Path, command: tuple[str, str]) -> None:
+    source = folder / command[1]
+    output = folder / ("out.png" if command[0] == "render" else "out.laz")
+    result = prc(command[0], source, output, "--preset", "urban", "--set", "input.first=2s")
+    assert result.code == 2
+    assert "found --first 2s, but prc" in result.err
+
+
+def test_no_line_in_the_window(prc: Prc, folder: Path) -> None:
+    result = prc("classify", folder / "d.laz", folder / "n.npy", "--only-lines", "500:600", *URBAN)
+    assert result.code == 1
+    assert "found scan lines from 0 to 59, expected some in --only-lines 500:600" in result.err
+    result = prc("classify", folder / "d.laz", folder / "n.npy", "--only-time", "7:9", *URBAN)
+    assert result.code == 1
+    assert "expected some in --only-time 7:9; choose times that it has, or +A:+B" in result.err
+    assert prc("classify", folder / "d.laz", folder / "n.npy", "--only-lines", "7:3").code == 2
+
+
+def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
+    assert prc("classify", folder / "d.laz", folder / "e.laz", *URBAN).code == 0
+    source = laspy.read(folder / "d.laz")
+    lines = (source.scan_line >= 20) & (source.scan_line < 50)
+    since = source.gps_time - source.gps_time[0]
+    given = ("evaluate", folder / "e.laz", folder / "e.laz")
+    for window, inside in (
+        (("--only-lines", "20:50"), lines),
+        (("--only-time", "+2:+5"), (since >= 2) & (since < 5)),
+    ):
+        result = prc(*given, *window, "--json")
+        assert result.code == 0, result.err
+        assert json.loads(result.out)["n_scored"] == np.count_nonzero(inside)
+    result = prc(*given, "--only-lines", "20:50", "--by-lines", "10", "--json")
+    assert [part["name"] for part in json.loads(result.out)["splits"]["lines"]] == [
+        "lines 20-29", "lines 30-39", "lines 40-49",
+    ]  # fmt: skip
+    assert prc(*given, "--only-lines", "200:").code == 1
+    labels = folder / "e.npy"
+    np.save(labels, np.full(N_LINES * M, 2, np.uint8))
+    assert prc("evaluate", labels, labels, "--first", "2s").code == 2
+    assert json.loads(prc("evaluate", labels, labels, "-M", M, "--first", "5lines", "--json").out)["n_scored"] == 5 * M
+
+
+@pytest.mark.parametrize("text", ["", "5", "9:3", "a:b", "-3:", "1.5:2"])
+def test_lines_that_make_no_sense(text: str) -> None:
+    with pytest.raises(ValueError, match="A:B, lines A to B - 1"):
+        parse_window(text, None, None)
+
+
+@pytest.mark.parametrize("text", ["30", "0s", "-3s", "1.5lines", "30 parsecs"])
+def test_lengths_that_make_no_sense(text: str) -> None:
+    with pytest.raises(ValueError, match="a length with its unit"):
+        parse_window(None, None, text)

@@ -1,0 +1,66 @@
+"""Colours of classes that occur together differ, for colour-blind readers too."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import LABEL_COLOURS, Label
+from prc_cli.core.types import F64
+
+EVERYWHERE = (Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION)
+TOGETHER = {
+    "street": (*EVERYWHERE, Label.BUILDING, Label.CAR, Label.CURB, Label.POLE),
+    "forest": (*EVERYWHERE, Label.STEM),
+    "sequential-angle": (*EVERYWHERE, Label.CAR, Label.CURB, Label.VERTICAL, Label.HORIZONTAL),
+}
+SEEN_BY = {
+    "most": np.eye(3),
+    "protanopes": np.array([
+        [0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]
+    ]),
+    "deuteranopes": np.array([
+        [0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]
+    ]),
+    "tritanopes": np.array([
+        [1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]
+    ]),
+}  # fmt: skip
+"""Linear sRGB as seen with a missing kind of cone (Machado et al. 2009, severity 1)."""
+LEAST = 0.10
+"""Distance in OKLab; the palette before this one came down to 0.059."""
+
+
+def oklab(rgb: tuple[int, int, int], seen: F64) -> F64:
+    """Return lightness, green-red and blue-yellow of a colour (Ottosson 2020)."""
+    share = np.array(rgb) / 255
+    linear = np.clip(seen @ np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4), 0, 1)
+    cones = np.array([
+        [0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566],
+        [0.0883024619, 0.2817188376, 0.6299787005],
+    ]) @ linear  # fmt: skip
+    axes = np.array([
+        [0.2104542553, 0.7936177850, -0.0040720468], [1.9779984951, -2.4285922050, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.8086757660],
+    ])  # fmt: skip
+    found: F64 = axes @ np.cbrt(cones)
+    return found
+
+
+@pytest.mark.parametrize("reader", SEEN_BY)
+@pytest.mark.parametrize("method", TOGETHER)
+def test_classes_of_a_method_differ_for_every_reader(method: str, reader: str) -> None:
+    places = {label: oklab(LABEL_COLOURS[label], SEEN_BY[reader]) for label in TOGETHER[method]}
+    near = {
+        (a.name, b.name): round(float(np.linalg.norm(places[a] - places[b])), 3) for a, b in combinations(places, 2)
+    }
+    assert {pair: apart for pair, apart in near.items() if apart < LEAST} == {}
+
+
+def test_ground_is_brown_and_vegetation_green() -> None:
+    red, green, blue = LABEL_COLOURS[Label.GROUND]
+    assert red > green > blue
+    red, green, blue = LABEL_COLOURS[Label.VEGETATION]
+    assert green > blue > red

@@ -1,0 +1,150 @@
+"""What an output must be like, said by other programs and by the library in memory."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.errors import PrcError
+from prc_cli.core.stream import LabelledBlock
+from prc_cli.jobs.classify import label_blocks
+from prc_cli.streams.open import open_input
+
+BLOCKS = ("--preset", "urban", "--trust-order", "--set", "prc.lines_per_block=2")
+"""Blocks of two lines are labelled on their own, so labels far from a damage can be told."""
+_OPTIONS = {"input": {"order": "trust"}, "prc": {"lines_per_block": 2}}
+Classify = Callable[[str, str], Any]
+"""Runs ``prc classify`` with :data:`BLOCKS`; returns the exit code."""
+
+
+@lru_cache(maxsize=1)
+def _config() -> LoadedConfig:
+    return load_config(preset="urban", options=_OPTIONS)
+
+
+def read_las(path: Path) -> tuple[Any, BaseException | None]:
+    """Read a file with laspy; return it, or why it cannot be read."""
+    try:
+        return laspy.read(path), None
+    except BaseException as error:  # a panic of lazrs is no Exception
+        return None, error
+
+
+def judge_las(command: str, case: Path, out: Path) -> list[str]:
+    """Read LAS and LAZ outputs with laspy; of a file that was copied everything but the class is as it was."""
+    faults = []
+    before, refusal = read_las(case) if case.suffix in (".las", ".laz") else (None, None)
+    for path in (*out.glob("*.las"), *out.glob("*.laz")):
+        found, error = read_las(path)
+        if error is not None:
+            # headers that it refuses and we do not are copied as they are; records must be sound
+            if type(refusal) is not type(error) or "Lazrs" in type(error).__name__ or "Panic" in type(error).__name__:
+                faults.append(f"laspy refuses the output: {type(error).__name__}: {error}"[:300])
+        elif before is not None and command in ("classify", "convert"):
+            faults += _differences(before, found)
+    return faults
+
+
+def _differences(before: Any, found: Any) -> list[str]:
+    if len(before.points) != len(found.points):
+        return [f"{len(found.points)} records of {len(before.points)}"]
+    if before.point_format.id != found.point_format.id:
+        return []
+    faults = []
+    same = set(before.points.array.dtype.names) & set(found.points.array.dtype.names)
+    for name in sorted(same - {"classification", "raw_classification"}):
+        old, new = before.points.array[name], found.points.array[name]
+        if old.tobytes() != new.tobytes() and old.dtype == new.dtype:
+            faults.append(f"{name} differs in {np.count_nonzero(old != new)} records")
+    return faults
+
+
+def _items(path: Path) -> list[LabelledBlock]:
+    """Classify a file in memory, reading no more of it than the command does."""
+    rules, classifier = _config().config.input, _config().config.classifier
+    stream = open_input(path, rules, lines_at_once=2, geometry=False, only_ranges=True)
+    return list(label_blocks(stream.blocks(), classifier))
+
+
+def judge_labels(case: Path, sound: Path, labels: Path, classify: Classify, scratch: Path) -> list[str]:
+    """Compare the labels of ``prc classify CASE LABELS.npy`` with those made in three other ways.
+
+    In memory by the library; for LAS and LAZ by the same command on what laspy read, written anew; and with those of
+    the undamaged file, in all blocks whose ranges the damage did not touch.
+    """
+    written = np.load(labels)
+    items = _items(case)
+    codes = _config().config.classes.lookup()
+    faults = []
+    if any(item.block.record is not None for item in items):
+        # a record without a cell
+        expected = np.full(written.size, _config().config.classes.unclassified, np.uint8)
+        for item in items:
+            for numbers, found in _numbered(item):
+                there = (numbers >= 0) & (numbers < written.size)
+                expected[numbers[there]] = codes[found[there]]
+        if not np.array_equal(written.ravel(), expected):
+            n = np.count_nonzero(written.ravel() != expected)
+            faults.append(f"labels: {n} of {expected.size} records have another class than in memory")
+    elif items and not np.array_equal(np.concatenate([codes[item.labels].ravel() for item in items]), written.ravel()):
+        faults.append("labels: another image than in memory")
+    return faults + _judge_untouched(items, sound) + _judge_read(case, written, classify, scratch)
+
+
+def _numbered(item: LabelledBlock) -> list[tuple[Any, Any]]:
+    found = [(np.asarray(item.block.record).ravel(), item.labels.ravel())]
+    if len(item.block.extra):
+        found.append((item.block.extra.record, item.extra_labels))
+    return found
+
+
+def _judge_untouched(items: list[LabelledBlock], sound: Path) -> list[str]:
+    undamaged = _sound_blocks(str(sound))
+    for item in items:
+        whole = undamaged.get((item.block.scanner, item.block.first_line))
+        if whole is None or whole[0].shape != item.block.range_m.shape:
+            continue
+        if np.array_equal(whole[0], item.block.range_m, equal_nan=True) and not np.array_equal(whole[1], item.labels):
+            return [f"labels: the block of line {item.block.first_line} has its ranges but not its labels"]
+    return []
+
+
+@lru_cache(maxsize=64)
+def _sound_blocks(sound: str) -> dict[tuple[int, int], tuple[Any, Any]]:
+    """Return ranges and labels of every block of an undamaged file, by scanner and line."""
+    try:
+        found = _items(Path(sound))
+    except PrcError:  # a seed for other commands
+        return {}
+    return {(item.block.scanner, item.block.first_line): (item.block.range_m, item.labels) for item in found}
+
+
+def _judge_read(case: Path, written: Any, classify: Classify, scratch: Path) -> list[str]:
+    """Let laspy decode everything and write it anew; the labels must be the same."""
+    if case.suffix not in (".las", ".laz"):
+        return []
+    found, error = read_las(case)
+    if error is not None or len(found.points) != len(written):
+        return []
+    again, labels = scratch / "again.las", scratch / "again.npy"
+    try:
+        found.evlrs = None
+        found.write(again)
+    except Exception:  # of a header that can be read and not written
+        return []
+    try:
+        if classify(str(again), str(labels)) not in (0, 4):
+            return []
+        other = np.load(labels)
+        n = np.count_nonzero(other != written) if other.shape == written.shape else -1
+        return [f"labels: {n} of {len(written)} differ from those of what laspy read"] if n else []
+    finally:
+        for path in scratch.glob("again.*"):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()

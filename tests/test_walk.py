@@ -1,0 +1,163 @@
+"""The walk of a new user: from a file to a classified, evaluated, drawn result in three commands (docs, First hour).
+
+Every command after the first is the one that the program itself said to type.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli.cli import cli
+from prc_cli.formats import open_source
+from tests.runner import runner
+
+MOST_COMMANDS = 3
+
+
+class Walk:
+    """Commands typed one after the other, each found in what the one before has printed."""
+
+    def __init__(self) -> None:
+        self.typed: list[str] = []
+        self.said = ""
+
+    def type(self, command: str) -> str:
+        """Run a command line; it must succeed."""
+        self.typed.append(command)
+        result = runner().invoke(cli, shlex.split(command)[1:])
+        assert result.exit_code == 0, f"{command}\n{result.output}\n{result.stderr}\n{result.exception!r}"
+        self.said = result.output + result.stderr
+        return self.said
+
+    def told(self, what: str) -> str:
+        """Return the command that the program offers."""
+        found = re.search(rf"^{what}: (prc .*)$", self.said, re.MULTILINE)
+        assert found, f"no {what!r} in:\n{self.said}"
+        return found[1]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Stand in an empty folder, where the file is."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def is_drawn(path: Path) -> bool:
+    return path.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.data
+def test_profiler_ply(here: Path, real_data: Path) -> None:
+    shutil.copy(real_data / "riegl/sample_riegl_18_03.ply", here / "drive.ply")
+    walk = Walk()
+    walk.type("prc info drive.ply")
+    walk.type(walk.told("type"))
+    assert "compare it: prc evaluate drive_classified.ply REFERENCE" in walk.said
+    walk.type(walk.told("draw it"))
+    assert is_drawn(here / "drive_classified.png")
+    assert len(walk.typed) <= MOST_COMMANDS
+
+
+@pytest.mark.data
+def test_laz_with_times_alone(here: Path, real_data: Path) -> None:
+    write_registered(sorted((real_data / "riegl").glob("*.ply"))[:2], here / "drive.laz", here / "path.csv")
+    walk = Walk()
+    walk.type("prc info drive.laz")
+    assert "--range trajectory:FILE" in walk.told("type")
+    walk.type(walk.told("type").replace("FILE", "path.csv"))
+    assert "method: fused" in walk.said
+    with laspy.open(here / "drive_classified.laz") as file:
+        codes = np.asarray(file.read().classification)
+    assert 0.4 < np.mean(codes == 2) < 0.7  # a road and its sidewalks
+    walk.type(walk.told("draw it"))
+    assert is_drawn(here / "drive_classified.png")
+    assert len(walk.typed) <= MOST_COMMANDS
+
+
+@pytest.mark.data
+def test_bag(here: Path, real_data: Path) -> None:
+    shutil.copy(real_data / "ros/sick_lms1xx_ros1.bag", here / "scan.bag")
+    walk = Walk()
+    walk.type("prc info scan.bag")
+    walk.type(walk.told("type"))
+    walk.type(walk.told("draw it"))
+    assert is_drawn(here / "scan_labels.png")
+    assert len(walk.typed) <= MOST_COMMANDS
+
+
+def test_text_in_millimetres_with_decimal_commas(here: Path) -> None:
+    assert runner().invoke(cli, shlex.split("simulate street -o truth.csv --lines 48 --seed 3 -q")).exit_code == 0
+    with (here / "truth.csv").open() as truth, (here / "drive.csv").open("w") as drive:
+        drive.write("line;column;angle_deg;range_mm;time_s\n")
+        for row in csv.DictReader(truth):
+            range_mm = f"{1000 * float(row['range_m']):.1f}" if row["range_m"] else ""
+            cells = (row["line"], row["column"], f"{float(row['angle_deg']):.4f}", range_mm, row["time_s"])
+            drive.write(";".join(cells).replace(".", ",") + "\n")
+    walk = Walk()
+    walk.type("prc classify drive.csv labels.csv")
+    assert "decimals stand behind a comma" in walk.said
+    assert "range in mm" in walk.said
+    draw, compare = walk.told("draw it"), walk.told("compare it")
+    walk.type(compare.replace("REFERENCE", "truth.csv"))
+    accuracy = re.search(r"accuracy ([0-9.]+)", walk.said)
+    assert accuracy
+    assert float(accuracy[1]) > 0.9
+    walk.type(draw)
+    assert is_drawn(here / "labels.png")
+    assert len(walk.typed) <= MOST_COMMANDS
+
+
+@pytest.mark.data
+def test_kitti_frame(here: Path, real_data: Path) -> None:
+    for suffix in (".bin", ".label"):
+        shutil.copy(real_data / f"kitti/000000{suffix}", here)
+    walk = Walk()
+    walk.type("prc classify 000000.bin labels.npy")
+    assert "look like x, y, z and intensity of a frame" in walk.said
+    draw, compare = walk.told("draw it"), walk.told("compare it")
+    assert compare == "prc evaluate labels.npy 000000.label --mapping semantic_kitti"
+    walk.type(compare)
+    kappa = re.search(r"kappa ([0-9.]+)", walk.said)
+    assert kappa
+    assert float(kappa[1]) > 0.7
+    walk.type(draw)
+    assert is_drawn(here / "labels.png")
+    assert len(walk.typed) <= MOST_COMMANDS
+
+
+def write_registered(sources: list[Path], output: Path, positions: Path) -> None:
+    """Write returns as a mapping system delivers them, without ranges, lines and angles; and where the scanner was."""
+    columns: dict[str, list[np.ndarray]] = {}
+    names = ("time", "x", "y", "z", "x_origin", "y_origin", "z_origin", "return_number", "number_of_returns")
+    for path in sources:
+        source = open_source(path)
+        assert source is not None
+        for chunk in source.chunks(names):
+            for name in names:
+                columns.setdefault(name, []).append(np.asarray(chunk.values[name], np.float64))
+    table = {name: np.concatenate(parts) for name, parts in columns.items()}
+    # the file repeats the first returns of a shot: of equal ones that with the highest count is the real one
+    order = np.lexsort((-table["number_of_returns"], table["return_number"], table["time"]))
+    key = np.stack([table["time"][order], table["return_number"][order]])
+    order = order[np.r_[True, np.any(np.diff(key) != 0, axis=0)]]
+    table = {name: values[order] for name, values in table.items()}
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = [0.001] * 3, [float(np.floor(table[axis].min())) for axis in "xyz"]
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = table["x"], table["y"], table["z"]
+    cloud.gps_time = table["time"]
+    cloud.return_number = table["return_number"].astype(np.uint8)
+    cloud.number_of_returns = table["number_of_returns"].astype(np.uint8)
+    cloud.write(output)
+    time = np.arange(table["time"].min() - 0.01, table["time"].max() + 0.01, 0.01)
+    place = [np.interp(time, table["time"], table[f"{axis}_origin"]) for axis in "xyz"]
+    np.savetxt(positions, np.column_stack([time, *place]), "%.4f", delimiter=",", header="time,x,y,z", comments="")
