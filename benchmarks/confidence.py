@@ -205,10 +205,10 @@ def calibrate(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     empty = np.zeros((len(Label), N_CELLS), np.uint8)
     try:
         tables = {environment: load_table(environment) for environment in ENVIRONMENTS}
-    except (OSError, ValueError, KeyError):  # made for other questions
+    except (OSError, ValueError, KeyError):  # made for other questions: labels need a table, whatever it says
         tables = dict.fromkeys(ENVIRONMENTS, empty)
+        confidence.save_tables(tables)
     for environment in environments:
-        confidence.save_tables({**tables, environment: empty})
         judged = judged_of(environment, CALIBRATION)
         tables[environment] = table_of(judged, environment)
         print(row(environment, with_table(judged, tables[environment])), flush=True)
