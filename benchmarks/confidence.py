@@ -142,7 +142,8 @@ def table_of(judged: Sequence[Judged], environment: Environment, dropped: tuple[
             rest = tuple(range(k, len(questions)))
             there, good = n.sum(rest, keepdims=True), right.sum(rest, keepdims=True)
             share = (good + PRIOR_SHOTS * share) / (there + PRIOR_SHOTS)
-        table[label] = np.rint(100.0 * share).ravel()
+        # 0 is for what is not known
+        table[label] = np.maximum(np.rint(100.0 * share).ravel(), 1)
     return table
 
 
@@ -204,10 +205,10 @@ def calibrate(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     empty = np.zeros((len(Label), N_CELLS), np.uint8)
     try:
         tables = {environment: load_table(environment) for environment in ENVIRONMENTS}
-    except (OSError, ValueError, KeyError):  # made for other questions
+    except (OSError, ValueError, KeyError):  # made for other questions: labels need a table, whatever it says
         tables = dict.fromkeys(ENVIRONMENTS, empty)
+        confidence.save_tables(tables)
     for environment in environments:
-        confidence.save_tables({**tables, environment: empty})
         judged = judged_of(environment, CALIBRATION)
         tables[environment] = table_of(judged, environment)
         print(row(environment, with_table(judged, tables[environment])), flush=True)
@@ -385,7 +386,7 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 COMMANDS = """$ python -m benchmarks.confidence calibrate     # the table of the package, after any change of fused
 $ python -m benchmarks.confidence report > docs/confidence_figures.md
-$ python -m benchmarks.confidence ablation >> docs/confidence_figures.md"""
+$ python -m benchmarks.confidence ablation urban >> docs/confidence_figures.md"""
 
 
 def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
