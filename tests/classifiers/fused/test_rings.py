@@ -23,7 +23,7 @@ def test_a_scanner_without_beams_is_no_fan() -> None:
 
 def test_rings_take_the_place_of_other_parameters_and_of_no_more() -> None:
     given = FusedParams.model_validate({"rings": {"memory_lines": 7, "wall_m": 0.8}, "walls": {"share": 0.2}})
-    own = pipeline._for_rings(given)
+    own = pipeline.of_scanner(given, FusedScanner.of(np.deg2rad(np.linspace(65, 92, 64))))
     assert (own.ground.memory_lines, own.ground.step_m, own.ground.gap_slope) == (7, 0.1, 0.05)
     assert (own.smoothness.noise_sigmas, own.smoothness.per_step) == (1.5, 0.0)
     assert (own.walls.height_m, own.walls.share) == (0.8, 0.2)
