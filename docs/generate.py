@@ -35,6 +35,7 @@ from prc_cli.cli import cli
 from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
+from prc_cli.formats.writing.options import HIGH_NOISE_CODE
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
 from prc_cli.streams.evidence.checks import CHECKS
@@ -364,33 +365,76 @@ def prose() -> dict[Path, str]:
     return found
 
 
+def shown_classes() -> list[tuple[int, str, tuple[int, int, int]]]:
+    """Return code, name and colour of every class that other programs may show."""
+    codes = ClassCodes()
+    found = {codes.code(label): (label.name.lower(), LABEL_COLOURS[label]) for label in Label}
+    found[0] = ("never classified", LABEL_COLOURS[Label.UNCLASSIFIED])
+    found[HIGH_NOISE_CODE] = ("high noise", LABEL_COLOURS[Label.NOISE])
+    return [(code, *found[code]) for code in sorted(found)]
+
+
+def qgis_style() -> str:
+    """Return a style for point cloud layers of QGIS: every class code with its name and colour."""
+    rows = "\n".join(
+        f'      <category render="true" value="{code}" label="{code} {name}" color="{r},{g},{b},255"/>'
+        for code, name, (r, g, b) in shown_classes()
+    )
+    return f"""<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<!-- written by docs/generate.py from the class codes; do not edit -->
+<qgis styleCategories="Symbology" version="3.22">
+  <renderer type="classified" attribute="Classification" pointSymbol="0" pointSize="1" pointSizeUnit="MM" \
+maximumScreenError="0.3" maximumScreenErrorUnit="MM">
+    <categories>
+{rows}
+    </categories>
+  </renderer>
+</qgis>
+"""
+
+
+def potree_classes() -> str:
+    """Return a script that names and colours the class codes in a Potree viewer."""
+    rows = "\n".join(
+        f'    {code}: {{visible: true, name: "{name}", color: [{r / 255:.3f}, {g / 255:.3f}, {b / 255:.3f}, 1]}},'
+        for code, name, (r, g, b) in shown_classes()
+    )
+    return f"""// written by docs/generate.py from the class codes; do not edit
+viewer.setClassifications({{
+{rows}
+    DEFAULT: {{visible: true, name: "other", color: [0.5, 0.5, 0.5, 1]}},
+}});
+"""
+
+
 def accuracy_page() -> str:
     """Return the page of accuracy: a few rows of the figures of the contest, and what they do not say."""
     figures = (ROOT / "docs/contest_figures.md").read_text(encoding="utf-8")
-    shown = (
-        ("Oakland 2, 3: F1 of the classes", ("ground", "building", "vegetation")),
-        ("KITTI frame: F1 of the classes", ("ground", "building", "vegetation")),
-        ("forests: F1 of the classes", ("ground", "stem", "vegetation")),
+    streets = [_table_of(figures, f"{scan}: F1 of the classes") for scan in ("Oakland 2, 3", "KITTI frame")]
+    forests = [_table_of(figures, "forests: F1 of the classes")]
+    methods = ("PRC, published", "PRC, for push-brooms", "sequential-angle", "fused")
+    real = _short_table(
+        "F1, real scans | street: ground | building | vegetation | 64-ring frame: ground | building | vegetation",
+        methods, streets, ("ground", "building", "vegetation"),
+    )  # fmt: skip
+    simulated = _short_table(
+        "F1, simulated forests | ground | stem | vegetation",
+        tuple(forests[0]),
+        forests,
+        ("ground", "stem", "vegetation"),
     )
-    table = [
-        "| F1, mean of the scans (worst) | real street: ground | building | vegetation "
-        "| real 64-ring frame: ground | building | vegetation | simulated forest: ground | stem | vegetation |",
-        "|---|" + "---:|" * 9,
-    ]
-    found = [(_table_of(figures, title), classes) for title, classes in shown]
-    for method in dict.fromkeys(name for rows, _ in found for name in rows):
-        cells = [rows.get(method, {}).get(one, "") for rows, classes in found for one in classes]
-        table.append(f"| {method} | {' | '.join(cells)} |")
     text = """\
         # How accurate is it?
 
         What `prc classify` takes by itself is `fused` in streets and `fused-forest` in forests. The other rows are the
         papers' methods. Oakland strip 1 is left out, because parameters were chosen on it.
 
-        {table}
+        {real}
 
-        - **Real street**: Oakland strips 2 and 3, a push-broom scanner with 0.5° steps. **Real frame**: one of KITTI.
-          **Forest**: three simulated walks, because no labelled raw forest scan is at hand.
+        {simulated}
+
+        - **Street**: Oakland strips 2 and 3, a push-broom scanner with 0.5° steps. **Frame**: one of KITTI.
+          **Forests**: three simulated walks, because no labelled raw forest scan is at hand.
         - Two real places are few, and their references hold next to no noise. Expect less elsewhere.
         - Cars, curbs and poles are not in this table: [every class](fused.md#figures). Poles are weak.
         - Where it fails: [a list](contest.md#where-fused-fails) and [pictures](contest_figures.md#where-it-fails).
@@ -400,7 +444,18 @@ def accuracy_page() -> str:
         All scans, all methods and the commands: [the contest](contest.md), [its figures](contest_figures.md),
         [real scans](real_scans.md).
         """
-    return "\n".join([GENERATED, textwrap.dedent(text).format(table="\n".join(table))])
+    return "\n".join([GENERATED, textwrap.dedent(text).format(real=real, simulated=simulated)])
+
+
+def _short_table(
+    head: str, methods: tuple[str, ...], scans: list[dict[str, dict[str, str]]], classes: tuple[str, ...]
+) -> str:
+    """Return a table of the means, one row a method."""
+    rows = [f"| {head} |", "|---|" + "---:|" * (len(scans) * len(classes))]
+    for method in methods:
+        cells = [scan.get(method, {}).get(one, "").partition(" ")[0] for scan in scans for one in classes]
+        rows.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(rows)
 
 
 def _table_of(page: str, title: str) -> dict[str, dict[str, str]]:
@@ -419,6 +474,8 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/classes.md": classes_page(),
         ROOT / "docs/reference/checks.md": checks_page(),
         ROOT / "docs/reference/simulation.md": simulation_page(),
+        ROOT / "sample_configs/viewers/prc_classes.qml": qgis_style(),
+        ROOT / "sample_configs/viewers/prc_classes_potree.js": potree_classes(),
         ROOT / "docs/accuracy.md": accuracy_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
         **prose(),
@@ -433,6 +490,7 @@ def main() -> int:
             continue
         stale.append(str(path.relative_to(ROOT)))
         if "--check" not in sys.argv:
+            path.parent.mkdir(exist_ok=True)
             path.write_text(text, encoding="utf-8")
     if stale:
         verb = (

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.error import URLError
+from urllib.error import HTTPError, URLError
 from urllib.request import Request, urlopen
 
 import pytest
@@ -118,6 +118,8 @@ def _started(url: str) -> Browser:
     while True:
         try:
             return Browser(url)
+        except HTTPError as error:  # before URLError, of which it is one
+            pytest.skip(f"the browser does not start: {error.read()[:200]!r}")
         except (URLError, ConnectionError):
             assert time.monotonic() < end, "chromedriver does not answer"
             time.sleep(0.1)

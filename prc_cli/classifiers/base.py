@@ -107,6 +107,8 @@ class Needs:
     """Most range noise that the thresholds stand [m]; more is doubted."""
     nadir_from_ground: bool = False
     """Whether nadir may be guessed from the ranges: right to a degree or two in streets, to 10 degrees in forests."""
+    confidence_kernels: frozenset[str] | None = None
+    """Further loops that it calls where its confidence is wanted; None = it has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,8 @@ class Wanted:
     """Segment ids."""
     stages: bool = False
     """Intermediate results (:class:`~prc_cli.core.stream.StageLabels`)."""
+    confidence: bool = False
+    """How sure every label is [per cent]."""
 
 
 LABELS_ALONE = Wanted()
@@ -147,6 +151,8 @@ class UsualLabels:
     """Largest lean of the ground across the lines [deg]."""
     vanished_share: float = 0.0
     """Ground has vanished where its share is below this part of what three quarters of the stream do not exceed."""
+    reach_m: float = 0.0
+    """Some of what is not noise is farther than this [m]."""
 
 
 class Classifier(Protocol[ScannerT, StateT_co]):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import layers_from, output_options, stream_options
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import atomic_output, read_small, remove_stale, who_may_change
@@ -102,8 +103,8 @@ _OUTPUTS = [
 _CHECKS = [
     _option("--reference", type=click.Path(path_type=Path), metavar="TREE",
             help="Evaluate against this reference folder: files of the same name, any suffix."),
-    _option("--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml",
-            help="Which codes mean which class, as prc evaluate."),
+    _option("--mapping", metavar="NAME|FILE.toml", shell_complete=complete_mapping,
+            help="Which codes mean which class, as prc evaluate.  [default: that of the method in the run records]"),
     _option("--match", default="order", show_default=True, metavar="HOW",
             help="How records find their partner: order, time, dimension:NAME or nearest."),
     _option("--fail-under", "gates", multiple=True, metavar="SCORE.CLASS=VALUE",

@@ -12,6 +12,7 @@ import click
 from click.core import ParameterSource
 from rich.table import Table
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import config_from, stream_options, window_options
 from prc_cli.cli.report import console, line_progress, print_doubts, results
 from prc_cli.cli.safe import printable_lines
@@ -35,7 +36,7 @@ from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--output",
@@ -54,10 +55,15 @@ from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
     "--reference",
     type=click.Path(path_type=Path),
     metavar="LABELS",
-    help="Codes of the records of INPUT, in their order: search the parameters that agree best.",
+    help="Codes of the records of IN, in their order: search the parameters that agree best.",
 )
 @click.option(
-    "--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml", help="Which codes mean which class."
+    "--mapping",
+    default="prc",
+    show_default=True,
+    metavar="NAME|FILE.toml",
+    shell_complete=complete_mapping,
+    help="Which codes mean which class.",
 )
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes.")
 @click.option(
@@ -112,7 +118,7 @@ def calibrate(
     source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, form: str | None,
     as_json_flag: bool, quiet: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """Measure the sensor of INPUT and derive the parameters that follow from it.
+    """Measure the sensor of IN and derive the parameters that follow from it.
 
     Noise, angular step, rounding and missing shots are measured on the stream itself; with a reference the parameters
     are searched on a part of the lines and judged on the others. A stream that is doubted gives parameters that may be

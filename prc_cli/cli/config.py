@@ -50,6 +50,8 @@ def check(file: Path) -> None:
     \b
     Example: prc config check night_run.toml
     """
+    from prc_cli.classifiers.prc.support import unusual
+
     overrides = read_toml(file).get("override")
     if overrides is None:
         loaded, more = load_config(file), ""
@@ -60,6 +62,8 @@ def check(file: Path) -> None:
         loaded = BatchConfig(ConfigLayers(file)).base
         more = f" and {len(overrides)} override{'s' * (len(overrides) != 1)}"
     click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set{more}"))
+    if loaded.config.method == "prc" and (found := unusual(loaded.config.prc.support)) is not None:
+        click.echo(f"warning: {found}", err=True)
 
 
 @config.command()

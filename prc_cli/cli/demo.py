@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -10,19 +11,27 @@ import click
 from prc_cli.cli.report import compiling_note, console, line_progress, print_choice, print_classes
 from prc_cli.cli.report_evaluation import print_evaluation
 from prc_cli.config import load_config
-from prc_cli.evaluation.reports import as_dict
+from prc_cli.evaluation.reports import NO_INTERVALS, as_dict, overall_line
 from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.classify import load_classifier
-from prc_cli.jobs.demo import PARTS, run_demo
+from prc_cli.jobs.demo import MORE, PARTS, DemoPart, run_demo
 from prc_cli.simulation.drive import load_simulator
 
 TITLES = {"drive": "default", "published": "prc", "static": "sequential-angle", "walk": "default, forest"}
 """Titles of the parts."""
 
+OTHERS = {
+    "walk": "a walk in a forest, the method chosen for it",
+    "static": "a static scan of a street, sequential-angle",
+    "published": "the same drive, PRC as published",
+}
+"""The parts that are shown in a line each."""
+
 OPEN = {
-    "open the picture (ranges, classes, the simulator's classes)": "street.png",
-    "the classified cloud": "street.laz",
-    "how well it is classified": "evaluation.md",
+    "look around in it, in a browser": "street.html",
+    "how well it is classified": "street_report.html",
+    "as a picture (ranges, classes, the simulator's classes)": "street.png",
+    "the classified cloud, for other programs": "street.laz",
 }
 """What to look at first."""
 
@@ -45,10 +54,10 @@ OPEN = {
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
-    """Simulate a drive, a static scan and a walk in a forest; classify, evaluate and draw them.
+    """Simulate a drive, classify, evaluate and draw it; ends with what to open.
 
-    The drive and the walk are classified without a preset, the drive with the preset urban as well, and the static
-    scan with the preset street-scan.
+    The same for a walk in a forest and a static scan, and for the drive with PRC as published; their files are in the
+    folder more.
 
     \b
     Example: prc demo --output /tmp/prc-demo
@@ -65,14 +74,24 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
         click.echo(json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2))
     if quiet:
         return
-    for method, part in parts.items():
-        print_classes(part.summary)
-        print_choice(next((one for one in part.summary.record.assumptions if one.key == "method"), None))
-        if not json_wanted:
-            click.echo(f"\n{method}: labels against those of the simulator")
-            print_evaluation(part.matrix, scores(part.matrix))
-    for path in result.files:
-        console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
+    if parts:
+        _print(result.parts, tables=not json_wanted)
     for what, name in OPEN.items():
         console().print(f"{what}: {output / name}", markup=False, soft_wrap=True)
+    others = f"the other scans, labels and configurations: {output / MORE}"
+    console().print(others, markup=False, soft_wrap=True)
     console().print("your own file: prc info FILE ends with the command to type", markup=False, soft_wrap=True)
+
+
+def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
+    """Print the drive as prc classify and prc evaluate would, and a line for every other part."""
+    drive = parts["drive"]
+    print_classes(drive.summary)
+    print_choice(next((one for one in drive.summary.record.assumptions if one.key == "method"), None))
+    if not tables:
+        return
+    click.echo("\na drive along a street: labels against those of the simulator")
+    print_evaluation(drive.matrix, scores(drive.matrix))
+    click.echo()
+    for name, what in OTHERS.items():
+        click.echo(f"{what}: {overall_line(scores(parts[name].matrix), NO_INTERVALS)}")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
@@ -28,6 +30,7 @@ from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.evaluate.pictures import class_pictures
+from prc_cli.jobs.render.heading import origin
 from prc_cli.matching.pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
@@ -41,6 +44,7 @@ _OPTIONS = [
     click.option(
         "--mapping",
         metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
         help="Which codes mean which class: a preset (prc, street, street_scan, oakland, ...) or a file.  "
         "[default: that of the method in the run record beside PREDICTED, else prc]",
     ),
@@ -97,6 +101,18 @@ _OPTIONS = [
     click.option("--by-range", "edges", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
     click.option("--by-lines", type=click.IntRange(min=1), metavar="N", help="Split into parts of N scan lines."),
     click.option("--by-scanner", is_flag=True, help="Split by scanner."),
+    click.option(
+        "--by-confidence",
+        "confidence_edges",
+        metavar="EDGES",
+        help="Split by the confidence of the predictions [per cent], e.g. 50,80,90,95,99: how reliable it is.",
+    ),
+    click.option(
+        "--min-confidence",
+        type=click.IntRange(0, 100),
+        metavar="PERCENT",
+        help="Leave out predictions with less confidence.",
+    ),
     click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line of a dense stream."),
     click.option(
         "--intervals", type=click.Choice(["jackknife", "bootstrap"]), help="Confidence intervals of all scores."
@@ -191,7 +207,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     found = evaluate_all(left, right, name, options=how)
     gates = check_gates(scores(found.matrix), demanded)
-    if how.match == "order" and page_wanted:
+    if how.match == "order" and page_wanted and how.window is None:  # they show the first lines
         dimensions = how.predicted_dimension, how.reference_dimension
         points = how.predicted_points, how.reference_points
         pictures = (
@@ -217,7 +233,9 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
 def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:
     """Return the result in one of the report formats."""
     if form == "html":
-        return as_html(found, gates, mapping=mapping, pictures=pictures)
+        return as_html(
+            found, gates, mapping=mapping, pictures=pictures, origin=origin([Path(name) for name in found.predicted])
+        )
     if form in ("csv", "latex"):
         return as_csv(found) if form == "csv" else as_latex(found)
     return as_json(found, gates) + "\n" if form == "json" else as_markdown(found, gates)
@@ -235,6 +253,8 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         split_range_m=_edges(options["edges"]),
         split_lines=options["by_lines"],
         split_scanner=options["by_scanner"],
+        split_confidence=_per_cents(options["confidence_edges"]),
+        min_confidence=options["min_confidence"],
         points_per_line=options["points_per_line"],
         intervals=options["intervals"],
         interval_lines=options["interval_lines"],
@@ -246,12 +266,17 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
     )
 
 
+_WINDOWS = ("only_lines", "only_time", "first")
+
+
 def _window(options: dict[str, Any]) -> Window | None:
     """Return the part that is scored."""
+    given = {f"--{name.replace('_', '-')}": options[f"window_{name.rpartition('_')[2]}"] for name in _WINDOWS}
     try:
-        return parse_window(options["window_lines"], options["window_time"], options["window_first"])
+        return parse_window(*given.values())
     except ValueError as error:
-        raise ConfigError("window", f"expected {error}") from None
+        found = ", ".join(f"{name} {text}" for name, text in given.items() if text is not None)
+        raise ConfigError("window", f"found {found}, expected {error}") from None
 
 
 def _edges(text: str | None) -> tuple[float, ...]:
@@ -266,6 +291,18 @@ def _edges(text: str | None) -> tuple[float, ...]:
     if not rising or edges[0] < 0:
         problem = f"found {text!r}, expected ranges in metres that rise, such as 5,10,20,40"
         raise ConfigError("--by-range", problem)
+    return edges
+
+
+def _per_cents(text: str | None) -> tuple[int, ...]:
+    """Read the edges of spans of confidence, ``50,80,90``."""
+    if text is None:
+        return ()
+    words = [word.strip() for word in text.split(",")]
+    edges = tuple(int(word) for word in words if word.isdecimal() and len(word) < 4)
+    if len(edges) < len(words) or any(low >= high for low, high in pairwise((-1, *edges, 101))):
+        problem = f"found {text!r}, expected whole per cents that rise, 0 to 100, such as 50,80,90,95,99"
+        raise ConfigError("--by-confidence", problem)
     return edges
 
 

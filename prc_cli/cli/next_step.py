@@ -77,6 +77,10 @@ def after_classify(source: Path, output: Path, method: str, options: dict[str, A
     # a cloud that was made of another kind of input has its own records, in another number or order
     has_records = kinds[1] == "labels" or kinds[0] == kinds[1]
     picture = output.with_name(f"{output.name.partition('.')[0]}.png")
+    if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
+        # labels of a part do not fit the whole input; a cloud of a part stands for itself
+        draw = ["prc", "render", str(output), str(picture), "--labels", str(output)]
+        return [] if kinds[1] == "labels" else [f"draw it: {shlex.join(draw)}"]
     draw = ["prc", "render", str(source), str(picture), *given_words(options)]
     if not has_records:
         return [f"draw it: {shlex.join(draw)}"]

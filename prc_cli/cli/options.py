@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import click
 
 from prc_cli.classifiers.methods import METHODS
+from prc_cli.cli.completing import complete_assignment
 from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
 from prc_cli.core.findings import CHECK_NAMES
@@ -34,7 +35,7 @@ _CLASSIFIER_OPTIONS = [
 _INPUT_OPTIONS = [
     click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
                  help="Configuration, or the name of a sample: prc config presets lists them."),
-    click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE",
+    click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", shell_complete=complete_assignment,
                  help="Any key, e.g. prc.support.zeta_p=0.1."),
     click.option("--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml",
                  help="Record layout of a raw dump or a text file."),

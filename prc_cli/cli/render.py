@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress
 from prc_cli.cli.sections import Sectioned
@@ -19,7 +20,6 @@ from prc_cli.jobs.render import (
     VIEWS,
     RenderOptions,
     RenderResult,
-    render_viewer,
 )
 from prc_cli.jobs.render import render as render_file
 
@@ -27,7 +27,7 @@ _FILE = click.Path(path_type=Path)
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="INPUT", type=_FILE)
+@click.argument("source", metavar="IN", type=_FILE)
 @click.argument("output", metavar="[OUT]", type=_FILE, required=False)
 @click.option(
     "--html",
@@ -44,7 +44,12 @@ _FILE = click.Path(path_type=Path)
 @click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
 @click.option("--reference", type=_FILE, metavar="FILE", help="Classes to compare with.")
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
-@click.option("--mapping", metavar="NAME|FILE.toml", help="Which codes mean which class, as for prc evaluate.")
+@click.option(
+    "--mapping",
+    metavar="NAME|FILE.toml",
+    shell_complete=complete_mapping,
+    help="Which codes mean which class, as for prc evaluate.",
+)
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
@@ -94,7 +99,7 @@ _FILE = click.Path(path_type=Path)
 def render(
     source: Path, output: Path | None, *, html: Path | None, overwrite: bool, as_json: bool, quiet: bool, **options: Any
 ) -> None:
-    """Draw INPUT into OUT, a .png or a single .html, or into a page to look around in (--html).
+    """Draw IN into OUT, a .png or a single .html, or into a page to look around in (--html).
 
     Ranges, the steps of the classifier, classes, differences to a reference; or the points from above or in
     perspective.
@@ -113,10 +118,14 @@ def render(
         problem = "expected one output, found none" if html is None else "given together with OUT, expected one of them"
         raise ConfigError("OUT" if html is None else "--html", problem, "give OUT.png, OUT.html or --html PAGE.html")
     loaded = config_from(options)
-    draw, target = (render_file, output) if html is None else (render_viewer, html)
-    assert target is not None
     with line_progress(source.name, quiet=quiet) as progress:
-        result = draw(source, target, loaded, chosen, overwrite=overwrite, progress=progress)
+        if output is not None:
+            result = render_file(source, output, loaded, chosen, overwrite=overwrite, progress=progress)
+        elif html is not None:
+            # loaded where it is needed, which keeps the start of pictures short
+            from prc_cli.jobs.render.viewer import render_viewer
+
+            result = render_viewer(source, html, loaded, chosen, overwrite=overwrite, progress=progress)
     if as_json:
         click.echo(json.dumps(_as_dict(result), indent=2))
     if not quiet:

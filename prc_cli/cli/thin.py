@@ -24,12 +24,19 @@ from prc_cli.jobs.thin import thin as thin_file
 @click.option("--spacing", multiple=True, metavar="CLASS=METRES", help="Keep shots so far apart in a line: ground=0.1.")
 @click.option("--drop", multiple=True, metavar="CLASS", help="Keep nothing of a class (noise: always, unless kept).")
 @click.option("--labels", type=click.Path(path_type=Path), metavar="FILE", help="Classes, one code a record of IN.")
+@click.option(
+    "--min-confidence",
+    type=click.IntRange(0, 100),
+    metavar="PERCENT",
+    help="Also drop returns whose label has less confidence.",
+)
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def thin(
     source: Path, output: Path, keep: tuple[str, ...], spacing: tuple[str, ...], drop: tuple[str, ...],
-    labels: Path | None, overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any,
+    labels: Path | None, min_confidence: int | None, overwrite: bool, as_json: bool, quiet: bool, verbose: bool,
+    **options: Any,
 ) -> None:  # fmt: skip
     """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
 
@@ -49,7 +56,10 @@ def thin(
     chosen: Path | str | None = labels if labels is not None else CLASSIFY if classify else None
     start = time.perf_counter()
     with line_progress(source.name, quiet=quiet) as progress:
-        summary = thin_file(source, output, rules, loaded, labels=chosen, overwrite=overwrite, progress=progress)
+        summary = thin_file(
+            source, output, rules, loaded,
+            labels=chosen, min_confidence=min_confidence, overwrite=overwrite, progress=progress,
+        )  # fmt: skip
     if as_json:
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:

@@ -13,6 +13,7 @@ from typing import Any
 import click
 from rich.table import Table
 
+from prc_cli.cli.former import Renamed
 from prc_cli.cli.options import output_options
 from prc_cli.cli.report import LineBar, console, print_assumptions
 from prc_cli.cli.sections import Sectioned
@@ -39,12 +40,14 @@ from prc_cli.jobs.transfer.options import TransferOptions
     "--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml", help="Record layout of RAW."
 )
 @click.option(
-    "--by",
+    "--match",
+    cls=Renamed,
+    former=("--by",),
     default="time",
     show_default=True,
-    metavar="RULE",
-    help="time (and return number), record (equal order), record:NAME (a dimension of REGISTERED with the "
-    "index of the raw record), or dimension:NAME (an integer dimension of both).",
+    metavar="HOW",
+    help="How points find their label: time (and return number), order (the same on both sides), record:NAME (a "
+    "dimension of REGISTERED with the index of the raw record), or dimension:NAME (an integer dimension of both).",
 )
 @click.option(
     "--tolerance",
@@ -71,7 +74,15 @@ from prc_cli.jobs.transfer.options import TransferOptions
     "--carry", multiple=True, metavar="NAME", help="Extra dimension of LABELS that goes along: segment_id, surface, ..."
 )
 @click.option(
-    "--min-match",
+    "--min-confidence",
+    type=click.IntRange(0, 100),
+    metavar="PERCENT",
+    help="Transfer no label with less confidence; such points keep their class.",
+)
+@click.option(
+    "--min-matched",
+    cls=Renamed,
+    former=("--min-match",),
     type=float,
     default=0.5,
     show_default=True,

@@ -14,6 +14,7 @@ import platform
 import re
 import secrets
 import stat
+import time
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -27,6 +28,8 @@ NAME_BYTES = 255
 """Longest name of a file [bytes], on all usual file systems."""
 _OWN_BYTES = 40
 """What :func:`temporary_name` adds to a name at most [bytes], rounded up."""
+CLOCK_S = 300.0
+"""The clocks of this machine and of a file server differ by less: Kerberos demands it [s]."""
 _NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL})
 """What systems answer where a file system has no hard links."""
 
@@ -275,7 +278,10 @@ def is_left_behind(part: Path) -> bool | None:
     found = _TEMPORARY.fullmatch(part.name)
     if found is None:
         return False
-    return not _is_running(int(found["process"])) if found["machine"] == _machine() else None
+    if found["machine"] != _machine():
+        return None
+    process = int(found["process"])
+    return not _is_running(process) or is_younger(process, part, CLOCK_S)
 
 
 def _machine() -> str:
@@ -293,7 +299,23 @@ def _is_running(process: int) -> bool:
         return False
     except OSError:  # it runs, but belongs to somebody else
         return True
+    # a dead one is answered for until its parent asks for its end, which first processes of containers never do
+    with contextlib.suppress(OSError, IndexError):
+        return Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
     return True
+
+
+def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
+    """Tell whether a process began after a file was last written, by more than some seconds: it is not its writer.
+
+    Systems give numbers of processes again, after a restart from the first one on. False where that cannot be told.
+    """
+    try:
+        ticks = int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[19])
+        runs_s = float(Path("/proc/uptime").read_text().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")
+        return time.time() - path.lstat().st_mtime > runs_s + by_s
+    except (OSError, ValueError, IndexError):
+        return False
 
 
 @contextlib.contextmanager

@@ -16,10 +16,10 @@ from prc_cli.core.errors import EvidenceError
 CHECK_NAMES = (
     "ranges", "rounding", "missing-code", "shot-order", "line-length", "columns-along", "line-order", "standing",
     "repeated-lines", "times", "collisions", "unplaced", "returns", "dropouts", "range-noise", "units", "angle-step",
-    "down", "ground-below", "ground-lean", "below-ground", "noise-share", "classes-along",
+    "down", "ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
-LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "classes-along")
+LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along")
 """Checks that need the labels; methods that know no angles answer only some of them."""
 ORDER_CHECKS = ("shot-order", "line-order", "times")
 """Checks that ``--trust-order`` accepts."""

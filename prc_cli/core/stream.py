@@ -276,3 +276,8 @@ class LabelledBlock:
     ground, or it was not asked for."""
     critical: CriticalZetas | None = None
     """Critical thresholds of PRC."""
+    confidence: U8 | None = None
+    """(lines, M) uint8, per cent of such shots whose label is right; 0 = no return, or not known. None = the method has
+    none, or it was not asked for."""
+    extra_confidence: U8 | None = None
+    """(n,) uint8, the same of ``block.extra``."""

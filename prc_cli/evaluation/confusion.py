@@ -44,6 +44,13 @@ class ConfusionMatrix:
         """Number of records in the matrix."""
         return int(self.counts.sum())
 
+    @property
+    def n_right(self) -> int:
+        """Number of records whose classes have one name on both sides."""
+        places = {name: column for column, name in enumerate(self.predicted_names)}
+        right = (self.counts[row, places[name]] for row, name in enumerate(self.reference_names) if name in places)
+        return int(sum(right))
+
     def __add__(self, other: ConfusionMatrix) -> ConfusionMatrix:
         """Add the counts of two matrices of the same classes.
 

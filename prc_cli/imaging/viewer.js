@@ -255,11 +255,13 @@
   function choose(i) {
     chosen = i;
     $("nothing").hidden = i >= 0;
+    $("why").hidden = !(i >= 0 && about.why && data.class[i]);
     const rows = [];
     if (i >= 0) {
       const line = Math.floor(i / columns.n), column = i % columns.n;
       rows.push(["line", lines.first + line * lines.step], ["column", columns.first + column * columns.step]);
       rows.push(["class", nameOf(data.class[i])]);
+      $("why").querySelector("code").textContent = `${about.why} ${rows[0][1]},${rows[1][1]}`;
       for (const [name, plane] of Object.entries(planes)) {
         if (name === "class") continue;
         const value = valueOf(name, i);

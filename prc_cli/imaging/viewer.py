@@ -84,7 +84,7 @@ class Shots:
     """Whether the first line is on the right."""
 
 
-def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], foot: str) -> str:
+def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], foot: str, why: str = "") -> str:
     """Return the page.
 
     Parameters
@@ -97,6 +97,8 @@ def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], fo
         Sentences that say where the data come from and what is left out.
     foot : str
         Last line.
+    why : str
+        A command that ends before ``LINE,COLUMN`` and explains the class of that shot; empty = none.
     """
     n_lines, n_columns = shots.classes.shape
     near, far = range_limits(shots.range_m)
@@ -120,6 +122,7 @@ def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], fo
         "box": box,
         "order": list(range(n_columns)) if shots.order is None else [int(column) for column in shots.order],
         "mirrored": shots.is_mirrored,
+        "why": why,
         "ramp": colour_map().tolist(),
     }
     files = resources.files("prc_cli.imaging")

@@ -21,7 +21,7 @@ from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import DoubtWarning, InputError
+from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
 from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.memory import keep_memory
@@ -182,6 +182,7 @@ def label_blocks(
     threads: int = 1,
     segments: bool = False,
     stages: bool = False,
+    confidence: bool = False,
     shots_at_once: int = SHOTS_AT_ONCE,
 ) -> Iterator[LabelledBlock]:
     """Classify a stream block by block, with one state per scanner.
@@ -198,6 +199,8 @@ def label_blocks(
         Also compute segment ids, where the method has them.
     stages : bool
         Also return intermediate results, where the method has them.
+    confidence : bool
+        Also return how sure every label is, where the method tells.
     shots_at_once : int
         Sequential-angle: approximate shots per block, in whole lines; labels do not depend on it.
 
@@ -206,8 +209,34 @@ def label_blocks(
     LabelledBlock
         In order for each scanner: blocks of k lines (fewer at the end), or the lines that became final.
     """
-    wanted = Wanted(segments, stages)
-    yield from run_blocks(blocks, params.method(), threads=threads, wanted=wanted, shots_at_once=shots_at_once)
+    wanted, method = Wanted(segments, stages, confidence), params.method()
+    if confidence:
+        load_kernels(confidence_kernels(params))  # before threads need them
+    yield from run_blocks(blocks, method, threads=threads, wanted=wanted, shots_at_once=shots_at_once)
+
+
+def confidence_kernels(params: MethodParams) -> frozenset[str]:
+    """Return the loops that a method calls where confidence is wanted.
+
+    Raises
+    ------
+    ConfigError
+        When the method cannot tell how sure its labels are.
+
+    Examples
+    --------
+    >>> confidence_kernels(RunConfig().prc)
+    Traceback (most recent call last):
+    ...
+    prc_cli.core.errors.ConfigError: output.confidence: found a method that does not tell how sure its labels are, \
+expected fused; give --preset fused or fused-forest (they need the angles of the beams), or confidence = false
+    """
+    found = params.method().needs.confidence_kernels
+    if found is None:
+        problem = "found a method that does not tell how sure its labels are, expected fused"
+        hint = "give --preset fused or fused-forest (they need the angles of the beams), or confidence = false"
+        raise ConfigError("output.confidence", problem, hint)
+    return found
 
 
 def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled") -> None:
@@ -317,6 +346,8 @@ def _classify(
         if suffix_of(output) == ".laz" and not asked_columns(loaded.config.output):
             opened.info.facts.check_layers()  # they are copied as they are
         needs = loaded.config.classifier.method().needs
+        if loaded.config.output.confidence:
+            confidence_kernels(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
     with (
         FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
@@ -380,8 +411,9 @@ def _write_labels(
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
         labelled = label_blocks(
-            blocks, config.classifier, threads=threads, segments=config.output.segment_ids, stages=config.output.stages
-        )
+            blocks, config.classifier, threads=threads, segments=config.output.segment_ids,
+            stages=config.output.stages, confidence=config.output.confidence,
+        )  # fmt: skip
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
@@ -400,6 +432,9 @@ class ClassifiedRanges:
     """:class:`prc_cli.core.classes.Label` of every shot, (lines, M) uint8: numbers of this program alone."""
     classes: ClassCodes
     """The code of every label."""
+    confidence: U8 | None = None
+    """Per cent of such shots whose label is right, (lines, M) uint8, 0 = no return or not known; None unless
+    ``config.output.confidence`` asks for it."""
 
     @property
     def codes(self) -> U8:
@@ -447,7 +482,8 @@ def classify_ranges(
     Returns
     -------
     ClassifiedRanges
-        ``codes`` of every shot as files hold them, and ``labels`` by name.
+        ``codes`` of every shot as files hold them, and ``labels`` by name; ``confidence`` where
+        ``config.output.confidence`` asks for it.
 
     Raises
     ------
@@ -489,14 +525,17 @@ def classify_ranges(
         found = _input_findings(block, config.input) if is_judged else ()
         refuse("range_m", found)
         threads = threads_of(engine, threads)
-        labelled = list(label_blocks(iter([block]), config.classifier, threads=threads))
+        wanted = config.output.confidence
+        labelled = list(label_blocks(iter([block]), config.classifier, threads=threads, confidence=wanted))
         if is_judged:
             found = (*found, *_label_findings(labelled, config))
             refuse("range_m", found)
     for doubt in doubts(found):
         told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
         warnings.warn(told, DoubtWarning, stacklevel=2)
-    return ClassifiedRanges(np.concatenate([item.labels for item in labelled]), config.classes)
+    confidence = [item.confidence for item in labelled if item.confidence is not None]
+    labels = np.concatenate([item.labels for item in labelled])
+    return ClassifiedRanges(labels, config.classes, np.concatenate(confidence) if confidence else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -536,6 +575,8 @@ def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...
 def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
     """Return what labels of the method usually look like in an input of this kind."""
     usual = config.classifier.method().usual
+    if config.input.max_range is not None and config.input.max_range <= usual.reach_m:
+        usual = replace(usual, reach_m=0.0)
     # what a scanner on a tripod sees changes all the way round
     return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
 

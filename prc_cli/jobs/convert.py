@@ -166,7 +166,7 @@ def convert(
             writer.add_item(item)
             facts = facts.add(item.block)
             advance(progress, item.block, opened.info, loaded.config.input.window)
-        info = opened.info
+        info = opened.stream.info  # a window knows its lines by now
         losses = find_losses(output, opened, facts, writer.losses)
         record = run_record(info, facts.counts, loaded)
         told = tuple(f"not kept: {loss}" for loss in losses)

@@ -7,14 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from prc_cli.config import LoadedConfig, load_config, to_toml
+from prc_cli.config import load_config, to_toml
 from prc_cli.core.errors import OutputError, OutputExistsError
 from prc_cli.core.files import atomic_output
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.reports import as_json, as_markdown
+from prc_cli.evaluation.html import as_html
+from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.jobs.classify import Progress, RunSummary, classify
-from prc_cli.jobs.evaluate import evaluate
+from prc_cli.jobs.evaluate import evaluate_all
+from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.jobs.render import RenderOptions, render
+from prc_cli.jobs.render.heading import origin
+from prc_cli.jobs.render.viewer import render_viewer
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, load_settings
 
@@ -44,7 +48,7 @@ PARTS: dict[str, Part] = {
         "street",
         "street",
         None,
-        "prc",
+        "street",
         RenderOptions(steps=("range", "classes", "reference")),
         {"lines": 600, "scene": {"name": "suburb"}},
     ),
@@ -90,6 +94,11 @@ class DemoResult:
     parts: Mapping[str, DemoPart]
     """By the names of :data:`PARTS`."""
     files: tuple[Path, ...]
+    """In the folder, without those of :data:`MORE`."""
+
+
+MORE = "more"
+"""Folder inside the demo's with the other scans and methods, labels and configurations."""
 
 
 def run_demo(
@@ -101,6 +110,8 @@ def run_demo(
     progress: Progress | None = None,
 ) -> DemoResult:
     """Simulate the scans of :data:`PARTS`, then classify, evaluate and draw them.
+
+    The folder holds the drive, classified by default; everything else is in its folder :data:`MORE`.
 
     Parameters
     ----------
@@ -123,13 +134,14 @@ def run_demo(
         When it cannot be written.
     """
     _prepare(folder, overwrite=overwrite)
+    (folder / MORE).mkdir(exist_ok=True)
     found: dict[str, DemoPart] = {}
     for name, part in PARTS.items():
         options = {**part.options, "seed": seed}
         if name == "drive" and lines is not None:
             options["lines"] = lines
         found[name] = _run(folder, part, options, overwrite, progress)
-    return DemoResult(found, tuple(sorted(folder.iterdir())))
+    return DemoResult(found, tuple(sorted(path for path in folder.iterdir() if path.is_file())))
 
 
 def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, progress: Progress | None) -> DemoPart:
@@ -137,9 +149,10 @@ def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, 
 
     The scan of an earlier part exists already, and its LAZ file is not written again.
     """
-    scan = PARTS[part.scan_of] if part.scan_of else part
-    stream, reference = folder / f"{scan.stem}.npz", folder / f"{scan.stem}_reference.npy"
-    labels = folder / f"{part.stem}_labels.npy"
+    more = folder / MORE
+    scan, shown = PARTS[part.scan_of] if part.scan_of else part, _folder_of(part, folder)
+    stream, reference = _folder_of(scan, folder) / f"{scan.stem}.npz", more / f"{scan.stem}_reference.npy"
+    labels = more / f"{part.stem}_labels.npy"
     config = load_config(preset=part.preset)
     if part.scan_of:
         summary = classify(stream, labels, config, overwrite=overwrite, progress=progress)
@@ -148,23 +161,28 @@ def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, 
         simulate(part.kind, stream, settings, beside=Beside(labels=reference), overwrite=overwrite)
         summary = classify(stream, stream.with_suffix(".laz"), config, overwrite=overwrite, progress=progress)
         classify(stream, labels, config, overwrite=overwrite)
-    result = DemoPart(summary, evaluate(labels, reference, part.mapping))
-    _write_texts(folder, part, config, result.matrix)
-    render(stream, folder / f"{part.stem}.png", config, replace(part.picture, reference=reference), overwrite=overwrite)
-    return result
+    found = evaluate_all([labels], [reference], part.mapping)
+    mapping = load_mapping(part.mapping)
+    pictures = class_pictures(labels, reference, mapping, summary.record.points_per_line, points=(stream, None))
+    # the page is read elsewhere, where the folders of this run say nothing
+    named = replace(found, predicted=(labels.name,), reference=(reference.name,))
+    page = as_html(named, mapping=mapping, pictures=pictures, origin=origin([labels]))
+    _write_text(shown / f"{part.stem}_report.html", page)
+    _write_text(more / f"{part.stem}.toml", to_toml(config))
+    render(stream, shown / f"{part.stem}.png", config, replace(part.picture, reference=reference), overwrite=overwrite)
+    if part is PARTS["drive"]:
+        # classified once more: labels alone hold no heights above ground
+        render_viewer(stream, folder / f"{part.stem}.html", config, overwrite=overwrite)
+    return DemoPart(summary, found.matrix)
 
 
-def _write_texts(folder: Path, part: Part, config: LoadedConfig, matrix: ConfusionMatrix) -> None:
-    """Write the configuration and the tables; those of the drive have no prefix."""
-    prefix = "" if part.stem == "street" else f"{part.stem}_"
-    texts = {
-        f"{part.stem}.toml": to_toml(config),
-        f"{prefix}evaluation.json": as_json(matrix),
-        f"{prefix}evaluation.md": as_markdown(matrix),
-    }
-    for name, text in texts.items():
-        with atomic_output(folder / name, overwrite=True) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+def _folder_of(part: Part, folder: Path) -> Path:
+    return folder if part is PARTS["drive"] else folder / MORE
+
+
+def _write_text(path: Path, text: str) -> None:
+    with atomic_output(path, overwrite=True) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def _prepare(folder: Path, *, overwrite: bool) -> None:

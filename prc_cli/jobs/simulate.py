@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -180,6 +181,7 @@ def _write(
         intensity=True,
         codes=True,
         down_rad=scan.info.down_rad,
+        crs=frame.crs,
     )
     n_further = 0
     with open_stream_writer(output, shape) as writer:
@@ -204,7 +206,9 @@ def _write(
         if suffix == ".bin":
             told.append(f"read it with --config {output.name}.toml")
         if shape.registered and frame.crs:
-            told.append(f"registered coordinates are those of {frame.crs}")
+            is_lost = suffix in _LAS and find_spec("pyproj") is None
+            lost = "; the file does not name it without pyproj: pip install prc-cli[crs]" if is_lost else ""
+            told.append(f"registered coordinates are those of {frame.crs}{lost}")
         if suffix == ".parquet":
             told.append("prc reads no stream from .parquet; it is for other programs")
         record = writer.finish(replace(record, notices=(*record.notices, *told)))

@@ -152,6 +152,7 @@ def stream(
     start = time.perf_counter()
     pipe, opened = open_pipe(source, config.input.model_copy(update={"partial_line": "pad"}), config.layout)
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
+    told = None
     if not config.is_decided:
         choice = choice_by_request(config, hops=hop is not None)
         if choice is None:
@@ -159,7 +160,7 @@ def stream(
         loaded = decided_by(choice, loaded)
         config = loaded.config
         load_classifier(loaded)
-        chosen(choice)
+        told = choice
     classifier = config.classifier.method()
     if classifier.needs.beams:
         opened = with_beams(opened, config.input, from_ground=classifier.needs.nadir_from_ground)
@@ -171,6 +172,9 @@ def stream(
     lookup = config.classes.lookup()
     counts, latency, result, asks_at = Counts.none(), 0.0, ResultWatch(classifier.usual), RESULT_LINES
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
+        if told is not None:  # not of an input that is refused
+            chosen(told)
+            told = None
         counts = counts.add(item)
         codes = lookup[item.labels]
         # in a dense stream only a padded last line has cells without a record

@@ -107,7 +107,7 @@ class KeyedSource(DerivedSource):
         if not right.all():
             at = int(np.argmin(right))
             problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
-            raise InputError(self.path, problem, "leave such points out, or match by something else with --by")
+            raise InputError(self.path, problem, "leave such points out, or match by something else with --match")
         return key + rule.offset if rule.offset else key
 
     def _same(self, values: dict[str, NDArray[Any]], record: I64) -> I64:

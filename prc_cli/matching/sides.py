@@ -23,17 +23,23 @@ from prc_cli.matching.streams import in_step
 
 FILE, ROW = "file", "row"
 """Index of the file, index of the record in it: int64, every side has them and :data:`CODE`."""
-RANGE, LINE, SCANNER, SECONDS = "range", "line", "scanner", "seconds"
-"""What a side may have: range [m], scan line, scanner id, time [s]; -1 (NaN for ranges and times) = not known.
-:data:`SAME` is the return
-number, 0 to 255; 0 = not known."""
+RANGE, LINE, SCANNER, SECONDS, CONFIDENCE = "range", "line", "scanner", "seconds", "confidence"
+"""What a side may have: range [m], scan line, scanner id, time [s], confidence [per cent]; -1 (NaN for ranges and
+times) = not known. :data:`SAME` is the return number, 0 to 255; 0 = not known."""
 MAX_RETURN = 255
 RECORD = "record"
 """Name of the record index. Files without such a column have it too, except LAS files."""
 UNKNOWN = -1
 SCANNER_NAMES = ("scanner", "point_source_id", "scanner_channel")
 """Dimensions that identify the scanner; the first one present is taken."""
-_NAMES = {SAME: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES, SECONDS: ("time",)}
+_NAMES = {
+    SAME: ("return_number",),
+    RANGE: ("range",),
+    LINE: ("scan_line",),
+    SCANNER: SCANNER_NAMES,
+    SECONDS: ("time",),
+    CONFIDENCE: (CONFIDENCE,),
+}
 _INDEX = ""
 _CODES = "class codes"
 """Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
@@ -166,7 +172,7 @@ class Side:
         """Names that :meth:`chunks` can deliver."""
         names = [
             name
-            for name in (SAME, RANGE, LINE, SCANNER, SECONDS)
+            for name in (SAME, RANGE, LINE, SCANNER, SECONDS, CONFIDENCE)
             if all(self._place(file, name) for file in self.files)
         ]
         key = [] if self.key is None else [KEY]

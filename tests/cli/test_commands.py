@@ -234,12 +234,18 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
             assert found[method]["classes"][name]["recall"] > recall, (method, name)
             assert found[method]["classes"][name]["precision"] > 0.6, (method, name)
     names = {path.name for path in folder.iterdir()}
-    assert names >= {"street.npz", "street.laz", "street.png", "street_labels.npy", "street_reference.npy"}
-    assert names >= {"street.toml", "evaluation.md", "evaluation.json", "street.laz.prc.json"}
-    assert names >= {"urban.png", "urban.toml", "urban_labels.npy", "urban_evaluation.md"}
-    assert names >= {"static_scan.npz", "static_scan.laz", "static_scan.png", "static_scan.toml"}
-    assert names >= {"static_scan_labels.npy", "static_scan_reference.npy", "static_scan_evaluation.md"}
-    assert names >= {"forest.npz", "forest.laz", "forest.png", "forest_labels.npy", "forest_evaluation.md"}
+    assert names == {
+        "street.npz", "street.npz.prc.json", "street.laz", "street.laz.prc.json", "street.png", "street.html",
+        "street_report.html", "more",
+    }  # fmt: skip
+    more = {path.name for path in (folder / "more").iterdir()}
+    for stem in ("urban", "static_scan", "forest"):
+        assert more >= {f"{stem}.png", f"{stem}_labels.npy", f"{stem}_report.html", f"{stem}.toml"}
+    assert more >= {"static_scan.laz", "forest.laz", "street_labels.npy", "street_reference.npy"}
+    page = (folder / "street_report.html").read_text(encoding="utf-8")
+    assert "fused (--preset fused) · input street.npz" in page
+    assert str(folder) not in page
+    assert "height_above_ground" in (folder / "street.html").read_text(encoding="utf-8")
     result = prc("demo", "--output", folder)
     assert result.code == 2
     assert "holds files already" in result.err
@@ -251,7 +257,8 @@ def test_demo_ends_with_what_to_open(prc: Prc, tmp_path: Path, monkeypatch: pyte
     folder.mkdir()
     (folder / "street.png").touch()
     lines = prc("demo", "--output", folder).err.splitlines()
-    assert lines[-4].endswith(f": {folder / 'street.png'}")
+    assert lines[-6] == f"look around in it, in a browser: {folder / 'street.html'}"
+    assert lines[-2] == f"the other scans, labels and configurations: {folder / 'more'}"
     assert lines[-1] == "your own file: prc info FILE ends with the command to type"
 
 

@@ -156,3 +156,15 @@ def test_the_kitti_frame_is_labelled_by_rings(prc: Prc, real_data: Path, tmp_pat
     assert f1["rings", Label.GROUND] > max(0.96, f1["profiler", Label.GROUND] + 0.005)
     assert f1["rings", Label.BUILDING] > max(0.78, f1["profiler", Label.BUILDING] + 0.05)
     assert f1["rings", Label.VEGETATION] > max(0.78, f1["profiler", Label.VEGETATION] + 0.2)
+
+
+@pytest.mark.parametrize(
+    ("file", "most"), [("ros/sick_lms1xx_ros1.bag", 0.0), ("organised/pumpA.e57", 0.2)]
+)  # fmt: skip
+def test_rooms_are_doubted(prc: Prc, tmp_path: Path, real_data: Path, file: str, most: float) -> None:
+    """A laser that turns level in a room, and a pump."""
+    output = tmp_path / "labels.npy"
+    result = prc("classify", real_data / file, output, "--preset", "fused")
+    assert result.code == 4
+    assert "indoors" in result.err
+    assert (np.load(output) == 65).mean() <= most

@@ -86,7 +86,7 @@ def test_a_layout_and_wrong_usage(prc: Prc, inputs: tuple[Drive, Path, Path, Pat
                  "--points", tmp_path / "drive.bin", "--layout", layout)  # fmt: skip
     assert (result.code, result.err) == (0, "")
     for options, code, text in (
-        (["--by", "space"], 2, "--by: found 'space'"),
+        (["--by", "space"], 2, "--match: found 'space'"),
         (["--tolerance", "-1"], 2, "--tolerance"),
         ([], 1, "--points RAW"),
     ):

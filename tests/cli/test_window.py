@@ -79,6 +79,10 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
         assert found.header.number_of_points_by_return[0] == np.count_nonzero(found.return_number == 1)
     assert prc("classify", folder / "d.laz", folder / "w.npy", "--only-lines", "13:41", *URBAN).code == 0
     assert np.array_equal(laspy.read(folder / "w.laz").classification, np.load(folder / "w.npy"))
+    told = prc("classify", folder / "d.laz", folder / "w.laz", "--only-lines", "13:41", "--overwrite").err
+    assert "draw it: prc render" in told
+    assert f"--labels {folder / 'w.laz'}" in " ".join(told.split())
+    assert "compare it" not in told
     # codes above 31 make the point format a larger one; segment ids are appended
     result = prc("classify", folder / "d.laz", folder / "s.laz", "--first", "2s", "--segment-ids", *URBAN)
     assert result.code == 0, result.err
@@ -106,6 +110,8 @@ def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
     found = laspy.read(folder / "c.las")
     assert np.array_equal(found.points.array, source.points.array[inside])
     assert "only lines 20 to 29 were taken" in result.err
+    result = prc("convert", folder / "d.csv", folder / "c.csv", "--first", "50lines", "--overwrite")
+    assert "only lines 0 to 49 were taken" in result.err
     for name in ("c.csv", "c.npz", "c.e57"):
         assert prc("convert", folder / "d.laz", folder / name, "--only-lines", "20:30", "--overwrite", "-q").code == 0
         blocks = list(open_stream(folder / name, load_config(preset="urban")).blocks())
@@ -137,10 +143,11 @@ def test_times_that_are_not_known(prc: Prc, folder: Path) -> None:
     assert len(np.load(folder / "n.npy")) == 20 * M
 
 
-@pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz")])
+@pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz"), ("render", "d.laz")])
 def test_commands_that_take_files_whole_refuse(prc: Prc, folder: Path, command: tuple[str, str]) -> None:
     source = folder / command[1]
-    result = prc(command[0], source, folder / "out.laz", "--preset", "urban", "--set", "input.first=2s")
+    output = folder / ("out.png" if command[0] == "render" else "out.laz")
+    result = prc(command[0], source, output, "--preset", "urban", "--set", "input.first=2s")
     assert result.code == 2
     assert "found --first 2s, but prc" in result.err
 

@@ -8,14 +8,16 @@ import os
 import pickle
 import stat
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from prc_cli.core import files
 from prc_cli.core.errors import ConfigError, GateError, InputError, OutputError, OutputExistsError, PrcError
-from prc_cli.core.files import atomic_output, atomic_outputs, check_output
+from prc_cli.core.files import atomic_output, atomic_outputs, check_output, is_left_behind, temporary_name
 from tests import patience
+from tests.patience import wait_until
 
 
 def test_a_finished_file_takes_its_name_and_leaves_nothing_else(tmp_path: Path) -> None:
@@ -183,6 +185,26 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> N
     assert files.remove_stale(tmp_path / "labels1.npy") == ()
     assert files.remove_stale(target) == (dead,)
     assert sorted(tmp_path.iterdir()) == sorted([mine, other])
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_a_dead_process_that_nobody_waits_for_is_dead(tmp_path: Path) -> None:
+    """As in a container whose first process does not."""
+    with patience.start([sys.executable, "-c", ""]) as process:
+        wait_until(lambda: b") Z" in Path(f"/proc/{process.pid}/stat").read_bytes())
+        part = temporary_name(tmp_path / "a.npy").name.replace(f"-{os.getpid()}-", f"-{process.pid}-")
+        assert is_left_behind(tmp_path / part)
+
+
+@pytest.mark.skipif(not Path("/proc/uptime").exists(), reason="needs /proc")
+def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(tmp_path: Path) -> None:
+    """As after a restart of the machine, when the numbers begin anew."""
+    part = temporary_name(tmp_path / "a.npy")
+    part.touch()
+    assert is_left_behind(part) is False
+    long_ago = time.time() - 400 - float(Path("/proc/uptime").read_text().split()[0])
+    os.utime(part, (long_ago, long_ago))
+    assert is_left_behind(part) is True
 
 
 def test_to_begin_a_flush_changes_nothing_and_never_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

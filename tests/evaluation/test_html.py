@@ -83,7 +83,8 @@ def test_page_is_well_formed_and_needs_nothing_else() -> None:
     assert "url(" not in text
     assert "@import" not in text
     for name, value in page.attributes:
-        assert name not in ("href", "srcset", "action", "onload", "onclick")
+        assert name not in ("srcset", "action", "onload", "onclick")
+        assert name != "href" or (value or "").startswith("#")
         if name == "src":
             assert (value or "").startswith("data:image/png;base64,")
     # nothing runs: the one script element holds data
@@ -210,3 +211,24 @@ def test_labels_of_the_axis_do_not_touch(n: int) -> None:
     assert len(places) >= 1
     assert all(right - left > 6.4 * max(map(len, ticks)) for left, right in pairwise(places))
     assert chart.count("<polygon") == (n if n <= 80 else 0)
+
+
+def test_the_page_says_what_made_it_and_what_to_do_next() -> None:
+    text = as_html(samples.MATRIX, origin=("2023-11-14", "prc 0.1.0", "fused <b>", "input drive.laz"))
+    page = Page(text)
+    assert "2023-11-14 · prc 0.1.0 · fused <b> · input drive.laz" in page.text
+    assert ("href", "#next") in page.attributes
+    assert ("id", "next") in page.attributes
+    for words in (
+        "IoU (intersection over union): records that",
+        "1: all equal, 0: as by chance",
+        "prc calibrate INPUT",
+    ):
+        assert words in page.text
+    assert "2023" not in Page(as_html(samples.MATRIX)).text
+
+
+def test_white_and_grey_of_pictures_are_explained() -> None:
+    page = Page(as_html(samples.MATRIX, pictures=[("a", PNG)]))
+    assert "no return, or not scored" in page.text
+    assert "they agree (last picture)" in page.text

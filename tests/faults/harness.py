@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import re
 import secrets
 import shutil
 import signal
@@ -16,7 +17,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from prc_cli.config import LoadedConfig, RunConfig
-from prc_cli.jobs.batch.journal import read_entries
+from prc_cli.core.errors import BusyError
+from prc_cli.core.files import is_younger
+from prc_cli.jobs.batch.clean import clean
+from prc_cli.jobs.batch.journal import journal_paths, read_entries
 from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.simulate import simulate
@@ -213,8 +217,8 @@ def tree(out: Path) -> dict[str, bytes]:
 
 
 def parts(out: Path) -> list[Path]:
-    """Return all temporary files."""
-    return sorted(out.rglob("*.part"))
+    """Return all temporary files but those whose number belongs to another process by now: machines are busy."""
+    return sorted(path for path in out.rglob("*.part") if not is_younger(int(path.name.split("-")[-2]), path))
 
 
 def entries(out: Path) -> dict[str, Entry]:
@@ -233,6 +237,39 @@ def check_nothing_half(archive: Archive, out: Path) -> None:
             assert len(outputs) == 1, f"{entry.name!r} is done, its output is {outputs}"
 
 
+def check_known(archive: Archive, out: Path) -> None:
+    """What a run left that was killed is an output, our own state, or removed by ``prc batch clean``."""
+    if not out.exists() or not journal_paths(out / OWN_FOLDER):
+        left = [path for path in out.rglob("*") if path.is_file() and path.parent.name != OWN_FOLDER]
+        assert not left, left
+        return
+    end = time.monotonic() + _DYING_S
+    while (unknown := _unknown(archive, out)) and time.monotonic() < end:
+        time.sleep(0.1)  # killed processes take a moment to die
+    assert not unknown, f"prc batch clean does not know {unknown}"
+
+
+_DYING_S = 10.0
+
+
+def _unknown(archive: Archive, out: Path) -> list[str]:
+    """Return the files that are neither outputs nor our own state, and that ``prc batch clean`` would not remove."""
+    try:
+        removed = set(clean(out, dry_run=True).files)
+    except BusyError as error:
+        return [str(error)]
+    state = re.compile(r"journal\.sqlite(-wal|-shm|-journal)?|command\.json|lock|lock\.json")
+    found = []
+    for path in out.rglob("*"):
+        name = path.relative_to(out).as_posix()
+        is_ours = path.parent == out / OWN_FOLDER and state.fullmatch(path.name) is not None
+        is_ours = is_ours or name in archive.whole or name == "summary.json"
+        is_kept = path.suffix == ".part" and path not in parts(out)
+        if path.is_file() and not (is_ours or is_kept or path in removed):
+            found.append(name)
+    return found
+
+
 def check_whole(archive: Archive, out: Path) -> None:
     """The run that resumed ended as an undisturbed one, and left nothing else."""
     assert tree(out) == archive.whole
@@ -240,7 +277,9 @@ def check_whole(archive: Archive, out: Path) -> None:
     known = entries(out)
     assert set(known) == archive.names
     assert {entry.state for entry in known.values()} == {"done"}
-    left = {path.name for path in (out / OWN_FOLDER).rglob("*") if not path.name.endswith(("-wal", "-shm"))}
+    known_to_clean = set(clean(out, dry_run=True).files)  # what runs on Dask asked their workers for
+    found = set((out / OWN_FOLDER).rglob("*")) - known_to_clean
+    left = {path.name for path in found if not path.name.endswith(("-wal", "-shm"))}
     assert left <= {"journal.sqlite", "command.json"}, left
 
 

@@ -17,7 +17,7 @@ from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
 from tests.faults import step_kills
 from tests.faults.harness import FAST, Archive, Batch, check_nothing_half, check_whole, entries, hooked, part_of, parts
 from tests.faults.kills import kill_many
-from tests.faults.step_kills import strike_step
+from tests.faults.step_kills import Strike, strike_step
 from tests.patience import wait_until
 
 
@@ -52,7 +52,16 @@ def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path:
     """``python -m tests.faults.step_kills`` takes every step."""
     rng = random.Random(seed)
     two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
-    strike_step(two, tmp_path / "out", rng.randint(8, 44), rng.choice(["all", "self"]))
+    strike_step(two, tmp_path / "out", Strike(rng.randint(8, 44), rng.choice(["all", "self"])))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["local", "dask"])
+@pytest.mark.parametrize("victims", ["all", "self"])
+def test_a_kill_right_after_a_file_got_its_name(fast: Archive, tmp_path: Path, engine: str, victims: str) -> None:
+    """``python -m tests.faults.step_kills --names`` takes every name."""
+    two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
+    strike_step(two, tmp_path / "out", Strike(4, victims, names=True, engine=engine))
 
 
 def run_into(archive: Archive, out: Path, names: Sequence[str], *options: str, jobs: int = 2) -> Batch:

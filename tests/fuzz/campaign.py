@@ -13,6 +13,7 @@ import argparse
 import os
 import random
 import re
+import signal
 import sys
 import tempfile
 import time
@@ -187,6 +188,7 @@ def main() -> None:
         given.report.write_text(report(given.corpus), encoding="utf-8")
         return
     own = Campaign(given.targets, given.seed, given.corpus, given.keep)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what was counted is kept
     begun = time.monotonic()
     n = own.run(given.runs, given.seconds)
     times = os.times()

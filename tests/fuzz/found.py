@@ -28,7 +28,7 @@ class Found:
 def keep(folder: Path, finding: Found, data: bytes, kind: str, fault: str) -> str:
     """Write an input with what is to be known about it; return the stem of its names.
 
-    ``expected`` is empty until somebody has mended the fault and says the exit code, and a part of the message.
+    ``expected`` is empty until somebody has mended the fault and says which ``code`` is right.
     """
     folder.mkdir(parents=True, exist_ok=True)
     stem = f"{finding.target}-{hashlib.sha256(kind.encode()).hexdigest()[:8]}"

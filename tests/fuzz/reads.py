@@ -24,20 +24,21 @@ from prc_cli.streams.trajectory import load_trajectory
 from tests.fuzz.seeds import LAYOUT
 
 
-def blocks(path: Path, layout: Layout | None = None) -> None:
+def blocks(path: Path, layout: Layout | None = None, **options: object) -> None:
     """Read records, blocks and class codes of an archive file."""
     source = open_source(path, layout)
     if source is not None:
         for chunk in source.chunks(source.dimensions):
             del chunk
     refused = []
-    for rules in ({}, {"lines": "fixed", "points_per_line": 24}):
+    fixed = {"lines": "fixed", "columns": "order", "points_per_line": 24}
+    for rules in ({}, fixed, {**fixed, "partial_line": "pad", "range": "origin:0,0,2"}):
         try:
-            for block in open_input(path, InputConfig(order="trust", **rules), layout).blocks():
+            for block in open_input(path, InputConfig(order="trust", **options, **rules), layout).blocks():
                 del block
         except PrcError as error:
             refused.append(error)
-    if len(refused) == 2:
+    if len(refused) == 3:
         raise refused[0]
 
 
@@ -77,12 +78,17 @@ def _record(labels: Path) -> None:
     mapping_of_runs([labels])
 
 
+def _ouster(capture: Path) -> None:
+    blocks(capture, metadata=str(capture.parent / "seeds" / "ouster.json"))
+
+
 READS: dict[str, Callable[[Path], None]] = {
     "raw": _raw,
     "labels": _codes,
     "trajectory": _trajectory,
     "layout": _layout,
     "config": lambda path: void(load_config(path)),
+    "ouster": _ouster,
     "state": _state,
     "record": _record,
     "mapping": lambda path: void(load_mapping(path)),

@@ -33,10 +33,12 @@ _SMALL = ("--width", "300", "--height", "300")
 _P = ("--preset", "urban", "--trust-order")
 LABELLED = ("classify", "{case}", "{out}/o.npy", *BLOCKS)
 """The command whose labels are compared with those of other ways."""
+_UPRIGHT = ("classify", "{case}", "{out}/o.npy", *_P, "--range", "sensor-xyz", "--lines", "elevation:20")
+TAKEN = {"uos": ("info", "{case}"), "clouds": _UPRIGHT, "copc": ("info", "{case}")}
+"""First commands of inputs that :data:`LABELLED` refuses sound: it names no lines, no columns, no ranges."""
 STATE = "state"
 """Folder of an output tree, which commands may change."""
 READ: tuple[tuple[str, ...], ...] = (
-    LABELLED,
     ("info", "{case}"),
     ("info", "-v", "{case}", "--trust-order"),
     ("info", "-q", "{case}", "--draft", "{out}/o.toml"),
@@ -130,10 +132,13 @@ class Target:
 
 TARGETS: dict[str, Target] = {
     **{
-        name: Target(seeds, (*READ, *LAS) if name in ("las", "laz", "copc") else READ) for name, seeds in INPUTS.items()
+        name: Target(seeds, (TAKEN.get(name, LABELLED), *READ, *(LAS if name in ("las", "laz", "copc") else ())))
+        for name, seeds in INPUTS.items()
     },
     "echopulse": Target(
-        tuple(name for name in SEEDS if name.startswith("pulses/")), READ, given="pulses/pulse-uint8-n_echo.bin"
+        tuple(name for name in SEEDS if name.startswith("pulses/")),
+        (LABELLED, *READ),
+        given="pulses/pulse-uint8-n_echo.bin",
     ),
     "state": Target(
         tuple(name for name in SEEDS if name.startswith(f"{STATE}/.prc/")),
@@ -156,7 +161,9 @@ TARGETS: dict[str, Target] = {
     ),
     "raw": Target(
         ("a.bin", "f4.bin"),
-        tuple((*command, "--layout", "{seeds}/layout.toml") for command in READ if command[0] != "evaluate"),
+        tuple(
+            (*command, "--layout", "{seeds}/layout.toml") for command in (LABELLED, *READ) if command[0] != "evaluate"
+        ),
     ),
     "bag": Target(("plain.bag", "bz2.bag", "lz4.bag"), (*RECORDED, ("info", "{case}", "--topic", "/scan"))),
     "mcap": Target(("plain.mcap", "zstd.mcap", "lz4.mcap"), RECORDED),
@@ -188,6 +195,10 @@ TARGETS: dict[str, Target] = {
                 "trajectory:{case}",
                 "--set",
                 "input.trajectory_crs=EPSG:32635",
+            ),
+            (
+                *("convert", "{seeds}/a.csv", "{out}/o.npz", "--range", "trajectory:{case}"),
+                *("--set", "input.trajectory_time_offset=-1"),
             ),
         ),
     ),

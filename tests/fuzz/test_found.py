@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sqlite3
 import struct
 import sys
 import time
@@ -26,8 +28,12 @@ from prc_cli.formats.ptx import PtxStream
 from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import to_number
 from prc_cli.formats.text.read import TextSource
+from prc_cli.formats.writing.record import record_path
+from prc_cli.jobs.batch.adopt import outcome_of_record
+from prc_cli.jobs.batch.types import InputPrint, Task
+from prc_cli.jobs.classify import classify
 from tests.fuzz.guard import unprintable
-from tests.fuzz.seeds import las_vlrs, seed
+from tests.fuzz.seeds import N_LINES, las_vlrs, seed
 
 URBAN = ("--preset", "urban", "--trust-order")
 
@@ -252,6 +258,22 @@ def test_damaged_laz_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.Cap
     assert min(codes.values()) > 1, codes
 
 
+def test_damaged_copc_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """``transfer`` decoded only the layers of the classes of an octree's chunks, and copied the others."""
+    labels, codes = put(tmp_path / "labels.laz", seed("copc7.laz")), {0: 0, 1: 0}
+    for number in range(16):
+        case = put(tmp_path / f"{number}.laz", zeroed(seed("copc7.laz"), number, 30))
+        output = tmp_path / f"o{number}.laz"
+        code, printed = run(capfd, "transfer", labels, case, output, "--min-match", "0", "-q")
+        codes[min(code, 1)] += 1
+        if code:
+            assert "error: " in printed
+            assert not output.exists()
+        else:
+            assert len(laspy.read(output)) == len(laspy.read(labels))
+    assert min(codes.values()) > 1, codes
+
+
 @pytest.mark.parametrize(("name", "kind"), [("pf6.laz", 12), ("pf7.laz", 12), ("pf3.laz", 9), ("pf6.laz", 14)])
 def test_items_of_another_point_format_are_refused(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, kind: int
@@ -310,4 +332,42 @@ def test_times_and_angles_without_measure_give_no_turn() -> None:
     time_s, angle = shot % 10 + shot // 10 * 20.0, shot % 10 * np.pi / 10
     assert turn_of_times(time_s, angle) is not None
     for tiny, large in ((5e-324, 1.0), (1e-300, 1e300), (1.0, 1e307)):
-        assert turn_of_times(time_s * tiny, angle * large) is None
+        turn = turn_of_times(time_s * tiny, angle * large)
+        assert turn is None or np.isfinite(turn)
+
+
+NUMBERS = ("seconds", "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records", "input_size", "output_size")
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        """UPDATE files SET labels = '[["GROUND", 1e999]]'""",
+        """UPDATE runs SET totals = '{"done": 1e999}'""",
+        *(f"UPDATE files SET {column} = 9e999" for column in NUMBERS),
+        *(f"UPDATE files SET {column} = -9e999" for column in ("seconds", "n_shots", "input_mtime_ns")),
+    ],
+)
+def test_a_journal_with_numbers_without_end(tmp_path: Path, capfd: pytest.CaptureFixture[str], statement: str) -> None:
+    """Infinity is no integer: a traceback."""
+    (tmp_path / ".prc").mkdir()
+    journal = put(tmp_path / ".prc" / "journal.sqlite", seed("state/.prc/journal.sqlite"))
+    with contextlib.closing(sqlite3.connect(journal)) as own:
+        own.execute(statement)
+        own.commit()
+    for words in (("status",), ("status", "--json"), ("clean", "--dry-run")):
+        code, printed = run(capfd, "batch", words[0], tmp_path, *words[1:])
+        assert code in (0, 1), printed
+        assert not code or printed.count("\n") == 1
+
+
+def test_a_record_with_numbers_without_end_is_not_adopted(tmp_path: Path) -> None:
+    source, output = put(tmp_path / "a.npz", seed("a.npz")), tmp_path / "o.npy"
+    loaded = load_config(preset="urban")
+    classify(source, output, loaded, threads=1)
+    task = Task("a.npz", source, output, loaded, "")
+    before = InputPrint(source.stat().st_size, source.stat().st_mtime_ns, None)
+    assert outcome_of_record(task, before, output.stat()) is not None
+    record = record_path(output)
+    record.write_text(record.read_text().replace(f'"n_lines": {N_LINES}', '"n_lines": 1e999'))
+    assert outcome_of_record(task, before, output.stat()) is None

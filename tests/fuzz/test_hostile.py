@@ -56,12 +56,14 @@ def test_damaged_files_are_refused_or_read(worker: tuple[WatchedWorker, Path], n
 @pytest.mark.parametrize("name", TARGETS)
 def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], name: str) -> None:
     """Else every case would be refused for a reason that is not its damage."""
+    from tests.fuzz.worker import DONE  # of POSIX alone, as the worker
+
     watched, folder = worker
     chosen = TARGETS[name].seeds[0]
     case = lay(folder, TARGETS[name], chosen, seed(chosen), "sound")
     sound = str(sound_of(folder / "seeds", TARGETS[name], chosen))
     answers = [watched.run(command, case, sound) for command in TARGETS[name].commands[:6]]
-    assert 0 in {answer["code"] for answer in answers}
+    assert answers[0]["code"] in DONE, TARGETS[name].commands[0]
     assert not [answer["faults"] for answer in answers if answer["faults"]]
 
 
@@ -73,7 +75,8 @@ def test_what_a_campaign_found_is_mended(
     finding = Found(str(table["target"]), str(table["seed"]), str(table["way"]), tuple(table["words"]))  # type: ignore[arg-type]
     answer = attempt(watched, folder, finding, (FOUND / f"{stem}.data").read_bytes())
     assert not answer["faults"]
-    assert answer["code"] in (table["expected"] or {"code": answer["code"]}).values()  # type: ignore[attr-defined]
+    expected: dict[str, int] = table["expected"]  # type: ignore[assignment]
+    assert answer["code"] == expected.get("code", answer["code"])
 
 
 ATTACKS = (

@@ -621,6 +621,12 @@ def test_noise_does_not_frame_a_cloud_and_can_be_hidden(urban: LoadedConfig, tmp
         render(source, tmp_path / "d.png", urban, RenderOptions(view="top", hide=("rain",)))
 
 
+def test_scan_plane_coordinates_lead_to_the_page(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+    classify(drive, tmp_path / "out.laz", urban)
+    result = render(tmp_path / "out.laz", tmp_path / "a.png", urban, RenderOptions(view="top", width=300))
+    assert any("--html draws lines one behind the other" in note for note in result.notes)
+
+
 def test_hidden_classes_are_white_in_scan_pictures(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
     drawing = draw_scan(drive, urban, RenderOptions(steps=("classes",), hide=("ground",)), tmp_path)
     labels = labels_of(drive, urban)

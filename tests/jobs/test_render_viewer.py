@@ -11,8 +11,8 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.jobs.classify import classify
-from prc_cli.jobs.render import RenderOptions, render_viewer
-from prc_cli.jobs.render.viewer import SPEED_M_S, _steps
+from prc_cli.jobs.render import RenderOptions
+from prc_cli.jobs.render.viewer import SPEED_M_S, _steps, render_viewer
 from tests.browser import chromium
 from tests.imaging.test_viewer import decoded
 from tests.jobs.test_render import drive as drive
@@ -111,6 +111,8 @@ def test_refusals(drive: Path, tmp_path: Path) -> None:
         render_viewer(drive, tmp_path / "a.png", config)
     with pytest.raises(ConfigError, match="--figure1: belongs to pictures, found --html; leave one of them out"):
         render_viewer(drive, tmp_path / "a.html", config, RenderOptions(figure1=True))
+    with pytest.raises(ConfigError, match="--block: belongs to pictures, found --html"):
+        render_viewer(drive, tmp_path / "a.html", config, RenderOptions(block=1))
     np.save(tmp_path / "short.npy", np.full(7, 2, np.uint8))
     with pytest.raises(InputError, match="found 7 labels"):
         render_viewer(drive, tmp_path / "a.html", config, RenderOptions(labels=tmp_path / "short.npy"))
@@ -142,6 +144,8 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
         shown = browser.run("return Array.from(document.querySelectorAll('#shot dd'), (each) => each.textContent)")
         assert shown[:2] == [str(line), str(column)]
         assert f"{planes['range'][line, column]:.3f} m" in shown
+        why = browser.run("return document.querySelector('#why').textContent")
+        assert why == f"Why this class? prc explain static.npz --preset street-scan --at {line},{column}"
         names = {one["place"]: one["name"] for one in about["classes"]}
         assert shown[2] == names[int(planes["class"][line, column])]
         press = "document.getElementById('image').dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))"

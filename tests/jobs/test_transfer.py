@@ -340,7 +340,7 @@ def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
     assert np.array_equal(codes_of(tmp_path / "out.las"), both.codes[record])
     text = "have several labels of their key, which differ, expected at most 50%; .*--same"
     refused(tmp_path, text, labels, registered, tmp_path / "mixed.las")
-    summary = transfer(labels, registered, tmp_path / "mixed.las", TransferOptions(min_match=0.1))
+    summary = transfer(labels, registered, tmp_path / "mixed.las", TransferOptions(min_matched=0.1))
     assert summary.counts.n_by_majority > 0
     assert "have several labels of their key, which differ for" in " ".join(summary.record.notices)
 
@@ -352,11 +352,11 @@ def test_by_record_index_and_by_dimension(drive: Drive, tmp_path: Path, by: str)
     registered = write_las(tmp_path / "registered.las", drive, record, form=0, raw_index=index)
     everything = np.arange(N, dtype=np.int64) + 10**12
     labels = write_las(tmp_path / "labels.las", drive, np.arange(N), codes=drive.codes, form=0, raw_index=everything)
-    transfer(labels, registered, tmp_path / "out.las", TransferOptions(by=by))
+    transfer(labels, registered, tmp_path / "out.las", TransferOptions(match=by))
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
     if by.startswith("record"):  # labels alone have their order
         np.save(tmp_path / "labels.npy", drive.codes)
-        transfer(tmp_path / "labels.npy", registered, tmp_path / "again.las", TransferOptions(by=by))
+        transfer(tmp_path / "labels.npy", registered, tmp_path / "again.las", TransferOptions(match=by))
         assert np.array_equal(codes_of(tmp_path / "again.las"), drive.codes[record])
 
 
@@ -366,11 +366,11 @@ def test_by_equal_order_with_and_without_missing_shots(drive: Drive, tmp_path: P
     raw = write_raw(tmp_path / "drive.csv", drive)
     for labels in (tmp_path / "all.npy", raw.with_suffix(".npy")):
         output = tmp_path / f"{labels.stem}.las"
-        transfer(labels, registered, output, TransferOptions(by="record"))
+        transfer(labels, registered, output, TransferOptions(match="record"))
         assert np.array_equal(codes_of(output), drive.codes)
     np.save(tmp_path / "short.npy", drive.codes[:-1])
     with pytest.raises(InputError, match="4,999 records .* expected 5,000 as .* to match by equal order"):
-        transfer(tmp_path / "short.npy", registered, tmp_path / "out.las", TransferOptions(by="record"))
+        transfer(tmp_path / "short.npy", registered, tmp_path / "out.las", TransferOptions(match="record"))
 
 
 def test_segment_ids_can_go_along(drive: Drive, tmp_path: Path) -> None:
@@ -398,7 +398,7 @@ def test_the_run_is_recorded_with_both_inputs(drive: Drive, tmp_path: Path) -> N
         assert found["name"] == name
         assert found["sha256"] == hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
     assert beside["transfer"]["counts"]["n_matched"] == summary.counts.n_matched
-    assert beside["config"]["transfer"]["by"] == "time"
+    assert beside["config"]["transfer"]["match"] == "time"
     assert sum(item["count"] for item in beside["classes"]) == summary.counts.n_points
 
 
@@ -489,12 +489,12 @@ def test_nothing_in_common_and_too_little(drive: Drive, tmp_path: Path) -> None:
     shifted = write_las(tmp_path / "shifted.las", drive, np.arange(N), time=drive.time + SHOT_S * 3000)
     refused(tmp_path, r"points and .* labels of .*drive.csv match, expected at least 50% of the smaller side", labels,
             shifted, out, points=raw)  # fmt: skip
-    summary = transfer(labels, shifted, out, TransferOptions(min_match=0.1), points=raw)
+    summary = transfer(labels, shifted, out, TransferOptions(min_matched=0.1), points=raw)
     assert 0.1 < summary.counts.share < 0.5
     between = write_las(tmp_path / "between.las", drive, np.arange(N), time=drive.time + SHOT_S / 2)
     # a tolerance would match every point, with the wrong shot
     refused(tmp_path, "0 of 5,000 points .* fall between those of the labels", labels, between,
-            tmp_path / "no.las", TransferOptions(min_match=0.0), points=raw)  # fmt: skip
+            tmp_path / "no.las", TransferOptions(min_matched=0.0), points=raw)  # fmt: skip
     summary = transfer(labels, between, tmp_path / "no.las", TransferOptions(tolerance_s=SHOT_S), points=raw)
     assert "exceeds half the mean step between the labels" in summary.record.notices[0]
     assert summary.counts.largest_difference == pytest.approx(SHOT_S / 2, rel=1e-3)
@@ -534,21 +534,21 @@ def test_keys_that_are_no_whole_numbers(drive: Drive, tmp_path: Path) -> None:
     value = np.arange(N) + 0.5
     labels = write_las(tmp_path / "labels.las", drive, np.arange(N), key=value)
     refused(tmp_path, "record 0: found key 0.5, expected a whole number", labels, labels, tmp_path / "out.las",
-            TransferOptions(by="dimension:key"))  # fmt: skip
-    refused(tmp_path, "no dimension 'nope'", labels, labels, tmp_path / "out.las", TransferOptions(by="dimension:nope"),
-            kind=ConfigError)  # fmt: skip
+            TransferOptions(match="dimension:key"))  # fmt: skip
+    refused(tmp_path, "no dimension 'nope'", labels, labels, tmp_path / "out.las",
+            TransferOptions(match="dimension:nope"), kind=ConfigError)  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"by": "space"}, "--by: found 'space', expected time, record"),
-        ({"by": "dimension:"}, "--by"),
-        ({"by": "record", "tolerance_s": 1.0}, "are for times"),
+        ({"match": "space"}, "--match: found 'space', expected time, order, record"),
+        ({"match": "dimension:"}, "--match"),
+        ({"match": "order", "tolerance_s": 1.0}, "are for times"),
         ({"tolerance_s": -1.0}, "--tolerance: found -1.0"),
         ({"tolerance_s": float("nan")}, "--tolerance"),
         ({"time_offset_s": float("inf")}, "--time-offset"),
-        ({"min_match": 1.5}, "--min-match"),
+        ({"min_matched": 1.5}, "--min-matched"),
         ({"same": ("a", "b", "c")}, "--same: found 3"),
         ({"carry": ("height",)}, "--carry: found 'height', expected one of segment_id"),
     ],

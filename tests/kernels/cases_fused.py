@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.classifiers.fused.confidence import MEASURES
 from prc_cli.core.thresholds.fused import (
     ChordThresholds,
     CurbThresholds,
@@ -33,13 +34,13 @@ from prc_cli.kernels.fused import (
     strips as fused_strips,
 )
 
-AROUND, INNER = 4, 2
+AROUND, INNER, THIN = 4, 2, 12
 USUAL = typed(
     DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
     car_top_m=3.75, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5,
-    keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5, ghost_near=15,
+    pole_shots=3, keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5, ghost_near=15,
     car_label=7, pole_label=11,
 )  # fmt: skip
 
@@ -252,6 +253,7 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         WallThresholds,
         height_m=rng.choice([0.01, 0.5, 1.5]),
         share=rng.choice([0.0, 0.3, 1.0]),
+        lines=rng.choice([0, 2, 4, 5]),
         before_m=1.6,
     )
     return sums, flanks, chosen
@@ -326,11 +328,13 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     walls = fused_strips.find_walls(
         (length, wall, place, top),
         np.zeros((n_lines, fused_strips.STRIPS), np.uint8),
-        typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, before_m=1.6),
+        typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, lines=rng.choice([0, 4]), before_m=1.6),
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
+    more = rng.integers(0, len(one.window), (2, THIN - AROUND))
+    window = np.concatenate([one.window[more[0]], one.window, one.window[more[1]]])
     return (
-        one.window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,
+        window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,
         one.step, decision(rng),
     )  # fmt: skip
 
@@ -364,7 +368,29 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
     return labels, one.range_m, above, one.beams, one.step, chosen
 
 
+def confidence_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    above, range_m = heights(rng, one), one.range_m
+    labels = rng.choice([1, 2, 3, 4, 5, 7, 8, 11], range_m.shape).astype(np.uint8)
+    if rng.random() < 0.5:
+        labels[:, : labels.shape[1] // 2] = rng.choice([2, 3, 4])
+    labels[np.isnan(range_m)] = 0
+    counts = tuple(rng.integers(0, most, range_m.shape).astype(np.uint8) for most in (29, 11, 4, 4))
+    texture = rng.choice([0.0, 0.2, 0.25, 0.6, 1.0], range_m.shape).astype(np.float32)
+    strips = (len(range_m), fused_strips.STRIPS)
+    words = rng.integers(0, 2**63, strips).astype(np.uint64) << rng.integers(0, 64, strips).astype(np.uint64)
+    walls = tuple(rng.choice([0.0, -9.0, -2.25, 2.0, 5.0], strips).astype(np.float32) for _ in range(2))
+    limits = np.array(list(MEASURES.values()), np.float32)
+    questions = rng.integers(0, len(limits), (12, 5))
+    groups = np.array([-1, *rng.integers(0, 6, 11)], np.int64)
+    return (
+        labels, range_m, above, texture, counts, (words, words & rng.integers(0, 2**63, strips).astype(np.uint64)),
+        walls, one.beams, one.step, groups, questions, limits,
+    )  # fmt: skip
+
+
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "confidence_cells": confidence_case,
     "curb_labels": curb_case,
     "directions": directions_case,
     "fill_strips": strips_case,

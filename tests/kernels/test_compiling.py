@@ -59,9 +59,18 @@ def test_lock_of_a_dead_process_is_open(tmp_path: Path, monkeypatch: pytest.Monk
 
 @needs_locks
 def test_nobody_waits_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiling, "PATIENCE_S", 0.2)
-    with compiling._alone(tmp_path), compiling._alone(tmp_path):
-        pass
+    """The clock is the test's own: a wait that does not end by itself fails, and hangs no test."""
+    now = [0.0]
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+        assert now[0] <= compiling.PATIENCE_S + 1, "waits beyond its patience"
+
+    monkeypatch.setattr(compiling, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
+    with compiling._alone(tmp_path):
+        assert now == [0.0]
+        with compiling._alone(tmp_path):
+            assert now[0] >= compiling.PATIENCE_S
 
 
 def test_no_lock_can_be_made(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR, POLE = 7, 11
 Slots = NDArray[np.uint64]
 
+MARGIN = 12
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 
 
@@ -68,7 +69,7 @@ class _Shot:
 
     @property
     def range_m(self) -> np.float32:
-        return np.float32(self.window[self.line + 4, self.i])
+        return np.float32(self.window[self.line + MARGIN, self.i])
 
     @property
     def side(self) -> np.float32:
@@ -177,7 +178,7 @@ class _Shot:
         return self._is_short_in_line() or self._is_narrow_across()
 
     def _is_short_in_line(self) -> bool:
-        ranges, heights = self.window[self.line + 4], self.points[1][self.line + 2]
+        ranges, heights = self.window[self.line + MARGIN], self.points[1][self.line + 2]
         held = self.counts[0][self.line + 2] >= self.thresholds.least_near
         heights_met, length = [self.height], 1
         for way in (-1, 1):
@@ -197,13 +198,23 @@ class _Shot:
                 j += way
         return True
 
-    def _is_free_across(self) -> bool:
-        column, middle = self.window[:, self.i], self.line + 4
+    def _is_free_across(self, lines: int = 4) -> bool:
+        column, middle = self.window[:, self.i], self.line + MARGIN
         free = ~(column <= self.range_m + self.thresholds.far_m)
-        return bool(free[middle - 4 : middle].any() and free[middle + 1 : middle + 5].any())
+        return bool(free[middle - lines : middle].any() and free[middle + 1 : middle + lines + 1].any())
+
+    def run_length(self) -> int:
+        """Return how many shots go on beside each other, at a similar range."""
+        ranges = self.window[self.line + MARGIN]
+        held = self.counts[0][self.line + 2] >= self.thresholds.least_near
+        if not held[self.i]:
+            return 1
+        goes_on = (np.abs(np.diff(ranges)) < self.thresholds.jump_m) & held[1:] & held[:-1]
+        number = np.concatenate([[0], np.cumsum(~goes_on)])
+        return int((number == number[self.i]).sum())
 
     def _is_narrow_across(self) -> bool:
-        column, middle = self.window[:, self.i], self.line + 4
+        column, middle = self.window[:, self.i], self.line + MARGIN
         free = ~(column <= self.range_m + self.thresholds.far_m)
         before = [k for k in range(1, 5) if middle - k >= 0 and free[middle - k]]
         after = [k for k in range(1, 5) if middle + k < len(column) and free[middle + k]]
@@ -229,7 +240,8 @@ class _Shot:
         if self.is_standing(is_car=is_car) and self.is_thin():
             if self.has_crown():
                 return VEGETATION
-            if self.thresholds.takes_long > 0 or self._is_free_across():
+            is_long = self.thresholds.takes_long == 0 and not self._is_free_across(MARGIN)
+            if not is_long and self.run_length() >= self.thresholds.pole_shots:
                 return int(self.thresholds.pole_label)
         if is_car:
             return int(self.thresholds.car_label)
@@ -250,9 +262,9 @@ def fused_labels(
     thresholds: DecisionThresholds,
 ) -> U8:
     """Label shots; see :func:`prc_cli.kernels.fused.classes.fused_labels`."""
-    points = (*_points(window_m[2:-2], beams), above_m)
+    points = (*_points(window_m[MARGIN - 2 : 2 - MARGIN], beams), above_m)
     labels = np.full(texture.shape, MISSING, np.uint8)
-    for line, i in zip(*np.nonzero(~np.isnan(window_m[4:-4])), strict=True):
+    for line, i in zip(*np.nonzero(~np.isnan(window_m[MARGIN:-MARGIN])), strict=True):
         is_walked, soft = bool(walked[line + 2, i]), np.float32(texture[line, i])
         shot = _Shot(
             window_m, points, counts, is_walked, soft, slots, walls, levels, step, thresholds, int(line), int(i)

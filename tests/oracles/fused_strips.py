@@ -38,7 +38,8 @@ def fill_strips(
             continue
         bit = np.uint64(1 << min(int(above[k, i] / SLOT), 63))
         every[k, strip] |= bit
-        if smooth[k, i] <= thresholds.rough:
+        beside = smooth[k, i - 1 : i + 2] if 0 < i < ranges.shape[1] - 1 else smooth[k, i]
+        if np.all(beside <= thresholds.rough):
             rough[k, strip] |= bit
         stands_for = ranges[k, i] * step / max(abs(y) / ranges[k, i], np.float32(0.3))
         length[k, strip] += stands_for
@@ -47,7 +48,7 @@ def fill_strips(
             place[k, strip] += stands_for * y
             top[k, strip] = max(top[k, strip], height[k, i])
         is_level = smooth[k, i] >= thresholds.level_smooth and level[k, i] > upright[k, i]
-        if is_level and above[k, i] < thresholds.level_top_m:
+        if is_level and above[k, i] < thresholds.level_top_m and height[k, i] < 0:
             adjacent = [side[k, j] for j in (i - 1, i + 1) if 0 <= j < side.shape[1]]
             beside = [other for other in adjacent if abs(other - y) < thresholds.jump_m]
             low, high = (floor(end / HALF_WIDTH) + N for end in (min([y, *beside]), max([y, *beside])))
@@ -79,7 +80,9 @@ def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThre
         length, wall, place = (sum_around(values[line : line + 5]) for values in sums[:3])
         highest = np.pad(sums[3][line : line + 5].max(axis=0), 1, constant_values=NOTHING)
         is_wall = (wall >= thresholds.height_m * np.float32(5)) & (wall >= thresholds.share * length) & (wall > 0)
-        is_wall &= flanks[line] == 0
+        there = np.pad(sums[1][line : line + 5] > 0, ((0, 0), (1, 1)))
+        seen_by = (there[:, :-2] | there[:, 1:-1] | there[:, 2:]).sum(axis=0)
+        is_wall &= (flanks[line] == 0) & (seen_by >= thresholds.lines)
         for side in (np.arange(N // 2, N), np.arange(N // 2 - 1, -1, -1)):
             number = np.arange(N // 2)
             inwards = np.maximum.accumulate(np.where(is_wall[side], number, -1))

@@ -16,6 +16,8 @@ from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import DecisionThresholds, typed
 from prc_cli.core.types import F32, U8
 
+BESIDE_THIN_LINES = 12
+"""Lines before and after a line in which something is seen past a pole."""
 NEVER = 1e9
 """A limit that no value reaches, for steps that are switched off."""
 
@@ -72,6 +74,7 @@ class PoleParams(Params):
     crown_slots: int = Field(
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
+    shots: int = Field(6, ge=1, le=1000, description="fewest shots of its run; leaves and bars of fences have fewer")
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
     across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
@@ -158,6 +161,7 @@ def decision_thresholds(
         jump_m=poles.jump_m,
         far_m=poles.far_m,
         crown_slots=poles.crown_slots,
+        pole_shots=poles.shots,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
         takes_long=0.0 if poles.across else 1.0,
         foot_m=poles.foot_m,

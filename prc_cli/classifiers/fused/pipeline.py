@@ -5,7 +5,7 @@ the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces 
 the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
 
 Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are short, and run
-block after block. All others need the block and five lines before and after it, 35 for the distance of lines.
+block after block. All others need the block and 13 lines before and after it, 35 for the distance of lines.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pydantic import Field
 from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
+    BESIDE_THIN_LINES,
     CarParams,
     LeavesParams,
     NoiseParams,
@@ -30,6 +31,14 @@ from prc_cli.classifiers.fused.classes import (
     decision_thresholds,
     texture_of,
     vote,
+)
+from prc_cli.classifiers.fused.confidence import (
+    QUESTIONS,
+    Evidence,
+    cells_of,
+    confidence_of,
+    load_table,
+    of_further_returns,
 )
 from prc_cli.classifiers.fused.curbs import CurbParams, find_curbs
 from prc_cli.classifiers.fused.forest import ForestParams, forest
@@ -43,10 +52,12 @@ from prc_cli.classifiers.fused.neighbours import (
     SmoothnessParams,
     chords,
     near_neighbours,
+    smooth_pairs,
 )
 from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
+    VOTE_LINES,
     WIDE_LINES,
     Noise,
     Plane,
@@ -74,6 +85,8 @@ from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
+OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
+"""Outermost lines of the window that no label looks at."""
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
@@ -82,6 +95,9 @@ KERNELS = frozenset(
     }
 )  # fmt: skip
 FOREST_KERNELS = frozenset({"fused.stems"})
+CONFIDENCE_KERNELS = frozenset(
+    {"fused.confidence", "fused.classes", "fused.flanks", "fused.neighbours", "fused.strips"}
+)
 
 
 class FusedParams(MethodParams):
@@ -195,15 +211,16 @@ class Fused(Classifier[FusedScanner, FusedState]):
             AROUND_LINES if is_forest else SPACED_LINES,
             most_noise_m=most_noise_m,
             nadir_from_ground=True,
+            confidence_kernels=CONFIDENCE_KERNELS,
         )
 
     @property
     def usual(self) -> UsualLabels:
-        """Little noise, and level ground below the scanner; in forests plants cover and hills tilt it."""
+        """Little noise, and level ground below the scanner; plants and hills tilt it in forests, streets are wide."""
         common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
         if self.params.environment == "forest":
             return replace(common, level_share=0.35, lean_deg=12.0)
-        return replace(common, level_share=0.6, lean_deg=5.0)
+        return replace(common, level_share=0.6, lean_deg=5.0, reach_m=6.0)
 
     @property
     def gives(self) -> frozenset[Label]:
@@ -224,12 +241,31 @@ class Fused(Classifier[FusedScanner, FusedState]):
     def label(self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
-        heard = Overhearing(turn) if wanted.stages else None
-        labels = classify_block(block.range_m, block.next_m, scanner, heard or turn, self.params)
+        heard = Overhearing(turn) if wanted.stages or wanted.confidence else None
+        labels, evidence = _classify(block.range_m, block.next_m, scanner, heard or turn, self.params)
         further, limit_m = block.extra, self.params.extra_return_m
         extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
-        above_m = None if heard is None else true_heights(self._above(block, scanner, heard), block)
-        return (LabelledBlock(block, labels, extra, above_m=above_m),)
+        found = LabelledBlock(block, labels, extra)
+        if heard is not None and wanted.stages:
+            found = replace(found, above_m=true_heights(self._above(block, scanner, heard), block))
+        if heard is not None and wanted.confidence:
+            evidence = evidence or self._forest_evidence(block, scanner, heard)
+            questions = QUESTIONS[self.params.environment]
+            cells = cells_of(labels, block.range_m, evidence, scanner.scan_plane, questions)
+            shots = confidence_of(labels, cells, load_table(self.params.environment))
+            found = replace(found, confidence=shots, extra_confidence=of_further_returns(block, shots, limit_m))
+        return (found,)
+
+    def _forest_evidence(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> Evidence:
+        """Look at a block of forest as at a street; lines beyond it are not known."""
+        plane, params = scanner.scan_plane, self.params
+        beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
+        window = np.pad(block.range_m, beyond, constant_values=np.float32(np.nan))
+        smooth = smooth_pairs(window, plane, heard.results[NOISE.name], params.smoothness)
+        seen = _see(window, smooth, plane, params)
+        inner = slice(INNER_LINES, -INNER_LINES)
+        above = np.pad(self._above(block, scanner, heard), beyond, constant_values=np.float32(np.nan))[inner]
+        return _evidence(seen, above, plane, params)
 
     def _above(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> F32:
         """Return the heights in the scan plane that the labels of a block were decided by."""
@@ -285,10 +321,17 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     >>> Label(labels[4, 100]).name, Label(labels[4, 120]).name
     ('NOISE', 'GROUND')
     """
+    return _classify(range_m, next_m, scanner, turn, params)[0]
+
+
+def _classify(
+    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams
+) -> tuple[U8, Evidence | None]:
+    """Label a block; see :func:`classify_block`. Also return what streets were decided by."""
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         noise_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, plane, known, params.sensor))
-        return forest(range_m, scanner.plane, noise_m, params.forest)
+        return forest(range_m, scanner.plane, noise_m, params.forest), None
     params = of_scanner(params, scanner)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
     wide = window_of(tail, range_m, next_m)
@@ -298,12 +341,13 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     smooth = spaced_pairs(wide, strides, plane, noise_m, params.smoothness)
     seen = _see(window, smooth, plane, params)
     ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
-    labels = _decide(seen, ground, plane, params)
+    evidence = _evidence(seen, ground.above_m, plane, params)
+    labels = _decide(seen, wide[OUTSIDE_LINES:-OUTSIDE_LINES], ground, evidence, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
-        return labels
+        return labels, evidence
     limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
     own = strides[BESIDE_LINES:-BESIDE_LINES]
-    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits))
+    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits)), evidence
 
 
 def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
@@ -368,16 +412,21 @@ def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedPa
     return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
 
 
-def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) -> U8:
-    """Find walls and cars above the ground, and label every shot."""
+def _evidence(seen: _Seen, above_m: F32, plane: ScanPlane, params: FusedParams) -> Evidence:
+    """Measure how smooth places are, and find walls and cars above the ground."""
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
     strips = params.strips.thresholds(least, params.cars.top_m)
-    standing = stand(seen.range_m, ground.above_m, seen.neighbours, plane, strips, params.walls, params.flanks)
+    standing = stand(seen.range_m, above_m, seen.neighbours, plane, strips, params.walls, params.flanks)
+    return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
+
+
+def _decide(seen: _Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
+    """Label every shot; ``wide_m`` are the ranges of more lines around."""
     thresholds = decision_thresholds(
-        least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
+        params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    labels = decide(seen.window, seen.neighbours, ground, texture, standing, plane, thresholds)
+    labels = decide(wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
     return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)

@@ -55,6 +55,7 @@ class WallParams(Params):
         1.5, gt=0, le=1000, description="least height of its smooth upright surface, mean of five lines [m]"
     )
     share: float = Field(0.3, ge=0, le=1, description="least share of that surface in everything in the strip")
+    lines: int = Field(4, ge=0, le=5, description="lines, of five, that must see some of it; trunks are seen by fewer")
     front_m: float = Field(0.4, ge=0, le=10, description="shots up to this far in front of a wall are part of it [m]")
     behind_m: float = Field(1.0, ge=0, le=100, description="so are shots seen through it, up to this far behind [m]")
     over_m: float = Field(
@@ -73,6 +74,7 @@ class WallParams(Params):
             WallThresholds,
             height_m=self.height_m if self.enabled else NEVER_M,
             share=self.share,
+            lines=self.lines,
             before_m=self.before_m,
         )
 

@@ -16,7 +16,7 @@ from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.components import Components, ComponentsParams, Joined, identify, join
 from prc_cli.classifiers.prc.critical import critical_zetas
 from prc_cli.classifiers.prc.forest import ForestParams, forest
-from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, tail_after, window_reach
+from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, tail_after, unusual, window_reach
 from prc_cli.classifiers.prc.surfaces import (
     Surfaces,
     SurfacesParams,
@@ -29,7 +29,7 @@ from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, fin
 from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import CriticalZetas, LabelledBlock, ScanBlock
+from prc_cli.core.stream import CriticalZetas, LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
 
 FOREST_NOISE_M = 0.012
@@ -146,6 +146,11 @@ class Prc(Classifier[int, PrcState]):
             block.range_m, found.labels, further.line, further.column, further.range_m, limits.zeta_p, limits.zeta_s
         )
         return (LabelledBlock(block, found.labels, extra, found.segments, critical=found.critical),)
+
+    def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
+        """Report thresholds that the paper advises against."""
+        found = unusual(self.params.support)
+        return () if found is None else (found,)
 
     def hopping(self, hop: int) -> Classifier[Any, Any]:
         """Return PRC that labels ``hop`` lines at a time, within the block of k lines that ends with them."""

@@ -57,6 +57,23 @@ def required_counts(params: SupportParams) -> tuple[int, int]:
     return whole(params.rho_c * N_IN_SLICE), whole(params.rho_c * N_ADJACENT)
 
 
+def unusual(params: SupportParams) -> str | None:
+    """Return what the paper advises against, if the thresholds are like that (II-B).
+
+    >>> unusual(SupportParams()), unusual(SupportParams(zeta_s=0.1, zeta_p=0.1))
+    (None, None)
+    >>> unusual(SupportParams(zeta_s=0.1))
+    'prc.support.zeta_s = 0.1 m is below zeta_p = 1 m: zeta_s >= zeta_p is advisable, as shots of adjacent lines lie \
+farther apart than shots of one line'
+    """
+    if params.zeta_s >= params.zeta_p:
+        return None
+    return (
+        f"prc.support.zeta_s = {params.zeta_s:g} m is below zeta_p = {params.zeta_p:g} m: zeta_s >= zeta_p is "
+        "advisable, as shots of adjacent lines lie farther apart than shots of one line"
+    )
+
+
 def window_reach(points_per_line: int) -> int:
     """Return how many shots before and after a block affect it: max(M + 1, 4)."""
     return max(points_per_line + 1, 4)

@@ -132,6 +132,8 @@ class WallThresholds(NamedTuple):
     """Least height of its smooth upright surface, mean of five lines [m]."""
     share: np.float32
     """Least share of that surface in everything in the strip."""
+    lines: np.float32
+    """Fewest lines, of five, that see some of it."""
     before_m: np.float32
     """A wall is reported to strips up to this far in front of it [m]."""
 
@@ -198,6 +200,8 @@ class DecisionThresholds(NamedTuple):
     """What is beside a pole is farther than it by more than this [m]."""
     crown_slots: np.float32
     """Slots with rough shots above a pole that make it a trunk."""
+    pole_shots: np.float32
+    """Fewest shots of its run."""
     keeps_parts: np.float32
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
     takes_long: np.float32

@@ -20,6 +20,7 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats.las.copy import RECORD_TEXT
+from prc_cli.formats.las.crs import vlr_of_crs
 from prc_cli.formats.las.header import LASZIP_KEY, RECORD_KEY, Vlr, make_vlr
 from prc_cli.formats.las.lookup import lookup_vlr
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
@@ -64,6 +65,7 @@ class LasBuilder(StagedWriter):
         columns = [column for column in asked_columns(options) if column.dimension is not RANGE]
         super().__init__(path, codes, options, columns)
         self._points_per_line = points_per_line
+        self._more_vlrs: list[Vlr] = []
         self._user_names = dict(user_names or {})
         self._compress = path.suffix.lower() == ".laz"
         self._by_return = np.zeros(15, np.int64)
@@ -83,7 +85,7 @@ class LasBuilder(StagedWriter):
         self._header = _new_header(dimensions)
         self._header.are_points_compressed = self._compress
         self._dtype = self._header.point_format.dtype()
-        vlrs = [extra_bytes_vlr(dimensions)]
+        vlrs = [extra_bytes_vlr(dimensions), *self._more_vlrs]
         if self._compress:
             payload = new_laszip_payload(self.path, _POINT_FORMAT, self._header.point_format.num_extra_bytes)
             vlrs.append(make_vlr(LASZIP_KEY, payload, "laszip (lazrs)"))
@@ -301,6 +303,8 @@ class LasStream(LasBuilder):
         # which codes come is not known before; without classes there are none
         names = ClassCodes().user_names() if shape.codes else {}
         super().__init__(path, ClassCodes(), OutputConfig(), shape.points_per_line, names)
+        if shape.crs and (record := vlr_of_crs(shape.crs)) is not None:
+            self._more_vlrs.append(record)
         self._item: StreamItem | None = None
         self._n_codes_lost = 0
         self._has_offset = False

@@ -17,6 +17,7 @@ import lazrs
 import numpy as np
 
 from prc_cli.core.errors import OutputError
+from prc_cli.core.facts import ClassContexts
 from prc_cli.core.types import U8
 from prc_cli.formats.las.contexts import contexts_of, records_of
 from prc_cli.formats.las.header import LasHeader, Source, Vlr, open_source, read_header, standard_bytes
@@ -127,7 +128,9 @@ def _names_chunks(source: Source, pages: tuple[tuple[int, int], ...], chunks: La
     return not wanted
 
 
-def splice_copc(source: Source, target: Target, copc: Copc, codes: Iterator[U8]) -> dict[int, tuple[int, int]]:
+def splice_copc(
+    source: Source, target: Target, copc: Copc, codes: Iterator[U8], kept: ClassContexts | None = None
+) -> dict[int, tuple[int, int]]:
     """Write all chunks with new classes, and their table; the target is then positioned behind it.
 
     Parameters
@@ -140,6 +143,8 @@ def splice_copc(source: Source, target: Target, copc: Copc, codes: Iterator[U8])
         From :func:`find_copc`.
     codes : iterator of (n,) uint8
         Class codes of consecutive records, any number at a time.
+    kept : ClassContexts, optional
+        From reading the input before: whether every layer was decoded then.
 
     Returns
     -------
@@ -155,7 +160,7 @@ def splice_copc(source: Source, target: Target, copc: Copc, codes: Iterator[U8])
     table = chunks.table
     first_byte, n_points = table.first_byte.tolist(), np.diff(table.first_record).tolist()
     moved: dict[int, tuple[int, int]] = {}
-    contexts = _by_chunk(_contexts(chunks), n_points)
+    contexts = _by_chunk(_contexts(chunks, kept), n_points)
     with chunk_table(target, chunks.vlr) as written:
         for chunk, (context, new) in enumerate(zip(contexts, _by_chunk(codes, n_points), strict=True)):
             records = records_of(context, standard_bytes(6))
@@ -168,12 +173,15 @@ def splice_copc(source: Source, target: Target, copc: Copc, codes: Iterator[U8])
     return moved
 
 
-def _contexts(chunks: LazRecords) -> Iterator[U8]:
+def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
+    """Yield the contexts of the classes; layers that nobody has decoded yet are decoded, too, as they are copied."""
     las = chunks.header
+    is_sound = kept is not None and kept.n_checked == las.n_records
+    layers = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL if is_sound else lazrs.SELECTIVE_DECOMPRESS_ALL
     n = batch_records(las, compressed=True)
     # a handle of its own: the decoder needs its position unchanged
     with open_source(las.path) as source:
-        for _, raw in LazRecords(source, las).batches(n, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL):
+        for _, raw in LazRecords(source, las).batches(n, layers):
             yield contexts_of(np.frombuffer(raw, np.uint8).reshape(-1, las.record_bytes))
 
 

@@ -50,6 +50,9 @@ def _horizontal(keys: dict[int, int]) -> int | None:
     return code if code and code < _USER_DEFINED else None
 
 
+_WKT_TEXT = "OGC COORDINATE SYSTEM WKT"
+
+
 def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]:
     """Return the VLRs with a WKT coordinate system, which point formats 6-10 need, and the notices about it.
 
@@ -66,7 +69,7 @@ def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]
             f"point format {point_format} wants its coordinate system as WKT, which could not be derived ({text}); "
             "the GeoTIFF keys were kept"
         )
-    return [*vlrs, make_vlr(WKT_KEY, wkt, "OGC COORDINATE SYSTEM WKT")], f"coordinate system {text} added as WKT"
+    return [*vlrs, make_vlr(WKT_KEY, wkt, _WKT_TEXT)], f"coordinate system {text} added as WKT"
 
 
 def _wkt_of_geo_keys(data: bytes) -> tuple[bytes | None, str]:
@@ -95,6 +98,25 @@ def _wkt_of_geo_keys(data: bytes) -> tuple[bytes | None, str]:
         except (pyproj.exceptions.CRSError, UnicodeEncodeError) as error:
             problem = f"{text}: {error}"
     return None, problem
+
+
+def vlr_of_crs(crs: str) -> Vlr | None:
+    """Return the record of a coordinate system as WKT; None without pyproj, or if it does not fit.
+
+    Parameters
+    ----------
+    crs : str
+        As pyproj takes it, for example ``EPSG:32635``.
+    """
+    try:
+        import pyproj
+    except ImportError:
+        return None
+    try:
+        wkt = pyproj.CRS.from_user_input(crs).to_wkt("WKT1_GDAL").encode("ascii") + b"\0"
+    except (pyproj.exceptions.CRSError, UnicodeEncodeError):
+        return None
+    return make_vlr(WKT_KEY, wkt, _WKT_TEXT) if len(wkt) <= _VLR_LIMIT else None
 
 
 def short_crs(crs: str) -> str:

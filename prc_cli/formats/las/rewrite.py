@@ -97,7 +97,7 @@ class LasRewriter(ScatterWriter):
             if copc is not None:
                 n = batch_records(las, compressed=True)
                 codes = (columns.codes for columns in self._columns(las.n_records, n))
-                moved.update(splice_copc(source, target, copc, codes))
+                moved.update(splice_copc(source, target, copc, codes, self._laz_contexts))
                 return
             chunks = find_chunks(source, las) if plan.only_classes(las) and not self._is_part else None
             if chunks is None:

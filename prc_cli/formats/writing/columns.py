@@ -88,6 +88,10 @@ def _ground_height(stages: StageLabels) -> F32:
     return stages.ground_height_m
 
 
+def _extra_confidence(block: LabelledBlock) -> U8:
+    return np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
+
+
 _WITH_STAGES = "fused, prc or sequential-angle method"
 
 OPTIONAL_COLUMNS = (
@@ -189,6 +193,16 @@ OPTIONAL_COLUMNS = (
         np.nan,
         _critical(lambda zetas: zetas.adjacent_m),
         needs=_WITH_STAGES,
+    ),
+    OptionalColumn(
+        ExtraDimension("confidence", np.dtype("u1"), "label is right [%], 0 unknown"),
+        "confidence",
+        "confidence",
+        "confidence",
+        0,
+        lambda block: block.confidence,
+        _extra_confidence,
+        needs="fused method",
     ),
 )
 """All optional columns, in the order of outputs."""

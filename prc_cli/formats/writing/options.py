@@ -37,6 +37,11 @@ class OutputConfig(Params):
         "behind a curb, 6 car); of prc float32 `critical_zeta_p` and `critical_zeta_s` (a shot is supported if they "
         "are below zeta_p and zeta_s [m]; infinite = never)",
     )
+    confidence: bool = Field(
+        False,
+        description="add how sure every label is: extra bytes uint8 `confidence`, or a column, 0 to 100 = per cent of "
+        "such shots whose label is right on simulated scans; 0 = not known (fused)",
+    )
     codes: Literal["upgrade", "below-32"] = Field(
         "upgrade",
         description="codes above 31 in LAS point formats 0-5: upgrade = write the matching format 6-10 when such a "

@@ -61,6 +61,8 @@ class StreamShape:
     codes: bool
     down_rad: float | None = None
     """Scan angle that points straight down [rad], None = unknown."""
+    crs: str = ""
+    """Coordinate system of registered coordinates, as pyproj takes it; empty = none."""
 
     @classmethod
     def of(cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool) -> StreamShape:

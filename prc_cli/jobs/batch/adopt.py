@@ -50,7 +50,7 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
             n_records=int(stream["n_records"] or 0), labels=(missing, *labels),
             notices=tuple(str(text) for text in record["notices"]),
         )  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return None
 
 

@@ -458,7 +458,7 @@ def _content(path: Path) -> Iterator[None]:
     """Turn the errors of rows that SQLite can read and that make no sense into ours."""
     try:
         yield
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError, OverflowError) as error:
         raise _damaged(path, f"a row makes no sense: {str(error) or type(error).__name__}") from error
 
 

@@ -7,7 +7,7 @@ grow with it; of a file only its confusion matrix is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -19,10 +19,11 @@ from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import Gate, GateResult, check_gates, parse_gate
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict as scores_as_dict
-from prc_cli.evaluation.scores import scores
+from prc_cli.evaluation.scores import Scores, scores
 from prc_cli.formats.labels.read import code_suffix_of
 from prc_cli.jobs.batch.judges import Judges, Pair
 from prc_cli.jobs.batch.types import Problem
+from prc_cli.jobs.evaluate.chosen import DEFAULT_MAPPING, MAPPINGS, mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.pairs import stem_of
 
@@ -36,15 +37,16 @@ class ReferenceSettings:
 
     tree: Path
     """Folder of reference classes that mirrors the archive; a file has the name of the input but for the suffix."""
-    mapping_name: str = "prc"
-    """Preset or file of the class mapping."""
+    mapping_name: str | None = None
+    """Preset or file of the class mapping; None = that of the method in the run records of the outputs, as
+    ``prc evaluate`` takes it."""
     match: str = "order"
     """How records find their partner, as ``prc evaluate --match``."""
     gates: tuple[str, ...] = ()
     """Figures that all files together must reach, such as ``recall.ground=0.95``."""
 
-    def check(self) -> tuple[ClassMapping, tuple[Gate, ...]]:
-        """Return mapping and gates; refuse what makes no sense before any file is classified.
+    def check(self) -> None:
+        """Refuse what makes no sense before any file is classified.
 
         Raises
         ------
@@ -59,8 +61,31 @@ class ReferenceSettings:
         if self.match not in ("order", "time", "nearest") and not (kind == "dimension" and name):
             problem = f"found {self.match!r}, expected one of: order, time, dimension:NAME, nearest"
             raise ConfigError("--match", problem)
-        mapping = load_mapping(self.mapping_name)
-        return mapping, tuple(parse_gate(text, mapping) for text in self.gates)
+        names = (DEFAULT_MAPPING, *MAPPINGS.values()) if self.mapping_name is None else (self.mapping_name,)
+        mappings = [load_mapping(name) for name in names]
+        for text in self.gates:
+            # which of them it is, the outputs will say
+            if all(_gate(text, mapping) is None for mapping in mappings):
+                parse_gate(text, mappings[0])
+
+
+def _gate(text: str, mapping: ClassMapping) -> Gate | None:
+    """Return a gate, None if the mapping has no such score."""
+    try:
+        return parse_gate(text, mapping)
+    except ConfigError:
+        return None
+
+
+def _results(texts: Sequence[str], mapping: ClassMapping, found: Scores) -> Iterator[GateResult]:
+    """Yield every gate with its score; one that the classes of the outputs do not have is not reached."""
+    for text in texts:
+        gate = _gate(text, mapping)
+        if gate is not None:
+            yield from check_gates(found, (gate,))
+            continue
+        name, _, limit = text.partition("=")
+        yield GateResult(name.strip(), float(limit), math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +185,10 @@ def evaluate_tree(
     ConfigError
         Settings that make no sense.
     """
-    mapping, gates = settings.check()
+    settings.check()
+    outputs = list(outputs)
+    name = settings.mapping_name or mapping_of_runs([output.path for output in outputs])[0]
+    settings, mapping = replace(settings, mapping_name=name), load_mapping(name)
     tree = _Tree(settings.tree)
     pooled = ConfusionMatrix.empty(mapping)
     files: list[Compared] = []
@@ -173,7 +201,7 @@ def evaluate_tree(
             if found.matrix is not None:
                 pooled = pooled + found.matrix
             files.append(found)
-    return BatchEvaluation(settings, tuple(files), pooled, check_gates(scores(pooled), gates))
+    return BatchEvaluation(settings, tuple(files), pooled, tuple(_results(settings.gates, mapping, scores(pooled))))
 
 
 def _compare(

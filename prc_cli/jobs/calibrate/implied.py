@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,7 +108,11 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
                 f"least threshold that reaches {least}"
             )
         found.append(Advice(f"prc.support.{name}", configured, value, reason))
-    return found[0], found[1]
+    zeta_s, zeta_p = found
+    if float(zeta_s.value) < float(zeta_p.value):
+        reason = f"raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B); by itself: {zeta_s.reason}"
+        zeta_s = replace(zeta_s, value=zeta_p.value, reason=reason)
+    return zeta_s, zeta_p
 
 
 def _on(grid: F64, value: float) -> float:

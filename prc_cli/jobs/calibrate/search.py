@@ -51,11 +51,12 @@ ZETA_BOUNDS = (0.01, 10.0)
 """Bounds between which the method is stable in the paper (IV-A); a reference without noise would widen thresholds
 without limit."""
 
+ZETA_S, ZETA_P = "prc.support.zeta_s", "prc.support.zeta_p"
 PRC_AXES = (
     Axis("prc.background.d_c", (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6), (0.005, 10.0)),
     Axis("prc.surfaces.area", (4.0, 8.0, 12.0, 20.0, 30.0, 60.0, 120.0, 240.0), (1.0, 5000.0)),
-    Axis("prc.support.zeta_p", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
-    Axis("prc.support.zeta_s", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
+    Axis(ZETA_P, (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
+    Axis(ZETA_S, (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
     Axis("prc.surfaces.gamma", (0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 20.0), whole=True),
 )
 ANGLE_AXES = (Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01, 0.02, 0.05), (0.0005, 0.5)),)
@@ -153,6 +154,7 @@ class Searcher:
             Best value of every key; on ties the one tried first.
         """
         axes = self.axes
+        starts = tuple(self._advisable(values, ZETA_P) for values in starts)
         best = max(starts, key=lambda values: self._try(axes, values))
         if axes[:2] == PRC_AXES[:2]:
             first, second = axes[:2]
@@ -177,9 +179,22 @@ class Searcher:
             for axis in axes:
                 candidates = grids[axis.key] if grids is not None else _neighbours(axis, best[axis.key], factor)
                 for value in candidates:
-                    best = self._better(axes, best, {**best, axis.key: value})
+                    best = self._better(axes, best, self._advisable({**best, axis.key: value}, axis.key))
             if best == before or len(self._known) >= self.budget:
                 return best
+
+    def _advisable(self, values: dict[str, float], key: str) -> dict[str, float]:
+        """Let zeta_s and zeta_p keep the order that the paper advises (II-B) where one of them has changed.
+
+        The other one follows; where only one of them is searched, it stops at the other.
+        """
+        support = self.config.prc.support
+        zeta_s, zeta_p = values.get(ZETA_S, support.zeta_s), values.get(ZETA_P, support.zeta_p)
+        if zeta_s >= zeta_p or not {ZETA_S, ZETA_P} & values.keys():
+            return values
+        if ZETA_S not in values or (key == ZETA_S and ZETA_P in values):
+            return {**values, ZETA_P: zeta_s}
+        return {**values, ZETA_S: zeta_p}
 
     def _better(self, axes: tuple[Axis, ...], best: dict[str, float], other: dict[str, float]) -> dict[str, float]:
         return other if self._try(axes, other) > self._try(axes, best) + LEAST_GAIN else best

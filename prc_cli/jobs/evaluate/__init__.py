@@ -20,7 +20,15 @@ from prc_cli.evaluation.splits import (
 )
 from prc_cli.formats.las.crs import same_crs, short_crs
 from prc_cli.formats.las.read import LasSource
-from prc_cli.jobs.evaluate.counts import SPLITS, Counts, asked_parts, count_pairs, intervals_of, scored_parts
+from prc_cli.jobs.evaluate.counts import (
+    SPLITS,
+    Counts,
+    asked_parts,
+    count_pairs,
+    intervals_of,
+    reliability_notes,
+    scored_parts,
+)
 from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options, tolerance_of
 from prc_cli.jobs.evaluate.pools import open_pools
 from prc_cli.jobs.evaluate.window import ScoredWindow
@@ -38,6 +46,7 @@ from prc_cli.matching.keys import MutualKeys
 from prc_cli.matching.pairs import files_of
 from prc_cli.matching.places import NearestPlaces
 from prc_cli.matching.sides import (
+    CONFIDENCE,
     FILE,
     LINE,
     ROW,
@@ -103,6 +112,9 @@ def evaluate_all(
         names += [file.codes.path for file in left.files]
     if options.allow_missing:
         _note_missing(paths, pools, counts)
+    if CONFIDENCE in counts.parts:
+        for sentence in reliability_notes(counts.parts[CONFIDENCE]):
+            counts.note(sentence)
     matrix = counts.parts["all"].matrix(0)
     intervals, method = intervals_of(counts, matrix, options, by_lines=by_lines)
     files = dict.fromkeys(names), dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files)
@@ -187,7 +199,8 @@ def _compare(
     on_disk = [options.match == "nearest"] * 2
     while True:
         found = {name: GroupedCounts(mapping, name) for name in counts.parts}
-        tally, window = JoinTally(), None if options.window is None else ScoredWindow(options.window)
+        tally, n_unsure = JoinTally(), 0
+        window = None if options.window is None else ScoredWindow(options.window)
         try:
             for one, other in _pairs(left, right, plan, tally, on_disk, options):
                 beside = {name: other[name] for name in plan.reference} | {name: one[name] for name in plan.predicted}
@@ -195,7 +208,12 @@ def _compare(
                     (one, other), beside = window.inside(beside, one, other)
                 if FILE in beside:
                     beside[FILE] = beside[FILE] + first_file
-                count_pairs(found, beside, cells_of(mapping, one[CODE], other[CODE]), options, by_lines=by_lines)
+                cells = cells_of(mapping, one[CODE], other[CODE])
+                if options.min_confidence is not None:
+                    sure = beside[CONFIDENCE] >= options.min_confidence
+                    n_unsure += len(sure) - int(np.count_nonzero(sure))
+                    cells, beside = cells[sure], {name: values[sure] for name, values in beside.items()}
+                count_pairs(found, beside, cells, options, by_lines=by_lines)
         except UnsortedError as error:
             # most streams are sorted; if not, sort on disk and start the match again
             on_disk[error.side] = True
@@ -205,6 +223,8 @@ def _compare(
         counts.parts[name].merge(part)
     if window is not None:
         window.report(left.path, counts)
+    if options.min_confidence is not None:
+        counts.note(f"{{n}} pairs have a confidence below {options.min_confidence} %: left out", n_unsure)
     _report(left, right, tally, counts, options)
 
 
@@ -226,11 +246,17 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
         wanted[place] = None
         if place not in (*has, *other_has):
             raise _no_place(left, right, options.window)
+    if options.min_confidence is not None:
+        wanted[CONFIDENCE] = None
     for name in wanted:
-        if name not in (*has, *other_has) and name in asked:
+        if name != CONFIDENCE and name not in (*has, *other_has) and name in asked:
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
             hint = "give -M, or --predicted-points with the points of the labels"
             raise ConfigError(f"split by {SPLITS[name]}", problem, hint)
+    if CONFIDENCE in wanted and CONFIDENCE not in has:
+        problem = f"no confidence in {left.path}, expected a dimension or column of this name"
+        hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
+        raise ConfigError("--by-confidence, --min-confidence", problem, hint)
     predicted = [name for name in wanted if name in has]
     reference = [name for name in wanted if name not in has and name in other_has]
     if "blocks" in asked or LINE in asked:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from prc_cli.matching.join import (
     Columns,
 )
 from prc_cli.matching.sides import (
+    CONFIDENCE,
     FILE,
     LINE,
     RANGE,
@@ -35,9 +37,12 @@ from prc_cli.matching.sides import (
     SCANNER,
 )
 
+MOST_CONFIDENCE = 100
+TOP_SHARE = 0.9
+"""The share of the pairs, those with the most confidence, that is reported on."""
 RECORDS_PER_LINE = 1000
 """Records that count as one scan line in the blocks of an input without known lines."""
-SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner"}
+SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner", CONFIDENCE: "confidence"}
 
 
 @dataclass(slots=True)
@@ -66,6 +71,7 @@ def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
         RANGE: bool(options.split_range_m),
         LINE: options.split_lines is not None,
         SCANNER: options.split_scanner,
+        CONFIDENCE: bool(options.split_confidence),
         "blocks": options.intervals is not None,
     }
     return tuple(name for name, wanted in asked.items() if wanted)
@@ -82,6 +88,8 @@ def count_pairs(
         found[LINE].add(block_groups(beside[FILE], beside[LINE], options.split_lines), cells)
     if SCANNER in found:
         found[SCANNER].add(beside[SCANNER], cells)
+    if CONFIDENCE in found:
+        found[CONFIDENCE].add(np.minimum(beside[CONFIDENCE], MOST_CONFIDENCE), cells)
     if "blocks" in found:
         index = beside[LINE if by_lines else ROW]
         per_block = options.interval_lines * (1 if by_lines else RECORDS_PER_LINE)
@@ -103,6 +111,8 @@ def scored_parts(counts: Counts, name: str, files: Sequence[str], options: Evalu
 
 def _parts(counts: GroupedCounts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:
     """Return the parts of a split in order, unknown ones last."""
+    if name == CONFIDENCE:
+        return confidence_parts(counts, options.split_confidence)
     parts = []
     edges = check_edges(options.split_range_m)
     groups = [group for group in counts.groups if group != UNKNOWN]
@@ -124,6 +134,47 @@ def _parts(counts: GroupedCounts, name: str, files: Sequence[str], options: Eval
     if UNKNOWN in counts.groups:
         parts.append(SplitPart("unknown", math.nan, math.nan, counts.matrix(UNKNOWN)))
     return tuple(parts)
+
+
+def confidence_parts(counts: GroupedCounts, edges: Sequence[int]) -> tuple[SplitPart, ...]:
+    """Return the pairs of every span of confidence, from counts by its value; the last one includes 100."""
+    parts = []
+    bounds = sorted({0, *edges, MOST_CONFIDENCE + 1})
+    for low, end in pairwise(bounds):
+        whole = counts.matrix(low)
+        for group in range(low + 1, end):
+            whole = whole + counts.matrix(group)
+        shown = f"{low} %" if end == low + 1 else f"{low}-{end - 1} %"
+        parts.append(SplitPart(shown, float(low), float(end), whole))
+    if UNKNOWN in counts.groups:
+        parts.append(SplitPart("unknown", math.nan, math.nan, counts.matrix(UNKNOWN)))
+    return tuple(parts)
+
+
+def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
+    """Return how well confidence tells the share of right pairs: both means, and their mean difference.
+
+    Pairs count as right whose classes have one name on both sides.
+    """
+    n, right = np.zeros(MOST_CONFIDENCE + 1), np.zeros(MOST_CONFIDENCE + 1)
+    for group in counts.groups:
+        if group != UNKNOWN:
+            matrix = counts.matrix(group)
+            n[group], right[group] = matrix.n_scored, matrix.n_right
+    if not n.sum():
+        return ()
+    expected = np.arange(MOST_CONFIDENCE + 1) * n / 100.0
+    error = np.abs(right - expected).sum() / n.sum()
+    said = (
+        f"confidence: {100 * expected.sum() / n.sum():.2f} % on the mean, {100 * right.sum() / n.sum():.2f} % are right"
+    )
+    # of equals, each counts in part
+    taken = np.clip(TOP_SHARE * n.sum() - (np.cumsum(n[::-1]) - n[::-1]), 0.0, n[::-1])
+    top = (np.divide(right[::-1], n[::-1], out=np.zeros_like(n), where=n[::-1] > 0) * taken).sum() / taken.sum()
+    return (
+        f"{said}; expected calibration error {100 * error:.2f} %",
+        f"confidence: of the {100 * TOP_SHARE:g} % with the most, {100 * top:.2f} % are right",
+    )
 
 
 def intervals_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from prc_cli.core.errors import ConfigError
@@ -46,6 +47,10 @@ class EvaluateOptions:
     """Scan lines per part; None = not split."""
     split_scanner: bool = False
     """Whether every scanner is a part."""
+    split_confidence: tuple[int, ...] = ()
+    """Edges of spans of confidence [per cent]; empty = not split."""
+    min_confidence: int | None = None
+    """Pairs whose prediction has less confidence are left out [per cent]; None = none is."""
     points_per_line: int | None = None
     """M, where records are shots of a dense stream: the line of record i is i // M."""
     intervals: str | None = None
@@ -90,6 +95,18 @@ def check_options(options: EvaluateOptions) -> None:
         if value is not None and value < 1:
             raise ConfigError(key, f"found {value}, expected at least 1")
     check_edges(options.split_range_m)
+    _check_confidence(options)
+
+
+def _check_confidence(options: EvaluateOptions) -> None:
+    """Refuse per cents that are none."""
+    least = options.min_confidence
+    if least is not None and not 0 <= least <= 100:
+        raise ConfigError("min_confidence", f"found {least}, expected per cent, 0 to 100")
+    edges = options.split_confidence
+    if any(low >= high for low, high in pairwise((-1, *edges, 101))):
+        shown = ", ".join(map(str, edges))
+        raise ConfigError("split by confidence", f"found the edges {shown}, expected rising per cents, 0 to 100")
 
 
 def tolerance_of(options: EvaluateOptions) -> float | None:

@@ -14,6 +14,7 @@ from prc_cli.classifiers.fused.neighbours import Neighbours, chords, near_neighb
 from prc_cli.classifiers.fused.pipeline import (
     MEMORY,
     NOISE,
+    OUTSIDE_LINES,
     SPACING,
     TAIL,
     FusedParams,
@@ -128,7 +129,7 @@ def _street(
     limits = decision_thresholds(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    decided = decide(window, seen, ground, texture, standing, plane, limits)
+    decided = decide(wide[OUTSIDE_LINES:-OUTSIDE_LINES], seen, ground, texture, standing, plane, limits)
     place = _place(inner, seen, ground, texture, standing, scanner, least, at)
     stride = int(strides[line + BESIDE_LINES])
     yield from _neighbourhood(place, stride, params)

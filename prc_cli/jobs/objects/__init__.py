@@ -192,7 +192,8 @@ class _Run:
         stream = with_beams(stream, config.input, from_ground=True)
         self._result = ResultWatch(usual_labels(config, stream.info))
         self._watch = watched(stream, config.input, most_noise_m=method.needs.most_noise_m)
-        for item in label_blocks(self._watch.blocks(), config.classifier, stages=True):
+        wanted = config.output.confidence
+        for item in label_blocks(self._watch.blocks(), config.classifier, stages=True, confidence=wanted):
             self._counts = self._counts.add(item)
             self._result.see(item)
             block = item.block if is_own else replace(item.block, xyz_m=None)

@@ -74,6 +74,8 @@ class Thing:
     """Middle of its registered coordinates [m]; NaN = the input has none."""
     y: float = math.nan
     z: float = math.nan
+    confidence: float = math.nan
+    """Mean confidence of its shots [per cent]; NaN = not asked for."""
 
 
 @dataclass(slots=True)
@@ -93,6 +95,7 @@ class _Growing:
     sums: tuple[float, float, float] = (0.0, 0.0, 0.0)
     n_placed: int = 0
     xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sure: float = 0.0
 
     def add(self, run: Run, gap_lines: int) -> None:
         """Add a run of this line."""
@@ -108,6 +111,7 @@ class _Growing:
         self.sums = _plus(self.sums, (run.sum_side_m, run.sum_range_m, run.sum_angle_rad))
         self.n_placed += run.n_placed
         self.xyz = _plus(self.xyz, run.sum_xyz_m)
+        self.sure += run.sum_confidence
 
     def join(self, other: _Growing) -> None:
         """Take all that another one holds."""
@@ -123,6 +127,7 @@ class _Growing:
         self.sums = _plus(self.sums, other.sums)
         self.n_placed += other.n_placed
         self.xyz = _plus(self.xyz, other.xyz)
+        self.sure += other.sure
 
     def touches(self, run: Run, rule: Rule) -> bool:
         """Whether a run is near to one of the last lines."""
@@ -210,7 +215,7 @@ class Grower:
             last_line=one.last_line, first_column=one.columns[0], last_column=one.columns[1], n_shots=one.n,
             range_m=range_m, nearest_m=one.nearest_m, angle_deg=math.degrees(angle), side_m=side,
             width_m=one.side[1] - one.side[0], height_m=one.up[1] - one.up[0], base_m=one.above[0],
-            top_m=one.above[1], x=x, y=y, z=z,
+            top_m=one.above[1], x=x, y=y, z=z, confidence=one.sure / one.n,
         )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -41,6 +42,8 @@ class Run:
     """Shots with registered coordinates."""
     sum_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of their registered coordinates [m]."""
+    sum_confidence: float = math.nan
+    """Of their confidence [per cent]; NaN = not known."""
 
 
 def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | None = None) -> Iterator[Run]:
@@ -67,6 +70,7 @@ def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | N
     beam = block.beam_rad[column]
     side, up = range_m * np.sin(beam), -range_m * np.cos(beam)
     above = np.full(len(at), np.nan) if item.above_m is None else item.above_m.ravel()[at].astype(np.float64)
+    sure = np.full(len(at), np.nan) if item.confidence is None else item.confidence.ravel()[at].astype(np.float64)
     xyz = np.full((len(at), 3), np.nan) if registered_m is None else registered_m.reshape(-1, 3)[at]
     is_new = np.ones(len(at), np.bool_)
     is_new[1:] = (
@@ -79,7 +83,8 @@ def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | N
     n = np.diff(np.append(start, len(at)))
     placed: Mask = np.isfinite(xyz[:, 0]) & np.isfinite(xyz[:, 1]) & np.isfinite(xyz[:, 2])
     total = _sums(
-        np.column_stack([side, range_m, beam, placed.astype(np.float64), np.where(placed[:, None], xyz, 0.0)]), start
+        np.column_stack([side, range_m, beam, placed.astype(np.float64), np.where(placed[:, None], xyz, 0.0), sure]),
+        start,
     )
     low = np.minimum.reduceat(np.column_stack([side, up, range_m]), start)
     high = np.maximum.reduceat(np.column_stack([side, up]), start)
@@ -94,6 +99,7 @@ def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | N
             sum_side_m=float(total[i, 0]), sum_range_m=float(total[i, 1]), sum_angle_rad=float(total[i, 2]),
             least_range_m=float(low[i, 2]), above_m=(float(lowest[i]), float(highest[i])),
             n_placed=int(total[i, 3]), sum_xyz_m=(float(total[i, 4]), float(total[i, 5]), float(total[i, 6])),
+            sum_confidence=float(total[i, 7]),
         )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig, MethodChoice
+from prc_cli.config import LoadedConfig, MethodChoice, refuse_window
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
 from prc_cli.formats import check_input
@@ -26,7 +26,6 @@ from prc_cli.jobs.render.options import (
     RenderResult,
 )
 from prc_cli.jobs.render.scan import Drawing, describe, draw_scan
-from prc_cli.jobs.render.viewer import render_viewer
 
 
 def render(
@@ -77,6 +76,7 @@ def render(
     check_output(output, overwrite=overwrite, inputs=inputs)
     remove_stale(output)
     check_input(source)
+    refuse_window(config.config, "prc render")
     config = _decided(source, config, chosen)
     with temporary_folder("prc-render-") as scratch:
         if chosen.view == "scan":
@@ -153,4 +153,4 @@ def _write(
     return replace(result, files=tuple(paths), size=size)
 
 
-__all__ = ["CAPTIONS", "COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render", "render_viewer"]
+__all__ = ["CAPTIONS", "COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render"]

@@ -43,7 +43,7 @@ from prc_cli.jobs.render.classes import (
 )
 from prc_cli.jobs.render.frames import of_station
 from prc_cli.jobs.render.heading import heading, made_by, made_with
-from prc_cli.jobs.render.options import ColourBy, RenderOptions, RenderResult
+from prc_cli.jobs.render.options import CONFIDENCE_LIMITS, ColourBy, RenderOptions, RenderResult
 
 AXES = ("x", "y", "z")
 NO_CLASSES = (0, 1)
@@ -195,6 +195,8 @@ def draw_cloud(
     )
     n_out = sample.n_seen - n_hidden - buffer.n_inside
     notes = [f"{n_out:,} points lie outside the picture"] if n_out else []
+    if not np.ptp(kept[:, 2]):
+        notes.append("all points have one height, as in the scan plane: --html draws lines one behind the other")
     if n_without:
         notes.append(f"{n_without:,} further returns or records that share a cell with another are not drawn")
     key = words.table.key(counts) if colour == "class" else ()
@@ -209,7 +211,7 @@ def _framed(kept: F64, classes: RecordClasses | None, words: Vocabulary) -> F64:
     """Return the points of a sample that a view must hold, (n, 3) float64: neither noise nor hidden ones, if any."""
     if classes is None:
         return kept[:, :3]
-    places = classes.look_up(kept[:, 5].astype(np.int64))
+    places = classes.look_up(kept[:, -1].astype(np.int64))
     names = words.table.names
     left_out = {*words.table.hidden, *(place for place, name in enumerate(names) if name == _NOISE)}
     inside = ~np.isin(places, sorted(left_out))
@@ -267,12 +269,12 @@ def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
     """Read all points once; return a sample, whether the cloud has classes, and how many have no coordinates."""
     sample = Sample(6)
     has_classes, n_without = False, 0
-    names = ("range", "intensity", "classification") if cloud.has_own_classes else ("range", "intensity")
+    shown = ("range", "intensity", "confidence")
+    names = (*shown, "classification") if cloud.has_own_classes else shown
     for points in cloud.points(names):
         finite = np.isfinite(points.xyz).all(axis=1)
         none = np.full(len(points.xyz), np.nan)
-        values = (points.values.get(name, none) for name in ("range", "intensity"))
-        rows = np.column_stack([points.xyz, *values, points.record])
+        rows = np.column_stack([points.xyz, *(points.values.get(name, none) for name in shown), points.record])
         sample.add(rows[finite])
         n_without += points.n_without
         if not has_classes and "classification" in points.values:
@@ -326,19 +328,21 @@ class _Paint:
     def choose(
         cls, by: ColourBy, sample: F64, words: Vocabulary, classes: RecordClasses | None, source: Path
     ) -> _Paint:  # fmt: skip
-        column = {"height": 2, "range": 3, "intensity": 4}.get(by)
+        column = {"height": 2, "range": 3, "intensity": 4, "confidence": 5}.get(by)
         if column is None:
             return cls(by, (0.0, 1.0), words, classes)
         values = sample[:, column]
         if not np.isfinite(values).any():
             problem = f"the points have no {by} to be coloured by"
             raise InputError(str(source), problem, "choose another --colour: class, height")
+        if by == "confidence":
+            return cls(by, CONFIDENCE_LIMITS, words, classes)
         return cls(by, range_limits(values) if by == "range" else value_limits(values), words, classes)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Values that are needed beside the coordinates."""
-        return (self.by,) if self.by in ("range", "intensity") else ()
+        return (self.by,) if self.by in ("range", "intensity", "confidence") else ()
 
     @property
     def bar(self) -> Bar | None:
@@ -346,7 +350,9 @@ class _Paint:
         if self.by == "class":
             return None
         return (
-            range_bar(self.limits) if self.by == "range" else value_bar(self.limits, "m" if self.by == "height" else "")
+            range_bar(self.limits)
+            if self.by == "range"
+            else value_bar(self.limits, {"height": "m", "confidence": "%"}.get(self.by, ""))
         )
 
     def colours(self, points: Points, part: slice) -> tuple[F64, U8, U8 | None]:

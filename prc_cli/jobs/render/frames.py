@@ -116,8 +116,11 @@ def frames(
     elif isinstance(params := config.classifier, PrcParams) and set(steps) & set(PRC_STEPS):
         yield from _traced(blocks, params, steps)
     else:
-        for item in label_blocks(blocks, config.classifier, stages=True):
+        for item in label_blocks(blocks, config.classifier, stages=True, confidence="confidence" in steps):
             planes = {**_of_block(item.block, steps), "classes": item.labels}
+            if item.confidence is not None:
+                seen = ~np.isnan(item.block.range_m)
+                planes["confidence"] = np.where(seen, item.confidence.astype(np.float32), np.float32(np.nan))
             if item.stages is not None:
                 planes |= _of_stages(item.block, item.stages, steps)
             yield Frame(item.block, planes)

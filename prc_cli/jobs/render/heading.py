@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from prc_cli import __version__
 from prc_cli.config import LoadedConfig, preset_of
 from prc_cli.core.dates import today
 from prc_cli.formats.writing.record import PROGRAM, record_path
@@ -35,23 +36,40 @@ def made_with(loaded: LoadedConfig) -> str:
 
 
 def made_by(labels: Path) -> str:
-    """Return what labelled a file according to the run record beside it; empty where there is none.
+    """Return what labelled a file according to the run record beside it; empty where there is none."""
+    return _method_of(_record_of(labels))
 
-    Whatever cannot be read is as good as absent: a headline is no reason to refuse a picture.
-    """
-    path = record_path(labels)
+
+def origin(labels: Sequence[Path]) -> tuple[str, ...]:
+    """Return what made a page about label files: day and version, method and input as far as run records name them."""
+    found = [_record_of(path) for path in labels]
+    methods = dict.fromkeys(filter(None, (_method_of(record) for record in found)))
+    inputs = dict.fromkeys(filter(None, (_input_of(record) for record in found)))
+    source = f"{len(inputs):,} inputs" if len(inputs) > 1 else "".join(f"input {name}" for name in inputs)
+    return tuple(filter(None, (today(), f"prc {__version__}", ", ".join(methods), source)))
+
+
+def _record_of(labels: Path) -> Mapping[str, Any]:
+    """Return a run record; empty where it is absent or cannot be read, which is no reason to refuse a picture."""
     with suppress(OSError, ValueError, RecursionError):
+        path = record_path(labels)
         if path.stat().st_size <= LARGEST_RECORD:
-            return _of_record(json.loads(path.read_text(encoding="utf-8")))
-    return ""
+            found = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(found, Mapping) and found.get("program") == PROGRAM:
+                return found
+    return {}
 
 
-def _of_record(found: Any) -> str:
-    if not isinstance(found, Mapping) or found.get("program") != PROGRAM:
-        return ""
-    for one in found.get("assumptions") or ():
+def _method_of(record: Mapping[str, Any]) -> str:
+    for one in record.get("assumptions") or ():
         if isinstance(one, Mapping) and one.get("key") == "method":
             return str(one.get("value", ""))[:80]
-    config = found.get("config")
+    config = record.get("config")
     method = config.get("method") if isinstance(config, Mapping) else None
     return method[:80] if isinstance(method, str) else ""
+
+
+def _input_of(record: Mapping[str, Any]) -> str:
+    source = record.get("input")
+    name = source.get("name") if isinstance(source, Mapping) else None
+    return name[:200] if isinstance(name, str) else ""

@@ -10,8 +10,10 @@ from prc_cli.core.errors import ConfigError
 
 View: TypeAlias = Literal["scan", "top", "perspective"]
 VIEWS: tuple[View, ...] = ("scan", "top", "perspective")
-ColourBy: TypeAlias = Literal["class", "range", "height", "intensity"]
-COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity")
+ColourBy: TypeAlias = Literal["class", "range", "height", "intensity", "confidence"]
+COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity", "confidence")
+CONFIDENCE_LIMITS = (50.0, 100.0)
+"""Ends of the colour scale of confidence [per cent]; less is drawn as the lower one."""
 SUFFIXES = (".png", ".html")
 
 PRC_STEPS = ("support", "critical", "background", "components", "segments", "surfaces", "segmentation")
@@ -84,6 +86,10 @@ CAPTIONS: dict[str, tuple[str, str]] = {
         "Fig. 4, bottom).",
     ),
     "classes": ("classes", "The class of every shot."),
+    "confidence": (
+        "confidence",
+        "How sure the class is: per cent of such shots that are right on simulated scans; white: no return.",
+    ),
     "reference": ("reference", "Classes of the reference."),
     "difference": (
         "differences, in the colour of the predicted class",
@@ -95,7 +101,7 @@ CAPTIONS: dict[str, tuple[str, str]] = {
 
 LABEL_FILE_STEPS = ("range", "intensity", "classes")
 """Steps of an existing result: label files hold no intermediate images."""
-ON_REQUEST = ("intensity", "critical", "dense", "triggers", "dividers", "tests")
+ON_REQUEST = ("intensity", "confidence", "critical", "dense", "triggers", "dividers", "tests")
 """Steps that are drawn only where they are named."""
 REFERENCE_STEPS = ("reference", "difference")
 
@@ -177,7 +183,7 @@ def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     elif method == "sequential-angle":
         steps = ("range", "intensity", *SEQUENTIAL_STEPS, "classes")
     elif method == "fused":
-        steps = ("range", "intensity", "classes")
+        steps = ("range", "intensity", "classes", "confidence")
     else:
         steps = ("range", "intensity", *PRC_STEPS, "classes")
     return (*steps, *REFERENCE_STEPS) if options.reference is not None else steps

@@ -52,7 +52,7 @@ from prc_cli.jobs.render.frames import (
     upright,
 )
 from prc_cli.jobs.render.heading import heading, made_by, made_with
-from prc_cli.jobs.render.options import CAPTIONS, RenderOptions, choose_steps
+from prc_cli.jobs.render.options import CAPTIONS, CONFIDENCE_LIMITS, RenderOptions, choose_steps
 from prc_cli.jobs.render.stages import INTERVALS, TESTS
 
 STRIP_HEIGHT, PANEL_HEIGHT, UPRIGHT_HEIGHT = 380, 800, 1100
@@ -397,14 +397,16 @@ class _Painter:
                 self.limits[step] = critical_limits(self.planes[step])
             elif step in ("intensity", "ground"):
                 self.limits[step] = value_limits(self.planes[step])
+            elif step == "confidence":
+                self.limits[step] = CONFIDENCE_LIMITS
 
     def paint(self, step: str, lines: slice) -> tuple[U8, Bar | None]:
         """Return the (lines, columns, 3) picture of some of the drawn lines, and its colour bar."""
         plane = self.planes["predicted" if step == "difference" else step][lines]
         if step == "range":
             return range_picture(plane, self.limits[step]), range_bar(self.limits[step])
-        if step in ("intensity", "ground"):
-            unit = "m" if step == "ground" else ""
+        if step in ("intensity", "ground", "confidence"):
+            unit = {"ground": "m", "confidence": "%"}.get(step, "")
             return value_picture(plane, self.limits[step]), value_bar(self.limits[step], unit)
         if step in ("support", "background"):
             return mask_picture(plane), None

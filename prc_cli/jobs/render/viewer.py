@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig
+from prc_cli.config import LoadedConfig, preset_of, refuse_window
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
@@ -32,8 +33,9 @@ from prc_cli.jobs.render.options import RenderOptions, RenderResult
 from prc_cli.jobs.render.scan import Part, choose_part
 from prc_cli.streams.beams import with_beams
 
-SPEED_M_S = 8.0
-"""Speed that is taken where neither a trajectory nor ``--line-spacing`` tells how far apart lines are."""
+SPEED_M_S, WALK_M_S = 8.0, 1.2
+"""Speeds on streets and in forests that are taken where neither a trajectory nor ``--line-spacing`` tells how far apart
+lines are."""
 SPACING_M = 0.1
 """Line spacing where times are not known either [m]."""
 _FLAT = 1e-3
@@ -116,6 +118,7 @@ def render_viewer(
     source, output = Path(source), Path(output)
     chosen = RenderOptions() if options is None else options
     _check(output, chosen)
+    refuse_window(config.config, "prc render")
     inputs = tuple(path for path in (source, chosen.labels, *config.files) if path is not None)
     check_output(output, overwrite=overwrite, inputs=inputs)
     remove_stale(output)
@@ -134,7 +137,10 @@ def render_viewer(
         shots, notes = _shots(source, config, chosen, stream, part, step, kept, words)
     lines = "all" if part.is_whole else f"lines {part.first:,} to {part.stop - 1:,} of"
     head = heading(origin, f"{lines} {part.n_lines:,} lines", _thinned(step))
-    text = viewer_page(shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.")
+    text = viewer_page(
+        shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.",
+        why="" if given is not None else _explain(source, config, chosen),
+    )  # fmt: skip
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
     names = words.table.names
@@ -143,6 +149,13 @@ def render_viewer(
         (output,), (0, 0), f"{source.name} · {head}", lines=(part.first, part.stop), thinned_by=step, counts=counts,
         n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()), notes=notes,
     )  # fmt: skip
+
+
+def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
+    """Return the command that tells why a shot has its class, without the place of the shot."""
+    preset, station = preset_of(loaded), options.station
+    words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
+    return shlex.join([*words, *([] if station is None else ["--station", str(station)]), "--at"])
 
 
 def _open(source: Path, loaded: LoadedConfig) -> ScanStream:
@@ -161,7 +174,8 @@ def _check(output: Path, options: RenderOptions) -> None:
         raise ConfigError(str(output), f"found the suffix {output.suffix!r}, expected .html", "rename the output")
     for name, given in (
         ("--steps", options.steps), ("--figure1", options.figure1 or None), ("--reference", options.reference),
-        ("--colour", options.colour), ("--view", None if options.view == "scan" else options.view),
+        ("--colour", options.colour), ("--block", options.block),
+        ("--view", None if options.view == "scan" else options.view),
     ):  # fmt: skip
         if given is not None:
             raise ConfigError(name, "belongs to pictures, found --html", "leave one of them out")
@@ -294,7 +308,10 @@ def _shots(
     sensor_m = values.pop("xyz", None)
     values |= _of_files(source, loaded, options, record)
     file_m = np.stack([values.pop(axis) for axis in AXES], axis=2) if set(AXES) <= set(values) else None
-    spacing_m, assumed = _spacing(options, stream, values.get("time"), step[0])
+    config = loaded.config
+    in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
+    speed_m_s = WALK_M_S if in_forest else SPEED_M_S
+    spacing_m, assumed = _spacing(options, stream, values.get("time"), step[0], speed_m_s)
     beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
     xyz_m, notes = _place(range_m, beam_rad, sensor_m, file_m, spacing_m * step[0], seen, _how(spacing_m, assumed))
     noise = [place for place, name in enumerate(words.table.names) if name == Label.NOISE.name.lower()]
@@ -383,7 +400,9 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
     return {name: values.reshape(record.shape) for name, values in found.items()}
 
 
-def _spacing(options: RenderOptions, stream: ScanStream, time_s: F64 | None, step: int) -> tuple[float, str]:
+def _spacing(
+    options: RenderOptions, stream: ScanStream, time_s: F64 | None, step: int, speed_m_s: float
+) -> tuple[float, str]:
     """Return the distance of lines [m], and how it is known; empty where it was given."""
     if options.line_spacing_m is not None:
         return options.line_spacing_m, ""
@@ -395,7 +414,7 @@ def _spacing(options: RenderOptions, stream: ScanStream, time_s: F64 | None, ste
         hz = 1 / period if period > 0 else None
     if hz is None:
         return SPACING_M, "assumed"
-    return SPEED_M_S / hz, f"assumed: {SPEED_M_S:g} m/s"
+    return speed_m_s / hz, f"assumed: {speed_m_s:g} m/s"
 
 
 def _how(spacing_m: float, assumed: str) -> str:

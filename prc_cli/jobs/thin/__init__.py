@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_outputs, file_state, suffix_of, temporary_name
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
-from prc_cli.core.types import I32, Mask
+from prc_cli.core.types import I32, U8, Mask
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels.read import open_codes
 from prc_cli.formats.las.copy import check_copied, copy_las, read_las
@@ -51,6 +52,7 @@ from prc_cli.jobs.thin.selection import choose, without
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.grid import GridStream
 
+CONFIDENCE = "confidence"
 CLASSIFY = "classify"
 """Value of ``labels`` for classifying the input on the fly."""
 
@@ -118,6 +120,7 @@ def thin(
     config: LoadedConfig | RunConfig | None = None,
     *,
     labels: Path | str | None = None,
+    min_confidence: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ThinningSummary:
@@ -136,6 +139,9 @@ def thin(
         How the stream is read, and, with ``labels = "classify"``, classified.
     labels : path or "classify", optional
         A label file with one code per record, or the classifier. Default: the classes of the input.
+    min_confidence : int, optional
+        Also drop returns whose label has less confidence [per cent], by the dimension ``confidence`` of the label file
+        or of the input, or as the classifier tells.
     overwrite : bool
         Replace an existing output.
     progress : callable, optional
@@ -160,7 +166,9 @@ def thin(
         loaded = decide(source, loaded)
     label_file = Path(labels) if labels is not None and labels != CLASSIFY else None
     prepare_output(source, output, loaded, overwrite=overwrite, more=() if label_file is None else (label_file,))
-    run = _Run(source, output, rules, loaded, label_file, classify=labels == CLASSIFY)
+    if min_confidence is not None and not 0 <= min_confidence <= 100:
+        raise ConfigError("--min-confidence", f"found {min_confidence}, expected per cent, 0 to 100")
+    run = _Run(source, output, rules, loaded, label_file, classify=labels == CLASSIFY, min_confidence=min_confidence)
     before = file_state(source)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
         record = run.copy(progress, before)
@@ -174,10 +182,13 @@ class _Run:
 
     def __init__(
         self, source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | None,
-        *, classify: bool,
+        *, classify: bool, min_confidence: int | None,
     ) -> None:  # fmt: skip
         self.source, self.output, self.rules, self.loaded = source, output, rules, loaded
-        self.labels, self.classify = labels, classify
+        self.labels, self.classify, self.min_confidence = labels, classify, min_confidence
+        self.n_unsure = 0
+        self._confidence: Callable[[ScanBlock], tuple[Any, Any]] = lambda _: (None, None)
+        """Confidence of the shots and of the further returns of a block."""
         self.tally = _Tally()
         self.facts = Facts(Counts.none())
 
@@ -261,6 +272,7 @@ class _Run:
     def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[tuple[StreamItem, I32, I32]]]]:
         """Open the stream with the class codes of every block, from the chosen source."""
         labelled: dict[int, tuple[I32, I32]] = {}
+        told: dict[int, tuple[U8 | None, U8 | None]] = {}
 
         def blocks_of(stream: ScanStream) -> Iterator[ScanBlock]:
             config = self.loaded.config
@@ -271,13 +283,16 @@ class _Run:
                 stream = with_beams(stream, config.input, from_ground=config.nadir_from_ground)
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
-            for item in label_blocks(stream.blocks(), config.classifier):
+            wanted = self.min_confidence is not None
+            for item in label_blocks(stream.blocks(), config.classifier, confidence=wanted):
                 labelled[id(item.block)] = lookup[item.labels], lookup[item.extra_labels]
+                told[id(item.block)] = item.confidence, item.extra_confidence
                 yield item.block
 
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
             given = None if self.labels is None else self._read_labels(self.labels, stack)
+            self._confidence = self._find_confidence(told, stack)
             opened = stack.enter_context(
                 open_items(self.source, self.output, self.loaded, blocks_of=blocks_of, codes=own, xyz=xyz)
             )
@@ -298,21 +313,47 @@ class _Run:
 
             yield opened, items()
 
+    def _find_confidence(
+        self, told: dict[int, tuple[U8 | None, U8 | None]], stack: contextlib.ExitStack
+    ) -> Callable[[ScanBlock], tuple[Any, Any]]:
+        """Return what gives the confidence of a block: what was told on the way, else the values of a file."""
+        if self.min_confidence is None or self.classify:
+            return lambda block: told.pop(id(block), (None, None))
+        sure = self._read_values(self.labels or self.source, CONFIDENCE, stack)
+        return lambda block: (sure.get(block.records()), sure.get(block.extra.record))
+
     def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> RecordValues:
         """Load the codes of a label file for access by record."""
-        codes = open_codes(path)
+        values = self._read_values(path, None, stack)
+        self._n_labels = len(values)
+        return values
+
+    def _read_values(self, path: Path, dimension: str | None, stack: contextlib.ExitStack) -> RecordValues:
+        """Load codes, or another dimension of whole numbers, for access by record."""
+        try:
+            codes = open_codes(path, dimension)
+        except (ConfigError, InputError) as refusal:
+            if dimension is None:
+                raise
+            hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
+            raise ConfigError("--min-confidence", f"{path}: {refusal.problem}", hint) from refusal
         place = temporary_name(self.output)
         stack.callback(lambda: place.unlink(missing_ok=True))
         values = RecordValues(place, np.dtype("<i4"), NO_CODE)
         stack.callback(values.close)
         for chunk in codes.chunks():
             values.append(np.where(np.abs(chunk) < 2**31, chunk, NO_CODE).astype(np.int32))
-        self._n_labels = len(values)
         return values
 
     def _choose(self, item: StreamItem, codes: I32, extra_codes: I32) -> tuple[Mask, Mask]:
         kept, kept_extra = choose(item, codes, extra_codes, self.rules)
         there = ~np.isnan(item.block.range_m)
+        shots, further = self._confidence(item.block)
+        if self.min_confidence is not None:
+            n_kept = int(kept.sum() + kept_extra.sum())
+            kept &= shots >= self.min_confidence
+            kept_extra &= further >= self.min_confidence
+            self.n_unsure += n_kept - int(kept.sum() + kept_extra.sum())
         self.tally.add(codes[there], kept[there])
         self.tally.add(extra_codes, kept_extra)
         return kept, kept_extra
@@ -336,6 +377,8 @@ class _Run:
                 told.append(f"{rule.name}: {n - n_kept} of {n} dropped ({rule})")
             elif rule.share != 0 or rule.name != "noise":
                 told.append(f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})")
+        if self.min_confidence is not None:
+            told.append(f"confidence below {self.min_confidence} %: {self.n_unsure} further returns dropped")
         if not sum(tally.n_kept.values()):
             problem = f"all {sum(tally.n_input.values())} returns would be dropped, expected some to stay"
             raise ConfigError(str(self.source), problem, "keep more: --keep noise=1, or other classes")

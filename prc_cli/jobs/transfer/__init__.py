@@ -28,7 +28,7 @@ from prc_cli.formats.writing.record import (
 )
 from prc_cli.jobs.progress import tell_share
 from prc_cli.jobs.transfer.options import TransferOptions
-from prc_cli.jobs.transfer.sides import check_paths, open_sides
+from prc_cli.jobs.transfer.sides import CONFIDENCE, check_paths, open_sides
 from prc_cli.jobs.transfer.verdict import TransferCounts, counts_of, notices_of, refuse_poor_match
 from prc_cli.matching.join import CODE, KEY, SAME, JoinTally, merge_join
 from prc_cli.matching.keys import SPARE_LABELS, NearestLabel
@@ -103,8 +103,9 @@ def transfer(
     Raises
     ------
     InputError
-        When a side is damaged or lacks the key, labels and points differ in number, less than ``options.min_match`` of
-        the smaller side is matched, or more than the rest of the matches are ambiguous (several different labels).
+        When a side is damaged or lacks the key, labels and points differ in number, less than
+        ``options.min_matched`` of the smaller side is matched, or more than the rest of the matches are ambiguous
+        (several different labels).
     OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
@@ -119,20 +120,26 @@ def transfer(
     before = [_state(path) for path in inputs]
     sides = open_sides(labels, registered, points, layout, options)
     tally = JoinTally()
-    n_changed, n_done, moved = 0, 0, np.zeros(256, np.bool_)
+    n_changed, n_done, n_unsure, moved = 0, 0, 0, np.zeros(256, np.bool_)
     names = (KEY, SAME, CODE)
     with LasRecoder(output, registered, options.carry) as writer:
         target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
-        origin = columns_of(sides.labels, (*names, *options.carry), sort=not sides.found[0].in_order)
+        beside = dict.fromkeys((*options.carry, *(() if options.min_confidence is None else (CONFIDENCE,))))
+        origin = columns_of(sides.labels, (*names, *beside), sort=not sides.found[0].in_order)
         match, paths = NearestLabel(sides.tolerance), (sides.points.path, sides.labels.path)
         for item in merge_join(target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS):
             record, codes = item.left[RECORD], item.left[CODE].copy()
-            codes[item.at] = item.right[CODE][item.to]
-            moved[codes[item.at]] = True
+            at, to = item.at, item.to
+            if options.min_confidence is not None:
+                sure = item.right[CONFIDENCE][to] >= options.min_confidence
+                n_unsure += len(sure) - int(np.count_nonzero(sure))
+                at, to = at[sure], to[sure]
+            codes[at] = item.right[CODE][to]
+            moved[codes[at]] = True
             n_changed += int(np.count_nonzero(codes != item.left[CODE]))
             writer.put(record, codes)
             if options.carry:
-                writer.put_values(record[item.at], {name: item.right[name][item.to] for name in options.carry})
+                writer.put_values(record[at], {name: item.right[name][to] for name in options.carry})
             n_done += len(record)
             if n_points := sides.points.n_records:
                 tell_share(progress, min(n_done / n_points, 1.0))
@@ -143,6 +150,8 @@ def transfer(
         for path, state in zip(inputs, before, strict=True):
             if _state(path) != state:
                 raise InputError(str(path), "changed while it was read", "run again when the copy is complete")
+        least = options.min_confidence
+        unsure = (f"{n_unsure:,} points keep their class: their label has a confidence below {least} %",)
         stored = TransferRecord(
             config={"transfer": asdict(options)},
             input=fingerprint(registered),
@@ -150,7 +159,7 @@ def transfer(
             points_per_line=0,
             n_records=sides.found[1].n_records,
             assumptions=tuple(sides.assumptions),
-            notices=(*sides.notices, *notices_of(counts)),
+            notices=(*sides.notices, *(() if least is None else unsure), *notices_of(counts)),
             labels=fingerprint(labels),
             points=None if points is None else fingerprint(points),
             counts=counts,

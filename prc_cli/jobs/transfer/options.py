@@ -16,9 +16,9 @@ from prc_cli.matching.keyed_source import (
 class TransferOptions:
     """How the records of the two sides are matched."""
 
-    by: str = "time"
-    """``time``; ``record`` (equal order), ``record:NAME`` (a dimension of the registered file that holds the index of
-    the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides)."""
+    match: str = "time"
+    """``time``; ``order`` (equal on both sides; also ``record``), ``record:NAME`` (a dimension of the registered file
+    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides)."""
     tolerance_s: float = 0.0
     """Largest difference of times [s]; float64 rounding at these times is always allowed in addition."""
     time_offset_s: float = 0.0
@@ -31,23 +31,30 @@ class TransferOptions:
     """Column or dimension with the class codes; default as :func:`~prc_cli.formats.labels.read.open_codes`."""
     carry: tuple[str, ...] = ()
     """Dimensions of classified LAS labels to copy as well: ``segment_id``, ``range``, ``surface``,
-    ``dense_vegetation``, ``ground_height``."""
-    min_match: float = 0.5
+    ``dense_vegetation``, ``ground_height``, ``height_above_ground``, ``confidence``."""
+    min_confidence: int | None = None
+    """Labels with less confidence are not transferred [per cent]; the labels are classified LAS with ``confidence``."""
+    min_matched: float = 0.5
     """Least share of the smaller side that must be matched, and of matched points whose match must be unambiguous."""
 
     def __post_init__(self) -> None:
-        kind, _, name = self.by.partition(":")
-        if self.by not in ("time", "record") and not (kind in ("record", "dimension") and name):
-            raise ConfigError("--by", f"found {self.by!r}, expected time, record, record:NAME or dimension:NAME")
+        if self.match == "order":  # as for prc evaluate
+            object.__setattr__(self, "match", "record")
+        kind, _, name = self.match.partition(":")
+        if self.match not in ("time", "record") and not (kind in ("record", "dimension") and name):
+            problem = f"found {self.match!r}, expected time, order, record:NAME or dimension:NAME"
+            raise ConfigError("--match", problem)
         if not (math.isfinite(self.tolerance_s) and self.tolerance_s >= 0):
             raise ConfigError("--tolerance", f"found {self.tolerance_s}, expected seconds, 0 or more")
         if not math.isfinite(self.time_offset_s):
             raise ConfigError("--time-offset", f"found {self.time_offset_s}, expected seconds")
-        if self.by != "time" and (self.tolerance_s or self.time_offset_s):
-            problem = f"--tolerance and --time-offset are for times, found --by {self.by}"
-            raise ConfigError("--by", problem, "leave them out")
-        if not 0 <= self.min_match <= 1:
-            raise ConfigError("--min-match", f"found {self.min_match}, expected a share from 0 to 1")
+        if self.match != "time" and (self.tolerance_s or self.time_offset_s):
+            problem = f"--tolerance and --time-offset are for times, found --match {self.match}"
+            raise ConfigError("--match", problem, "leave them out")
+        if not 0 <= self.min_matched <= 1:
+            raise ConfigError("--min-matched", f"found {self.min_matched}, expected a share from 0 to 1")
+        if self.min_confidence is not None and not 0 <= self.min_confidence <= 100:
+            raise ConfigError("--min-confidence", f"found {self.min_confidence}, expected per cent, 0 to 100")
         if len(self.same) >= MAX_SAME:
             raise ConfigError("--same", f"found {len(self.same)} dimensions, expected at most {MAX_SAME - 1}")
         for name in self.carry:

@@ -31,6 +31,8 @@ from prc_cli.matching.keyed_source import (
 )
 from prc_cli.streams.gps_weeks import WEEK_S, WeekSource
 
+CONFIDENCE = "confidence"
+"""Dimension of how sure a label is [per cent]."""
 GPS_EPOCH_SHIFT_S = 1e9
 """Adjusted standard GPS time is GPS time less this [s] (LAS 1.4, global encoding bit 0)."""
 _ROUNDING_STEPS = 2.0
@@ -85,12 +87,12 @@ def open_sides(
         _demand(source, rule)
     left, right = _keyed_labels(labels, origin, rules[0], options), KeyedSource(target, rules[1])
     found = survey(left), survey(right)
-    if options.by == "record":
+    if options.match == "record":
         left, found = _equal_order(left, right, found, assumptions)
     sides = TransferSides(left, right, found, 0.0, assumptions=assumptions)
     for side, what in zip((left, right), found, strict=True):
         _refuse_useless(side, what, options)
-    if options.by == "time":
+    if options.match == "time":
         largest = max(abs(bound) for item in found for bound in (item.low, item.high))
         rounding = _ROUNDING_STEPS * float(np.spacing(max(largest, abs(options.time_offset_s))))
         sides.tolerance = max(options.tolerance_s, rounding)
@@ -117,14 +119,14 @@ def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, opt
             problem = f"found a range image or an organised scan ({suffix_of(points)}), expected a list of records"
             raise InputError(str(points), problem, "classify it to .las, and transfer that")
         return source
-    if options.by == "record" or options.by.startswith("record:"):
+    if options.match == "record" or options.match.startswith("record:"):
         # the order is the key, which the labels have themselves
         return CodesAlone(open_codes(labels, options.dimension))
     if suffix_of(labels) in READERS:
         table = open_source(labels, layout)
         if table is not None and set(_rules(options, ())[0].names) <= set(table.dimensions):
             return table
-    problem = f"holds classes alone, expected something to match by {options.by}"
+    problem = f"holds classes alone, expected something to match by {options.match}"
     raise InputError(str(labels), problem, "name the input they belong to: --points RAW")
 
 
@@ -134,7 +136,12 @@ def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: Tr
     if suffix_of(labels) in LAS_SUFFIXES:
         name = options.dimension or "classification"
         _demand_dimensions(origin, (name, *options.carry))
+        if options.min_confidence is not None and CONFIDENCE not in origin.dimensions:
+            problem = f"no dimension {CONFIDENCE!r} in {labels}"
+            raise ConfigError("--min-confidence", problem, "classify again with --set output.confidence=true")
         return KeyedSource(source, rule, code_dimension=name)
+    if options.min_confidence is not None:
+        raise ConfigError("--min-confidence", f"{labels} holds classes alone, expected classified LAS or LAZ")
     if options.carry:
         raise ConfigError("--carry", f"{labels} holds classes alone, expected classified LAS or LAZ")
     return KeyedSource(source, rule, open_codes(labels, options.dimension))
@@ -144,9 +151,9 @@ def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) 
     if not found.n_records:
         raise InputError(side.path, "no record has a class, expected classes to transfer", "check --dimension")
     if found.all_equal:
-        key = "gps_time" if options.by == "time" else side.rule.dimension
+        key = "gps_time" if options.match == "time" else side.rule.dimension
         problem = f"all {found.n_records:,} values of {key} are {found.low:g}, expected one a shot"
-        raise InputError(side.path, problem, "match by something else with --by")
+        raise InputError(side.path, problem, "match by something else with --match")
 
 
 def _same(
@@ -155,7 +162,7 @@ def _same(
     """Return the dimensions that must be equal in addition to the key."""
     for source in (origin, target):
         _demand_dimensions(source, options.same)
-    if options.by != "time" or options.ignore_return:
+    if options.match != "time" or options.ignore_return:
         return options.same
     if "return_number" not in origin.dimensions:
         why = "the labels have no return numbers: every return of a shot gets its class"
@@ -165,7 +172,7 @@ def _same(
 
 
 def _rules(options: TransferOptions, same: tuple[str, ...]) -> tuple[KeyRule, KeyRule]:
-    kind, _, name = options.by.partition(":")
+    kind, _, name = options.match.partition(":")
     if kind == "time":
         return KeyRule("time", "time", same, options.time_offset_s), KeyRule("time", "time", same)
     if kind == "dimension":
@@ -178,7 +185,7 @@ def _demand(source: RecordSource, rule: KeyRule) -> None:
     if rule.kind == "time" and "time" not in source.dimensions:
         shown = ", ".join(source.dimensions[:20]) or "nothing"
         problem = f"no time to match by, found: {shown}"
-        hint = "match by --by record, record:NAME or dimension:NAME"
+        hint = "match by --match order, record:NAME or dimension:NAME"
         raise InputError(source.path, problem, hint)
     if rule.kind == "dimension":
         _demand_dimensions(source, (rule.dimension,))
@@ -198,16 +205,16 @@ def _equal_order(
     labels, points = found
     n_all = left.source.n_records or labels.n_read
     if n_all == points.n_records or labels.n_read == points.n_records:
-        assumptions.append(Assumption("transfer.by", "record", "record i of the labels is point i"))
+        assumptions.append(Assumption("transfer.match", "record", "record i of the labels is point i"))
         return left, found
     if labels.n_records == points.n_records:
         why = "the labels without shots that have no return are as many as the points: the i-th of them is point i"
-        assumptions.append(Assumption("transfer.by", "record", why))
+        assumptions.append(Assumption("transfer.match", "record", why))
         ranked = replace(left, rule=KeyRule("rank", same=left.rule.same))
         return ranked, (survey(ranked), points)
     problem = f"found {n_all:,} records ({labels.n_records:,} with a class), expected {points.n_records:,} as "
     problem += f"{right.path} has, to match by equal order"
-    raise InputError(left.path, problem, "match by --by time, record:NAME or dimension:NAME")
+    raise InputError(left.path, problem, "match by --match time, record:NAME or dimension:NAME")
 
 
 def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
@@ -216,11 +223,11 @@ def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
     slack = sides.tolerance
     if labels.low <= points.high + slack and points.low <= labels.high + slack:
         return
-    what = "times" if options.by == "time" else "keys"
+    what = "times" if options.match == "time" else "keys"
     problem = f"{what} run from {points.low:.10g} to {points.high:.10g}, those of {sides.labels.path} from "
     problem += f"{labels.low:.10g} to {labels.high:.10g}: nothing overlaps"
     hint = "are these the same drive?"
-    if options.by == "time" and (offset := _scale_offset(labels, points)) is not None:
+    if options.match == "time" and (offset := _scale_offset(labels, points)) is not None:
         hint = f"{offset[1]}: --time-offset {offset[0] + options.time_offset_s:.0f}"
     raise InputError(sides.points.path, problem, hint)
 

@@ -72,13 +72,13 @@ def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferS
     Raises
     ------
     InputError
-        When less than ``options.min_match`` of the smaller side is matched, or too many labels are ambiguous.
+        When less than ``options.min_matched`` of the smaller side is matched, or too many labels are ambiguous.
     """
-    if counts.n_matched and counts.share >= options.min_match:
+    if counts.n_matched and counts.share >= options.min_matched:
         _refuse_guesses(counts, sides, options)
         return
     problem = f"{counts.n_matched:,} of {counts.n_points:,} points and {counts.n_labels_matched:,} of "
-    problem += f"{counts.n_labels:,} labels of {sides.labels.path} match, expected at least {options.min_match:.0%} "
+    problem += f"{counts.n_labels:,} labels of {sides.labels.path} match, expected at least {options.min_matched:.0%} "
     problem += "of the smaller side"
     unmatched = counts.n_points - counts.n_matched
     near = tally.near()
@@ -86,15 +86,14 @@ def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferS
         what = "return number" if "return_number" in sides.labels.rule.same else "value of --same"
         hint = f"{counts.n_other_return:,} points have a label of their time but another {what}"
         hint += ": --ignore-return" if "return_number" in sides.labels.rule.same else ""
-    elif options.by == "time" and near is not None and sides.tolerance < near < sides.step_s * CHANCE:
+    elif options.match == "time" and near is not None and sides.tolerance < near < sides.step_s * CHANCE:
         hint = f"half of the points without partner have a label within {near:g} s: --tolerance {near:g}"
     elif near is not None and near < 10 * sides.step_s < math.inf:
         hint = "the times of the points fall between those of the labels: another drive, or clocks that differ "
         hint += "(UTC and GPS by 18 s, see --time-offset)"
     elif counts.n_matched:
-        hint = (
-            f"are these the same drive? To write it all the same: --min-match {math.floor(counts.share * 1000) / 1000}"
-        )
+        share = math.floor(counts.share * 1000) / 1000
+        hint = f"are these the same drive? To write it all the same: --min-matched {share}"
     else:
         hint = "are these the same drive?"
     raise InputError(sides.points.path, problem, hint)
@@ -105,10 +104,10 @@ def _refuse_guesses(counts: TransferCounts, sides: TransferSides, options: Trans
     ordered = all(found.in_order for found in sides.found)
     # reordered records do not pair by their order
     n_guessed = counts.n_by_majority + (0 if ordered else counts.n_in_order)
-    if n_guessed <= (1 - options.min_match) * counts.n_matched:
+    if n_guessed <= (1 - options.min_matched) * counts.n_matched:
         return
     problem = f"{n_guessed:,} of {counts.n_matched:,} matched points have several labels of their key, which differ, "
-    problem += f"expected at most {1 - options.min_match:.0%}"
+    problem += f"expected at most {1 - options.min_matched:.0%}"
     hint = "tell them apart by another value that both sides have, e.g. --same intensity or --same scanner_channel"
     raise InputError(sides.points.path, problem, hint)
 

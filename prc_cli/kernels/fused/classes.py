@@ -15,7 +15,7 @@ Pairs = NDArray[np.uint32]
 
 LINES = 2
 """Lines before and after a line that its texture is computed from."""
-MARGIN = 4
+MARGIN = 12
 """Lines of the window before and after the block."""
 MOST_SMOOTH = 8
 """Greatest number of smooth pairs that counts."""
@@ -249,6 +249,19 @@ def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
             after = k
             break
     return after > 0 and before + after <= ACROSS_LINES + 1
+
+
+@inlined
+def _is_passed(window_m: F32, line: int, i: int, far: np.float32) -> bool:
+    """Return whether lines not far before and after see nothing, or only far things, in the direction of a shot."""
+    end = window_m[line, i] + far
+    sides = 0
+    for way in (-1, 1):
+        for k in range(1, MARGIN + 1):
+            if not (window_m[line + way * k, i] <= end):
+                sides += 1
+                break
+    return sides == 2
 
 
 @helper
@@ -497,11 +510,12 @@ def _label_poles(
     m = len(ranges)
     least, jump, high_m = thresholds.least_near, thresholds.jump_m, thresholds.pole_m
     pole, takes_long = np.uint8(thresholds.pole_label), thresholds.takes_long > 0
-    end, low, high = 0, np.float32(0.0), np.float32(0.0)
+    first, end, low, high = 0, 0, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
         if np.float32(near[i]) < least:
             low = high = height[i]
+            first, end = i, i + 1
         elif i >= end:
             # extent of the shots around that go on without a gap: the run of a shot far from the lowest or highest of
             # them is high too, and need not be followed
@@ -521,7 +535,9 @@ def _label_poles(
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = np.uint8(_VEGETATION)
-            elif thin[i] != 0 or takes_long:
+            elif np.float32(end - first) >= thresholds.pole_shots and (
+                takes_long or _is_passed(window_m, line, i, thresholds.far_m)
+            ):
                 labels[i] = pole
 
 
@@ -548,8 +564,8 @@ def fused_labels(
 
     Parameters
     ----------
-    window_m : (lines + 8, M) float32, metres
-        Ranges of these lines and of four before and after; NaN = missing.
+    window_m : (lines + 24, M) float32, metres
+        Ranges of these lines and of twelve before and after; NaN = missing.
     above_m : (lines + 4, M) float32, metres
         Height above the ground, of these lines and two before and after.
     counts : tuple of (lines + 4, M) uint8

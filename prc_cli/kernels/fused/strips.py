@@ -86,9 +86,19 @@ def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
 
 @helper
 def _mark_kinds(
-    above: F32, counts: tuple[U8, U8, U8, U8], thresholds: StripThresholds, slots: U8, rough: U8, upright: U8, level: U8
+    points: tuple[F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    thresholds: StripThresholds,
+    slots: U8,
+    rough: U8,
+    upright: U8,
+    level: U8,
 ) -> None:
-    """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces."""
+    """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces.
+
+    What is level and higher than the scanner is seen from below: a ceiling.
+    """
+    height, above = points
     _, pairs, up, flat = counts
     foot, most_rough, least_smooth = thresholds.foot_m, thresholds.rough, thresholds.smooth
     least_level, level_top = thresholds.level_smooth, thresholds.level_top_m
@@ -100,7 +110,11 @@ def _mark_kinds(
         upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & (up[i] >= UPRIGHT_CHORDS))
     for i in range(len(above)):
         level[i] = np.uint8(
-            (np.float32(pairs[i]) >= least_level) & (flat[i] > up[i]) & (above[i] < level_top) & (above[i] >= foot)
+            (np.float32(pairs[i]) >= least_level)
+            & (flat[i] > up[i])
+            & (above[i] < level_top)
+            & (above[i] >= foot)
+            & (height[i] < np.float32(0.0))
         )
 
 
@@ -232,7 +246,7 @@ def fill_strips(
             height[i] = -(own[i] * beams[1][i])
         n = _list_counted(own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots)
         seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
-        _mark_kinds(above, seen, thresholds, slot, marks[0], marks[1], marks[2])
+        _mark_kinds((height, above), seen, thresholds, slot, marks[0], marks[1], marks[2])
         _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
         sums = length[k], wall[k], place[k], top[k]
         _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)
@@ -314,6 +328,19 @@ def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
 
 
 @helper
+def _lines_around(values: F32, line: int, there: U8, counts: U8) -> None:
+    """Count the lines, of five, that have something in a strip or beside it."""
+    for b in range(STRIPS):
+        counts[b] = 0
+    there[0] = there[STRIPS + 1] = 0
+    for k in range(line, line + 2 * LINES + 1):
+        for b in range(STRIPS):
+            there[b + 1] = values[k, b] > 0
+        for b in range(STRIPS):
+            counts[b] += there[b] | there[b + 1] | there[b + 2]
+
+
+@helper
 def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, found: tuple[F32, F32, F32]) -> None:
     """Write for every strip of a line the wall in front of it, seen from the scanner, and the wall behind it."""
     at, top, ahead = found
@@ -364,16 +391,18 @@ def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThre
     ahead, lines = np.empty((n_lines, STRIPS), np.float32), np.empty(STRIPS + 2, np.float32)
     lengths, walls, places = (np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32))
     highest, wall_at, is_wall = np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.uint8)
+    there, n_lines_there = np.empty(STRIPS + 2, np.uint8), np.empty(STRIPS, np.uint8)
     enough = thresholds.height_m * np.float32(2 * LINES + 1)
     for line in range(n_lines):
         _sum_around(length, line, lines, lengths)
         _sum_around(wall, line, lines, walls)
         _sum_around(place, line, lines, places)
         _top_around(top, line, lines, highest)
+        _lines_around(wall, line, there, n_lines_there)
         for b in range(STRIPS):
             at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
             is_wall[b] = (walls[b] >= enough) & (walls[b] >= thresholds.share * lengths[b]) & (walls[b] > 0)
-            is_wall[b] &= flanks[line, b] == 0
+            is_wall[b] &= (flanks[line, b] == 0) & (np.float32(n_lines_there[b]) >= thresholds.lines)
             wall_at[b] = places[b] / walls[b] if is_wall[b] else np.float32(0.0)
         _look_out(is_wall, wall_at, highest, thresholds, (at[line], tops[line], ahead[line]))
     return at, tops, ahead

@@ -34,6 +34,8 @@ DOWN_RAD = math.radians(60.0)
 """What lies this near to straight down is ground, or stands on it."""
 NEAR_M, BELOW_M = 20.0, 1.0
 """Returns this near should not lie this far below the ground."""
+FAR_SHARE = 0.01
+"""Least share of returns that are farther than a room is wide."""
 LEAST_GROUND = 3
 """Ground returns on a side of a line for its height there."""
 LEAST_LEVEL, LEAST_SPREAD_M = 8, 0.3
@@ -46,6 +48,7 @@ LONG_STRETCHES = 3
 """Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
 
 _LOOK_FOR_DOWN = "look where down is: prc info, or give it with --set input.nadir=DEG"
+_NO_STREET = "a room, or one thing, has neither ground nor buildings nor cars; leave such stretches out"
 _LOOK_AT_INPUT = "look at the order of the shots, M and the unit of the ranges: prc info"
 
 
@@ -174,6 +177,7 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
     noise = sample.labels == Label.NOISE
     yield _noise(there, noise, sample.labels == Label.UNCLASSIFIED, usual)
     solid, level = there & ~noise, np.isin(sample.labels, usual.level)
+    yield from _indoors(solid, sample.range_m, usual)
     below = solid
     if sample.beam_rad is not None:
         is_down = np.abs(sample.beam_rad) < DOWN_RAD
@@ -208,6 +212,16 @@ def _noise(there: Mask, noise: Mask, unclassified: Mask, usual: UsualLabels) -> 
     verdict = _verdict(doubtful=noisy > usual.noise_share, against=noisy > usual.garbage_share)
     found = f"{_percent(noisy)} of the returns are noise"
     return Finding("noise-share", verdict, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT)
+
+
+def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]:
+    """Ask whether the place is as wide as a street."""
+    n = int(np.count_nonzero(solid))
+    if n < LEAST_RETURNS or usual.reach_m <= 0:
+        return
+    share = int(np.count_nonzero(solid & (range_m > usual.reach_m))) / n
+    found = f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
+    yield Finding("indoors", _verdict(doubtful=share < FAR_SHARE), found, f"at least {_percent(FAR_SHARE)}", _NO_STREET)
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,6 +430,14 @@ RESULT_CHECKS: tuple[Check, ...] = (
         "a bridge 6 m wide: a limit of 2 % would doubt all of these",
         "Most of what the other two see. It adds half an angle step and down wrong by 45 deg for sequential-angle. "
         "Bridges narrower than 5 m raise doubt (36 %).",
+    ),
+    Check(
+        "indoors",
+        "Is anything farther than a room is wide?",
+        "fused: at least 1 % of what is not noise is farther than 6 m",
+        "Rightly told, 128 lines each: streets, strips and frames 26 % or more. A laser that turns level in a "
+        "room, and a scan of a pump: 0 %",
+        "Halls, and yards indoors. Drives in tunnels less than 8 m wide, seen by a profiler, raise doubt.",
     ),
     Check(
         "classes-along",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from prc_cli.classifiers.fused import ground, plane
+from prc_cli.classifiers.fused import classes, ground, plane
 from prc_cli.kernels.fused import (
     classes as fused_classes,
 )
@@ -20,7 +20,7 @@ from prc_cli.kernels.fused import (
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
     assert plane.INNER_LINES == fused_neighbours.LINES
     assert plane.WIDE_LINES == fused_strips.LINES == fused_classes.LINES
-    assert plane.WIDE_LINES + plane.INNER_LINES == fused_classes.MARGIN
+    assert classes.BESIDE_THIN_LINES == fused_classes.MARGIN
     assert plane.INNER_LINES + plane.WIDE_LINES + plane.VOTE_LINES == plane.AROUND_LINES
 
 

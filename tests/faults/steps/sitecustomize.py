@@ -1,4 +1,6 @@
-"""Kills a process of a run just before its n-th step in the output folder; Python imports this module at start.
+"""Kills a process of a run just before its n-th step in the output folder, or right after a file there got its name.
+
+Python imports this module at start.
 
 One file counts the steps of all processes of a run, a byte each. It can also change inputs when a run opens them, or
 delay workers there.
@@ -8,9 +10,14 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 _EVENTS = {"os.rename", "os.remove", "os.link", "os.mkdir", "os.utime", "os.truncate", "open", "sqlite3.connect"}
+
+
+_WORKERS = ("prc_cli.jobs.batch.worker", "multiprocessing")
+"""In the commands of local workers and of those of Dask."""
 
 
 def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
@@ -21,13 +28,33 @@ def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
             return
         if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)):
             return  # to read is no step
-        os.write(handle, b".")
-        if os.lseek(handle, 0, os.SEEK_CUR) == strike_at:
-            if victims == "all" and "prc_cli.jobs.batch.worker" in " ".join(sys.orig_argv):
-                os.kill(os.getppid(), signal.SIGKILL)
-            os.kill(os.getpid(), signal.SIGKILL)
+        _count(handle, strike_at, victims)
 
     sys.addaudithook(step)
+
+
+def _strike_after(out: str, counter: str, strike_at: int, victims: str) -> None:
+    """Kill right after a file got its name."""
+    handle = os.open(counter, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+    def wrapped(naming: Callable[..., None]) -> Callable[..., None]:
+        def name(source: object, target: object, **more: object) -> None:
+            naming(source, target, **more)
+            if _is_below(out, target):
+                _count(handle, strike_at, victims)
+
+        return name
+
+    for function in ("link", "rename", "replace"):
+        setattr(os, function, wrapped(getattr(os, function)))
+
+
+def _count(handle: int, strike_at: int, victims: str) -> None:
+    os.write(handle, b".")
+    if os.lseek(handle, 0, os.SEEK_CUR) == strike_at:
+        if victims == "all" and any(of in " ".join(sys.orig_argv) for of in _WORKERS):
+            os.kill(os.getppid(), signal.SIGKILL)
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _hold(release: str, paths: list[str]) -> None:
@@ -70,6 +97,9 @@ def _is_below(out: str, argument: object) -> bool:
 if "PRC_FAULTS_STEPS" in os.environ:
     _out, _counter, _strike_at, _victims = os.environ["PRC_FAULTS_STEPS"].split("|")
     _install(_out, _counter, int(_strike_at), _victims)
+if "PRC_FAULTS_NAMES" in os.environ:
+    _out, _counter, _strike_at, _victims = os.environ["PRC_FAULTS_NAMES"].split("|")
+    _strike_after(_out, _counter, int(_strike_at), _victims)
 if "PRC_FAULTS_HOLD" in os.environ and "prc_cli.jobs.batch.worker" in " ".join(sys.orig_argv):
     _release, *_paths = os.environ["PRC_FAULTS_HOLD"].split(os.pathsep)
     _hold(_release, _paths)

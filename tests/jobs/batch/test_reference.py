@@ -3,6 +3,7 @@ listed."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import ConfigError
+from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.reference import (
     NO_REFERENCE,
     Output,
@@ -65,6 +67,23 @@ def test_gates_are_of_all_files_together(tmp_path: Path) -> None:
     ]
     assert not found.passed
     assert evaluate_tree(outputs, ReferenceSettings(tree, gates=("accuracy=0.7",))).passed
+
+
+def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) -> None:
+    outputs, tree = trees(tmp_path)
+    gates = ("recall.ground=0.5", "recall.car=0")
+    ReferenceSettings(tree, gates=gates).check()
+    # without run records: the classes of PRC, which has no cars
+    found = evaluate_tree(outputs, ReferenceSettings(tree, gates=gates))
+    assert found.as_dict()["mapping"] == "prc"
+    assert [gate.passed for gate in found.gates] == [True, False]
+    record = {"program": "prc-cli", "config": {"method": "fused", "fused": {"environment": "urban"}}}
+    for output in outputs:
+        record_path(output.path).write_text(json.dumps(record))
+    assert evaluate_tree(outputs, ReferenceSettings(tree, gates=gates)).as_dict()["mapping"] == "street"
+    assert evaluate_tree(outputs, ReferenceSettings(tree, "prc")).as_dict()["mapping"] == "prc"
+    with pytest.raises(ConfigError):
+        ReferenceSettings(tree, gates=("recall.dragon=0.5",)).check()
 
 
 def test_a_file_without_reference_is_named_and_the_others_are_pooled(tmp_path: Path) -> None:

@@ -43,6 +43,20 @@ def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment: 
     assert raised.reason.endswith(f"reaches {share:.0%} of that and 6 times the noise of 1 mm")
 
 
+def test_the_threshold_of_adjacent_lines_is_never_the_lower_one() -> None:
+    """The paper advises zeta_s >= zeta_p; 0.1 m supports too little for zeta_p alone, so zeta_s follows."""
+    grid = thresholds(0.1)
+    reached = np.where(grid[:, None] < 1.0, 0.5, 1.0) * np.ones(len(grid))
+    lengths = np.geomspace(0.001, 100.0, 51)
+    flat = np.full(len(lengths), 1000, np.int64)
+    n = 100_000
+    curves = Curves(grid, grid, np.round(0.9 * n * reached).astype(np.int64), lengths, flat, n, n, n)
+    params = PrcParams.model_validate({"support": {"zeta_s": 0.1, "zeta_p": 0.1}})
+    found = {item.key: item for item in imply(SENSOR, curves, params, 0.02)}
+    assert (found["prc.support.zeta_p"].value, found["prc.support.zeta_s"].value) == (1.0, 1.0)
+    assert found["prc.support.zeta_s"].reason.startswith("raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B)")
+
+
 def test_thresholds_are_six_times_the_noise() -> None:
     noisy = replace(SENSOR, sigma_m=0.1)
     assert advised(noisy, zeta=0.61)["prc.support.zeta_s"].value == 0.61

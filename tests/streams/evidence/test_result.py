@@ -138,6 +138,15 @@ def test_noise_of_every_method(preset: str, share: float, verdict: Verdict) -> N
     assert found["noise-share"].verdict is verdict
 
 
+@pytest.mark.parametrize(("far", "is_fine"), [(0, False), (40, False), (80, True)])
+def test_rooms_are_no_streets(far: int, is_fine: bool) -> None:
+    """One in a hundred of 6400 returns is farther than a room is wide."""
+    range_m = np.full((64, 100), 5.9, np.float32)
+    range_m.ravel()[:far] = 6.1
+    found = asked(range_m, np.full(range_m.shape, Label.GROUND, np.uint8), None)
+    assert ("indoors" not in doubted(found)) == is_fine
+
+
 @pytest.mark.parametrize(("preset", "is_fine"), [("street-scan", False), ("fused", True)])
 def test_returns_without_a_class(preset: str, is_fine: bool) -> None:
     """Fused leaves cars and poles without a class, and a full garage is half cars."""

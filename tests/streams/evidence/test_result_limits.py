@@ -34,7 +34,7 @@ def asked(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, 
 def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:  # noqa: C901, PLR0912, PLR0915
     """Answer shot by shot: what is found, without what is expected."""
     assert one.beam_rad is not None
-    n = dict.fromkeys(("there", "noise", "without", "below", "level", "near", "under"), 0)
+    n = dict.fromkeys(("there", "noise", "without", "below", "level", "near", "under", "solid", "far"), 0)
     leans = []
     stretches = np.zeros((len(one.labels) // 16, 4))
     for row, (ranges, labels) in enumerate(zip(one.range_m.tolist(), one.labels.tolist(), strict=True)):
@@ -47,6 +47,8 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
             n["there"] += is_there
             n["noise"] += is_noise
             n["without"] += label == U
+            n["solid"] += is_solid
+            n["far"] += is_solid and range_m > usual.reach_m
             n["below"] += is_solid and is_down
             n["level"] += is_solid and is_down and label in usual.level
             counts += is_solid and is_down and label in usual.level, is_solid and is_down, is_noise, is_there
@@ -74,6 +76,10 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
     else:
         verdict = AGAINST if noise > usual.garbage_share else DOUBTFUL if noise > usual.noise_share else FINE
         found["noise-share"] = verdict, f"{_percent(noise)} of the returns are noise"
+    if usual.reach_m > 0:
+        share = n["far"] / n["solid"]
+        verdict = DOUBTFUL if share < 0.01 else FINE
+        found["indoors"] = verdict, f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
     share = n["level"] / n["below"]
     found["ground-below"] = (
         DOUBTFUL if share < usual.level_share else FINE,
@@ -111,7 +117,9 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
 def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
     rng = np.random.default_rng(seed)
     usual = (
-        USUAL if preset == "usual" else UsualLabels(0.4, 0.9, 0.1, (Label.GROUND, Label.CURB), 0.9, 0.1, 0.02, 1.0, 0.6)
+        USUAL
+        if preset == "usual"
+        else UsualLabels(0.4, 0.9, 0.1, (Label.GROUND, Label.CURB), 0.9, 0.1, 0.02, 1.0, 0.6, 4.0 + seed)
     )
     shape = (192 + 5 * seed, 50)
     lean = np.tan(np.deg2rad(rng.uniform(-12, 12)))

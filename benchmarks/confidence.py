@@ -1,0 +1,435 @@
+"""The confidence of the fused method: its table, and how often labels of every confidence are right.
+
+    python -m benchmarks.confidence calibrate           # makes prc_cli/classifiers/fused/confidence.json
+    python -m benchmarks.confidence check               # reliability on other streets and forests, for choosing
+    python -m benchmarks.confidence report              # docs/confidence_figures.md, seeds that decided nothing
+    python -m benchmarks.confidence ablation            # the same page: streets for choosing without single measures
+    python -m benchmarks.confidence speed               # processor time, and how much the size of blocks matters
+
+Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2801 to 2899 and on the labelled real scans of
+../shared/data or $PRC_DATA. A label is right if it is the class of the reference, as for ``prc evaluate --mapping
+street``: people and wires, which have no class, are never right.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+
+from benchmarks import contest_data as data
+from benchmarks.contest_data import ROOT, Scan, Simulated
+from benchmarks.user import in_process
+from prc_cli.classifiers.fused import confidence, pipeline
+from prc_cli.classifiers.fused.confidence import N_CELLS, QUESTIONS, Environment, confidence_of, load_table
+from prc_cli.config import load_config
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F64, I32, I64, U8, Mask
+from prc_cli.evaluation.mapping import load_mapping
+from prc_cli.formats.labels.read import open_codes
+from prc_cli.jobs.classify import label_blocks
+
+ENVIRONMENTS: tuple[Environment, ...] = ("urban", "forest")
+CALIBRATION, CHECK, HELD_OUT = 2601, 2701, 2801
+"""First seeds."""
+ROUNDS = {CALIBRATION: 4, CHECK: 1, HELD_OUT: 2}
+"""How often every drive is simulated, through other streets."""
+SCENES = ("mixed", "residential", "boulevard", "terraces", "suburb")
+FOREST_SCENES = ("mixed", "pine-heath", "dense-spruce")
+FOREST_SCANNERS = ("focus3d-120", "profiler-1mhz")
+SHORTER = {80.0: 30.0, 160.0: 100.0, 30.0: 10.0}
+FOREST_M = {"focus3d-120": 10.0, "profiler-1mhz": 4.0}
+SHOTS_A_SCAN = 100_000.0
+"""Every scan counts as much as any other [shots]."""
+PRIOR_SHOTS = 2000.0
+"""A cell takes this many shots of the cell that asks one question less."""
+TOP = 0.9
+"""The share of the shots that is looked at: those with the most confidence."""
+BINS = (0, 50, 70, 80, 90, 95, 98, 99, 100, 101)
+"""Edges of the reliability curve [per cent]."""
+CURVE = ROOT / "docs" / "images" / "confidence.svg"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """The returns of a scan that have a reference."""
+
+    name: str
+    labels: U8
+    cells: I32
+    right: Mask
+    shots: U8
+    """Confidence."""
+
+    @property
+    def weight(self) -> float:
+        """What a return counts."""
+        return SHOTS_A_SCAN / len(self.labels)
+
+
+def specs(environment: Environment, first: int) -> Iterator[Simulated]:
+    """Return the simulated scans that begin with a seed: the drives of the contest, through other streets."""
+    for turn in range(ROUNDS[first]):
+        if environment == "urban":
+            for k, spec in enumerate(data.TEST_STREETS):
+                scene = SCENES[(SCENES.index(spec.scene) + turn) % len(SCENES)]
+                length_m = SHORTER[spec.length_m]
+                yield replace(spec, seed=first + len(data.TEST_STREETS) * turn + k, scene=scene, length_m=length_m)
+            continue
+        for k, scene in enumerate(FOREST_SCENES):
+            scanner = FOREST_SCANNERS[turn % len(FOREST_SCANNERS)]
+            seed = first + len(FOREST_SCENES) * turn + k
+            yield Simulated(f"{scene}, {scanner}", seed, FOREST_M[scanner], scene, scanner, kind="forest")
+
+
+def judge(scan: Scan, environment: Environment) -> Judged:
+    """Label a scan, and compare with its reference."""
+    params = load_config(preset="fused" if environment == "urban" else "fused-forest").config.classifier
+    cells: list[I32] = []
+
+    def kept(labels: U8, found: I32, table: U8) -> U8:
+        cells.append(found)
+        return confidence_of(labels, found, table)
+
+    with mock.patch.object(pipeline, "confidence_of", kept):
+        items = list(label_blocks(scan.blocks(), params, confidence=True))
+    labels = np.concatenate([item.labels for item in items])
+    shots = np.concatenate([item.confidence for item in items if item.confidence is not None])
+    right, there = _right(scan, labels)
+    return Judged(scan.name, labels[there], np.concatenate(cells)[there], right[there], shots[there])
+
+
+def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
+    """Return which labels are those of the reference, and which can be judged."""
+    names = {"street": "street", "oakland": "street_oakland", "kitti": "street_scan_kitti"}
+    codes = load_config().config.classes.lookup()[labels].astype(np.int64)
+    there: Mask = ~np.isnan(scan.range_m) & (scan.codes != 0)
+    if scan.mapping not in names:
+        return codes == scan.codes, there
+    mapping = load_mapping(names[scan.mapping])
+    rows, columns = np.array([*mapping.names("reference"), ""]), np.array([*mapping.names("predicted"), "-"])
+    reference = mapping.class_indices(np.where(there, scan.codes, scan.codes[there][0]), "reference")
+    predicted = mapping.class_indices(np.where(there, np.maximum(codes, 1), 1), "predicted")
+    right: Mask = rows[reference] == columns[predicted]
+    return right, there & (rows[reference] != "")
+
+
+def table_of(judged: Sequence[Judged], environment: Environment, dropped: tuple[str, ...] = ()) -> U8:
+    """Return the share of right labels in every cell [per cent], without the answers to some questions."""
+    table = np.zeros((len(Label), N_CELLS), np.uint8)
+    for label, questions in QUESTIONS[environment].items():
+        own = [(one.cells[one.labels == label], one.right[one.labels == label], one.weight) for one in judged]
+        if not sum(len(cells) for cells, _, _ in own):
+            continue
+        n, right = np.zeros(N_CELLS), np.zeros(N_CELLS)
+        for cells, is_right, weight in own:
+            n += weight * np.bincount(cells, minlength=N_CELLS)
+            right += weight * np.bincount(cells, is_right, minlength=N_CELLS)
+        shape = (4,) * len(questions)
+        n, right = n.reshape(shape), right.reshape(shape)
+        for name in set(dropped) & set(questions):
+            axis = questions.index(name)
+            n, right = (np.broadcast_to(x.sum(axis, keepdims=True), shape) for x in (n, right))
+        share = right.sum() / n.sum()
+        for k in range(1, len(questions) + 1):
+            rest = tuple(range(k, len(questions)))
+            there, good = n.sum(rest, keepdims=True), right.sum(rest, keepdims=True)
+            share = (good + PRIOR_SHOTS * share) / (there + PRIOR_SHOTS)
+        # 0 is for what is not known
+        table[label] = np.maximum(np.rint(100.0 * share).ravel(), 1)
+    return table
+
+
+def top_share(shots: U8, right: Mask, weight: F64, share: float = TOP) -> float:
+    """Return how many are right of the given share with the most confidence; of equals, each counts in part."""
+    n = np.bincount(shots, weight, minlength=101)[::-1]
+    good = np.bincount(shots, weight * right, minlength=101)[::-1]
+    taken = np.clip(share * n.sum() - (np.cumsum(n) - n), 0.0, n)
+    return float((good * taken / np.maximum(n, 1e-9)).sum() / taken.sum())
+
+
+def expected_error(shots: U8, right: Mask, weight: F64) -> float:
+    """Return the mean difference of confidence and share of right ones, over the values of the byte."""
+    n = np.bincount(shots, weight, minlength=101)
+    good = np.bincount(shots, weight * right, minlength=101)
+    return float(np.abs(good - n * np.arange(101) / 100.0).sum() / n.sum())
+
+
+def pooled(judged: Sequence[Judged]) -> tuple[U8, Mask, F64]:
+    """Return confidence, right and weight of the returns of several scans."""
+    return (
+        np.concatenate([one.shots for one in judged]),
+        np.concatenate([one.right for one in judged]),
+        np.concatenate([np.full(len(one.labels), one.weight) for one in judged]),
+    )
+
+
+def with_table(judged: Sequence[Judged], table: U8) -> list[Judged]:
+    """Return scans with the confidence of another table."""
+    return [replace(one, shots=confidence_of(one.labels, one.cells, table)) for one in judged]
+
+
+def row(name: str, judged: Sequence[Judged]) -> str:
+    """Return a row of the table of scans."""
+    shots, right, weight = pooled(judged)
+    share = np.average(right, weights=weight)
+    at_90 = shots >= 90
+    cells = [
+        f"{100 * share:.2f}", f"{100 * top_share(shots, right, weight):.2f}",
+        f"{100 * top_share(shots, right, weight, 0.8):.2f}", f"{100 * np.average(at_90, weights=weight):.1f}",
+        f"{100 * np.average(right[at_90], weights=weight[at_90]):.2f}" if at_90.any() else "",
+        f"{100 * expected_error(shots, right, weight):.2f}",
+    ]  # fmt: skip
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+HEAD = (
+    "| right, % | all | nine tenths | eight tenths | share ≥ 90 | of these | calibration error |\n|---|" + "---:|" * 6
+)
+
+
+def judged_of(environment: Environment, first: int) -> list[Judged]:
+    """Simulate, label and judge."""
+    return [judge(data.simulated(spec), environment) for spec in specs(environment, first)]
+
+
+def calibrate(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Make the table of the package."""
+    empty = np.zeros((len(Label), N_CELLS), np.uint8)
+    try:
+        tables = {environment: load_table(environment) for environment in ENVIRONMENTS}
+    except (OSError, ValueError, KeyError):  # made for other questions: labels need a table, whatever it says
+        tables = dict.fromkeys(ENVIRONMENTS, empty)
+        confidence.save_tables(tables)
+    for environment in environments:
+        judged = judged_of(environment, CALIBRATION)
+        tables[environment] = table_of(judged, environment)
+        print(row(environment, with_table(judged, tables[environment])), flush=True)
+    confidence.save_tables(tables)
+
+
+def check(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Print every scan for choosing."""
+    print(HEAD)
+    for environment in environments:
+        judged = judged_of(environment, CHECK)
+        for one in judged:
+            print(row(one.name, [one]))
+        print(row(f"**{environment}**", judged), flush=True)
+
+
+def ablation(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Print what every measure is worth: calibrated anew without its answers, on the streets for choosing."""
+    for environment in environments:
+        judged, others = judged_of(environment, CALIBRATION), judged_of(environment, CHECK)
+        asked = dict.fromkeys(name for names in QUESTIONS[environment].values() for name in names)
+        print(f"\n## What every measure is worth: {NAMES[environment]}\n\n{ABLATION}\n\n{HEAD}")
+        print(row("all", with_table(others, table_of(judged, environment, ()))))
+        for name in asked:
+            print(row(f"without `{name}`", with_table(others, table_of(judged, environment, (name,)))), flush=True)
+        print(row("the label alone", with_table(others, table_of(judged, environment, tuple(asked)))))
+
+
+NAMES: dict[Environment, str] = {"urban": "streets", "forest": "forests"}
+ABLATION = """\
+The table is made anew without the answers to one question. Calibrated on seeds 2601 to 2699, other scans of seeds 2701
+to 2799, on which the questions were chosen."""
+ABOUT = """\
+Every simulated scan counts as much as any other. *Nine tenths*: the share of right labels among the nine tenths of the
+shots with the most confidence; of shots with one confidence, each counts in part. *Calibration error*: mean difference
+of confidence and share of right labels, over the values of the byte."""
+
+
+def reliability(judged: Sequence[Judged]) -> list[tuple[str, float, float, float]]:
+    """Return spans of confidence: name, mean confidence, share of right ones [per cent], share of all shots."""
+    shots, right, weight = pooled(judged)
+    rows = []
+    for low, end in pairwise(BINS):
+        inside = (shots >= low) & (shots < end)
+        if inside.any():
+            w = weight[inside]
+            name = f"{low}" if end == low + 1 else f"{low}-{end - 1}"
+            mean, share = np.average(shots[inside], weights=w), 100 * np.average(right[inside], weights=w)
+            rows.append((name, float(mean), float(share), float(w.sum() / weight.sum())))
+    return rows
+
+
+def print_reliability(judged: Sequence[Judged]) -> None:
+    """Print how often labels of every span of confidence are right, and of every label."""
+    print("\n| confidence | mean | right, % | share of the shots |\n|---|---:|---:|---:|")
+    for name, mean, share, of_all in reliability(judged):
+        print(f"| {name} | {mean:.1f} | {share:.1f} | {of_all:.1%} |")
+    shots, right, weight = pooled(judged)
+    labels = np.concatenate([one.labels for one in judged])
+    print("\n| label | right, % | mean confidence | share with ≥ 95 | of these right, % |\n|---|---:|---:|---:|---:|")
+    for label in np.unique(labels).tolist():
+        own = labels == label
+        w, sure = weight[own], shots[own] >= 95
+        of_these = f"{100 * np.average(right[own][sure], weights=w[sure]):.1f}" if sure.any() else ""
+        mean, share = np.average(shots[own], weights=w), 100 * np.average(right[own], weights=w)
+        name = Label(label).name.lower()
+        cells = (name, f"{share:.1f}", f"{mean:.1f}", f"{np.average(sure, weights=w):.1%}", of_these)
+        print(f"| {' | '.join(cells)} |")
+
+
+def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
+    """Return the reliability curves as a picture, .svg: confidence across, share of right labels up."""
+    side, edge, colours = 360, 50, ("#0072b2", "#d55e00", "#009e73")
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{side + 2 * edge}" height="{side + 2 * edge}" '
+        'font-family="sans-serif" font-size="12">',
+        f'<rect width="{side + 2 * edge}" height="{side + 2 * edge}" fill="white"/>',
+        f'<path d="M{edge},{edge + side} L{edge + side},{edge}" stroke="#999" stroke-dasharray="4"/>',
+    ]
+    for tick in range(0, 101, 20):
+        at = side * tick / 100
+        parts.append(f'<text x="{edge + at}" y="{edge + side + 18}" text-anchor="middle">{tick}</text>')
+        parts.append(f'<text x="{edge - 8}" y="{edge + side - at + 4}" text-anchor="end">{tick}</text>')
+        parts.append(f'<path d="M{edge},{edge + side - at} h{side}" stroke="#ddd"/>')
+    for k, (name, rows) in enumerate(lines.items()):
+        places = [(edge + side * mean / 100, edge + side * (1 - share / 100)) for _, mean, share, _ in rows]
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+        parts.append(f'<polyline points="{path}" fill="none" stroke="{colours[k]}" stroke-width="2"/>')
+        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colours[k]}"/>' for x, y in places]
+        parts.append(f'<text x="{edge + 12}" y="{edge + 20 + 16 * k}" fill="{colours[k]}">{name}</text>')
+    parts.append(f'<text x="{edge + side / 2}" y="{edge + side + 38}" text-anchor="middle">confidence [%]</text>')
+    parts.append(f'<text x="14" y="{edge - 14}">labels that are right [%]</text></svg>')
+    return "\n".join(parts) + "\n"
+
+
+REAL: dict[str, tuple[str, str, tuple[str, ...], str]] = {
+    **{
+        f"Oakland {k}": (f"oakland/oakland_{k}.csv.gz", f"oakland/oakland_{k}.csv.gz", (), "street_oakland")
+        for k in (1, 2, 3)
+    },
+    "KITTI frame": (
+        "kitti/000000.bin", "kitti/000000.label", ("--config", "sample_configs/kitti_frame.toml"), "kitti"
+    ),
+}  # fmt: skip
+"""Scan, reference, options of ``prc classify`` and mapping."""
+
+
+def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
+    """Classify and compare the real scans by the command line."""
+    print(f"\n## Real scans\n\n{REAL_TEXT}\n\n{HEAD}")
+    oakland: list[Judged] = []
+    with tempfile.TemporaryDirectory() as name:
+        for scan, (source, reference, options, mapping) in REAL.items():
+            output = Path(name) / "labels.csv"
+            on = ("--preset", "fused", "--set", "output.confidence=true", "--overwrite", "-q")
+            code, said = in_process(["classify", str(data.DATA / source), str(output), *options, *on])
+            if code not in (0, 4):
+                raise SystemExit(said)
+            table: F64 = np.genfromtxt(output, delimiter=",", skip_header=1, usecols=(1, 3))
+            codes, shots = table.T.astype(np.int64)
+            side = CodesOf(mapping, data.DATA / reference)
+            right, there = side.right(codes)
+            labels = np.zeros(len(codes), np.uint8)
+            one = Judged(scan, labels[there], np.zeros(int(there.sum()), np.int32), right[there],
+                         shots[there].astype(np.uint8))  # fmt: skip
+            print(row(scan, [one]), flush=True)
+            oakland += [one] if scan.startswith("Oakland") else []
+    lines["Oakland 1 to 3"] = reliability(oakland)
+
+
+REAL_TEXT = """\
+By `prc classify --preset fused --set output.confidence=true` and the mapping `street_oakland`; the first strip is one
+that `fused` was tuned on, nothing about confidence was chosen on any. Of the KITTI frame ground, building, vegetation
+and cars are compared; no ring scanner is simulated, so its confidence is that of profilers."""
+
+
+@dataclass(frozen=True, slots=True)
+class CodesOf:
+    """The reference of a real scan."""
+
+    mapping: str
+    path: Path
+
+    def right(self, codes: I64) -> tuple[Mask, Mask]:
+        """Return which codes agree, and which records are compared."""
+        reference = np.concatenate(list(open_codes(self.path).chunks())).astype(np.int64)
+        if self.mapping == "kitti":
+            kinds = {2: (40, 44, 48, 49, 60, 72), 6: (50, 51, 52), 5: (70, 71), 65: (10, 252)}
+            expected = np.zeros(len(codes), np.int64)
+            for code, own in kinds.items():
+                expected[np.isin(reference, own)] = code
+            return np.where(codes == 66, 2, codes) == expected, expected > 0
+        mapping = load_mapping(self.mapping)
+        rows, columns = mapping.class_indices(reference, "reference"), mapping.class_indices(codes, "predicted")
+        names, others = np.array([*mapping.names("reference"), ""]), np.array([*mapping.names("predicted"), "-"])
+        return names[rows] == others[columns], (rows >= 0) & (columns >= 0)
+
+
+def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Print the page of figures, and draw the curve."""
+    print("<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: figures\n")
+    print(f"What the byte means is [described here](confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}")
+    lines: dict[str, list[tuple[str, float, float, float]]] = {}
+    for environment in environments:
+        judged = judged_of(environment, HELD_OUT)
+        print(f"\n## {NAMES[environment].capitalize()} that decided nothing\n\n{HEAD}")
+        for name in dict.fromkeys(one.name for one in judged):
+            print(row(name, [one for one in judged if one.name == name]))
+        print(row(f"**all {len(judged)}**", judged), flush=True)
+        print_reliability(judged)
+        lines[NAMES[environment]] = reliability(judged)
+    print_real(lines)
+    CURVE.write_text(curve(lines), encoding="utf-8")
+
+
+COMMANDS = """$ python -m benchmarks.confidence calibrate     # the table of the package, after any change of fused
+$ python -m benchmarks.confidence report > docs/confidence_figures.md
+$ python -m benchmarks.confidence ablation urban >> docs/confidence_figures.md"""
+
+
+def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Print the processor time with and without confidence, and how much block sizes change."""
+    for environment in environments:
+        spec = next(specs(environment, CHECK))
+        scan = data.simulated(spec)
+        params = load_config(preset="fused" if environment == "urban" else "fused-forest").config.fused
+        times: dict[bool, list[float]] = {False: [], True: []}
+        for wanted in (False, True) * 4:
+            start = time.process_time()
+            for _ in range(3):
+                list(label_blocks(scan.blocks(), params, confidence=wanted))
+            times[wanted].append((time.process_time() - start) / 3 / scan.n_shots)
+        off, on = (1e10 * min(times[wanted]) for wanted in (False, True))
+        print(f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} ms more with confidence")
+        found = {}
+        for n_lines in (128, 64, 16):
+            chosen = params.model_copy(update={"lines_per_block": n_lines})
+            items = label_blocks(scan.blocks(), chosen, confidence=True)
+            found[n_lines] = np.concatenate([item.confidence for item in items if item.confidence is not None])
+        for n_lines in (64, 16):
+            off_by = np.abs(found[128].astype(int) - found[n_lines])[~np.isnan(scan.range_m)]
+            print(
+                f"  blocks of {n_lines} lines: {np.mean(off_by > 0):.2%} differ, "
+                f"{np.mean(off_by > 5):.2%} by more than 5"
+            )
+
+
+COMMAND: dict[str, Callable[[Sequence[Environment]], None]] = {
+    "calibrate": calibrate, "check": check, "ablation": ablation, "report": report, "speed": speed,
+}  # fmt: skip
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("which", choices=tuple(COMMAND))
+    parser.add_argument("environments", nargs="*", metavar="urban|forest", help="default: both")
+    arguments = parser.parse_args()
+    wanted = [name for name in ENVIRONMENTS if name in (arguments.environments or ENVIRONMENTS)]
+    COMMAND[arguments.which](wanted)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""Confidence through the command line: written, evaluated, filtered by, drawn."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.classifiers.fused.street_lines import BEAM, BUILDING, GROUND, street_lines
+from tests.cli.test_commands import Prc, prc
+
+__all__ = ["prc"]
+
+RANGES, KIND = street_lines(140)
+THERE = ~np.isnan(RANGES.ravel())
+SET = ("--preset", "fused", "--set", "output.confidence=true", "--set", "input.nadir=0", "-q")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A scan and its reference."""
+    np.savez(tmp_path / "scan.npz", range_m=RANGES, angle_deg=np.rad2deg(BEAM))
+    codes = np.select([np.isnan(RANGES), KIND == GROUND, KIND == BUILDING], [0, 2, 6], 5)
+    np.save(tmp_path / "truth.npy", codes.ravel().astype(np.uint8))
+    return tmp_path
+
+
+def classified(prc: Prc, folder: Path, suffix: str) -> Path:
+    """Classify the scan with confidence."""
+    output = folder / f"out{suffix}"
+    assert prc("classify", folder / "scan.npz", output, *SET).code == 0
+    return output
+
+
+def values(path: Path) -> np.ndarray:
+    """Return the column of a .csv."""
+    return np.loadtxt(path, delimiter=",", skiprows=1, usecols=3)
+
+
+def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
+    labels = classified(prc, folder, ".csv")
+    command = ("evaluate", labels, folder / "truth.npy", "--mapping", "street")
+    shown = prc(*command, "--by-confidence", "50,90,99")
+    assert shown.code == 0
+    for text in ("by confidence", "50-89 %", "99-100 %", "expected calibration error", "of the 90 % with the most"):
+        assert text in shown.out
+    found = json.loads(prc(*command, "--by-confidence", "50,90,99", "--json").out)
+    sure = values(labels)
+    parts = found["splits"]["confidence"]
+    assert [part["low"] for part in parts] == [0, 50, 90, 99]
+    assert sum(part["n_scored"] for part in parts) == THERE.sum()
+    assert parts[-1]["n_scored"] == (sure >= 99).sum()
+    above = json.loads(prc(*command, "--min-confidence", "90", "--json").out)
+    assert above["n_scored"] == (sure >= 90).sum()
+    assert above["overall"]["accuracy"] > found["overall"]["accuracy"]
+    assert any("below 90 %: left out" in note for note in above["match"]["notes"])
+
+
+def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
+    np.save(folder / "labels.npy", np.load(folder / "truth.npy"))
+    result = prc("evaluate", folder / "labels.npy", folder / "truth.npy", "--min-confidence", "90")
+    assert result.code == 2
+    assert "no confidence in" in result.err
+    assert "output.confidence=true" in result.err
+    result = prc("evaluate", folder / "labels.npy", folder / "truth.npy", "--by-confidence", "90,80")
+    assert (result.code, "expected whole per cents that rise" in result.err) == (2, True)
+
+
+def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
+    labels = classified(prc, folder, ".csv")
+    least = ("--min-confidence", "95", "--keep", "noise=1")
+    result = prc("thin", folder / "scan.npz", folder / "thin.npz", "--labels", labels, *least)
+    assert result.code == 0
+    assert "confidence below 95 %" in result.err
+    kept = ~np.isnan(np.load(folder / "thin.npz")["range_m"]).ravel()
+    np.testing.assert_array_equal(kept, values(labels) >= 95)
+    way = ("--preset", "fused", "--set", "input.nadir=0", "-q")
+    assert prc("thin", folder / "scan.npz", folder / "way.npz", *way, *least).code == 0
+    np.testing.assert_array_equal(~np.isnan(np.load(folder / "way.npz")["range_m"]).ravel(), kept)
+    for options, told in (
+        (("--labels", folder / "truth.npy"), "output.confidence=true"),
+        (("--preset", "urban"), "expected fused"),
+    ):
+        refused = prc("thin", folder / "scan.npz", folder / "no.npz", *options, *least)
+        assert (refused.code, told in refused.err) == (2, True)
+        assert not (folder / "no.npz").exists()
+
+
+def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
+    labels = classified(prc, folder, ".laz")
+    las = laspy.read(labels)
+    found, sure = np.array(las.classification), np.array(las["confidence"])
+    las.classification[:] = 1
+    las.remove_extra_dim("confidence")
+    las.write(folder / "registered.laz")
+    command = ("transfer", labels, folder / "registered.laz", folder / "moved.laz", "--by", "record")
+    result = prc(*command, "--min-confidence", "95", "--carry", "confidence")
+    assert result.code == 0
+    assert "their label has a confidence below 95 %" in result.err
+    moved = laspy.read(folder / "moved.laz")
+    np.testing.assert_array_equal(moved.classification, np.where(sure >= 95, found, 1))
+    np.testing.assert_array_equal(moved["confidence"], np.where(sure >= 95, sure, 0))
+    plain = ("transfer", folder / "registered.laz", labels, folder / "no.laz", "--by", "record")
+    refused = prc(*plain, "--min-confidence", "95")
+    assert (refused.code, "output.confidence=true" in refused.err) == (2, True)
+
+
+def test_render_draws_it(prc: Prc, folder: Path) -> None:
+    options = ("--preset", "fused", "--set", "input.nadir=0", "-q", "--steps", "classes,confidence")
+    assert prc("render", folder / "scan.npz", folder / "scan.png", *options).code == 0
+    labels = classified(prc, folder, ".laz")
+    cloud = ("--view", "top", "--colour", "confidence", "-q")
+    assert prc("render", labels, folder / "cloud.png", *cloud).code == 0
+    for name in ("scan.png", "cloud.png"):
+        with Image.open(folder / name) as picture:
+            assert len(picture.convert("RGB").getcolors(1 << 24) or ()) > 50
+    refused = prc("render", folder / "scan.npz", folder / "no.png", "--preset", "urban", "--steps", "confidence")
+    assert (refused.code, "no step of prc" in refused.err) == (2, True)
+
+
+def test_info_lists_it(prc: Prc, folder: Path) -> None:
+    assert "confidence" in prc("info", classified(prc, folder, ".laz")).out
+
+
+def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:
+    for preset in ("urban", "street-scan"):
+        options = ("--preset", preset, *SET[2:])
+        result = prc("classify", folder / "scan.npz", folder / "no.csv", *options)
+        assert (result.code, result.err.count("\n")) == (2, 1)
+        assert "output.confidence: found a method that does not tell how sure its labels are" in result.err
+        assert not (folder / "no.csv").exists()
+
+
+def test_the_most_confident_of_a_real_strip_are_right(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    strip = real_data / "oakland" / "oakland_1.csv.gz"
+    labels = tmp_path / "labels.csv"
+    options = ("--preset", "fused", "--set", "output.confidence=true", "-q")
+    assert prc("classify", strip, labels, *options).code == 0
+    command = ("evaluate", labels, strip, "--mapping", "street_oakland", "--json")
+    every = json.loads(prc(*command).out)["overall"]["accuracy"]
+    sure = json.loads(prc(*command, "--min-confidence", "98").out)
+    assert sure["n_scored"] > 30_000
+    assert sure["overall"]["accuracy"] > every + 0.03
