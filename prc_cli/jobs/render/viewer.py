@@ -54,7 +54,7 @@ STAGES: dict[str, Values] = {
     ),
     "dense_vegetation": Values("dense vegetation", np.empty(0), 1.0, 1, "", words={0: "no", 1: "yes"}),
     "segment_id": Values("segment", np.empty(0), 1.0, 4, "", is_scale=False),
-    "confidence": Values("confidence", np.empty(0), 0.01, 2, ""),
+    "confidence": Values("confidence", np.empty(0), 1.0, 1, "%"),
 }
 """Values of the classifier by the names of its output columns."""
 
@@ -346,6 +346,8 @@ def _entries(words: Vocabulary, counts: I64, options: RenderOptions) -> list[Cla
 
 
 def _values(name: str, values: F64, seen: NDArray[np.bool_]) -> Values:
+    if name == "confidence":
+        values = np.where(values > 0, values, np.nan)  # 0 is unknown
     if name in STAGES:
         return replace(STAGES[name], values=np.where(seen, values, np.nan))
     if name == "time":
