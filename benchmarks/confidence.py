@@ -6,7 +6,7 @@
     python -m benchmarks.confidence ablation            # the same page: streets for choosing without single measures
     python -m benchmarks.confidence speed               # processor time, and how much the size of blocks matters
 
-Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2801 to 2899 and on the labelled real scans of
+Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2901 to 2999 and on the labelled real scans of
 ../shared/data or $PRC_DATA. A label is right if it is the class of the reference, as for ``prc evaluate --mapping
 street``: people and wires, which have no class, are never right.
 """
@@ -37,7 +37,7 @@ from prc_cli.formats.labels.read import open_codes
 from prc_cli.jobs.classify import label_blocks
 
 ENVIRONMENTS: tuple[Environment, ...] = ("urban", "forest")
-CALIBRATION, CHECK, HELD_OUT = 2601, 2701, 2801
+CALIBRATION, CHECK, HELD_OUT = 2601, 2701, 2901
 """First seeds."""
 ROUNDS = {CALIBRATION: 4, CHECK: 1, HELD_OUT: 2}
 """How often every drive is simulated, through other streets."""
