@@ -19,7 +19,7 @@ ThresholdsT = TypeVar("ThresholdsT", bound="tuple[Any, ...]")
 def typed(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
     """Return thresholds of a class, each converted to the type of its field.
 
-    >>> typed(WallThresholds, height_m=1.5, share=0.3, before_m=2).before_m
+    >>> typed(WallThresholds, height_m=1.5, share=0.3, before_m=2, lines=4).before_m
     np.float32(2.0)
     >>> typed(TerrainThresholds, bin_m=1, slope=0.5, near_m=0.1, near_share=0).bin_m
     1.0

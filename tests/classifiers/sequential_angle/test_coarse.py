@@ -46,7 +46,7 @@ def labels(tilts: list[float], params: TiltParams, vegetation: Mask | None = Non
 
 
 def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: CoarseParams) -> U8:
-    angles = AnglesParams(range_noise_m=noise_m, min_chord_sigmas=sigmas)
+    angles = AnglesParams(range_noise_m=noise_m, min_chord_sigmas=sigmas, least_chord_m=0.0)
     return coarse(signed_angles(lines, angles).signed_deg, lines, params)
 
 

@@ -321,8 +321,8 @@ def test_standing(roughness: float, far: float, n_lines: int, name: str, verdict
     assert (found.check, found.verdict) == (name, verdict)
     if name == "standing":
         assert found.sentence() == (
-            f"standing: {ORDER.format('1' if far == 0.3 else '1.6')}; the platform stands: cut such stretches out, or "
-            "accept them"
+            f"standing: {ORDER.format('1' if far == 0.3 else '1.6')} in 200 lines or more; the platform stands: cut "
+            "such stretches out, or accept them"
         )
 
 
