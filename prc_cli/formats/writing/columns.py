@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.stream import CriticalZetas, LabelledBlock, StageLabels
-from prc_cli.core.types import F32, U8
+from prc_cli.core.types import U8
 from prc_cli.formats.writing.options import OutputConfig
 
 Values: TypeAlias = NDArray[Any]
@@ -76,23 +76,18 @@ def _critical(found: Callable[[CriticalZetas], Values]) -> Callable[[LabelledBlo
     return lambda block: None if block.critical is None else found(block.critical)
 
 
-def _surface(stages: StageLabels) -> U8:
-    return stages.surface
-
-
-def _dense_vegetation(stages: StageLabels) -> U8:
-    return stages.dense_vegetation.view(np.uint8)
-
-
-def _ground_height(stages: StageLabels) -> F32:
-    return stages.ground_height_m
-
-
 def _extra_confidence(block: LabelledBlock) -> U8:
     return np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
 
 
-_WITH_STAGES = "fused, prc or sequential-angle method"
+def _of_stages(
+    name: str, dtype: str, text: str, fill: float, found: Callable[[LabelledBlock], Values | None]
+) -> OptionalColumn:
+    """Return a column of ``output.stages``."""
+    dimension = ExtraDimension(name, np.dtype(dtype), text)
+    needs = "fused, prc or sequential-angle method"
+    return OptionalColumn(dimension, name, "stages", "stage", fill, found, needs=needs)
+
 
 OPTIONAL_COLUMNS = (
     OptionalColumn(
@@ -113,86 +108,26 @@ OPTIONAL_COLUMNS = (
         lambda block: block.block.extra.range_m,
         keep=True,
     ),
-    OptionalColumn(
-        ExtraDimension("surface", np.dtype("u1"), "T 1, H 2, V 3, undecided 4"),
-        "surface",
-        "stages",
-        "stage",
-        0,
-        _stage(_surface),
-        needs=_WITH_STAGES,
-    ),
-    OptionalColumn(
-        ExtraDimension("dense_vegetation", np.dtype("u1"), "less sensitive test T', 1 = yes"),
+    _of_stages("surface", "u1", "T 1, H 2, V 3, undecided 4", 0, _stage(lambda stages: stages.surface)),
+    _of_stages(
         "dense_vegetation",
-        "stages",
-        "stage",
+        "u1",
+        "less sensitive test T', 1 = yes",
         0,
-        _stage(_dense_vegetation),
-        needs=_WITH_STAGES,
+        _stage(lambda stages: stages.dense_vegetation.view(np.uint8)),
     ),
-    OptionalColumn(
-        ExtraDimension("ground_height", np.dtype("<f4"), "z_g, 0 = height of scanner [m]"),
-        "ground_height",
-        "stages",
-        "stage",
-        np.nan,
-        _stage(_ground_height),
-        needs=_WITH_STAGES,
+    _of_stages(
+        "ground_height", "<f4", "z_g, 0 = height of scanner [m]", np.nan, _stage(lambda stages: stages.ground_height_m)
     ),
-    OptionalColumn(
-        ExtraDimension("height_above_ground", np.dtype("<f4"), "above ground [m], NaN unknown"),
-        "height_above_ground",
-        "stages",
-        "stage",
-        np.nan,
-        lambda block: block.above_m,
-        needs=_WITH_STAGES,
+    _of_stages("height_above_ground", "<f4", "above ground [m], NaN unknown", np.nan, lambda block: block.above_m),
+    _of_stages("trigger", "u1", "0 none, 1 before, 2 it, 3 after", 0, _stage(lambda stages: stages.trigger)),
+    _of_stages("car_interval", "<u2", "divided interval, 0 = none", 0, _stage(lambda stages: stages.car_interval)),
+    _of_stages("car_test", "u1", "1 V 2 T 3 wall 4 low 5 curb 6 C", 0, _stage(lambda stages: stages.car_test)),
+    _of_stages(
+        "critical_zeta_p", "<f4", "supported if below zeta_p [m]", np.nan, _critical(lambda zetas: zetas.in_line_m)
     ),
-    OptionalColumn(
-        ExtraDimension("trigger", np.dtype("u1"), "0 none, 1 before, 2 it, 3 after"),
-        "trigger",
-        "stages",
-        "stage",
-        0,
-        _stage(lambda stages: stages.trigger),
-        needs=_WITH_STAGES,
-    ),
-    OptionalColumn(
-        ExtraDimension("car_interval", np.dtype("<u2"), "divided interval, 0 = none"),
-        "car_interval",
-        "stages",
-        "stage",
-        0,
-        _stage(lambda stages: stages.car_interval),
-        needs=_WITH_STAGES,
-    ),
-    OptionalColumn(
-        ExtraDimension("car_test", np.dtype("u1"), "1 V 2 T 3 wall 4 low 5 curb 6 C"),
-        "car_test",
-        "stages",
-        "stage",
-        0,
-        _stage(lambda stages: stages.car_test),
-        needs=_WITH_STAGES,
-    ),
-    OptionalColumn(
-        ExtraDimension("critical_zeta_p", np.dtype("<f4"), "supported if below zeta_p [m]"),
-        "critical_zeta_p",
-        "stages",
-        "stage",
-        np.nan,
-        _critical(lambda zetas: zetas.in_line_m),
-        needs=_WITH_STAGES,
-    ),
-    OptionalColumn(
-        ExtraDimension("critical_zeta_s", np.dtype("<f4"), "supported if below zeta_s [m]"),
-        "critical_zeta_s",
-        "stages",
-        "stage",
-        np.nan,
-        _critical(lambda zetas: zetas.adjacent_m),
-        needs=_WITH_STAGES,
+    _of_stages(
+        "critical_zeta_s", "<f4", "supported if below zeta_s [m]", np.nan, _critical(lambda zetas: zetas.adjacent_m)
     ),
     OptionalColumn(
         ExtraDimension("confidence", np.dtype("u1"), "label is right [%], 0 unknown"),
