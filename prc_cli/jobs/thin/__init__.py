@@ -49,10 +49,10 @@ from prc_cli.jobs.convert import (
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.rules import ThinRule, parse_rules
 from prc_cli.jobs.thin.selection import choose, without
+from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.grid import GridStream
 
-CONFIDENCE = "confidence"
 CLASSIFY = "classify"
 """Value of ``labels`` for classifying the input on the fly."""
 
@@ -378,7 +378,7 @@ class _Run:
             elif rule.share != 0 or rule.name != "noise":
                 told.append(f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})")
         if self.min_confidence is not None:
-            told.append(f"confidence below {self.min_confidence} %: {self.n_unsure} further returns dropped")
+            told.append(f"confidence below {self.min_confidence} %: {self.n_unsure} more returns dropped")
         if not sum(tally.n_kept.values()):
             problem = f"all {sum(tally.n_input.values())} returns would be dropped, expected some to stay"
             raise ConfigError(str(self.source), problem, "keep more: --keep noise=1, or other classes")

@@ -29,10 +29,9 @@ from prc_cli.matching.keyed_source import (
     Survey,
     survey,
 )
+from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.streams.gps_weeks import WEEK_S, WeekSource
 
-CONFIDENCE = "confidence"
-"""Dimension of how sure a label is [per cent]."""
 GPS_EPOCH_SHIFT_S = 1e9
 """Adjusted standard GPS time is GPS time less this [s] (LAS 1.4, global encoding bit 0)."""
 _ROUNDING_STEPS = 2.0
