@@ -7,6 +7,7 @@ block; the images of its stages are then computed again by the stages themselves
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
@@ -147,7 +148,7 @@ def explain(
         record=int(block.records()[at]),
         range_m=None if range_m != range_m else range_m,
         time_s=None if time_s is None or time_s != time_s else time_s,
-        beam_deg=None if block.beam_rad is None else float(block.beam_rad[column]) * 57.29577951308232,
+        beam_deg=None if block.beam_rad is None else math.degrees(block.beam_rad[column]),
         method=loaded.config.method,
         choice=loaded.choice,
         label=label,
