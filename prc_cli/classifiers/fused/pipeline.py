@@ -157,7 +157,7 @@ HALT = Part[Halt]("halt")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class Seen:
     """Neighbourhoods in a block and three lines before and after it; independent of earlier blocks."""
 
     window: F32
@@ -262,10 +262,10 @@ class Fused(Classifier[FusedScanner, FusedState]):
         beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
         window = np.pad(block.range_m, beyond, constant_values=np.float32(np.nan))
         smooth = smooth_pairs(window, plane, heard.results[NOISE.name], params.smoothness)
-        seen = _see(window, smooth, plane, params)
+        seen = see(window, smooth, plane, params)
         inner = slice(INNER_LINES, -INNER_LINES)
         above = np.pad(self._above(block, scanner, heard), beyond, constant_values=np.float32(np.nan))[inner]
-        return _evidence(seen, above, plane, params)
+        return evidence_of(seen, above, plane, params)
 
     def _above(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> F32:
         """Return the heights in the scan plane that the labels of a block were decided by."""
@@ -339,9 +339,9 @@ def _classify(
     noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
     strides = _strides(wide, scanner, noise_m, turn, params)
     smooth = spaced_pairs(wide, strides, plane, noise_m, params.smoothness)
-    seen = _see(window, smooth, plane, params)
+    seen = see(window, smooth, plane, params)
     ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
-    evidence = _evidence(seen, ground.above_m, plane, params)
+    evidence = evidence_of(seen, ground.above_m, plane, params)
     labels = _decide(seen, wide[OUTSIDE_LINES:-OUTSIDE_LINES], ground, evidence, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
         return labels, evidence
@@ -398,22 +398,42 @@ def _strides(wide: F32, scanner: FusedScanner, noise_m: float, turn: Turn, param
     return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, params.spacing))
 
 
-def _see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> _Seen:
-    """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface."""
+def see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> Seen:
+    """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface.
+
+    Parameters
+    ----------
+    window : (lines, M) float32
+        Ranges of a block and of :data:`~prc_cli.classifiers.fused.plane.AROUND_LINES` before and after it [m].
+    smooth : (lines of the result, M) uint8
+        Smooth pairs of every shot.
+    plane : ScanPlane
+    params : FusedParams
+    """
     near = near_neighbours(window, plane, params.company)
     range_m = window[INNER_LINES:-INNER_LINES]
     upright, level = chords(range_m, smooth, plane, params.directions)
-    return _Seen(window, range_m, Neighbours(near, smooth, upright, level))
+    return Seen(window, range_m, Neighbours(near, smooth, upright, level))
 
 
-def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
+def _follow(seen: Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
     """Follow the ground; return it, and the memory before the last three lines of the block for the next one."""
     n_lines = len(seen.window) - 2 * AROUND_LINES
     return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
 
 
-def _evidence(seen: _Seen, above_m: F32, plane: ScanPlane, params: FusedParams) -> Evidence:
-    """Measure how smooth places are, and find walls and cars above the ground."""
+def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, params: FusedParams) -> Evidence:
+    """Measure how smooth places are, and find walls and cars above the ground.
+
+    Parameters
+    ----------
+    seen : Seen
+        From :func:`see`.
+    above_m : (lines, M) float32
+        Heights above the ground in the scan plane, of the lines of ``seen.range_m`` [m].
+    plane : ScanPlane
+    params : FusedParams
+    """
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
     strips = params.strips.thresholds(least, params.cars.top_m)
@@ -421,7 +441,7 @@ def _evidence(seen: _Seen, above_m: F32, plane: ScanPlane, params: FusedParams) 
     return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
 
 
-def _decide(seen: _Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
+def _decide(seen: Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
     """Label every shot; ``wide_m`` are the ranges of more lines around."""
     thresholds = decision_thresholds(
         params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.classifiers.fused.classes import decide, decision_thresholds, texture_of, vote
+from prc_cli.classifiers.fused.classes import decide, decision_thresholds, vote
 from prc_cli.classifiers.fused.ground import Ground
-from prc_cli.classifiers.fused.neighbours import Neighbours, chords, near_neighbours
+from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.pipeline import (
     MEMORY,
     NOISE,
@@ -19,13 +19,15 @@ from prc_cli.classifiers.fused.pipeline import (
     TAIL,
     FusedParams,
     FusedScanner,
+    evidence_of,
     of_scanner,
+    see,
     window_of,
 )
 from prc_cli.classifiers.fused.plane import AROUND_LINES, INNER_LINES, WIDE_LINES, points_of
 from prc_cli.classifiers.fused.spacing import BESIDE_LINES, SPACED_LINES, spaced_pairs
 from prc_cli.classifiers.fused.stems import find_stems
-from prc_cli.classifiers.fused.strips import Standing, stand
+from prc_cli.classifiers.fused.strips import Standing
 from prc_cli.classifiers.fused.terrain import heights_over_ground
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ScanBlock
@@ -110,22 +112,11 @@ def _street(
     if strides is None:
         strides = np.ones(block.n_lines + 2 * BESIDE_LINES, np.int64)
     smooth = spaced_pairs(wide, strides, plane, noise_m, params.smoothness)
-    inner = window[INNER_LINES:-INNER_LINES]
-    seen = Neighbours(
-        near_neighbours(window, plane, params.company), smooth, *chords(inner, smooth, plane, params.directions)
-    )
+    around = see(window, smooth, plane, params)
+    inner, seen = around.range_m, around.neighbours
     ground: Ground = heard[MEMORY.name]
-    least = params.company.least
-    texture = texture_of(inner, seen, plane, least, params.leaves)
-    standing = stand(
-        inner,
-        ground.above_m,
-        seen,
-        plane,
-        params.strips.thresholds(least, params.cars.top_m),
-        params.walls,
-        params.flanks,
-    )
+    least, evidence = params.company.least, evidence_of(around, ground.above_m, plane, params)
+    texture, standing = evidence.texture, evidence.standing
     limits = decision_thresholds(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
