@@ -427,6 +427,33 @@ def _parse_value(text: str) -> Any:
         return text
 
 
+def options_of(loaded: LoadedConfig) -> list[str]:
+    """Return the words of a command line that set again what options and files set; files without their folders.
+
+    Presets are left out, and so is what only shapes the output.
+
+    Examples
+    --------
+    >>> options_of(load_config(options={"method": "prc", "input": {"points_per_line": 2154, "lines": "fixed"}}))
+    ['--method', 'prc', '--set', 'input.points_per_line=2154', '--set', 'input.lines=fixed']
+    """
+    values, words = dict(flatten(loaded.config.to_table())), list[str]()
+    layered = set(loaded.sources.values())
+    # a layout is laid into the options: no value has the name of its file
+    has_layout = any(key.startswith("layout.") and source == "option" for key, source in loaded.sources.items())
+    layouts = [file for file in loaded.files if has_layout and str(file) not in layered]
+    for file in loaded.files:
+        words += ["--layout" if file in layouts else "--config", file.name]
+    for key, source in loaded.sources.items():
+        is_said = key.startswith("output.") or (bool(layouts) and key.startswith("layout."))
+        if source != "option" or is_said or key not in values:
+            continue
+        value = values[key]
+        text = value if isinstance(value, str) and _parse_value(value) == value else _toml_value(value)
+        words += ["--method", text] if key == "method" else ["--set", f"{key}={text}"]
+    return words
+
+
 def to_toml(loaded: LoadedConfig, *, comments: bool = True) -> str:
     """Write an effective configuration as TOML that :func:`load_config` reads back.
 

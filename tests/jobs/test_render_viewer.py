@@ -119,6 +119,16 @@ def test_refusals(drive: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "a.html").exists()
 
 
+def test_the_command_that_tells_why_reads_the_input_as_the_page_did(tmp_path: Path) -> None:
+    source = tmp_path / "drive.bin"
+    street().tofile(source)
+    given = {"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"support": {"zeta_p": 0.1}}}
+    render_viewer(source, tmp_path / "a.html", load_config(preset="urban", options=given))
+    why = decoded(read(tmp_path / "a.html"))[0]["why"]
+    told = f"--set prc.support.zeta_p=0.1 --set input.points_per_line={POINTS_PER_LINE}"
+    assert why == f"prc explain drive.bin --preset urban {told} --at"
+
+
 def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) -> None:
     """Drawn, clicked, steered by keys, classes switched off; light and dark, wide and narrow; without a complaint."""
     page = tmp_path / "a.html"

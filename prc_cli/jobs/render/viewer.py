@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig, preset_of, refuse_window
+from prc_cli.config import LoadedConfig, options_of, preset_of, refuse_window
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
@@ -155,7 +155,8 @@ def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
     """Return the command that tells why a shot has its class, without the place of the shot."""
     preset, station = preset_of(loaded), options.station
     words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
-    return shlex.join([*words, *([] if station is None else ["--station", str(station)]), "--at"])
+    words += [*options_of(loaded), *([] if station is None else ["--station", str(station)]), "--at"]
+    return shlex.join(words)
 
 
 def _open(source: Path, loaded: LoadedConfig) -> ScanStream:
