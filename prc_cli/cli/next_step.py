@@ -56,9 +56,12 @@ def output_for(source: Path) -> Path:
     ('drive_classified.laz', 'drive_labels.npy')
     """
     suffix = suffix_of(source)
-    stem = source.name[: len(source.name) - len(suffix)]
     is_cloud = suffix in (*LAS_SUFFIXES, *_CLOUDS)
-    return source.with_name(f"{stem}_classified{suffix}" if is_cloud else f"{stem}_labels.npy")
+    return source.with_name(f"{_stem(source)}_classified{suffix}" if is_cloud else f"{_stem(source)}_labels.npy")
+
+
+def _stem(path: Path) -> str:
+    return path.name[: len(path.name) - len(suffix_of(path))]
 
 
 def after_classify(source: Path, output: Path, method: str, options: dict[str, Any]) -> list[str]:
@@ -72,11 +75,16 @@ def after_classify(source: Path, output: Path, method: str, options: dict[str, A
         The classifier that ran.
     options : dict
         As given to ``prc classify``.
+
+    Examples
+    --------
+    >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), "prc", {})[0]
+    'draw it: prc render drive.v2.npy out.v2.png --labels out.v2.csv.gz'
     """
     kinds = [_kind(source), _kind(output)]
     # a cloud that was made of another kind of input has its own records, in another number or order
     has_records = kinds[1] == "labels" or kinds[0] == kinds[1]
-    picture = output.with_name(f"{output.name.partition('.')[0]}.png")
+    picture = output.with_name(f"{_stem(output)}.png")
     if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
         # labels of a part do not fit the whole input; a cloud of a part stands for itself
         draw = ["prc", "render", str(output), str(picture), "--labels", str(output)]
