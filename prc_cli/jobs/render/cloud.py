@@ -267,7 +267,7 @@ def _check_options(options: RenderOptions) -> None:
 
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
     """Read all points once; return a sample, whether the cloud has classes, and how many have no coordinates."""
-    sample = Sample(6)
+    sample = Sample(7)
     has_classes, n_without = False, 0
     shown = ("range", "intensity", "confidence")
     names = (*shown, "classification") if cloud.has_own_classes else shown
