@@ -65,7 +65,7 @@ def _print(found: Explanation) -> None:
     results().print(table)
     facts = [f"record {found.record:,}" if found.record >= 0 else "no record"]
     facts += [] if found.range_m is None else [f"range {found.range_m:.3f} m"]
-    facts += [] if found.time_s is None else [f"time {found.time_s!r} s"]
+    facts += [] if found.time_s is None else [f"time {found.time_s:.6f} s"]
     facts += [] if found.beam_deg is None else [f"{found.beam_deg:.2f} deg from straight down"]
     facts += [f"scanner {found.scanner}"] if found.scanner else []
     results().print(f"{', '.join(facts)}: {found.label.name.lower()}, code {found.code}", soft_wrap=True)

@@ -136,6 +136,12 @@ def test_places_that_are_not_there(prc: Prc, folder: Path, place: str, code: int
     assert said in result.err
 
 
+def test_a_missing_option_is_one_sentence(prc: Prc, folder: Path) -> None:
+    result = prc("explain", folder / "street.npz")
+    assert result.code == 2
+    assert result.err == "error: Missing option '--at'; see prc explain --help\n"
+
+
 def test_scanners_have_lines_of_their_own(prc: Prc, folder: Path) -> None:
     result = prc("explain", folder / "street.npz", "--at", "3,5", "--preset", "urban", "--station", "4")
     assert result.code == 1
