@@ -58,7 +58,7 @@ def _place(text: str) -> tuple[int, int]:
 def _print(found: Explanation) -> None:
     table = Table(title=f"{found.path}: line {found.line:,}, column {found.column:,}: {found.label.name.lower()}")
     for heading in ("stage", "found", "so", "decided by"):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for answer in found.answers:
         limits = "\n".join(f"{key} = {value}" for key, value in answer.limits)
         table.add_row(answer.stage, answer.found, answer.so, limits)
