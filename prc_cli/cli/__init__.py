@@ -144,7 +144,9 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         failure = error
         context = getattr(error, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
-        message, code = printable(f"{error.format_message()}{hint}"), error.exit_code
+        # click ends its sentences with a full stop, some after a colon of their own
+        said = error.format_message()
+        message, code = printable(f"{said.removesuffix('.') if hint else said}{hint}"), error.exit_code
     except MemoryError as error:
         failure = error
         message, code = "not enough memory for this input and these parameters; no output was left behind", 1

@@ -58,14 +58,14 @@ def _place(text: str) -> tuple[int, int]:
 def _print(found: Explanation) -> None:
     table = Table(title=f"{found.path}: line {found.line:,}, column {found.column:,}: {found.label.name.lower()}")
     for heading in ("stage", "found", "so", "decided by"):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for answer in found.answers:
         limits = "\n".join(f"{key} = {value}" for key, value in answer.limits)
         table.add_row(answer.stage, answer.found, answer.so, limits)
     results().print(table)
     facts = [f"record {found.record:,}" if found.record >= 0 else "no record"]
     facts += [] if found.range_m is None else [f"range {found.range_m:.3f} m"]
-    facts += [] if found.time_s is None else [f"time {found.time_s!r} s"]
+    facts += [] if found.time_s is None else [f"time {found.time_s:.6f} s"]
     facts += [] if found.beam_deg is None else [f"{found.beam_deg:.2f} deg from straight down"]
     facts += [f"scanner {found.scanner}"] if found.scanner else []
     results().print(f"{', '.join(facts)}: {found.label.name.lower()}, code {found.code}", soft_wrap=True)

@@ -84,7 +84,7 @@ def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, ove
 def _print(inspection: Inspection, command: str, *, verbose: bool) -> None:
     table = Table(title=inspection.path, show_header=False)
     table.add_column(style="bold", no_wrap=True)
-    table.add_column()
+    table.add_column(overflow="fold")
     for key, value in _rows(inspection, verbose=verbose):
         table.add_row(key, value)
     results().print(table)

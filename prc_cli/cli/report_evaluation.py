@@ -30,17 +30,17 @@ def print_evaluation(matrix: ConfusionMatrix, found: Scores, intervals: Mapping[
     """Print a confusion matrix with row shares, and the scores, on stdout."""
     shown = matrix.trimmed()
     table = Table(title="reference in rows, predicted in columns: records (share of the row)")
-    table.add_column("reference")
+    table.add_column("reference", overflow="fold")
     for name in shown.predicted_names:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", overflow="fold")
     for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True):
         cells = (f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True))
         table.add_row(name, *cells)
     results().print(table)
     table = Table(title="scores")
-    table.add_column("class")
+    table.add_column("class", overflow="fold")
     for score in CLASS_SCORES:
-        table.add_column(score, justify="right")
+        table.add_column(score, justify="right", overflow="fold")
     for item in scores(shown).classes:
         values = ((getattr(item, score), intervals.get(f"{score}.{item.name}")) for score in CLASS_SCORES)
         table.add_row(item.name, *(with_interval(value, interval) for value, interval in values))
@@ -57,7 +57,7 @@ def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> 
         header, rows = split_table(parts, found.matrix.trimmed())
         table = Table(title=f"by {split}")
         for heading in header:
-            table.add_column(heading, justify="left" if heading == "part" else "right")
+            table.add_column(heading, justify="left" if heading == "part" else "right", overflow="fold")
         for row in rows[:MAX_PARTS]:
             table.add_row(*row)
         results().print(table)

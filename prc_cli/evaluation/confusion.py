@@ -172,9 +172,9 @@ def refuse_poor_match(
         problem = (
             f"{n_predicted} records, but {reference_name} holds {n_reference}; matched by order needs equal counts"
         )
-        raise InputError(
-            predicted_name, problem, "give two label files of the same stream (LAS holds no shots without return)"
-        )
+        hint = "give two label files of the same stream (LAS holds no shots without return); labels of a part of it: "
+        hint += "--match time, or label the whole and give --only-lines, --only-time or --first here"
+        raise InputError(predicted_name, problem, hint)
 
 
 def shares(counts: I64, sums: I64) -> F64:

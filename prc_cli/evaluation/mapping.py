@@ -153,7 +153,11 @@ class ClassMapping(Params):
         found = []
         for name in preset_names():
             preset = load_mapping(name)
-            if (preset._search(known, side) != _UNLISTED).all() and (preset._search(kept, other) != _UNLISTED).all():
+            classes = preset._search(known, side)
+            names = preset.names(side)
+            # user codes are "other" in a list of another kind of data: a mapping that scores nothing does not fit
+            useful = OTHER not in names or 2 * np.count_nonzero(classes == names.index(OTHER)) <= classes.size
+            if useful and (classes != _UNLISTED).all() and (preset._search(kept, other) != _UNLISTED).all():
                 shared = len({*preset.names(side)} & {*self.names(side)})
                 width = sum(high - low for low, high, _ in (*preset._spans(side), *preset._spans(other)))
                 found.append((-shared, width, name))

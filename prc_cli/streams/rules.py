@@ -346,10 +346,14 @@ def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int |
     Raises
     ------
     ConfigError
-        When lines are fixed and M is not given.
+        When lines are fixed and M is not given, or M is not the one recorded beside the numbers of the columns.
     """
     key = "input.points_per_line"
     if rules.points_per_line is not None:
+        # with column numbers in the file another M drops its last columns, or spreads its angles over too many
+        if recorded and recorded != rules.points_per_line and rules.columns == "dimension":
+            problem = f"found {rules.points_per_line}, but {rules.path} records {recorded} shots in a line"
+            raise ConfigError(key, problem, "leave -M out")
         return rules.points_per_line, None
     if rules.lines == "fixed" and recorded is not None and recorded > 0:
         return recorded, Assumption(key, str(recorded), "recorded in the file")

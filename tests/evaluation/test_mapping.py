@@ -128,6 +128,8 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
         ("prc", [2, 67, 68], "predicted", "sequential_angle or asprs or street_scan"),
         ("prc", [1001, 1203], "reference", "street_oakland or oakland or street_scan_oakland"),
         ("street", [1001, 1203], "reference", "street_oakland or street_scan_oakland"),
+        # asprs lists them too, all but a truck as other: it would score nothing
+        ("street", [10, 18, 40, 48, 50, 70, 72, 80], "reference", "semantic_kitti or street_scan_kitti"),
     ],
 )
 def test_a_refusal_names_the_presets_that_list_the_codes(name: str, codes: list[int], side: Side, fits: str) -> None:

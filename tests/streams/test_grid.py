@@ -605,8 +605,9 @@ def test_m_recorded_in_the_file_is_taken() -> None:
     assert stream.info.points_per_line == 6
     assert source.reads == []
     assert read(stream).range_m.shape == (2, 6)
-    stated = open_grid(source, InputConfig(points_per_line=3))
-    assert stated.info.points_per_line == 3
+    assert open_grid(source, InputConfig(points_per_line=6)).info.points_per_line == 6
+    with pytest.raises(ConfigError, match="found 3, but .* records 6 shots in a line; leave -M out"):
+        open_grid(source, InputConfig(points_per_line=3))
 
 
 def test_times_out_of_order_are_the_first_reason() -> None:

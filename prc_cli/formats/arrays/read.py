@@ -278,6 +278,10 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
     shape, wanted = header.shape, config.points_per_line
     if header is file.headers.get(XYZ) and len(shape) == XYZ_DIMENSIONS:
         shape = shape[:2]
+    if len(shape) == 1 and header.dtype == np.uint8 and not file.is_archive:
+        # labels are written like this; taken for ranges they would be drawn, and classified, as if they were a scan
+        problem = "found bytes in a row, as class codes are written, expected ranges in metres"
+        raise InputError(header.where, problem, "give the scan, and these with --labels or to prc evaluate")
     if len(shape) not in (1, 2):
         problem = f"found ranges of shape {shape}, expected (lines, points per line)"
         raise InputError(header.where, problem, "save the ranges alone, one row a scan line")

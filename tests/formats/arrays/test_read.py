@@ -228,6 +228,13 @@ def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) 
     assert found.removeprefix("scan.npy: ") in refused(save_npz(tmp_path, **{name: array}))
 
 
+def test_class_codes_are_not_taken_for_ranges(tmp_path: Path) -> None:
+    codes = np.full(12, 2, np.uint8)
+    for options in (AUTO, config(points_per_line=4)):
+        found = refused(save(tmp_path, codes), options)
+        assert "found bytes in a row, as class codes are written, expected ranges in metres; give the scan" in found
+
+
 def test_points_per_line_must_fit(tmp_path: Path) -> None:
     path = save(tmp_path, np.ones(13, np.float32))
     found = refused(path, config(points_per_line=4))
