@@ -233,7 +233,7 @@ def test_blocks_that_cannot_be_are_refused() -> None:
         classify_block(np.ones((2, len(BEAM)), np.float32), np.ones((1, 3), np.float32), state, params)
 
 
-@pytest.mark.parametrize("step", ["_measure", "_see", "_follow", "_decide"])
+@pytest.mark.parametrize("step", ["_measure", "see", "_follow", "_decide"])
 def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """Before, in, between and after the steps that hand on: nobody waits for a turn that never comes."""
     plain = getattr(pipeline, step)
