@@ -121,13 +121,11 @@ class WindowedStream:
             return None
         part.first = block.first_line + start if part.first is None else part.first
         part.stop = block.first_line + stop
-        is_last = block.is_last or part.ended
-        if (start, stop) == (0, block.n_lines):
-            return replace(block, is_last=True) if is_last else block
-        inside = replace(cut(block, start, stop), is_last=is_last)
-        # which of the counts belong to these lines is not known, except the records
+        inside = block if (start, stop) == (0, block.n_lines) else cut(block, start, stop)
+        # a block's count is of what had been read with it: records of other lines too
         n_records = int(np.count_nonzero(inside.records() >= 0)) + len(inside.extra)
-        return replace(inside, tally=replace(block.tally, n_records=n_records))
+        tally = replace(block.tally, n_records=n_records)
+        return replace(inside, is_last=block.is_last or part.ended, tally=tally)
 
     def _places(self, block: ScanBlock, seen: _Seen, part: _Part) -> F64:
         """Return the number or the time of every line, (lines,); a line without time has that of the line before."""
