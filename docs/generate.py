@@ -34,7 +34,7 @@ import click
 from prc_cli.cli import cli
 from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
-from prc_cli.core.config import Params
+from prc_cli.core.config import Params, model_in
 from prc_cli.formats.writing.options import HIGH_NOISE_CODE
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
@@ -93,7 +93,7 @@ def _tables(model: type[Params], prefix: str) -> Iterator[str]:
     rows, inner = [], []
     for name, info in model.model_fields.items():
         key = info.alias or name
-        nested = _model_of(info.annotation)
+        nested = model_in(info.annotation)
         if nested is not None:
             inner.append((key, nested))
             continue
@@ -108,16 +108,6 @@ def _tables(model: type[Params], prefix: str) -> Iterator[str]:
         yield f"## {title}\n\n{documentation}\n\n{table}\n"
     for key, nested in inner:
         yield from _tables(nested, f"{prefix}{key}.")
-
-
-def _model_of(annotation: Any) -> type[Params] | None:
-    for candidate in (annotation, *getattr(annotation, "__args__", ())):
-        if isinstance(candidate, type) and issubclass(candidate, Params):
-            return candidate
-        for argument in getattr(candidate, "__args__", ()):
-            if isinstance(argument, type) and issubclass(argument, Params):
-                return argument
-    return None
 
 
 def _toml(value: Any) -> str:
@@ -193,7 +183,7 @@ def simulation_page() -> str:
         ## Scanners
         """
     names = list(SCANNERS)
-    fields = [key for key, info in Scanner.model_fields.items() if _model_of(info.annotation) is None]
+    fields = [key for key, info in Scanner.model_fields.items() if model_in(info.annotation) is None]
     rows = [f"| | {' | '.join(f'`{name}`' for name in names)} |", "|---|" + "---|" * len(names)]
     for key in fields:
         values = [getattr(SCANNERS[name], key) for name in names]

@@ -33,9 +33,11 @@ def _keys() -> list[tuple[str, Any]]:
 
 
 def _keys_of(model: Any, prefix: str) -> Any:
+    from prc_cli.core.config import model_in
+
     for name, field in model.model_fields.items():
         key, kind = f"{prefix}{field.alias or name}", field.annotation
-        inner = next((one for one in (kind, *get_args(kind)) if hasattr(one, "model_fields")), None)
+        inner = model_in(kind)
         if inner is None:
             yield key, kind
         else:

@@ -164,14 +164,14 @@ def _keys_at(model: type[BaseModel], location: list[str]) -> set[str]:
         if current is None:
             break
         fields = {(field.alias or name): field for name, field in current.model_fields.items()}
-        current = _model_in(fields[part].annotation) if part in fields else current
+        current = model_in(fields[part].annotation) if part in fields else current
     if current is None:
         return set()
     return {field.alias or name for name, field in current.model_fields.items()}
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """First parameter model inside an annotation such as ``Layout | None``."""
+def model_in(annotation: Any) -> type[BaseModel] | None:
+    """Return the first parameter model inside an annotation such as ``Layout | None``; None = there is none."""
     for candidate in (annotation, *get_args(annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             return candidate
