@@ -273,7 +273,9 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
         least_m=rng.choice([0.0, 0.1]),
         most_m=rng.choice([0.3, 3.0]),
         share=rng.choice([0.0, 0.5]),
-        behind_m=rng.choice([0.15, 0.0]),
+        low_m=rng.choice([0.1, 0.0]),
+        sill_m=rng.choice([0.5, 1.0]),
+        body_m=rng.choice([0.75, 3.0]),
         soil_m=rng.choice([0.1, 2.0]),
         shots=rng.choice([0, 1, 3]),
     )

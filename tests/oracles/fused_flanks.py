@@ -7,10 +7,10 @@ from math import floor
 import numpy as np
 
 from prc_cli.core.thresholds.fused import FlankThresholds
-from prc_cli.core.types import F32, U8
+from prc_cli.core.types import F32, I32, U8, Mask
 from tests.oracles.fused_strips import sum_around
 
-N, BIN = 320, np.float32(0.25)
+N, BIN, LEVEL_BIN = 320, np.float32(0.125), np.float32(0.25)
 
 
 def find_flanks(
@@ -26,22 +26,40 @@ def find_flanks(
     flanks, found = np.zeros((len(levels), N), np.uint8), levels.copy()
     side_m = range_m * beams[0]
     is_ground = (np.abs(above_m) < thresholds.soil_m) & (upright < 2)
+    counts, depths = ground_of(side_m, range_m * beams[1], is_ground)
     for line in range(len(levels)):
         lines = slice(line, line + 5)
         length, wall, place = (sum_around(values[lines]) for values in sums)
         least, most = thresholds.least_m * np.float32(5), thresholds.most_m * np.float32(5)
         for b in np.flatnonzero((wall > 0) & (wall >= least) & (wall <= most) & (wall >= thresholds.share * length)):
-            beside = sums[1][lines, max(b - 1, 0) : b + 2]
-            has_ground = is_ground[lines] & (beside > 0).any(axis=1)[:, None]
-            places = [floor(y / BIN) for y in side_m[lines][has_ground]]
-            out = [q if b >= N // 2 else -1 - q for q in places]
+            seen = lines.start + np.flatnonzero((sums[1][lines, max(b - 1, 0) : b + 2] > 0).any(axis=1))
             away = abs(place[b] / wall[b])
-            first = int((away + thresholds.behind_m) / BIN) + 1
-            beneath = sum(first <= q < min(first + 3, N) for q in out)
-            beyond = sum(first + 4 <= q < min(first + 8, N) for q in out)
+            way = slice(2 * N, None) if b >= N // 2 else slice(2 * N - 1, None, -1)
+            middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN
+            beneath = beyond = 0
+            for k in seen:
+                first, at = int(away / BIN), np.arange(2 * N)
+                ground = (counts[k, way] > 0) & (at >= first) & (at < 2 * first)
+                passes = depths[k, way] * (np.float32(1) - away / middle)
+                # behind ground that is seen above the body nothing counts
+                high = np.flatnonzero(ground & (passes > thresholds.body_m))
+                ground[high[0] if len(high) else 2 * N :] = False
+                beneath += counts[k, way][ground & (passes >= thresholds.low_m) & (passes <= thresholds.sill_m)].sum()
+                beyond += counts[k, way][ground & (passes > thresholds.sill_m)].sum()
             if beneath >= thresholds.shots and beyond * 4 <= beneath:
                 flanks[line, b] = 1
-                at = int(away / BIN)
+                at = int(away / LEVEL_BIN)
                 for j in range(at, min(at + 6, N)):
                     found[line, N + j if b >= N // 2 else N - 1 - j] = 1
     return flanks, found
+
+
+def ground_of(side_m: F32, depth_m: F32, is_ground: Mask) -> tuple[I32, F32]:
+    """Return the shots of the ground in every bin of every line, and how deep the last of them lies, (lines, 4 N)."""
+    counts, depths = np.zeros((len(side_m), 4 * N), np.int32), np.zeros((len(side_m), 4 * N), np.float32)
+    for k, i in zip(*np.nonzero(is_ground), strict=True):
+        q = floor(side_m[k, i] / BIN) + 2 * N
+        if 0 <= q < 4 * N:
+            counts[k, q] += 1
+            depths[k, q] = depth_m[k, i]
+    return counts, depths

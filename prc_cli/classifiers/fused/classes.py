@@ -56,7 +56,7 @@ class CarParams(Params):
 
     enabled: bool = Field(True, description="whether to separate them from walls and hedges")
     named: bool = Field(True, description="whether they get their class; otherwise they stay unclassified")
-    top_m: float = Field(3.75, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    top_m: float = Field(4.25, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
 

@@ -84,11 +84,23 @@ class FlankParams(Params):
 
     enabled: bool = Field(True, description="whether upright surfaces with ground beneath them are cars")
     least_m: float = Field(
-        0.2, gt=0, le=100, description="least height of their smooth upright surface, mean of five lines [m]"
+        0.1, gt=0, le=100, description="least height of their smooth upright surface, mean of five lines [m]"
     )
     most_m: float = Field(3.0, gt=0, le=100, description="greatest height of that [m]")
     share: float = Field(0.3, ge=0, le=1, description="least share of that surface in everything in the strip")
-    behind_m: float = Field(0.15, ge=0, le=10, description="ground beneath is seen at least this far behind [m]")
+    low_m: float = Field(
+        0.1,
+        ge=0,
+        le=10,
+        description="ground is beneath where the line of sight to it passes the flank above this [m] ...",
+    )
+    sill_m: float = Field(0.5, ge=0, le=10, description="... and below this [m]")
+    body_m: float = Field(
+        0.7,
+        ge=0,
+        le=10,
+        description="up to this [m] ground is seen through it, as through a fence, and it is no vehicle",
+    )
     soil_m: float = Field(0.1, gt=0, le=10, description="shots this near to the ground are ground beneath [m]")
     shots: int = Field(3, ge=1, le=1000, description="least number of such shots in five lines")
 
@@ -99,7 +111,9 @@ class FlankParams(Params):
             least_m=self.least_m,
             most_m=self.most_m,
             share=self.share,
-            behind_m=self.behind_m,
+            low_m=self.low_m,
+            sill_m=self.sill_m,
+            body_m=self.body_m,
             soil_m=self.soil_m,
             shots=self.shots,
         )

@@ -147,8 +147,11 @@ class FlankThresholds(NamedTuple):
     """Greatest height of that [m]."""
     share: np.float32
     """Least share of that in everything in the strip."""
-    behind_m: np.float32
-    """Ground beneath it is seen at least this far behind it [m]."""
+    low_m: np.float32
+    sill_m: np.float32
+    """Ground is seen beneath it where the line of sight passes it between these heights [m] ..."""
+    body_m: np.float32
+    """... and through it where above, up to this height [m]."""
     soil_m: np.float32
     """Shots this near to the ground are ground [m]."""
     shots: np.float32

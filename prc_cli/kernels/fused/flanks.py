@@ -9,30 +9,34 @@ from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, kernel
 from prc_cli.kernels.fused.strips import LINES, STRIPS
 
-BIN_M = np.float32(0.25)
-"""Width of a bin of ground, half of a strip [m]."""
-BENEATH_BINS = 3
-"""Bins behind the flank in which ground is seen beneath it."""
-FAR_BINS = 4
-"""Bins farther behind, which a vehicle hides and a fence does not."""
+BIN_M = np.float32(0.125)
+"""Width of a bin of ground, a quarter of a strip [m]."""
+BINS = 2 * STRIPS
+"""Bins on either side."""
+LEVEL_BIN_M = np.float32(0.25)
+"""Width of a bin of level surfaces [m]."""
 BODY_BINS = 6
-"""Bins that are marked as the vehicle, from its flank on."""
+"""Bins of level surfaces that are marked as the vehicle, from its flank on."""
 FEWER = 4
-"""Ground farther behind is less than that beneath, divided by this."""
+"""Ground seen through the body is less than that beneath, divided by this."""
 _FAR = np.float32(1e6)
 
 
 @helper
-def _count_ground(ranges: F32, above: F32, upright: U8, sine: F32, soil_m: np.float32, bins: I32) -> None:
-    """Count the shots of the ground in every bin of a line."""
-    for q in range(2 * STRIPS):
+def _count_ground(
+    ranges: F32, above: F32, upright: U8, beams: tuple[F32, F32], soil_m: np.float32, bins: I32, depths: F32
+) -> None:
+    """Count the shots of the ground in every bin of a line, and write how deep it lies below the scanner."""
+    sine, cosine = beams
+    for q in range(2 * BINS):
         bins[q] = 0
     for i in range(len(ranges)):
         if (abs(above[i]) < soil_m) & (upright[i] <= 1):
             y = ranges[i] * sine[i]
-            q = int(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + STRIPS
-            if 0 <= q < 2 * STRIPS:
+            q = int(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + BINS
+            if 0 <= q < 2 * BINS:
                 bins[q] += 1
+                depths[q] = ranges[i] * cosine[i]
 
 
 @helper
@@ -53,12 +57,26 @@ def _is_upright(wall: F32, b: int) -> bool:
 
 
 @helper
-def _ground_in(bins: I32, side: int, first: int, n: int) -> int:
-    """Count the ground in bins on one side, of which the first is so many bins out."""
-    total = 0
-    for j in range(first, min(first + n, STRIPS)):
-        total += bins[STRIPS + j] if side == 0 else bins[STRIPS - 1 - j]
-    return total
+def _ground_behind(bins: I32, depths: F32, side: int, away: np.float32, thresholds: FlankThresholds) -> tuple[int, int]:
+    """Count the ground that is seen beneath a body at a distance, and through it.
+
+    By the height at which the line of sight passes the flank: below the sill, or above. At twice the distance of the
+    flank it passes at half the height of the scanner.
+    """
+    beneath = beyond = 0
+    first = min(int(min(away / BIN_M, _FAR)), BINS)
+    for j in range(first, min(2 * first, BINS)):
+        q = BINS + j if side == 0 else BINS - 1 - j
+        if bins[q] == 0:
+            continue
+        passes = depths[q] * (np.float32(1.0) - away / ((np.float32(j) + np.float32(0.5)) * BIN_M))
+        if passes > thresholds.body_m:
+            break
+        if thresholds.low_m <= passes <= thresholds.sill_m:
+            beneath += bins[q]
+        elif passes > thresholds.sill_m:
+            beyond += bins[q]
+    return beneath, beyond
 
 
 @kernel(
@@ -104,12 +122,12 @@ def find_flanks(
     flanks, found = np.empty((n_lines, STRIPS), np.uint8), np.empty((n_lines, 2 * STRIPS), np.uint8)
     # ring buffer of lines
     room = 2 * LINES + 1
-    bins = np.empty((room, 2 * STRIPS), np.int32)
+    bins, depths = np.empty((room, 2 * BINS), np.int32), np.empty((room, 2 * BINS), np.float32)
     lines, walls, places = np.empty(STRIPS + 2, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32)
     lengths = np.empty(STRIPS, np.float32)
     least, most = thresholds.least_m * np.float32(room), thresholds.most_m * np.float32(room)
     for k in range(n_lines + 2 * LINES):
-        _count_ground(range_m[k], above_m[k], upright[k], beams[0], thresholds.soil_m, bins[k % room])
+        _count_ground(range_m[k], above_m[k], upright[k], beams, thresholds.soil_m, bins[k % room], depths[k % room])
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
@@ -124,16 +142,16 @@ def find_flanks(
                 continue
             away = abs(places[b] / walls[b])
             side = 0 if b >= STRIPS // 2 else 1
-            first = int(min((away + thresholds.behind_m) / BIN_M, _FAR)) + 1
             beneath = beyond = 0
             for c in range(line, line + room):
                 # lines beside a post see the ground behind it
                 if _is_upright(wall[c], b):
-                    beneath += _ground_in(bins[c % room], side, first, BENEATH_BINS)
-                    beyond += _ground_in(bins[c % room], side, first + BENEATH_BINS + 1, FAR_BINS)
+                    low, high = _ground_behind(bins[c % room], depths[c % room], side, away, thresholds)
+                    beneath += low
+                    beyond += high
             if np.float32(beneath) >= thresholds.shots and beyond * FEWER <= beneath:
                 flanks[line, b] = 1
-                at = int(min(away / BIN_M, _FAR))
+                at = int(min(away / LEVEL_BIN_M, _FAR))
                 for j in range(at, min(at + BODY_BINS, STRIPS)):
                     found[line, STRIPS + j if side == 0 else STRIPS - 1 - j] = 1
     return flanks, found
