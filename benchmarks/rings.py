@@ -20,7 +20,7 @@ from benchmarks.contest_data import Scan
 from benchmarks.contest_judge import judge
 from benchmarks.contest_methods import label, preset_with
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.types import U8
+from prc_cli.core.types import I64, U8
 
 CLASSES = {
     "kitti": {Label.GROUND: (9, 10, 11, 12, 17), Label.BUILDING: (13, 14), Label.VEGETATION: (15, 16)},
@@ -28,6 +28,9 @@ CLASSES = {
 }
 """Reference codes of the views; others are not judged."""
 NAMES = ("ground", "building", "vegetation")
+CARS = {"frame": (10, 13, 16, 18, 20, 252, 257, 258, 259), "kitti": (1, 4, 5), "nuscenes": (7, 8, 9)}
+"""Reference codes of cars, lorries and buses; unlabelled shots are not judged."""
+UNLABELLED = {"frame": 0, "kitti": 0, "nuscenes": 10}
 SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("fused", ()),
     ("as for profilers", ("fused.rings.enabled=false",)),
@@ -36,6 +39,7 @@ SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("tolerance", ("fused.rings.noise_sigmas=2.25", "fused.rings.per_step=0.1")),
     ("walls", ("fused.rings.wall_m=1.5",)),
     ("flanks of vehicles", ("fused.rings.flanks=true",)),
+    ("cars", ("fused.rings.cars=false",)),
     ("leaves", ("fused.rings.leaf_share=0.4", "fused.rings.leaf_share_before_walls=0.2")),
 )
 """Settings that give single parameters the value for profilers."""
@@ -69,8 +73,31 @@ def f1_of(scan: Scan, labels: U8, classes: dict[Label, tuple[int, ...]]) -> list
     return scores
 
 
+def cars_of(kind: str, scan: Scan, labels: U8) -> I64:
+    """Return how many shots are rightly cars, are predicted as cars, and are cars of the reference."""
+    judged = np.isfinite(scan.range_m) & (scan.codes != UNLABELLED[kind])
+    predicted = (labels == ClassCodes().lookup()[Label.CAR]) & judged
+    reference = np.isin(scan.codes, CARS[kind]) & judged
+    return np.array([(predicted & reference).sum(), predicted.sum(), reference.sum()])
+
+
+def print_cars(scans: dict[str, list[Scan]]) -> None:
+    """Print precision, recall and F1 of cars, over all scans of a kind together."""
+    print("\nCars: precision, recall, F1\n")
+    print(f"| | {' | '.join(scans)} |\n|---|{'---:|' * len(scans)}")
+    for title, assignments in (("fused", ()), ("as for profilers", ("fused.rings.enabled=false",))):
+        config, cells = preset_with("fused", assignments), []
+        for kind, items in scans.items():
+            right, predicted, reference = sum(
+                cars_of(kind, scan, label(scan, config).codes) for scan in items
+            )  # fmt: skip
+            f1 = 2 * right / max(predicted + reference, 1)
+            cells.append(f"{right / max(predicted, 1):.2f}, {right / max(reference, 1):.2f}, {f1:.2f}")
+        print(f"| {title} | {' | '.join(cells)} |", flush=True)
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parity = int("report" in sys.argv[1:])
     frame = data.kitti()
     scans = {kind: list(views(kind, parity)) for kind in CLASSES}
@@ -85,6 +112,7 @@ def main() -> None:
         for kind, classes in CLASSES.items():
             cells += np.mean([f1_of(scan, label(scan, config).codes, classes) for scan in scans[kind]], axis=0).tolist()
         print(f"| {title} | {' | '.join(f'{cell:.3f}' for cell in cells)} |", flush=True)
+    print_cars({"frame": [frame], **scans})
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from prc_cli.kernels.fused.classes import mean_smoothness as mean_smoothness
 from prc_cli.kernels.fused.classes import vote_labels as vote_labels
 from prc_cli.kernels.fused.confidence import confidence_cells as confidence_cells
 from prc_cli.kernels.fused.curbs import curb_labels as curb_labels
+from prc_cli.kernels.fused.fans import fan_cars as fan_cars
 from prc_cli.kernels.fused.flanks import find_flanks as find_flanks
 from prc_cli.kernels.fused.ground import walk_ground as walk_ground
 from prc_cli.kernels.fused.neighbours import directions as directions

@@ -155,7 +155,23 @@ def test_the_kitti_frame_is_labelled_by_rings(prc: Prc, real_data: Path, tmp_pat
             f1[name, label] = 2 * (mine & truth).sum() / (mine.sum() + truth.sum())
     assert f1["rings", Label.GROUND] > max(0.96, f1["profiler", Label.GROUND] + 0.005)
     assert f1["rings", Label.BUILDING] > max(0.78, f1["profiler", Label.BUILDING] + 0.05)
-    assert f1["rings", Label.VEGETATION] > max(0.78, f1["profiler", Label.VEGETATION] + 0.2)
+    assert f1["rings", Label.VEGETATION] > max(0.79, f1["profiler", Label.VEGETATION] + 0.2)
+    cars, found = np.isin(reference, (10, 20, 252)), np.load(tmp_path / "rings.npy") == lookup[Label.CAR]
+    assert found[cars].mean() > 0.5
+    assert cars[found].mean() > 0.95
+
+
+@pytest.mark.data
+def test_parked_cars_of_oakland_are_found_by_the_ground_beneath_them(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    lookup = ClassCodes().lookup()
+    for strip, least in ((1, 0.6), (2, 0.6)):
+        scan, output = real_data / "oakland" / f"oakland_{strip}.csv.gz", tmp_path / f"{strip}.npy"
+        result = prc("classify", scan, output, "--preset", "fused")
+        assert result.code in (0, 4), result.err
+        rows = np.genfromtxt(scan, delimiter=",", names=True)
+        cars, found = np.isin(rows["label"], (1500, 1501)), np.load(output).ravel() == lookup[Label.CAR]
+        assert found[cars].mean() > least
+        assert cars[found].mean() > 0.9
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from prc_cli.core.thresholds.fused import (
     ChordThresholds,
     CurbThresholds,
     DecisionThresholds,
+    FanThresholds,
     FlankThresholds,
     NearThresholds,
     SmoothThresholds,
@@ -370,6 +371,35 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
     return labels, one.range_m, above, one.beams, one.step, chosen
 
 
+def fan_case(rng: Generator) -> tuple[Any, ...]:
+    """Ground, and things of a few steps on it, as rings see them from near to far; all else at random."""
+    n_lines, m = int(rng.integers(1, 30)), int(rng.integers(1, 40))
+    beam = np.sort(rng.uniform(0.6, 1.6, m)).astype(np.float32) * np.where(rng.random(m) < 0.1, -1, 1)
+    range_m = np.full((n_lines, m), np.nan, np.float32)
+    labels = np.full((n_lines, m), 3, np.uint8)
+    start, length = sorted(rng.integers(0, m + 1, 2))
+    labels[:, start:length] = rng.choice([4, 5])
+    side = np.linspace(2, 40, m) - np.where(labels == 3, 0, 1) * np.linspace(0, 30, m)
+    range_m[:] = np.abs(side / np.sin(beam))
+    wrong = rng.random((n_lines, m)) < rng.choice([0.0, 0.05])
+    labels[wrong] = rng.choice([1, 2, 3, 4, 5, 8, 11], wrong.sum())
+    gone = rng.random((n_lines, m)) < rng.choice([0.0, 0.1, 1.0], p=[0.5, 0.45, 0.05])
+    range_m[gone], labels[gone] = np.nan, 0
+    above = np.where(labels == 3, 0, np.linspace(0, 3, m) * rng.choice([0.5, 1.0])).astype(np.float32)
+    sides = np.flatnonzero(beam >= 0).astype(np.int32), np.flatnonzero(beam < 0).astype(np.int32)
+    before = rng.choice([0, 1, 2, 3], (12, 400), p=[0.7, 0.1, 0.1, 0.1]).astype(np.uint8) * int(rng.integers(2))
+    chosen = typed(
+        FanThresholds,
+        least_m=rng.choice([1.2, 0.1]),
+        most_m=rng.choice([1.9, 9.0]),
+        smooth=rng.choice([0.0, 0.3]),
+        share=rng.choice([0.0, 0.3, 0.6]),
+        label=rng.choice([1, 7]),
+    )
+    texture = rng.random((n_lines, m)).astype(np.float32)
+    return labels, range_m, above, texture, np.sin(beam).astype(np.float32), sides, before, chosen
+
+
 def confidence_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     above, range_m = heights(rng, one), one.range_m
@@ -397,6 +427,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "directions": directions_case,
     "fill_strips": strips_case,
     "find_walls": walls_case,
+    "fan_cars": fan_case,
     "find_flanks": flanks_case,
     "fused_labels": labels_case,
     "leaf_repeats": repeats_case,

@@ -65,7 +65,7 @@ from prc_cli.classifiers.fused.plane import (
     SensorParams,
 )
 from prc_cli.classifiers.fused.returns import label_further_returns
-from prc_cli.classifiers.fused.rings import RingsParams, is_fan
+from prc_cli.classifiers.fused.rings import RingsParams, find_cars, is_fan, no_profiles
 from prc_cli.classifiers.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
@@ -149,11 +149,14 @@ class FusedState:
     """Labels before the platform came to stand."""
     memory: GroundMemory
     """Ground heights before the last three lines of the tail."""
+    profiles: U8
+    """Marks of lines across cars, in fans of rings."""
 
 
 TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
 LINE, SPACING = Part[int]("line"), Part[Spacing]("spacing")
 HALT = Part[Halt]("halt")
+PROFILES = Part[U8]("profiles")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,7 +286,9 @@ class Fused(Classifier[FusedScanner, FusedState]):
 def initial_state(scanner: FusedScanner) -> FusedState:
     """Return the state before the first block."""
     tail = np.full((SPACED_LINES, scanner.points_per_line), np.nan, np.float32)
-    return FusedState(tail, Noise(), 0, Spacing.none(), Halt.none(scanner.points_per_line), GroundMemory.none())
+    return FusedState(
+        tail, Noise(), 0, Spacing.none(), Halt.none(scanner.points_per_line), GroundMemory.none(), no_profiles()
+    )
 
 
 def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams) -> U8:
@@ -343,6 +348,8 @@ def _classify(
     ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
     evidence = evidence_of(seen, ground.above_m, plane, params)
     labels = _decide(seen, wide[OUTSIDE_LINES:-OUTSIDE_LINES], ground, evidence, plane, params)
+    if scanner.is_fan and params.rings.enabled and params.rings.cars:
+        return _with_cars(labels, range_m, ground, evidence, turn, scanner.scan_plane, params), evidence
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
         return labels, evidence
     limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
@@ -361,6 +368,8 @@ def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
         "walls": rings.walls(params.walls),
         "flanks": rings.flank(params.flanks),
         "leaves": rings.leaves(params.leaves),
+        "cars": rings.car(params.cars),
+        "rings": rings.fans(params.cars),
     }
     return params.model_copy(update=own)
 
@@ -450,6 +459,16 @@ def _decide(seen: Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: 
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
     return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)
+
+
+def _with_cars(
+    labels: U8, range_m: F32, ground: Ground, evidence: Evidence, turn: Turn, plane: ScanPlane, params: FusedParams
+) -> U8:
+    """Label cars in a block of lines of a fan, by its lines and those before it."""
+    above_m = ground.above_m[evidence.margin : evidence.margin + len(labels)]
+    texture, limits = evidence.texture[1 : 1 + len(labels)], params.rings.thresholds(params.cars)
+    ranges = np.ascontiguousarray(range_m)
+    return turn.hand_on(PROFILES, lambda before: find_cars(labels, ranges, above_m, texture, plane, before, limits))
 
 
 def _last_lines(tail: F32, range_m: F32) -> F32:

@@ -242,6 +242,21 @@ class CurbThresholds(NamedTuple):
     """Column spacings that the line climbs over four columns on a face, at least."""
 
 
+class FanThresholds(NamedTuple):
+    """What a car in a fan of rings is."""
+
+    least_m: np.float32
+    """Least height of its roof [m]."""
+    most_m: np.float32
+    """Greatest height of its roof [m]."""
+    smooth: np.float32
+    """Least share of smooth pairs around its shots, in a line across the roof."""
+    share: np.float32
+    """Least share of such lines in all around that see something there."""
+    label: np.float32
+    """Label of cars."""
+
+
 class TerrainThresholds(NamedTuple):
     """How the ground of a forest is found."""
 

@@ -129,7 +129,7 @@ def _street(
     reason, keys = _reason(place, label, params)
     yield Answer("decision", reason, _name(label), keys)
     voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, params.votes)
-    yield from _afterwards(label, Label(int(voted[at])), final, params)
+    yield from _afterwards(label, Label(int(voted[at])), final, params, is_fan=scanner.is_fan)
 
 
 def _place(
@@ -270,7 +270,7 @@ def _why_noise(place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str
     return told, (("fused.noise.ghost_m", noise.ghost_m), ("fused.noise.ghost_near", noise.ghost_near))
 
 
-def _afterwards(decided: Label, voted: Label, final: Label, params: FusedParams) -> Iterator[Answer]:
+def _afterwards(decided: Label, voted: Label, final: Label, params: FusedParams, *, is_fan: bool) -> Iterator[Answer]:
     """Answer for what may change a decision."""
     half = (("fused.votes.half_width_m", params.votes.half_width_m),)
     if decided in (Label.NOISE, Label.GROUND):
@@ -283,6 +283,14 @@ def _afterwards(decided: Label, voted: Label, final: Label, params: FusedParams)
     if final == Label.CURB:
         limits = (("fused.curbs.least_m", params.curbs.least_m), ("fused.curbs.most_m", params.curbs.most_m))
         yield Answer("curbs", "the ground rises by a small step here", "curb", limits)
+        return
+    if final in (Label.CAR, Label.UNCLASSIFIED) and is_fan:
+        roof = (
+            ("fused.rings.car_least_m", params.rings.car_least_m),
+            ("fused.rings.car_most_m", params.rings.car_most_m),
+        )
+        told = "lines around climb from the ground to a roof here, and see far beyond it"
+        yield Answer("profile", told, _name(final), roof)
         return
     limit = (("fused.spacing.keeps", params.spacing.keeps),)
     yield Answer("standing", "the platform stands or hardly moves", f"{_name(final)}, as before", limit)
