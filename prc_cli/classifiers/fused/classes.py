@@ -13,7 +13,7 @@ from prc_cli.classifiers.fused.strips import Standing, WallParams
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds.fused import DecisionThresholds, typed
+from prc_cli.core.thresholds.fused import DecisionThresholds, FanThresholds, typed
 from prc_cli.core.types import F32, U8
 
 BESIDE_THIN_LINES = 12
@@ -59,6 +59,29 @@ class CarParams(Params):
     top_m: float = Field(4.25, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
+    roofs: bool = Field(
+        True, description="whether they are also found by lines across their roofs, where columns are far apart ..."
+    )
+    roof_step_deg: float = Field(0.2, ge=0, le=90, description="... by at least this angle [deg]")
+    roof_least_m: float = Field(1.2, ge=0, le=100, description="least height of a roof [m]; hedges are often lower")
+    roof_most_m: float = Field(2.0, ge=0, le=100, description="greatest height of a roof [m]")
+    roof_smooth: float = Field(
+        0.5, ge=0, le=1, description="least share of smooth pairs on such a line; plants have less"
+    )
+    roof_share: float = Field(
+        0.5, ge=0, le=1, description="least share of such lines, or lines with a car, among 12 to either side"
+    )
+
+    def roof_thresholds(self) -> FanThresholds:
+        """Return what the loop that looks for roofs is given."""
+        return typed(
+            FanThresholds,
+            least_m=self.roof_least_m,
+            most_m=self.roof_most_m,
+            smooth=self.roof_smooth,
+            share=self.roof_share,
+            label=Label.CAR if self.named else Label.UNCLASSIFIED,
+        )
 
 
 class PoleParams(Params):

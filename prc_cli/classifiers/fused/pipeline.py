@@ -64,8 +64,9 @@ from prc_cli.classifiers.fused.plane import (
     ScanPlane,
     SensorParams,
 )
+from prc_cli.classifiers.fused.profiles import are_wanted, find_cars, no_profiles
 from prc_cli.classifiers.fused.returns import label_further_returns
-from prc_cli.classifiers.fused.rings import RingsParams, find_cars, is_fan, no_profiles
+from prc_cli.classifiers.fused.rings import RingsParams, is_fan
 from prc_cli.classifiers.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
@@ -150,7 +151,7 @@ class FusedState:
     memory: GroundMemory
     """Ground heights before the last three lines of the tail."""
     profiles: U8
-    """Marks of lines across cars, in fans of rings."""
+    """Marks of lines across cars, where shots are far apart."""
 
 
 TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
@@ -348,8 +349,8 @@ def _classify(
     ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
     evidence = evidence_of(seen, ground.above_m, plane, params)
     labels = _decide(seen, wide[OUTSIDE_LINES:-OUTSIDE_LINES], ground, evidence, plane, params)
-    if scanner.is_fan and params.rings.enabled and params.rings.cars:
-        return _with_cars(labels, range_m, ground, evidence, turn, scanner.scan_plane, params), evidence
+    if are_wanted(plane, params.cars):
+        labels = _with_cars(labels, range_m, ground, evidence, turn, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
         return labels, evidence
     limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
@@ -369,7 +370,6 @@ def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
         "flanks": rings.flank(params.flanks),
         "leaves": rings.leaves(params.leaves),
         "cars": rings.car(params.cars),
-        "rings": rings.fans(params.cars),
     }
     return params.model_copy(update=own)
 
@@ -464,9 +464,9 @@ def _decide(seen: Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: 
 def _with_cars(
     labels: U8, range_m: F32, ground: Ground, evidence: Evidence, turn: Turn, plane: ScanPlane, params: FusedParams
 ) -> U8:
-    """Label cars in a block of lines of a fan, by its lines and those before it."""
+    """Label cars in a block by its lines and those before it."""
     above_m = ground.above_m[evidence.margin : evidence.margin + len(labels)]
-    texture, limits = evidence.texture[1 : 1 + len(labels)], params.rings.thresholds(params.cars)
+    texture, limits = evidence.texture[1 : 1 + len(labels)], params.cars.roof_thresholds()
     ranges = np.ascontiguousarray(range_m)
     return turn.hand_on(PROFILES, lambda before: find_cars(labels, ranges, above_m, texture, plane, before, limits))
 

@@ -11,24 +11,19 @@ import math
 import numpy as np
 from pydantic import Field
 
-from prc_cli import kernels
 from prc_cli.classifiers.fused.classes import CarParams, LeavesParams
 from prc_cli.classifiers.fused.ground import GroundParams
 from prc_cli.classifiers.fused.neighbours import SmoothnessParams
-from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.classifiers.fused.strips import FlankParams, WallParams
-from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
-from prc_cli.core.profile import stage
-from prc_cli.core.thresholds.fused import FanThresholds, typed
-from prc_cli.core.types import F32, F64, U8
+from prc_cli.core.types import F64
 
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
 more."""
 
-PROFILE_LINES, PROFILE_BINS = 12, 200
-"""As in :mod:`prc_cli.kernels.fused.fans`."""
+NEVER = 99
+"""More bins than a level surface can have."""
 
 
 class RingsParams(Params):
@@ -59,12 +54,10 @@ class RingsParams(Params):
     cars: bool = Field(
         True, description="whether cars are found by lines across their roofs, instead of by level surfaces"
     )
-    car_least_m: float = Field(1.2, ge=0, le=100, description="least height of a roof [m]; hedges are often lower")
-    car_most_m: float = Field(2.0, ge=0, le=100, description="greatest height of a roof [m]")
     car_smooth: float = Field(
-        0.3, ge=0, le=1, description="least share of smooth pairs on such a line; plants have less"
+        0.3, ge=0, le=1, description="for fused.cars.roof_smooth: with so few shots cars look rough"
     )
-    car_share: float = Field(0.3, ge=0, le=1, description="least share of such lines, among 12 to either side")
+    car_share: float = Field(0.3, ge=0, le=1, description="for fused.cars.roof_share")
 
     def ground(self, params: GroundParams) -> GroundParams:
         """Return the parameters of the ground for rings."""
@@ -89,39 +82,9 @@ class RingsParams(Params):
         return params.model_copy(update=own)
 
     def car(self, params: CarParams) -> CarParams:
-        """Return the parameters of cars for rings: level surfaces are seen by single rings, and make none."""
-        return params.model_copy(update={"enabled": False})
-
-    def fans(self, params: CarParams) -> RingsParams:
-        """Return these with cars only if they are wanted at all."""
-        return self.model_copy(update={"cars": self.cars and params.enabled})
-
-    def thresholds(self, params: CarParams) -> FanThresholds:
-        """Return what the loop that finds cars is given."""
-        return typed(
-            FanThresholds,
-            least_m=self.car_least_m,
-            most_m=self.car_most_m,
-            smooth=self.car_smooth,
-            share=self.car_share,
-            label=Label.CAR if params.named else Label.UNCLASSIFIED,
-        )
-
-
-def no_profiles() -> U8:
-    """Return the marks before the first line."""
-    return np.zeros((PROFILE_LINES, 2 * PROFILE_BINS), np.uint8)
-
-
-@stage("cars in fans")
-def find_cars(
-    labels: U8, range_m: F32, above_m: F32, texture: F32, plane: ScanPlane, before: U8, thresholds: FanThresholds
-) -> tuple[U8, U8]:
-    """Label cars in fans of rings; see :func:`prc_cli.kernels.fused.fans.fan_cars`."""
-    found, after = kernels.fan_cars(
-        labels, range_m, above_m, texture, plane.sine, (plane.left, plane.right), before, thresholds
-    )
-    return found, after
+        """Return the parameters of cars for rings, found by lines across their roofs alone."""
+        own = {"roofs": self.cars, "roof_step_deg": 0.0, "roof_smooth": self.car_smooth, "roof_share": self.car_share}
+        return params.model_copy(update={**own, "level_bins": NEVER, "level_bins_rough": NEVER})
 
 
 def is_fan(beam_rad: F64) -> bool:

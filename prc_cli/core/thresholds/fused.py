@@ -243,7 +243,7 @@ class CurbThresholds(NamedTuple):
 
 
 class FanThresholds(NamedTuple):
-    """What a car in a fan of rings is."""
+    """What a car is where shots are far apart."""
 
     least_m: np.float32
     """Least height of its roof [m]."""

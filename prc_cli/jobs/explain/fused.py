@@ -25,6 +25,7 @@ from prc_cli.classifiers.fused.pipeline import (
     window_of,
 )
 from prc_cli.classifiers.fused.plane import AROUND_LINES, INNER_LINES, WIDE_LINES, points_of
+from prc_cli.classifiers.fused.profiles import are_wanted
 from prc_cli.classifiers.fused.spacing import BESIDE_LINES, SPACED_LINES, spaced_pairs
 from prc_cli.classifiers.fused.stems import find_stems
 from prc_cli.classifiers.fused.strips import Standing
@@ -129,7 +130,7 @@ def _street(
     reason, keys = _reason(place, label, params)
     yield Answer("decision", reason, _name(label), keys)
     voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, params.votes)
-    yield from _afterwards(label, Label(int(voted[at])), final, params, is_fan=scanner.is_fan)
+    yield from _afterwards(label, Label(int(voted[at])), final, params, by_profile=are_wanted(plane, params.cars))
 
 
 def _place(
@@ -270,7 +271,9 @@ def _why_noise(place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str
     return told, (("fused.noise.ghost_m", noise.ghost_m), ("fused.noise.ghost_near", noise.ghost_near))
 
 
-def _afterwards(decided: Label, voted: Label, final: Label, params: FusedParams, *, is_fan: bool) -> Iterator[Answer]:
+def _afterwards(
+    decided: Label, voted: Label, final: Label, params: FusedParams, *, by_profile: bool
+) -> Iterator[Answer]:
     """Answer for what may change a decision."""
     half = (("fused.votes.half_width_m", params.votes.half_width_m),)
     if decided in (Label.NOISE, Label.GROUND):
@@ -284,12 +287,10 @@ def _afterwards(decided: Label, voted: Label, final: Label, params: FusedParams,
         limits = (("fused.curbs.least_m", params.curbs.least_m), ("fused.curbs.most_m", params.curbs.most_m))
         yield Answer("curbs", "the ground rises by a small step here", "curb", limits)
         return
-    if final in (Label.CAR, Label.UNCLASSIFIED) and is_fan:
-        roof = (
-            ("fused.rings.car_least_m", params.rings.car_least_m),
-            ("fused.rings.car_most_m", params.rings.car_most_m),
-        )
-        told = "lines around climb from the ground to a roof here, and see far beyond it"
+    if final in (Label.CAR, Label.UNCLASSIFIED) and by_profile:
+        cars = params.cars
+        roof = (("fused.cars.roof_least_m", cars.roof_least_m), ("fused.cars.roof_share", cars.roof_share))
+        told = "lines around see a car here: they climb from the ground to a roof, and see far beyond it"
         yield Answer("profile", told, _name(final), roof)
         return
     limit = (("fused.spacing.keeps", params.spacing.keeps),)

@@ -1,4 +1,4 @@
-"""Loop of the fused classifier that finds cars in fans of rings, by the profile of single lines."""
+"""Loop of the fused classifier that finds cars by the profile of single lines, where shots are far apart."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ LOW_M, HIGH_FOOT_M = np.float32(2.0), np.float32(1.0)
 """In other lines a car is lower than this, and its lowest shot below this [m]."""
 _SEED, _THING = np.uint8(1), np.uint8(2)
 _MISSING, _NOISE, _GROUND, _CURB = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND), int(Label.CURB)
+_POLE = int(Label.POLE)
 _FAR = np.float32(1e6)
 
 
@@ -98,6 +99,11 @@ def _mark_side(
             before = labels[shots[k - 1]]
             is_roof = (before == _GROUND) | (before == _CURB)
             is_roof &= abs(side[shots[end]]) > abs(side[shots[end - 1]]) + JUMP_M
+        n_cars = 0
+        for j in range(k, end):
+            if labels[shots[j]] == np.uint8(thresholds.label):
+                n_cars += 1
+        is_roof |= 2 * n_cars >= end - k
         first, last = _bins_of(near, far)
         for q in range(first, last):
             marks[q] |= _SEED if is_roof else _THING
@@ -144,10 +150,11 @@ def fan_cars(
     before: U8,
     thresholds: FanThresholds,
 ) -> tuple[U8, U8]:
-    """Label cars in fans of rings.
+    """Label cars where shots are far apart, as in fans of rings.
 
     A line across a car climbs from the ground over flank and panes to the roof, and then sees far beyond. Walls and
-    hedges are higher, fences have no depth, plants are rougher. Where enough lines around are so, low things are cars.
+    hedges are higher, fences have no depth, plants are rougher. Where enough lines around are so, or see a thing that
+    is half a car already, low things other than poles are cars.
 
     Parameters
     ----------
@@ -194,7 +201,7 @@ def fan_cars(
     for q in range(2 * BINS):
         _sum_up(marks[q], _SEED, seeds[q])
         _sum_up(marks[q], _THING, things[q])
-    car = np.uint8(thresholds.label)
+    car, pole = np.uint8(thresholds.label), np.uint8(_POLE)
     for k in range(n_lines):
         for i in range(m):
             side[i] = range_m[k, i] * sine[i]
@@ -214,7 +221,7 @@ def fan_cars(
                 offset = way * BINS
                 if _is_car(seeds, things, offset + low_bin, offset + high_bin, k + LINES, thresholds):
                     for j in range(first, end):
-                        found[k, there[j]] = car
+                        found[k, there[j]] = pole if labels[k, there[j]] == pole else car
     after = np.empty((LINES, 2 * BINS), np.uint8)
     for line in range(LINES):
         for q in range(2 * BINS):

@@ -1,0 +1,38 @@
+"""Cars by the profile of single lines, where shots are far apart: push-brooms and fans of rings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.classes import CarParams
+from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.core.profile import stage
+from prc_cli.core.thresholds.fused import FanThresholds
+from prc_cli.core.types import F32, U8
+
+LINES, BINS = 12, 200
+"""As in :mod:`prc_cli.kernels.fused.fans`."""
+
+
+def no_profiles() -> U8:
+    """Return the marks before the first line."""
+    return np.zeros((LINES, 2 * BINS), np.uint8)
+
+
+def are_wanted(plane: ScanPlane, params: CarParams) -> bool:
+    """Return whether cars are looked for in the profiles of a scanner's lines."""
+    return params.enabled and params.roofs and float(plane.step_rad) >= math.radians(params.roof_step_deg)
+
+
+@stage("profiles")
+def find_cars(
+    labels: U8, range_m: F32, above_m: F32, texture: F32, plane: ScanPlane, before: U8, thresholds: FanThresholds
+) -> tuple[U8, U8]:
+    """Label cars by lines across their roofs; see :func:`prc_cli.kernels.fused.fans.fan_cars`."""
+    found, after = kernels.fan_cars(
+        labels, range_m, above_m, texture, plane.sine, (plane.left, plane.right), before, thresholds
+    )
+    return found, after
