@@ -95,8 +95,6 @@ def load_compiler() -> None:
     try:
         with _absent(UNNEEDED if is_own_process() else ()):
             import_module("numba")
-            if is_own_process():  # the rest of it is loaded with the first kernel otherwise
-                import_module("numba.core.registry").cpu_target.target_context.refresh()
     except (ImportError, OSError) as error:
         hint = "pip install --force-reinstall numba; until then prc classify --engine reference is the slow way"
         raise PrcError("numba", f"cannot be loaded ({error})", hint) from error
