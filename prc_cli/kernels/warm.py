@@ -13,6 +13,8 @@ import llvmlite.binding as llvm  # type: ignore[import-untyped]
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime.nrt import rtsys
 
+from prc_cli.kernels.loading import UNNEEDED, absent
+
 
 class _Loops(CompileResultCacheImpl):
     """What is kept of a compiled function."""
@@ -39,4 +41,9 @@ class WarmCache(FunctionCache):
         """Return the compiled function for a signature; None = it is not in the cache."""
         rtsys.initialize(target_context)  # memory of arrays that loops make
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            found = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if found is not None:
+                return found
+        with absent(UNNEEDED):  # it is compiled next
+            target_context.refresh()
+        return None

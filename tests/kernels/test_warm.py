@@ -46,7 +46,8 @@ pytestmark = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reaso
 
 
 def run(tmp_path: Path, *parts: str) -> list[str]:
-    (tmp_path / "some_loops.py").write_text(MODULE)
+    if not (tmp_path / "some_loops.py").exists():  # a file written again is a new one to old numba
+        (tmp_path / "some_loops.py").write_text(MODULE)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
     command = [sys.executable, "-B", "-c", "".join(parts)]
     return patience.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
