@@ -64,8 +64,8 @@ def cold(folder: Path) -> None:
 
 
 def warm(folder: Path) -> None:
-    """The command on a file of 60 lines of one side of a simulated street."""
-    with np.load(made("street", folder, lines=60, seed=1)) as street:
+    """The command on a file of 400,000 shots: one side of a simulated street."""
+    with np.load(made("street", folder, lines=372, seed=1)) as street:
         one_side = (street["angle_deg"] >= 0) & (street["angle_deg"] < 160)
         np.savez(
             folder / "small.npz",

@@ -143,10 +143,11 @@ def _run(arguments: list[str], *, debug: bool) -> int:
             return error.exit_code
         failure = error
         context = getattr(error, "ctx", None)
-        hint = f"; see {context.command_path} --help" if context is not None else ""
-        # click ends its sentences with a full stop, some after a colon of their own
         said = error.format_message()
-        message, code = printable(f"{said.removesuffix('.') if hint else said}{hint}"), error.exit_code
+        if context is not None:
+            # click ends its sentences with a full stop, some after a colon of their own
+            said = said.removesuffix(".") + (" " if said.endswith("?") else "; ") + f"see {context.command_path} --help"
+        message, code = printable(said), error.exit_code
     except MemoryError as error:
         failure = error
         message, code = "not enough memory for this input and these parameters; no output was left behind", 1

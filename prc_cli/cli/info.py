@@ -179,9 +179,10 @@ def _contents_rows(contents: Contents) -> Iterator[tuple[str, str]]:
     if contents.time_s is not None:
         first, last = contents.time_s
         yield "times", f"{first:,.6f} to {last:,.6f} s: {last - first:,.3f} s"
+    names = ASPRS | contents.class_names
     for name, counts in (
-        ("classes", {f"{code} {ASPRS.get(code, '')}".strip(): n for code, n in sorted(contents.classes.items())}),
-        ("returns", dict(sorted(contents.returns.items()))),
+        ("classes", {f"{code} {names.get(code, '')}".strip(): n for code, n in sorted(contents.classes.items())}),
+        ("returns", dict(sorted(contents.returns.items(), key=lambda item: [int(n) for n in item[0].split(" of ")]))),
         ("point sources", {str(code): n for code, n in sorted(contents.sources.items())}),
     ):
         if counts:

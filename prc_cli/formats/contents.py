@@ -31,6 +31,8 @@ class Contents:
     """Least and greatest time [s]."""
     classes: Counter[int] = field(default_factory=Counter)
     """Records by class code."""
+    class_names: dict[int, str] = field(default_factory=dict)
+    """What the file itself calls its own codes, from 64 on."""
     returns: Counter[str] = field(default_factory=Counter)
     """Records by return, as ``"2 of 3"``."""
     sources: Counter[int] = field(default_factory=Counter)
@@ -76,6 +78,7 @@ class Contents:
             "registered": self.is_registered,
             "time_s": None if self.time_s is None else list(self.time_s),
             "classes": {str(code): n for code, n in sorted(self.classes.items())},
+            "class_names": {str(code): name for code, name in sorted(self.class_names.items())},
             "returns": dict(sorted(self.returns.items())),
             "point_source_ids": {str(code): n for code, n in sorted(self.sources.items())},
         }

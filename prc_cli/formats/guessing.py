@@ -76,7 +76,8 @@ def is_frame(path: Path) -> bool:
         head = handle.read(LOOKED_BYTES)
     if n_bytes % 16 or n_bytes < 16 * LEAST_FRAME:
         return False
-    rows = np.frombuffer(head[: len(head) // 16 * 16], "<f4").reshape(-1, 4).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        rows = np.frombuffer(head[: len(head) // 16 * 16], "<f4").reshape(-1, 4).astype(np.float64)
     if not np.isfinite(rows).all() or np.abs(rows[:, :3]).max() > FRAME_REACH_M:
         return False
     x, y, z, intensity = rows.T

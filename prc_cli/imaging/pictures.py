@@ -63,7 +63,8 @@ def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] |
     if not 0 < near < far:
         where = "limits_m"
         raise InputError(where, f"found {limits_m}, expected 0 < near < far [m]")
-    place = np.log(np.where(seen, range_m, near) / near) / np.log(far / near)
+    with np.errstate(over="ignore"):  # infinitely far is far
+        place = np.log(np.where(seen, range_m, near) / near) / np.log(far / near)
     picture: U8 = colour_map()[np.rint(255 * (1.0 - np.clip(place, 0.0, 1.0))).astype(np.intp)]
     picture[~seen] = MISSING_COLOUR
     return picture

@@ -14,13 +14,14 @@ from contextlib import contextmanager
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numba
 from numba.core.errors import NumbaError
 
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import cache_folder, who_may_change
+from prc_cli.core.process import is_own_process
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
@@ -56,19 +57,43 @@ def kernel(*signatures: str, tuples: Tuples = ()) -> Callable[[FunctionT], Funct
         options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         folder = writable_cache()
         types = _numba_signatures(signatures, tuples)
+        ways = (_compile_warm, _compile_cached) if is_own_process() else (_compile_cached,)
         if folder is not None:
-            try:
-                with _numba_cache(folder / _fields_folder(tuples)):
-                    cached: FunctionT = jit(types, cache=True, **options)(function)
-                return cached
-            except NumbaError:
-                raise
-            except Exception:  # the cache is damaged, full or gone: compile without it
-                pass
+            for compile_so in ways:
+                try:
+                    with _numba_cache(folder / _fields_folder(tuples)):
+                        return compile_so(function, types, options)
+                except NumbaError:
+                    raise
+                except Exception:  # the cache is damaged, full or gone: compile without it
+                    continue
         in_memory: FunctionT = jit(types, **options)(function)
         return in_memory
 
     return compiled
+
+
+def _compile_cached(function: FunctionT, types: list[Any], options: dict[str, Any]) -> FunctionT:
+    """Return a function compiled for signatures, by numba's way from its cache or into it."""
+    jit: Any = numba.njit
+    compiled: FunctionT = jit(types, cache=True, **options)(function)
+    return compiled
+
+
+def _compile_warm(function: FunctionT, types: list[Any], options: dict[str, Any]) -> FunctionT:
+    """As :func:`_compile_cached`, without loading what is not needed to run what is in the cache."""
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    from prc_cli.kernels.warm import WarmCache
+
+    jit: Any = numba.njit
+    cache: Any = WarmCache
+    compiled: Any = jit(**options)(function)
+    compiled._cache = cache(function)
+    for signature in types:
+        compiled.compile(signature)
+    compiled.disable_compile()
+    return cast("FunctionT", compiled)
 
 
 def _numba_signatures(signatures: Sequence[str], tuples: Tuples) -> list[Any]:

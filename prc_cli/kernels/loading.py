@@ -93,10 +93,8 @@ def load_compiler() -> None:
         When it cannot be loaded.
     """
     try:
-        with _absent(UNNEEDED if is_own_process() else ()):
+        with absent(UNNEEDED if is_own_process() else ()):
             import_module("numba")
-            if is_own_process():  # the rest of it is loaded with the first kernel otherwise
-                import_module("numba.core.registry").cpu_target.target_context.refresh()
     except (ImportError, OSError) as error:
         hint = "pip install --force-reinstall numba; until then prc classify --engine reference is the slow way"
         raise PrcError("numba", f"cannot be loaded ({error})", hint) from error
@@ -108,10 +106,10 @@ file of settings in the current folder. Loading them takes a fifth of a short ru
 
 
 @contextmanager
-def _absent(names: tuple[str, ...]) -> Iterator[None]:
+def absent(names: tuple[str, ...]) -> Iterator[None]:
     """Let modules that are not loaded yet seem not to be installed.
 
-    >>> with _absent(("wave",)):
+    >>> with absent(("wave",)):
     ...     import wave
     Traceback (most recent call last):
     ...

@@ -192,8 +192,8 @@ def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
     >>> is_sensor_xyz(point, "range"), is_sensor_xyz(point | {"z": np.array([90.0])}, "range")
     (True, False)
     """
-    x, y, z, found = (np.asarray(values[name], np.float64) for name in (*XYZ, dimension))
     with np.errstate(over="ignore", invalid="ignore"):
+        x, y, z, found = (np.asarray(values[name], np.float64) for name in (*XYZ, dimension))
         length = np.sqrt(x * x + y * y + z * z)
         # all heights 0: a scan plane laid flat, as written without directions
         use = np.isfinite(length) & np.isfinite(found) & (found > 0)

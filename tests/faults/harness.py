@@ -146,7 +146,7 @@ class Batch:
     def work(self) -> int:
         """Return the process that does the work: the first one, or the child that it guards."""
         pid = self.process.pid
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, IndexError):  # before it forks, or gone
             return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
         return pid
 

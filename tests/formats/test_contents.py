@@ -78,3 +78,21 @@ def test_info_tells_them(real_data: Path, capsys: pytest.CaptureFixture[str]) ->
     with pytest.raises(SystemExit):
         main(["info", str(path), "--json"])
     assert json.loads(capsys.readouterr().out)["contents"]["point_source_ids"]["66"] == 90_936
+
+
+def test_info_names_codes_as_the_file_does_and_sorts_returns_by_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.x, las.y, las.z = (np.arange(12.0),) * 3
+    las.classification = np.array([2, 65] * 6)
+    las.return_number, las.number_of_returns = np.array([2, 10] * 6), np.full(12, 10)
+    names = b"".join(bytes([code]) + name.ljust(15, b"\0") for code, name in ((65, b"lorry"), (2, b"not this")))
+    las.vlrs.append(laspy.VLR("LASF_Spec", 0, "", names))
+    las.write(tmp_path / "a.las")
+    with pytest.raises(SystemExit):
+        main(["info", str(tmp_path / "a.las")])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "2 ground: 6, 65 lorry: 6" in told
+    assert "2 of 10: 6, 10 of 10: 6" in told

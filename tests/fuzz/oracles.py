@@ -62,7 +62,8 @@ def _differences(before: Any, found: Any) -> list[str]:
     for name in sorted(same - {"classification", "raw_classification"}):
         old, new = before.points.array[name], found.points.array[name]
         if old.tobytes() != new.tobytes() and old.dtype == new.dtype:
-            faults.append(f"{name} differs in {np.count_nonzero(old != new)} records")
+            differ = sum(a.tobytes() != b.tobytes() for a, b in zip(old, new, strict=True))
+            faults.append(f"{name} differs in {differ} records")
     return faults
 
 
@@ -106,14 +107,23 @@ def _numbered(item: LabelledBlock) -> list[tuple[Any, Any]]:
 
 
 def _judge_untouched(items: list[LabelledBlock], sound: Path) -> list[str]:
+    """Compare the blocks whose ranges the damage did not touch, nor those of their neighbours, which vote on theirs."""
     undamaged = _sound_blocks(str(sound))
-    for item in items:
-        whole = undamaged.get((item.block.scanner, item.block.first_line))
-        if whole is None or whole[0].shape != item.block.range_m.shape:
-            continue
-        if np.array_equal(whole[0], item.block.range_m, equal_nan=True) and not np.array_equal(whole[1], item.labels):
-            return [f"labels: the block of line {item.block.first_line} has its ranges but not its labels"]
+    blocks = {(item.block.scanner, item.block.first_line): item for item in items}
+    untouched = {key for key, item in blocks.items() if _is_same(undamaged, item)}
+    places = sorted(undamaged)
+    for i, (scanner, line) in enumerate(places):
+        if untouched.issuperset(places[max(0, i - 1) : i + 2]):
+            _, expected = undamaged[scanner, line]
+            if not np.array_equal(expected, blocks[scanner, line].labels):
+                return [f"labels: the block of line {line} and its neighbours have their ranges but not their labels"]
     return []
+
+
+def _is_same(undamaged: dict[tuple[int, int], tuple[Any, Any]], item: LabelledBlock) -> bool:
+    """Whether a block has the ranges that the block of its place had before the damage."""
+    expected, _ = undamaged.get((item.block.scanner, item.block.first_line), (None, None))
+    return expected is not None and np.array_equal(expected, item.block.range_m, equal_nan=True)
 
 
 @lru_cache(maxsize=64)

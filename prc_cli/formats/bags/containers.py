@@ -388,12 +388,16 @@ def _read_db3(path: Path, end: BagEnd, wanted: Callable[[Topic], bool]) -> Itera
         topics = _topics_of(path, base, end)
         numbers = [number for number, topic in topics.items() if wanted(topic)]
         yield from _rows_of(path, base, {number: topics[number] for number in numbers}, end)
-    except (sqlite3.Error, OverflowError, UnicodeError) as error:
+    except (sqlite3.Error, OverflowError, UnicodeError, MemoryError) as error:
         # sqlite3 cannot decode its own messages where they quote damaged bytes
-        problem = f"the database is damaged ({str(error)[:80]})"
+        problem = f"the database is damaged ({_said(error)})"
         raise InputError(str(path), problem, "copy it again, or mend it: sqlite3 FILE .recover") from None
     finally:
         base.close()
+
+
+def _said(error: Exception) -> str:
+    return str(error)[:80] or "it asks for more memory than it may"
 
 
 def _check_pages(path: Path) -> None:
@@ -438,10 +442,10 @@ def _rows_of(path: Path, base: sqlite3.Connection, topics: dict[int, Topic], end
     while True:
         try:
             row = rows.fetchone()
-        except (sqlite3.DatabaseError, UnicodeError) as error:
+        except (sqlite3.DatabaseError, UnicodeError, MemoryError) as error:
             if not n:
                 raise
-            end.problem = f"the database can be read up to message {n} ({str(error)[:80]})"
+            end.problem = f"the database can be read up to message {n} ({_said(error)})"
             return
         if row is None:
             return

@@ -240,6 +240,8 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
     import pyarrow as pa
     from pyarrow import parquet
 
+    from prc_cli.formats.parquet_pages import check_pages
+
     damaged = "copy it from the archive again"
     try:
         with parquet.ParquetFile(path) as file:
@@ -259,6 +261,7 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
         try:
             # a row group can be as large as the file: read it through a small buffer
             with parquet.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
+                check_pages(path, file.metadata, [name])
                 for batch in file.iter_batches(batch_size=CHUNK_RECORDS, columns=[name]):
                     column = batch.column(0)
                     if column.null_count:

@@ -323,7 +323,9 @@ def with_extra_dimensions(
     if last.n_bytes + len(new) > VLR_LIMIT:
         problem = f"the Extra Bytes VLR is full ({last.n_bytes} of {VLR_LIMIT} bytes)"
         raise OutputError(where, problem, hint)
-    grown = last.with_data((last.data or b"") + new)
+    said, size = last.data or b"", len(descriptor(dimensions[0]))
+    # readers take what is behind the last whole descriptor for one and understand none of them
+    grown = last.with_data(said[: len(said) // size * size] + new)
     return [*vlrs[: places[-1]], grown, *vlrs[places[-1] + 1 :]]
 
 

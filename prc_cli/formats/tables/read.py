@@ -185,11 +185,14 @@ class ParquetTable:
         import pyarrow as pa
         from pyarrow import parquet
 
+        from prc_cli.formats.parquet_pages import check_pages
+
         _check_names(self, names)
         stored = tuple(dict.fromkeys(self._columns[name] for name in names))
         first = 0
         try:
             with parquet.ParquetFile(self._path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
+                check_pages(self._path, file.metadata, stored)
                 for batch in file.iter_batches(batch_size=CHUNK_RECORDS, columns=list(stored)):
                     read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
                     yield RecordChunk(first, {name: read[self._columns[name]] for name in names}, batch.num_rows)

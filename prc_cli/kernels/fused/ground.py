@@ -12,6 +12,8 @@ BINS, BIN_M = 320, np.float32(0.25)
 """Number of places on either side at which the ground is remembered, and their width [m]."""
 BACK_M = np.float32(0.05)
 """The walk may go back this far on its way out, because of range noise [m]."""
+MOST_AGE = np.iinfo(np.int32).max
+"""Ages stop here [lines]."""
 
 
 @helper
@@ -96,7 +98,7 @@ def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThr
         # without branches, for vector instructions
         is_seen, mean, known_m = seen[b] != 0, profile[b], memory[b]
         followed = known_m + (mean - known_m) * follow if np.float32(age[b]) < lines else mean
-        older = age[b] + np.int32(age[b] < np.iinfo(np.int32).max)
+        older = age[b] + np.int32(age[b] < MOST_AGE)
         is_known = np.float32(older) < lines
         profile[b] = followed if is_seen else (known_m if is_known else mean)
         memory[b] = followed if is_seen else known_m
