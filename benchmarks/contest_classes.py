@@ -51,6 +51,7 @@ HELD_OUT = (
 STEPS: tuple[tuple[str, ...], ...] = (
     ("fused.flanks.enabled=false",),
     ("fused.cars.level_bins=3",),
+    ("fused.cars.roofs=false",),
     ("fused.poles.across=false",),
     ("fused.poles.beside_cars=false",),
     ("fused.poles.shots=1",),
