@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.fused import DecisionThresholds
-from prc_cli.core.types import F32, U8, Mask
+from prc_cli.core.types import F32, I64, U8, Mask
 
 MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR, POLE = 7, 11
@@ -168,7 +168,9 @@ class _Shot:
         return bool(bins >= (self.thresholds.car_bins_rough if rough else self.thresholds.car_bins))
 
     def is_standing(self, *, is_car: bool) -> bool:
-        if self.strip is None or self.level > 0 or not self.above > self.thresholds.foot_m:
+        if self.strip is None or not self.above > self.thresholds.foot_m:
+            return False
+        if self.level > 0 and not (self.above > self.thresholds.arm_m and self._is_free_across()):
             return False
         if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
             return False
@@ -203,15 +205,31 @@ class _Shot:
         free = ~(column <= self.range_m + self.thresholds.far_m)
         return bool(free[middle - lines : middle].any() and free[middle + 1 : middle + lines + 1].any())
 
-    def run_length(self) -> int:
-        """Return how many shots go on beside each other, at a similar range."""
+    def run(self) -> I64:
+        """Return the shots that go on beside each other, at a similar range."""
         ranges = self.window[self.line + MARGIN]
         held = self.counts[0][self.line + 2] >= self.thresholds.least_near
         if not held[self.i]:
-            return 1
+            return np.array([self.i])
         goes_on = (np.abs(np.diff(ranges)) < self.thresholds.jump_m) & held[1:] & held[:-1]
         number = np.concatenate([[0], np.cumsum(~goes_on)])
-        return int((number == number[self.i]).sum())
+        return np.flatnonzero(number == number[self.i])
+
+    def is_thick(self) -> bool:
+        run, limits = self.run(), self.thresholds
+        deep, tall = np.ptp(self.points[0][self.line + 2, run]), np.ptp(self.points[1][self.line + 2, run])
+        is_short = tall < np.float32(2) * limits.pole_m
+        if limits.thick_m <= deep < np.float32(0.5) * tall and is_short:
+            return True
+        column, middle = self.window[:, self.i], self.line + MARGIN
+        seen = [column[middle]]
+        for way in (-1, 1):
+            for k in range(1, MARGIN + 1):
+                there, before = column[middle + way * k], column[middle + way * (k - 1)]
+                if not np.abs(there - before) < limits.jump_m:
+                    break
+                seen.append(there)
+        return bool(max(seen) - min(seen) >= limits.thick_m)
 
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + MARGIN
@@ -241,8 +259,8 @@ class _Shot:
             if self.has_crown():
                 return VEGETATION
             is_long = self.thresholds.takes_long == 0 and not self._is_free_across(MARGIN)
-            if not is_long and self.run_length() >= self.thresholds.pole_shots:
-                return int(self.thresholds.pole_label)
+            if not is_long and len(self.run()) >= self.thresholds.pole_shots:
+                return VEGETATION if self.is_thick() else int(self.thresholds.pole_label)
         if is_car:
             return int(self.thresholds.car_label)
         return VEGETATION if rough or leaf else BUILDING

@@ -75,6 +75,12 @@ class PoleParams(Params):
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
     shots: int = Field(6, ge=1, le=1000, description="fewest shots of its run; leaves and bars of fences have fewer")
+    trunks: bool = Field(True, description="whether what is thick and round is a trunk, crown or not ...")
+    thick_m: float = Field(
+        0.15, ge=0, le=100, description="... that is, this deep from the middle of its front to its edges [m]"
+    )
+    arms: bool = Field(True, description="whether thin level things high up are poles too: arms and lamps ...")
+    arm_m: float = Field(3.0, ge=0, le=100, description="... that is, above this height [m]")
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
     across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
@@ -117,7 +123,8 @@ def decide(
     4. on the ground: ground;
     5. few near neighbours, rough and far behind a wall: noise;
     6. part of a low object with level surfaces: car;
-    7. thin and upright: vegetation below a crown (a trunk), otherwise pole;
+    7. thin and upright, or thin and high above the ground: vegetation below a crown or where it is thick (a trunk),
+       otherwise pole;
     8. in rough surroundings, and neither in a wall nor seen through its windows: vegetation;
     9. otherwise: building.
     """
@@ -162,6 +169,8 @@ def decision_thresholds(
         far_m=poles.far_m,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
+        thick_m=poles.thick_m if poles.trunks else NEVER,
+        arm_m=poles.arm_m if poles.arms else NEVER,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
         takes_long=0.0 if poles.across else 1.0,
         foot_m=poles.foot_m,

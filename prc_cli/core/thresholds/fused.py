@@ -202,6 +202,10 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32
     """Fewest shots of its run."""
+    thick_m: np.float32
+    """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
+    arm_m: np.float32
+    """Above this height thin level things may be poles: arms and lamps [m]."""
     keeps_parts: np.float32
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
     takes_long: np.float32
