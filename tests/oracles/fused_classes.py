@@ -119,13 +119,29 @@ class _Shot:
         on_ground = abs(self.above) < self.thresholds.soil_m
         return bool(self.thresholds.keeps_held > 0 and (self.smooth > 0 or on_ground or self.is_in_wall()))
 
-    def is_ghost(self) -> bool:
+    def is_ghost(self, *, rough: bool) -> bool:
         if self.strip is None or not self.near < self.thresholds.ghost_near:
             return False
         away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
-        if away == 0 or not abs(self.side) - away > self.thresholds.ghost_m:
+        beyond = abs(self.side) - away
+        far = (rough and beyond > self.thresholds.ghost_m) or (self.smooth == 0 and beyond > self.thresholds.pane_m)
+        return bool(far and away != 0 and self.height * away <= top * abs(self.side))
+
+    def is_lost_in_car(self) -> bool:
+        return bool(self.smooth == 0 and self.near < self.thresholds.cabin_near)
+
+    def _is_about_wall(self, most_m: np.float32) -> bool:
+        """Return whether a shot is a little before a wall, or not farther than this behind it, at any height."""
+        if self.strip is None:
             return False
-        return bool(self.height * away <= top * abs(self.side))
+        at = self.walls[0][self.line, self.strip]
+        return bool(at != 0 and -self.thresholds.front_m <= abs(self.side) - abs(at) <= most_m)
+
+    def is_facade(self) -> bool:
+        limits = self.thresholds
+        if not (self._is_about_wall(limits.roof_m) and self._is_about_wall(limits.behind_m)):
+            return False
+        return bool(self.walls[1][self.line, self.strip] > 0)
 
     def is_spike(self) -> bool:
         if self.smooth > 0:
@@ -153,6 +169,7 @@ class _Shot:
         before = abs(ahead) - abs(self.side)
         near_wall = ahead != 0 and -WIDTH <= before <= self.thresholds.before_m
         limits = self.thresholds
+        near_wall = near_wall or self._is_about_wall(limits.roof_m)
         return np.float32(limits.leaf_share_before_wall if near_wall else limits.leaf_share)
 
     def is_low_with_level(self, *, rough: bool) -> bool:
@@ -251,10 +268,10 @@ class _Shot:
             return NOISE
         if self.is_ground():
             return GROUND
-        rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall()
-        if rough and self.is_ghost():
-            return NOISE
+        rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall() and not self.is_facade()
         is_car = self.is_low_with_level(rough=rough)
+        if self.is_ghost(rough=rough) or (is_car and self.is_lost_in_car()):
+            return NOISE
         if self.is_standing(is_car=is_car) and self.is_thin():
             if self.has_crown():
                 return VEGETATION

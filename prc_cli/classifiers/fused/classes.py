@@ -41,6 +41,10 @@ class NoiseParams(Params):
     ghost_near: int = Field(
         6, ge=0, le=28, description="... and such shots have fewer near neighbours than this, of 28"
     )
+    panes: bool = Field(
+        True,
+        description="whether shots with few neighbours and no smooth pair are noise behind a wall, and alone in a car",
+    )
 
 
 class LeavesParams(Params):
@@ -121,11 +125,12 @@ def decide(
     2. a spike: noise;
     3. rough and far below the ground: noise;
     4. on the ground: ground;
-    5. few near neighbours, rough and far behind a wall: noise;
+    5. few near neighbours behind a wall, and either no smooth pair, or rough and far behind it: noise; so is what is
+       isolated in a car without a smooth pair;
     6. part of a low object with level surfaces: car;
     7. thin and upright, or thin and high above the ground: vegetation below a crown or where it is thick (a trunk),
        otherwise pole;
-    8. in rough surroundings, and neither in a wall nor seen through its windows: vegetation;
+    8. in rough surroundings, and neither in or above a wall nor seen through its windows: vegetation;
     9. otherwise: building.
     """
     labels: U8 = kernels.fused_labels(
@@ -161,6 +166,7 @@ def decision_thresholds(
         front_m=walls.front_m,
         behind_m=walls.behind_m,
         over_m=walls.over_m,
+        roof_m=walls.roof_m if walls.roofs else -NEVER,
         car_top_m=cars.top_m,
         car_bins=cars.level_bins if cars.enabled else NEVER,
         car_bins_rough=cars.level_bins_rough if cars.enabled else NEVER,
@@ -177,6 +183,8 @@ def decision_thresholds(
         keeps_held=1.0 if noise.held else 0.0,
         ghost_m=noise.ghost_m,
         ghost_near=noise.ghost_near if noise.ghosts else 0,
+        pane_m=walls.behind_m if noise.panes else NEVER,
+        cabin_near=least_near if noise.panes else 0,
         car_label=Label.CAR if cars.named else Label.UNCLASSIFIED,
         pole_label=Label.POLE if poles.named else Label.UNCLASSIFIED,
     )

@@ -246,10 +246,11 @@ def _reason(place: _Place, label: Label, params: FusedParams) -> tuple[str, tupl
         )  # fmt: skip
     if label == Label.BUILDING:
         if place.texture < leaves.share:
-            told = "rough surroundings, but in a wall, seen through it, or close before one"
+            told = "rough surroundings, but in or above a wall, seen through it, or close to one"
             return told, (
                 ("fused.walls.front_m", params.walls.front_m),
                 ("fused.walls.behind_m", params.walls.behind_m),
+                ("fused.walls.roof_m", params.walls.roof_m),
             )
         return "no test before applies: something smooth above the ground", (("fused.leaves.share", leaves.share),)
     return "a car or a pole, which have no class of their own here", (
@@ -274,6 +275,9 @@ def _why_noise(place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str
         return told, (("fused.noise.spike_share", noise.spike_share),)
     if place.above_m < -params.ground.below_m and place.smooth < BELOW_SMOOTH:
         return "rough and far below the ground", (("fused.ground.below_m", params.ground.below_m),)
+    if noise.panes and place.smooth == 0:
+        told = "few neighbours and no smooth pair, behind a wall or alone in a car: a reflection in a pane"
+        return told, (("fused.walls.behind_m", params.walls.behind_m), ("fused.noise.ghost_near", noise.ghost_near))
     told = "few neighbours, rough, and seen far behind a wall"
     return told, (("fused.noise.ghost_m", noise.ghost_m), ("fused.noise.ghost_near", noise.ghost_near))
 

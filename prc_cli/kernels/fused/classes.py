@@ -490,26 +490,34 @@ def _label_things(
     Without branches, so that the compiler can use vector instructions.
     """
     side, height, above = points
-    near, _, _, level = counts
+    near, smooth, _, level = counts
     at, top, ahead, car_below, rough_below = found
     leaf_share, share_before = thresholds.leaf_share, thresholds.leaf_share_before_wall
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
     car = np.uint8(thresholds.car_label)
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
     nothing, arm_m = np.float32(0.0), thresholds.arm_m
+    front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
+    pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
     for i in range(len(labels)):
         y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
         is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
         is_wall = _in_wall(y, z, at[i], end, thresholds)
         before = abs(ahead[i]) - abs(y)
         is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
-        is_soft = texture < (share_before if is_before else leaf_share)
-        is_rough = is_soft & (not (is_wall & is_here))
+        beyond = abs(y) - wall
+        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & is_here
+        is_soft = texture < (share_before if is_before | is_roof else leaf_share)
+        is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
+        is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
         is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
         label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
         label = car if is_car else label
-        is_behind = (wall != nothing) & (abs(y) - wall > ghost_m) & (z * wall <= end * abs(y))
-        is_ghost = is_behind & (np.float32(near[i]) < ghost_near) & is_rough & is_here
+        is_bare = smooth[i] == 0
+        is_past = (wall != nothing) & (z * wall <= end * abs(y)) & is_here
+        is_far = ((beyond > ghost_m) & is_rough) | ((beyond > pane_m) & is_bare)
+        is_lost = is_bare & is_car & (np.float32(near[i]) < cabin_near)
+        is_ghost = (is_past & is_far & (np.float32(near[i]) < ghost_near)) | is_lost
         label = np.uint8(_NOISE) if is_ghost else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
