@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.fused import DecisionThresholds
-from prc_cli.core.types import F32, U8, Mask
+from prc_cli.core.types import F32, I64, U8, Mask
 
 MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR, POLE = 7, 11
@@ -119,13 +119,29 @@ class _Shot:
         on_ground = abs(self.above) < self.thresholds.soil_m
         return bool(self.thresholds.keeps_held > 0 and (self.smooth > 0 or on_ground or self.is_in_wall()))
 
-    def is_ghost(self) -> bool:
+    def is_ghost(self, *, rough: bool) -> bool:
         if self.strip is None or not self.near < self.thresholds.ghost_near:
             return False
         away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
-        if away == 0 or not abs(self.side) - away > self.thresholds.ghost_m:
+        beyond = abs(self.side) - away
+        far = (rough and beyond > self.thresholds.ghost_m) or (self.smooth == 0 and beyond > self.thresholds.pane_m)
+        return bool(far and away != 0 and self.height * away <= top * abs(self.side))
+
+    def is_lost_in_car(self) -> bool:
+        return bool(self.smooth == 0 and self.near < self.thresholds.cabin_near)
+
+    def _is_about_wall(self, most_m: np.float32) -> bool:
+        """Return whether a shot is a little before a wall, or not farther than this behind it, at any height."""
+        if self.strip is None:
             return False
-        return bool(self.height * away <= top * abs(self.side))
+        at = self.walls[0][self.line, self.strip]
+        return bool(at != 0 and -self.thresholds.front_m <= abs(self.side) - abs(at) <= most_m)
+
+    def is_facade(self) -> bool:
+        limits = self.thresholds
+        if not (self._is_about_wall(limits.roof_m) and self._is_about_wall(limits.behind_m)):
+            return False
+        return bool(self.walls[1][self.line, self.strip] > 0)
 
     def is_spike(self) -> bool:
         if self.smooth > 0:
@@ -153,6 +169,7 @@ class _Shot:
         before = abs(ahead) - abs(self.side)
         near_wall = ahead != 0 and -WIDTH <= before <= self.thresholds.before_m
         limits = self.thresholds
+        near_wall = near_wall or self._is_about_wall(limits.roof_m)
         return np.float32(limits.leaf_share_before_wall if near_wall else limits.leaf_share)
 
     def is_low_with_level(self, *, rough: bool) -> bool:
@@ -168,7 +185,9 @@ class _Shot:
         return bool(bins >= (self.thresholds.car_bins_rough if rough else self.thresholds.car_bins))
 
     def is_standing(self, *, is_car: bool) -> bool:
-        if self.strip is None or self.level > 0 or not self.above > self.thresholds.foot_m:
+        if self.strip is None or not self.above > self.thresholds.foot_m:
+            return False
+        if self.level > 0 and not (self.above > self.thresholds.arm_m and self._is_free_across()):
             return False
         if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
             return False
@@ -203,15 +222,31 @@ class _Shot:
         free = ~(column <= self.range_m + self.thresholds.far_m)
         return bool(free[middle - lines : middle].any() and free[middle + 1 : middle + lines + 1].any())
 
-    def run_length(self) -> int:
-        """Return how many shots go on beside each other, at a similar range."""
+    def run(self) -> I64:
+        """Return the shots that go on beside each other, at a similar range."""
         ranges = self.window[self.line + MARGIN]
         held = self.counts[0][self.line + 2] >= self.thresholds.least_near
         if not held[self.i]:
-            return 1
+            return np.array([self.i])
         goes_on = (np.abs(np.diff(ranges)) < self.thresholds.jump_m) & held[1:] & held[:-1]
         number = np.concatenate([[0], np.cumsum(~goes_on)])
-        return int((number == number[self.i]).sum())
+        return np.flatnonzero(number == number[self.i])
+
+    def is_thick(self) -> bool:
+        run, limits = self.run(), self.thresholds
+        deep, tall = np.ptp(self.points[0][self.line + 2, run]), np.ptp(self.points[1][self.line + 2, run])
+        is_short = tall < np.float32(2) * limits.pole_m
+        if limits.thick_m <= deep < np.float32(0.5) * tall and is_short:
+            return True
+        column, middle = self.window[:, self.i], self.line + MARGIN
+        seen = [column[middle]]
+        for way in (-1, 1):
+            for k in range(1, MARGIN + 1):
+                there, before = column[middle + way * k], column[middle + way * (k - 1)]
+                if not np.abs(there - before) < limits.jump_m:
+                    break
+                seen.append(there)
+        return bool(max(seen) - min(seen) >= limits.thick_m)
 
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + MARGIN
@@ -233,16 +268,16 @@ class _Shot:
             return NOISE
         if self.is_ground():
             return GROUND
-        rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall()
-        if rough and self.is_ghost():
-            return NOISE
+        rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall() and not self.is_facade()
         is_car = self.is_low_with_level(rough=rough)
+        if self.is_ghost(rough=rough) or (is_car and self.is_lost_in_car()):
+            return NOISE
         if self.is_standing(is_car=is_car) and self.is_thin():
             if self.has_crown():
                 return VEGETATION
             is_long = self.thresholds.takes_long == 0 and not self._is_free_across(MARGIN)
-            if not is_long and self.run_length() >= self.thresholds.pole_shots:
-                return int(self.thresholds.pole_label)
+            if not is_long and len(self.run()) >= self.thresholds.pole_shots:
+                return VEGETATION if self.is_thick() else int(self.thresholds.pole_label)
         if is_car:
             return int(self.thresholds.car_label)
         return VEGETATION if rough or leaf else BUILDING

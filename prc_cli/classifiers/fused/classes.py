@@ -41,6 +41,10 @@ class NoiseParams(Params):
     ghost_near: int = Field(
         6, ge=0, le=28, description="... and such shots have fewer near neighbours than this, of 28"
     )
+    panes: bool = Field(
+        True,
+        description="whether shots with few neighbours and no smooth pair are noise behind a wall, and alone in a car",
+    )
 
 
 class LeavesParams(Params):
@@ -98,6 +102,12 @@ class PoleParams(Params):
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
     shots: int = Field(6, ge=1, le=1000, description="fewest shots of its run; leaves and bars of fences have fewer")
+    trunks: bool = Field(True, description="whether what is thick and round is a trunk, crown or not ...")
+    thick_m: float = Field(
+        0.15, ge=0, le=100, description="... that is, this deep from the middle of its front to its edges [m]"
+    )
+    arms: bool = Field(True, description="whether thin level things high up are poles too: arms and lamps ...")
+    arm_m: float = Field(3.0, ge=0, le=100, description="... that is, above this height [m]")
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
     across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
@@ -138,10 +148,12 @@ def decide(
     2. a spike: noise;
     3. rough and far below the ground: noise;
     4. on the ground: ground;
-    5. few near neighbours, rough and far behind a wall: noise;
+    5. few near neighbours behind a wall, and either no smooth pair, or rough and far behind it: noise; so is what is
+       isolated in a car without a smooth pair;
     6. part of a low object with level surfaces: car;
-    7. thin and upright: vegetation below a crown (a trunk), otherwise pole;
-    8. in rough surroundings, and neither in a wall nor seen through its windows: vegetation;
+    7. thin and upright, or thin and high above the ground: vegetation below a crown or where it is thick (a trunk),
+       otherwise pole;
+    8. in rough surroundings, and neither in or above a wall nor seen through its windows: vegetation;
     9. otherwise: building.
     """
     labels: U8 = kernels.fused_labels(
@@ -177,6 +189,7 @@ def decision_thresholds(
         front_m=walls.front_m,
         behind_m=walls.behind_m,
         over_m=walls.over_m,
+        roof_m=walls.roof_m if walls.roofs else -NEVER,
         car_top_m=cars.top_m,
         car_bins=cars.level_bins if cars.enabled else NEVER,
         car_bins_rough=cars.level_bins_rough if cars.enabled else NEVER,
@@ -185,12 +198,16 @@ def decision_thresholds(
         far_m=poles.far_m,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
+        thick_m=poles.thick_m if poles.trunks else NEVER,
+        arm_m=poles.arm_m if poles.arms else NEVER,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
         takes_long=0.0 if poles.across else 1.0,
         foot_m=poles.foot_m,
         keeps_held=1.0 if noise.held else 0.0,
         ghost_m=noise.ghost_m,
         ghost_near=noise.ghost_near if noise.ghosts else 0,
+        pane_m=walls.behind_m if noise.panes else NEVER,
+        cabin_near=least_near if noise.panes else 0,
         car_label=Label.CAR if cars.named else Label.UNCLASSIFIED,
         pole_label=Label.POLE if poles.named else Label.UNCLASSIFIED,
     )

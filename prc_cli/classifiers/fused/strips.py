@@ -67,6 +67,10 @@ class WallParams(Params):
         le=100,
         description="up to this far in front of a wall, foliage must be rougher, because of balconies [m]",
     )
+    roofs: bool = Field(True, description="whether walls above the scanner go on upwards, with roofs behind")
+    roof_m: float = Field(
+        6.0, ge=0, le=100, description="foliage must be as rough up to this far behind a wall as before it [m]"
+    )
 
     def thresholds(self) -> WallThresholds:
         """Return the thresholds of the loop."""

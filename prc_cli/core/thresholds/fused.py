@@ -189,6 +189,8 @@ class DecisionThresholds(NamedTuple):
     """So are shots seen through it, up to this far behind [m]."""
     over_m: np.float32
     """Lines of sight up to this far above its top count as through it [m]."""
+    roof_m: np.float32
+    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m]."""
     car_top_m: np.float32
     """Things that reach above this are no cars [m]."""
     car_bins: np.float32
@@ -205,6 +207,10 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32
     """Fewest shots of its run."""
+    thick_m: np.float32
+    """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
+    arm_m: np.float32
+    """Above this height thin level things may be poles: arms and lamps [m]."""
     keeps_parts: np.float32
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
     takes_long: np.float32
@@ -217,6 +223,10 @@ class DecisionThresholds(NamedTuple):
     """Shots farther behind a wall than this may be ghosts [m] ..."""
     ghost_near: np.float32
     """... if they have fewer near neighbours than this."""
+    pane_m: np.float32
+    """So are shots without any smooth pair farther behind a wall than this [m]."""
+    cabin_near: np.float32
+    """Shots of a car without any smooth pair and with fewer near neighbours than this are noise."""
     car_label: np.float32
     """Label of cars."""
     pole_label: np.float32

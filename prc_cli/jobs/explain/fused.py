@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.classifiers.fused.classes import decide, decision_thresholds, vote
+from prc_cli.classifiers.fused.classes import PoleParams, decide, decision_thresholds, vote
 from prc_cli.classifiers.fused.ground import Ground
 from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.pipeline import (
@@ -236,25 +236,34 @@ def _reason(place: _Place, label: Label, params: FusedParams) -> tuple[str, tupl
         told = "low, with level surfaces around that are wide enough"
         return told, (("fused.cars.level_bins", cars.level_bins), ("fused.cars.top_m", cars.top_m))
     if label == Label.POLE:
-        told = "upright and thin: lines beside it, or shots above and below, see past it"
-        return told, (("fused.poles.height_m", poles.height_m), ("fused.poles.far_m", poles.far_m))
+        return _why_pole(place, poles)
     if label == Label.VEGETATION:
         if place.near < params.company.least:
             return "isolated, among other rough shots: a leaf", (("fused.noise.leaf_slots", noise.leaf_slots),)
         if place.texture < leaves.share:
             return "rough surroundings, not in a wall", (("fused.leaves.share", leaves.share),)
-        return "thin and upright below a crown: a trunk", (("fused.poles.crown_slots", poles.crown_slots),)
+        return "thin and upright, below a crown or as thick as a trunk", (
+            ("fused.poles.crown_slots", poles.crown_slots), ("fused.poles.thick_m", poles.thick_m),
+        )  # fmt: skip
     if label == Label.BUILDING:
         if place.texture < leaves.share:
-            told = "rough surroundings, but in a wall, seen through it, or close before one"
+            told = "rough surroundings, but in or above a wall, seen through it, or close to one"
             return told, (
                 ("fused.walls.front_m", params.walls.front_m),
                 ("fused.walls.behind_m", params.walls.behind_m),
+                ("fused.walls.roof_m", params.walls.roof_m),
             )
         return "no test before applies: something smooth above the ground", (("fused.leaves.share", leaves.share),)
     return "a car or a pole, which have no class of their own here", (
         ("fused.cars.named", cars.named), ("fused.poles.named", poles.named),
     )  # fmt: skip
+
+
+def _why_pole(place: _Place, poles: PoleParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
+    if place.level > 0:
+        return "thin and high above the ground: an arm or a lamp", (("fused.poles.arm_m", poles.arm_m),)
+    told = "upright and thin: lines beside it, or shots above and below, see past it"
+    return told, (("fused.poles.height_m", poles.height_m), ("fused.poles.far_m", poles.far_m))
 
 
 def _why_noise(place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
@@ -267,6 +276,9 @@ def _why_noise(place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str
         return told, (("fused.noise.spike_share", noise.spike_share),)
     if place.above_m < -params.ground.below_m and place.smooth < BELOW_SMOOTH:
         return "rough and far below the ground", (("fused.ground.below_m", params.ground.below_m),)
+    if noise.panes and place.smooth == 0:
+        told = "few neighbours and no smooth pair, behind a wall or alone in a car: a reflection in a pane"
+        return told, (("fused.walls.behind_m", params.walls.behind_m), ("fused.noise.ghost_near", noise.ghost_near))
     told = "few neighbours, rough, and seen far behind a wall"
     return told, (("fused.noise.ghost_m", noise.ghost_m), ("fused.noise.ghost_near", noise.ghost_near))
 

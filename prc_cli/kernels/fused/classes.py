@@ -264,6 +264,32 @@ def _is_passed(window_m: F32, line: int, i: int, far: np.float32) -> bool:
     return sides == 2
 
 
+@inlined
+def _is_round(deep: np.float32, tall: np.float32, thresholds: DecisionThresholds) -> bool:
+    """Return whether a short run is as deep as the front half of a trunk.
+
+    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep as its radius, and
+    at least three times as high. What is deeper than that is something else, as is what goes up the whole line.
+    """
+    is_round = (deep >= thresholds.thick_m) & (deep < np.float32(0.5) * tall)
+    return bool(is_round & (tall < np.float32(2.0) * thresholds.pole_m))
+
+
+@inlined
+def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.float32:
+    """Return how deep the thing is that lines before and after see in the direction of a shot."""
+    least = most = window_m[line, i]
+    for way in (-1, 1):
+        last = window_m[line, i]
+        for k in range(1, MARGIN + 1):
+            there = window_m[line + way * k, i]
+            if not (abs(there - last) < jump):
+                break
+            least, most = min(least, there), max(most, there)
+            last = there
+    return np.float32(most - least)
+
+
 @helper
 def _mark_thin(window_m: F32, line: int, far: np.float32, thin: U8) -> None:
     """Mark the shots of a line that may be thin: lines on both sides see nothing, or only far things, there."""
@@ -464,30 +490,39 @@ def _label_things(
     Without branches, so that the compiler can use vector instructions.
     """
     side, height, above = points
-    near, _, _, level = counts
+    near, smooth, _, level = counts
     at, top, ahead, car_below, rough_below = found
     leaf_share, share_before = thresholds.leaf_share, thresholds.leaf_share_before_wall
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
     car = np.uint8(thresholds.car_label)
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
-    nothing = np.float32(0.0)
+    nothing, arm_m = np.float32(0.0), thresholds.arm_m
+    front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
+    pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
     for i in range(len(labels)):
         y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
         is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
         is_wall = _in_wall(y, z, at[i], end, thresholds)
         before = abs(ahead[i]) - abs(y)
         is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
-        is_soft = texture < (share_before if is_before else leaf_share)
-        is_rough = is_soft & (not (is_wall & is_here))
+        beyond = abs(y) - wall
+        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & is_here
+        is_soft = texture < (share_before if is_before | is_roof else leaf_share)
+        is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
+        is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
         is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
         label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
         label = car if is_car else label
-        is_behind = (wall != nothing) & (abs(y) - wall > ghost_m) & (z * wall <= end * abs(y))
-        is_ghost = is_behind & (np.float32(near[i]) < ghost_near) & is_rough & is_here
+        is_bare = smooth[i] == 0
+        is_past = (wall != nothing) & (z * wall <= end * abs(y)) & is_here
+        is_far = ((beyond > ghost_m) & is_rough) | ((beyond > pane_m) & is_bare)
+        is_lost = is_bare & is_car & (np.float32(near[i]) < cabin_near)
+        is_ghost = (is_past & is_far & (np.float32(near[i]) < ghost_near)) | is_lost
         label = np.uint8(_NOISE) if is_ghost else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
-        may_be_pole = is_open & is_here & (level[i] == 0) & (h > foot) & (texture >= leaf_share) & (not is_ghost)
+        is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
+        may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
         is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
         poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
 
@@ -511,22 +546,27 @@ def _label_poles(
     least, jump, high_m = thresholds.least_near, thresholds.jump_m, thresholds.pole_m
     pole, takes_long = np.uint8(thresholds.pole_label), thresholds.takes_long > 0
     first, end, low, high = 0, 0, np.float32(0.0), np.float32(0.0)
+    inner, outer = np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
         if np.float32(near[i]) < least:
             low = high = height[i]
+            inner = outer = side[i]
             first, end = i, i + 1
         elif i >= end:
             # extent of the shots around that go on without a gap: the run of a shot far from the lowest or highest of
             # them is high too, and need not be followed
             first = i
             low = high = height[i]
+            inner = outer = side[i]
             while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
                 first -= 1
                 low, high = min(low, height[first]), max(high, height[first])
+                inner, outer = min(inner, side[first]), max(outer, side[first])
             end = i + 1
             while end < m and np.float32(near[end]) >= least and abs(ranges[end] - ranges[end - 1]) < jump:
                 low, high = min(low, height[end]), max(high, height[end])
+                inner, outer = min(inner, side[end]), max(outer, side[end])
                 end += 1
         own = height[i]
         is_high = (high - own >= high_m) | (own - low >= high_m)
@@ -538,7 +578,9 @@ def _label_poles(
             elif np.float32(end - first) >= thresholds.pole_shots and (
                 takes_long or _is_passed(window_m, line, i, thresholds.far_m)
             ):
-                labels[i] = pole
+                is_thick = _is_round(outer - inner, high - low, thresholds)
+                is_thick = is_thick or bool(_depth_across(window_m, line, i, jump) >= thresholds.thick_m)
+                labels[i] = np.uint8(_VEGETATION) if is_thick else pole
 
 
 @kernel(

@@ -84,3 +84,46 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     high = hit & (HEIGHT_M - np.broadcast_to(post * DOWN, ranges.shape) > 0.5)
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
     assert (classified(ranges, poles={"named": False})[high] == Label.UNCLASSIFIED).mean() > 0.7
+
+
+def test_a_thick_trunk_without_a_crown_is_no_pole(street: tuple[F32, U8]) -> None:
+    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
+    for line in (20, 21, 22):
+        # lines 29 cm apart see a round trunk of 60 cm from its middle to its edges
+        trunk = surface(-3.3 + np.sqrt(0.3**2 - (0.29 * (line - 21)) ** 2), 0.0, 5.0)
+        hit[line] = np.isfinite(trunk)
+        ranges[line, hit[line]] = trunk[hit[line]]
+    high = hit & (HEIGHT_M - ranges * DOWN > 0.5)
+    assert (classified(ranges)[high] == Label.VEGETATION).mean() > 0.9
+    assert (classified(ranges, poles={"trunks": False})[high] == Label.POLE).mean() > 0.5
+
+
+def test_the_arm_of_a_lamp_is_a_pole(street: tuple[F32, U8]) -> None:
+    ranges = street[0].copy()
+    above = DOWN < -0.1
+    arm = np.where(above, -2.0 / np.where(above, DOWN, 1.0), 0.0)
+    hit = np.zeros(ranges.shape, np.bool_)
+    hit[20] = above & (arm * SIDE < -1.3) & (arm * SIDE > -2.6)
+    ranges[hit] = np.broadcast_to(arm, ranges.shape)[hit]
+    assert (classified(ranges)[hit] == Label.POLE).mean() > 0.8
+    assert (classified(ranges, poles={"arms": False})[hit] == Label.BUILDING).mean() > 0.8
+
+
+def test_what_a_pane_mirrors_is_noise(street: tuple[F32, U8]) -> None:
+    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
+    for column in range(1200, 1300, 12):
+        hit[20:23, column : column + 2] = street[1][20:23, column : column + 2] == BUILDING
+    ranges[hit] = ranges[hit] * 1.6 + np.random.default_rng(2).uniform(-0.1, 0.1, int(hit.sum()))
+    assert hit.sum() > 30
+    assert (classified(ranges)[hit] == Label.NOISE).mean() > 0.8
+    assert (classified(ranges, noise={"panes": False})[hit] == Label.NOISE).mean() < 0.6
+
+
+def test_a_facade_goes_on_above_what_is_smooth_of_it(street: tuple[F32, U8]) -> None:
+    ranges, rng = street[0].copy(), np.random.default_rng(2)
+    high = np.broadcast_to((SIDE > 0) & (-7.0 / np.maximum(SIDE, 0.1) * DOWN > 6.5), ranges.shape)
+    high = high & (-7.0 / np.maximum(SIDE, 0.1) * DOWN < 8.0)
+    ranges[high] = (7.0 + rng.uniform(0.0, 1.2, int(high.sum()))) / np.broadcast_to(SIDE, ranges.shape)[high]
+    kept = high & (classified(ranges) != Label.NOISE)
+    assert (classified(ranges)[kept] == Label.BUILDING).mean() > 0.9
+    assert (classified(ranges, walls={"roofs": False})[kept] == Label.VEGETATION).mean() > 0.9
