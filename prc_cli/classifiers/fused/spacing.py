@@ -161,13 +161,14 @@ def _begin(first_line: int) -> int:
 
 def _stride(sums: F64, now: int, params: SpacingParams) -> int:
     """Return the least distance at which few enough leaves are seen again."""
-    if not sums[0, 0] >= params.least:
+    counts = sums.tolist()
+    if not counts[0][0] >= params.least:
         return now
     # leaves that are as far by chance: as many as in the line itself
-    chance = float(sums[-1, 1] / max(sums[-1, 0], 1.0))
-    for k, lag in enumerate(LAGS):
+    chance = counts[-1][1] / max(counts[-1][0], 1.0)
+    for lag, (there, again) in zip(LAGS, counts, strict=False):
         limit = params.keep_share if now == STANDS or lag < now else params.share
-        if not sums[k, 1] > (chance + limit * (1.0 - chance)) * sums[k, 0]:
+        if not again > (chance + limit * (1.0 - chance)) * there:
             return lag
     return STANDS
 
