@@ -142,16 +142,16 @@ def strides_of(
     sums, stride = known.sums, known.stride
     strides = np.full(n_lines + 2 * BESIDE_LINES, stride, np.int64)
     begin, after = _begin(first_line), known
-    for k in range(len(counts)):
+    is_after = False
+    # the distance changes at lines that were compared only
+    for k in range(-(first_line + begin) % EVERY_LINE, len(counts), EVERY_LINE):
         line = begin + k
-        if line == n_lines + COUNTED_LINES:
-            after = Spacing(sums, stride)
-        if (first_line + line) % EVERY_LINE == 0:
-            sums = sums * params.decay + counts[k]
-            stride = _stride(sums, stride, params)
-        if line >= COUNTED_LINES:
-            strides[line - COUNTED_LINES] = stride
-    return strides, after
+        if line >= n_lines + COUNTED_LINES and not is_after:
+            after, is_after = Spacing(sums, stride), True
+        sums = sums * params.decay + counts[k]
+        stride = _stride(sums, stride, params)
+        strides[max(line - COUNTED_LINES, 0) :] = stride
+    return strides, after if is_after else Spacing(sums, stride)
 
 
 def _begin(first_line: int) -> int:
