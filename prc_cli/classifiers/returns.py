@@ -14,6 +14,10 @@ ADJACENT = tuple((line, column) for line in (-1, 1) for column in (-1, 0, 1))
 """Cells compared in the lines before and after."""
 
 
+BESIDE = 4
+"""Greatest distance of these cells, in columns."""
+
+
 @stage("further returns")
 def label_extra_returns(
     range_m: F32,
@@ -65,15 +69,23 @@ def label_extra_returns(
     found = np.where(np.isnan(range_m_extra), np.uint8(Label.MISSING), np.uint8(alone))
     if not len(found):
         return found
-    nearest = np.full(len(line), np.inf)
     n_lines, n_columns = range_m.shape
-    for cells, zeta in ((IN_SLICE, zeta_p), (ADJACENT, zeta_s)):
-        for lines_away, columns_away in cells:
-            y, x = line + lines_away, column + columns_away
-            exists = (y >= 0) & (y < n_lines) & (x >= 0) & (x < n_columns)
-            y, x = np.where(exists, y, 0), np.where(exists, x, 0)
-            difference = np.abs(range_m_extra - range_m[y, x]).astype(np.float64)
-            better = exists & (difference < zeta) & (difference < nearest)
-            nearest[better] = difference[better]
-            found[better] = labels[y, x][better]
+    # with empty cells around, all neighbours of a cell are as far from it in memory
+    width = n_columns + 2 * BESIDE
+    cells_m = np.full((n_lines + 2, width), np.nan, np.float32)
+    cells_m[1:-1, BESIDE:-BESIDE] = range_m
+    cells = cells_m.ravel()
+    own = (line.astype(np.int64) + 1) * width + column + BESIDE
+    nearest, chosen = np.full(len(line), np.inf), np.full(len(line), -1)  # differences, cells
+    for around, zeta in ((IN_SLICE, zeta_p), (ADJACENT, zeta_s)):
+        nearest = np.minimum(np.where(chosen >= 0, nearest, np.inf), zeta)
+        for lines_away, columns_away in around:
+            cell = own + (lines_away * width + columns_away)
+            difference = np.abs(range_m_extra - cells[cell])
+            better = difference < nearest
+            np.copyto(nearest, difference, where=better)
+            np.copyto(chosen, cell, where=better)
+    agrees = chosen >= 0
+    y, x = np.divmod(chosen[agrees], width)
+    found[agrees] = labels[y - 1, x - BESIDE]
     return found

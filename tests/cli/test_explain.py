@@ -16,6 +16,7 @@ from prc_cli.core.classes import Label
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.explain import Explanation, explain
 from prc_cli.simulation.settings import Kind
+from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
 
 SHOTS = 6
@@ -44,12 +45,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }  # fmt: skip
     for name, (kind, options) in scans.items():
         simulate(kind, place / f"{name}.npz", load_settings(kind, options=options))
+    ranges, _ = street_lines(40, noise_m=0.0)
+    lines = np.concatenate([np.arange(8), np.arange(32, 128) // 4, np.full(40, 32)])  # slow, then standing
+    noise = np.random.default_rng(3).normal(0, 0.002, (len(lines), len(BEAM)))
+    np.savez(place / "slow.npz", range_m=(ranges[lines] + noise).astype(np.float32), angle_deg=np.rad2deg(BEAM))
     return place
 
 
 CASES = [
     ("street", "urban"), ("street", "fused"), ("street", "street-scan"), ("street", None), ("static", "street-scan"),
-    ("forest", "forest"), ("forest", "fused-forest"), ("forest", "urban"),
+    ("forest", "forest"), ("forest", "fused-forest"), ("forest", "urban"), ("slow", "fused"),
 ]  # fmt: skip
 
 

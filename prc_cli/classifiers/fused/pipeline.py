@@ -11,11 +11,12 @@ block after block. All others need the block and 13 lines before and after it, 3
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
@@ -78,7 +79,7 @@ from prc_cli.classifiers.fused.spacing import (
     spaced_pairs,
     strides_of,
 )
-from prc_cli.classifiers.fused.strips import FlankParams, StripsParams, WallParams, stand
+from prc_cli.classifiers.fused.strips import FlankParams, Standing, StripsParams, WallParams, stand
 from prc_cli.classifiers.fused.terrain import heights_over_ground
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
@@ -88,6 +89,12 @@ FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label looks at."""
+MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
+"""Lines of a stream before and after a block that its labels depend on."""
+MOST_APART = 8
+"""Most lines from one to the next of a stream of close lines: too few beside the block are known for more."""
+FARTHEST_BESIDE = 4
+"""Greatest distance of neighbours of those lines of such a stream that are beside the block."""
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
@@ -153,6 +160,8 @@ class FusedState:
     profiles: U8
     """Marks of lines across cars, where shots are far apart."""
 
+
+AnyArray = NDArray[Any]
 
 TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
 LINE, SPACING = Part[int]("line"), Part[Spacing]("spacing")
@@ -275,7 +284,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         """Return the heights in the scan plane that the labels of a block were decided by."""
         if self.params.environment == "forest":
             return heights_over_ground(block.range_m, scanner.plane, self.params.forest.terrain)
-        ground: Ground = heard.results[MEMORY.name]
+        ground: Grounds = heard.results[MEMORY.name]
         before = (len(ground.above_m) - block.n_lines) // 2
         return ground.above_m[before : before + block.n_lines]
 
@@ -344,18 +353,167 @@ def _classify(
     window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
     noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
     strides = _strides(wide, scanner, noise_m, turn, params)
-    smooth = spaced_pairs(wide, strides, plane, noise_m, params.smoothness)
-    seen = see(window, smooth, plane, params)
-    ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
-    evidence = evidence_of(seen, ground.above_m, plane, params)
-    labels = _decide(seen, wide[OUTSIDE_LINES:-OUTSIDE_LINES], ground, evidence, plane, params)
+    apart = lines_apart(strides)
+    streams = streams_of(wide, strides, plane, noise_m, params)
+    grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, plane, memory, params))
+    found = [
+        evidence_of(stream.seen, own.above_m, plane, params) for stream, own in zip(streams, grounds.parts, strict=True)
+    ]
+    decided = [
+        _decide(stream.seen, stream.wide_m, own, evidence, plane, params)
+        for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
+    ]
+    labels = _woven(decided, streams, apart)
+    evidence = _woven_evidence(found, grounds.above_m, streams, apart)
     if are_wanted(plane, params.cars):
-        labels = _with_cars(labels, range_m, ground, evidence, turn, plane, params)
+        labels = _with_cars(labels, range_m, grounds, evidence, turn, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
         return labels, evidence
     limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
     own = strides[BESIDE_LINES:-BESIDE_LINES]
     return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits)), evidence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """Every so many lines of a block, as a stream of their own."""
+
+    first: int
+    """The first of its lines in the block."""
+    every: int
+    seen: Seen
+    wide_m: F32
+    """Ranges of its lines and of :data:`MARGIN_LINES` before and after them [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grounds(Ground):
+    """The ground of the lines of a block, and perhaps of lines around, as many before as after."""
+
+    parts: tuple[Ground, ...]
+    """That of the lines of every stream."""
+
+
+def lines_apart(strides: I64) -> I64:
+    """Return how far the lines of the streams are apart in which a block's lines are labelled.
+
+    >>> lines_apart(np.array([1, 1, 1, 0, 1, 4, 16, 1, 1, 1])).tolist()
+    [1, 1, 4, 8]
+    """
+    return np.clip(strides[BESIDE_LINES:-BESIDE_LINES], 1, MOST_APART)
+
+
+def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: float, params: FusedParams) -> list[Stream]:
+    """Look at the lines of a block; where they lie close together, as if lines between them had not been scanned.
+
+    Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide as they usually are.
+    Where the platform stands all lines are looked at.
+
+    Parameters
+    ----------
+    wide : (lines + 2 SPACED_LINES, M) float32
+        Ranges of the block and of the lines around [m].
+    strides : (lines + 6,) int64
+        Distance of neighbouring lines.
+    plane : ScanPlane
+    noise_m : float
+        Range noise [m].
+    params : FusedParams
+    """
+    apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
+    streams = []
+    for every in np.unique(apart).tolist():
+        smooth = spaced_pairs(*_with_beside(wide, strides, every), plane, noise_m, params.smoothness)
+        for first in range(min(every, len(apart))):
+            own_m, own = wide[OUTSIDE_LINES:-OUTSIDE_LINES], smooth
+            if every > 1:
+                own_m = wide[_rows_of(first, every, len(apart))]
+                own = np.ascontiguousarray(smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)])
+            streams.append(Stream(first, every, see(own_m[around:-around], own, plane, params), own_m))
+    return streams
+
+
+def _follow_all(
+    streams: Sequence[Stream], apart: I64, plane: ScanPlane, memory: GroundMemory, params: FusedParams
+) -> tuple[Grounds, GroundMemory]:
+    """Follow the ground of every stream from the same memory on; return it, and what the last line remembers."""
+    found = [_follow(stream.seen, plane, memory, params) for stream in streams]
+    after = [left for (_, left), stream in zip(found, streams, strict=True) if stream.every == apart[-1]][-1]
+    parts = tuple(ground for ground, _ in found)
+    above = _woven([ground.above_m for ground in parts], streams, apart)
+    return Grounds(above, _woven([ground.walked for ground in parts], streams, apart), parts), after
+
+
+def _rows_of(first: int, every: int, n_lines: int) -> I64:
+    """Return the rows of a stream in the wide window, with more before and after; of those beyond it the outermost.
+
+    >>> _rows_of(1, 2, 4)[[0, MARGIN_LINES, MARGIN_LINES + 1]].tolist()
+    [10, 36, 38]
+    """
+    n = len(range(first, n_lines, every))
+    rows = SPACED_LINES + first + every * np.arange(-MARGIN_LINES, n + MARGIN_LINES)
+    end = n_lines + 2 * SPACED_LINES - 1
+    last = end - (end - rows[0]) % every
+    return np.clip(rows, rows[0] % every, last)
+
+
+def _with_beside(wide: F32, strides: I64, every: int) -> tuple[F32, I64]:
+    """Return the wide window with more lines around, and their distances, for streams of every so many lines.
+
+    Lines beside the block have the distance of its outermost ones, as far as their neighbours are known.
+    """
+    more = BESIDE_LINES * (every - 1)
+    if more == 0:
+        return wide, strides
+    first, last = (np.full(more, min(int(stride), FARTHEST_BESIDE)) for stride in (strides[0], strides[-1]))
+    window = np.pad(wide, ((more, more), (0, 0)), constant_values=np.float32(np.nan))
+    return window, np.concatenate([first, strides, last])
+
+
+def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
+    """Return the lines of a block, each from the stream whose lines are as far apart as this one asks for.
+
+    Parameters
+    ----------
+    arrays : sequence of arrays
+        Of the lines of every stream, and of as many lines before as after them.
+    streams : sequence of Stream
+    apart : (lines,) int64
+
+    Returns
+    -------
+    array
+        That of the only stream, where there is one, whole.
+    """
+    if len(streams) == 1 and streams[0].every == 1:
+        return arrays[0]
+    woven = np.empty((len(apart), *arrays[0].shape[1:]), arrays[0].dtype)
+    for array, stream in zip(arrays, streams, strict=True):
+        lines = np.arange(stream.first, len(apart), stream.every)
+        is_own = apart[lines] == stream.every
+        woven[lines[is_own]] = array[(len(array) - len(lines)) // 2 :][: len(lines)][is_own]
+    return woven
+
+
+def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[Stream], apart: I64) -> Evidence:
+    """Return the evidence of a block from that of its streams; what lies beside the block is left empty."""
+    if len(streams) == 1 and streams[0].every == 1:
+        return found[0]
+
+    def of(what: Callable[[Evidence], AnyArray]) -> AnyArray:
+        return _woven([what(each) for each in found], streams, apart)
+
+    def wider(what: Callable[[Evidence], AnyArray]) -> AnyArray:
+        return np.pad(of(what), ((VOTE_LINES, VOTE_LINES), (0, 0)))
+
+    seen = Neighbours(
+        of(lambda each: each.seen.near), of(lambda each: each.seen.smooth),
+        of(lambda each: each.seen.upright), of(lambda each: each.seen.level),
+    )  # fmt: skip
+    every, rough = (wider(lambda each, k=k: each.standing.slots[k]) for k in range(2))  # type: ignore[misc]
+    at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
+    standing = Standing((every, rough), (at, top, ahead), wider(lambda each: each.standing.levels))
+    return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
 
 
 def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:

@@ -142,16 +142,16 @@ def strides_of(
     sums, stride = known.sums, known.stride
     strides = np.full(n_lines + 2 * BESIDE_LINES, stride, np.int64)
     begin, after = _begin(first_line), known
-    for k in range(len(counts)):
+    is_after = False
+    # the distance changes at lines that were compared only
+    for k in range(-(first_line + begin) % EVERY_LINE, len(counts), EVERY_LINE):
         line = begin + k
-        if line == n_lines + COUNTED_LINES:
-            after = Spacing(sums, stride)
-        if (first_line + line) % EVERY_LINE == 0:
-            sums = sums * params.decay + counts[k]
-            stride = _stride(sums, stride, params)
-        if line >= COUNTED_LINES:
-            strides[line - COUNTED_LINES] = stride
-    return strides, after
+        if line >= n_lines + COUNTED_LINES and not is_after:
+            after, is_after = Spacing(sums, stride), True
+        sums = sums * params.decay + counts[k]
+        stride = _stride(sums, stride, params)
+        strides[max(line - COUNTED_LINES, 0) :] = stride
+    return strides, after if is_after else Spacing(sums, stride)
 
 
 def _begin(first_line: int) -> int:
@@ -161,13 +161,14 @@ def _begin(first_line: int) -> int:
 
 def _stride(sums: F64, now: int, params: SpacingParams) -> int:
     """Return the least distance at which few enough leaves are seen again."""
-    if not sums[0, 0] >= params.least:
+    counts = sums.tolist()
+    if not counts[0][0] >= params.least:
         return now
     # leaves that are as far by chance: as many as in the line itself
-    chance = float(sums[-1, 1] / max(sums[-1, 0], 1.0))
-    for k, lag in enumerate(LAGS):
+    chance = counts[-1][1] / max(counts[-1][0], 1.0)
+    for lag, (there, again) in zip(LAGS, counts, strict=False):
         limit = params.keep_share if now == STANDS or lag < now else params.share
-        if not sums[k, 1] > (chance + limit * (1.0 - chance)) * sums[k, 0]:
+        if not again > (chance + limit * (1.0 - chance)) * there:
             return lag
     return STANDS
 

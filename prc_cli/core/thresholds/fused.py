@@ -8,7 +8,7 @@ name. The loops of the street compute in float32, those of the forest in float64
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
@@ -24,8 +24,15 @@ def typed(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
     >>> typed(TerrainThresholds, bin_m=1, slope=0.5, near_m=0.1, near_share=0).bin_m
     1.0
     """
+    converted: ThresholdsT = _typed(kind, tuple(values.items()))
+    return converted
+
+
+@lru_cache(maxsize=64)
+def _typed(kind: type[ThresholdsT], values: tuple[tuple[str, float], ...]) -> ThresholdsT:
+    """Convert once for all blocks: they ask for the same thresholds again."""
     types = _field_types(kind)
-    return kind(**{name: types[name](value) for name, value in values.items()})
+    return kind(**{name: types[name](value) for name, value in values})
 
 
 @cache

@@ -14,19 +14,19 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.pipeline import (
     MEMORY,
     NOISE,
-    OUTSIDE_LINES,
     SPACING,
     TAIL,
     FusedParams,
     FusedScanner,
     evidence_of,
+    lines_apart,
     of_scanner,
-    see,
+    streams_of,
     window_of,
 )
-from prc_cli.classifiers.fused.plane import AROUND_LINES, INNER_LINES, WIDE_LINES, points_of
+from prc_cli.classifiers.fused.plane import INNER_LINES, WIDE_LINES, points_of
 from prc_cli.classifiers.fused.profiles import are_wanted
-from prc_cli.classifiers.fused.spacing import BESIDE_LINES, SPACED_LINES, spaced_pairs
+from prc_cli.classifiers.fused.spacing import BESIDE_LINES
 from prc_cli.classifiers.fused.stems import find_stems
 from prc_cli.classifiers.fused.strips import Standing
 from prc_cli.classifiers.fused.terrain import heights_over_ground
@@ -108,25 +108,26 @@ def _street(
     line, column = at
     noise_m = float(heard[NOISE.name])
     wide = window_of(heard[TAIL.name], block.range_m, block.next_m)
-    window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
     strides = heard.get(SPACING.name)
     if strides is None:
         strides = np.ones(block.n_lines + 2 * BESIDE_LINES, np.int64)
-    smooth = spaced_pairs(wide, strides, plane, noise_m, params.smoothness)
-    around = see(window, smooth, plane, params)
-    inner, seen = around.range_m, around.neighbours
-    ground: Ground = heard[MEMORY.name]
+    streams = streams_of(wide, strides, plane, noise_m, params)
+    apart, grounds = int(lines_apart(strides)[line]), heard[MEMORY.name].parts
+    k = next(k for k, each in enumerate(streams) if each.every == apart and each.first == line % apart)
+    stream, ground = streams[k], grounds[k]
+    at = line // apart, column
+    around, inner, seen = stream.seen, stream.seen.range_m, stream.seen.neighbours
     least, evidence = params.company.least, evidence_of(around, ground.above_m, plane, params)
     texture, standing = evidence.texture, evidence.standing
     limits = decision_thresholds(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    decided = decide(wide[OUTSIDE_LINES:-OUTSIDE_LINES], seen, ground, texture, standing, plane, limits)
+    decided = decide(stream.wide_m, seen, ground, texture, standing, plane, limits)
     place = _place(inner, seen, ground, texture, standing, scanner, least, at)
     stride = int(strides[line + BESIDE_LINES])
     yield from _neighbourhood(place, stride, params)
     yield from _around(place, params)
-    label = Label(int(decided[line + 1, column]))
+    label = Label(int(decided[at[0] + 1, column]))
     reason, keys = _reason(place, label, params)
     yield Answer("decision", reason, _name(label), keys)
     voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, params.votes)

@@ -42,6 +42,8 @@ VOTERS = 4
 """Votes in a line on either side of a shot; fewer where the place has fewer columns."""
 GAP_SHOTS = 3
 """Lonely shots within a run, beside as many as the run is long."""
+_LONG, _SHORT, _UNKNOWN = 0, 1, 2
+"""Kinds of runs along a line; unknown: each of its shots is asked."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
 _OPEN, _LEAF, _ODD = 255, 254, 253
 """Marks of undecided shots, of lonely leaves, and of shots that may be noise."""
@@ -85,11 +87,14 @@ def _sum_up(values: Pairs, so_far: Pairs) -> None:
 @helper
 def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None:
     """Write the sums of the first 0, 1, ... columns of three lines together; as :func:`_sum_up` does."""
+    own = so_far[1:]
+    for i in range(len(one)):
+        own[i] = one[i] + other[i] + third[i]
     total = np.uint32(0)
     so_far[0] = total
     for i in range(len(one)):
-        total = np.uint32(total + (one[i] + other[i] + third[i]))
-        so_far[i + 1] = total
+        total = np.uint32(total + own[i])
+        own[i] = total
 
 
 @helper
@@ -231,6 +236,61 @@ def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionT
                 return False
             break
     return True
+
+
+@helper
+def _follow_run(
+    ranges: F32, near: U8, sides: F32, heights: F32, i: int, thresholds: DecisionThresholds
+) -> tuple[int, int, int, np.float32, np.float32]:
+    """Follow the shots around that go on without a gap.
+
+    Return their end and number, whether all are short, and how high and how deep they reach. The answer of
+    :func:`_is_short` is the same for all of them, unless lonely shots are beside them: it goes past such. What is twice
+    as high as a pole need not be followed to its ends: the numbers are then those of a part.
+    """
+    m = len(ranges)
+    least, jump, high_m, most = thresholds.least_near, thresholds.jump_m, thresholds.pole_m, thresholds.pole_shots
+    enough_m = np.float32(2.0) * high_m
+    first, end = i, i + 1
+    low = high = heights[i]
+    inner = outer = sides[i]
+    while end < m and np.float32(near[end]) >= least and abs(ranges[end] - ranges[end - 1]) < jump:
+        low, high = min(low, heights[end]), max(high, heights[end])
+        inner, outer = min(inner, sides[end]), max(outer, sides[end])
+        end += 1
+        if high - low >= enough_m and np.float32(end - first) >= most:
+            return end, end - first, _LONG, high - low, outer - inner
+    while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
+        first -= 1
+        low, high = min(low, heights[first]), max(high, heights[first])
+        inner, outer = min(inner, sides[first]), max(outer, sides[first])
+        if high - low >= enough_m and np.float32(end - first) >= most:
+            return end, end - first, _LONG, high - low, outer - inner
+    tall, deep = high - low, outer - inner
+    if tall >= high_m:
+        return end, end - first, _LONG, tall, deep
+    kind = _SHORT
+    for way in (-1, 1):
+        last = first if way < 0 else end - 1
+        j, gap = last + way, 0
+        while 0 <= j < m:
+            if np.float32(near[j]) < least:
+                gap += 1
+                if gap > GAP_SHOTS + 1:
+                    # only the longer part of a run goes past so many
+                    kind = _UNKNOWN
+                    break
+            elif abs(ranges[j] - ranges[last]) < jump:
+                last, gap = j, 0
+                low, high = min(low, heights[j]), max(high, heights[j])
+                if high - low >= high_m:
+                    return end, end - first, _LONG, tall, deep
+            elif ranges[j] <= ranges[last] + thresholds.far_m:
+                return end, end - first, _LONG, tall, deep
+            else:
+                break
+            j += way
+    return end, end - first, kind, tall, deep
 
 
 @inlined
@@ -542,44 +602,24 @@ def _label_poles(
     """Label those of a list of shots that are on poles and trunks."""
     ranges = window_m[line]
     side, height, above = points
-    m = len(ranges)
-    least, jump, high_m = thresholds.least_near, thresholds.jump_m, thresholds.pole_m
-    pole, takes_long = np.uint8(thresholds.pole_label), thresholds.takes_long > 0
-    first, end, low, high = 0, 0, np.float32(0.0), np.float32(0.0)
-    inner, outer = np.float32(0.0), np.float32(0.0)
+    least, pole, takes_long = thresholds.least_near, np.uint8(thresholds.pole_label), thresholds.takes_long > 0
+    end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
         if np.float32(near[i]) < least:
-            low = high = height[i]
-            inner = outer = side[i]
-            first, end = i, i + 1
+            end, n_shots, kind, tall, deep = i + 1, 1, _UNKNOWN, np.float32(0.0), np.float32(0.0)
         elif i >= end:
-            # extent of the shots around that go on without a gap: the run of a shot far from the lowest or highest of
-            # them is high too, and need not be followed
-            first = i
-            low = high = height[i]
-            inner = outer = side[i]
-            while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
-                first -= 1
-                low, high = min(low, height[first]), max(high, height[first])
-                inner, outer = min(inner, side[first]), max(outer, side[first])
-            end = i + 1
-            while end < m and np.float32(near[end]) >= least and abs(ranges[end] - ranges[end - 1]) < jump:
-                low, high = min(low, height[end]), max(high, height[end])
-                inner, outer = min(inner, side[end]), max(outer, side[end])
-                end += 1
-        own = height[i]
-        is_high = (high - own >= high_m) | (own - low >= high_m)
-        is_short = not is_high and _is_short(ranges, near, height, i, thresholds)
+            end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
+        is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
         if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = np.uint8(_VEGETATION)
-            elif np.float32(end - first) >= thresholds.pole_shots and (
-                takes_long or _is_passed(window_m, line, i, thresholds.far_m)
+            elif np.float32(n_shots) >= thresholds.pole_shots and (
+                takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
-                is_thick = _is_round(outer - inner, high - low, thresholds)
-                is_thick = is_thick or bool(_depth_across(window_m, line, i, jump) >= thresholds.thick_m)
+                is_thick = _is_round(deep, tall, thresholds)
+                is_thick = is_thick or bool(_depth_across(window_m, line, i, thresholds.jump_m) >= thresholds.thick_m)
                 labels[i] = np.uint8(_VEGETATION) if is_thick else pole
 
 
