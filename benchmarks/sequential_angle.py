@@ -242,7 +242,18 @@ PRINTED: dict[str, dict[str, Any]] = {
     "car.dividers.from_start = false": {"car": {"dividers": {"from_start": False}}},
     "car.dividers.return_points = 0": {"car": {"dividers": {"return_points": 0}}},
     "car.dividers.flat_step_m = 0": {"car": {"dividers": {"flat_step_m": 0}}},
-    "no trigger": {"car": {"suspicious": {"enabled": False}}},
+    "car.fourier.longest = 32": {"car": {"fourier": {"longest": 32}}},
+    "car.dividers.tall_m = 0": {"car": {"dividers": {"tall_m": 0}}},
+    "car.dividers.glass_m = 0": {"car": {"dividers": {"glass_m": 0}}},
+    "car.dividers.flat_above_m = 1000": {"car": {"dividers": {"flat_above_m": 1000}}},
+    "car.dividers.vertical_open = false": {"car": {"dividers": {"vertical_open": False}}},
+    "car.dividers.lean_sigmas = 0": {"car": {"dividers": {"lean_sigmas": 0}}},
+    "car.dividers.straight_lean_deg = 2, vertical_lean_deg = 3": {
+        "car": {"dividers": {"straight_lean_deg": 2, "vertical_lean_deg": 3}}
+    },
+    "ground.roof_m = 1000": {"ground": {"roof_m": 1000}},
+    "ground.start_heights = 50": {"ground": {"start_heights": 50}},
+    "with the trigger": {"car": {"suspicious": {"enabled": True}}},
     "no high verticals": {"car": {"high_verticals": {"enabled": False}}},
     "no curbs": {"curb": {"enabled": False}},
     "no ground": {"ground": {"enabled": False}},
@@ -272,7 +283,7 @@ def readings(folder: Path) -> None:
             matrix = evaluate(labels, reference, "sequential_angle")
             found[title] = found[title] + matrix if title in found else matrix
     print(f"## Readings, one at a time\n\n{MORE_SEEDS} of the varied streets above, 5 mm, every other one from the")
-    print("sidewalk, every class by itself. The last four rows switch a stage of the paper off.\n")
+    print("sidewalk, every class by itself. The last rows switch a stage of the paper on or off.\n")
     print("```console\n$ prc classify scan.npz labels.npy --preset street-scan --set sequential_angle.ground.bridge=0")
     print("$ prc evaluate labels.npy scan.npz --mapping sequential_angle\n```\n")
     print_scores(found, names)

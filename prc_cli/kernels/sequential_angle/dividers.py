@@ -23,11 +23,50 @@ _WINDOW_M = 0.8
 """... if it is no higher above it than the window of a car [m]."""
 
 
+_SILL_M = 0.6
+"""The windows of cars begin higher above the ground than this [m]."""
+
+
+@helper
+def _behind_glass(
+    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, k: int, n: int, limit_m: float,
+    most_m: float
+) -> int:  # fmt: skip
+    """Return the first beam behind T' that is seen through a window, or -1: what follows is near again and no T'."""
+    while k < n and (range_m[row, k] != range_m[row, k] or surface[row, k] == _VEGETATION):
+        if xyz_m[row, k, 2] > limit_m:
+            return -1
+        k += 1
+    if k == n or (surface[row, k] != _HORIZONTAL and surface[row, k] != _VERTICAL):
+        return -1
+    return k if xyz_m[row, k, 2] <= limit_m and np.float64(horizontal_m[row, k]) <= most_m else -1
+
+
+@helper
+def _top_of_van(
+    surface: U8, horizontal_m: F32, xyz_m: F32, row: int, k: int, n: int, before: float, break_m: float, most_m: float
+) -> int:
+    """Return the beam after the vertical run that a beam goes on with, or -1: it ends too high, or with the row."""
+    while k < n:
+        here = np.float64(horizontal_m[row, k])
+        if here == here:
+            if surface[row, k] != _VERTICAL or abs(here - before) > break_m:
+                return k
+            if xyz_m[row, k, 2] > most_m:
+                return -1
+            before = here
+        elif k + 1 == n:
+            return n
+        k += 1
+    return -1
+
+
 @helper
 def _gather(
-    surface: U8, range_m: F32, xyz_m: F32, row: int, n: int, limit_m: float, beam: I32, code: U8, from_start: bool
-) -> tuple[int, int]:
-    """List the returns of a row up to the first one that is neither H nor V, or too high.
+    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, n: int, ground_m: float, beam: I32, code: U8,
+    thresholds: DividerThresholds,
+) -> tuple[int, int]:  # fmt: skip
+    """List the returns of a row up to the first one that is neither H nor V, or too high; T' in windows is left out.
 
     Returns how many there are, and which of them is the first vertical one behind a horizontal one, or that of the
     row with ``from_start``.
@@ -35,13 +74,28 @@ def _gather(
     size = int(np.int64(0))
     first = int(np.int64(-1))
     before = _VERTICAL
+    skipped = van = int(np.int64(0))
+    limit_m, sill_m, glass_m = ground_m + thresholds.height_m, ground_m + _SILL_M, thresholds.glass_m
     for k in range(n):
-        if range_m[row, k] != range_m[row, k]:
+        if k < skipped or range_m[row, k] != range_m[row, k]:
             continue
         here = surface[row, k]
-        if (here != _HORIZONTAL and here != _VERTICAL) or xyz_m[row, k, 2] > limit_m:
+        if here == _VEGETATION and first >= 0 and glass_m > 0.0 and xyz_m[row, beam[size - 1], 2] >= sill_m:
+            most_m = np.float64(horizontal_m[row, beam[size - 1]]) + glass_m
+            skipped = _behind_glass(surface, range_m, xyz_m, horizontal_m, row, k, n, limit_m, most_m)
+            if skipped > k:
+                continue
+        if here != _HORIZONTAL and here != _VERTICAL:
             break
-        starts = from_start and size == 0
+        if xyz_m[row, k, 2] > limit_m and k >= van:
+            if size > 0 and before == _VERTICAL:
+                van = _top_of_van(
+                    surface, horizontal_m, xyz_m, row, k, n, np.float64(horizontal_m[row, beam[size - 1]]),
+                    thresholds.vertical_break_m, ground_m + thresholds.tall_m,
+                )  # fmt: skip
+            if k >= van:
+                break
+        starts = thresholds.from_start and size == 0
         if first < 0 and here == _VERTICAL and (starts or before == _HORIZONTAL):
             first = size
         before = here
@@ -175,6 +229,8 @@ def _first_flat(
 ) -> tuple[int, int]:
     """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
     i = begin
+    lowest = np.inf
+    done = begin
     while i <= end:
         first = i
         while i <= end and code[i] == _HORIZONTAL:
@@ -183,7 +239,10 @@ def _first_flat(
                 break
         if i > first:
             stretch = _flat_stretch(points, first, i - 1, thresholds, sums, farthest)
-            if stretch[0] >= 0:
+            while done < stretch[0]:
+                lowest = min(lowest, points[done, _Z])
+                done += 1
+            if stretch[0] >= 0 and not points[stretch[0], _Z] - lowest > thresholds.flat_above_m:
                 return stretch
         if i == first or code[i - 1] != _HORIZONTAL or i > end or code[i] != _HORIZONTAL:
             i += 1
@@ -276,9 +335,8 @@ def car_intervals(
         ground = np.float64(ground_m[row])
         if not triggered[row] or ground != ground:
             continue
-        limit_m = ground + thresholds.height_m
         size, j = _gather(
-            surface, range_m, xyz_m, row, int(np.int64(n_beams[row])), limit_m, beam, code, thresholds.from_start
+            surface, range_m, xyz_m, horizontal_m, row, int(np.int64(n_beams[row])), ground, beam, code, thresholds
         )
         if j == size:
             continue
@@ -311,7 +369,7 @@ def car_intervals(
 
 @helper
 def _is_straight(
-    xyz_m: F32, horizontal_m: F32, row: int, first: int, after: int, residual_m: float, slope: float
+    xyz_m: F32, horizontal_m: F32, row: int, first: int, after: int, residual_m: float, slope: float, noise_m: float
 ) -> bool:
     """Tell whether the straight line through the returns of a run is near them and nearly upright."""
     n = 0
@@ -330,7 +388,8 @@ def _is_straight(
         n += 1
     mean_z, mean_h = sum_z / n, sum_h / n
     zz, zh, hh = sum_zz / n - mean_z * mean_z, sum_zh / n - mean_z * mean_h, sum_hh / n - mean_h * mean_h
-    return bool(abs(zh) <= slope * zz and hh - zh * zh / zz <= residual_m * residual_m)
+    upright = abs(zh) <= (slope + noise_m / math.sqrt(n * zz)) * zz
+    return bool(upright and hh - zh * zh / zz <= residual_m * residual_m)
 
 
 @helper
@@ -344,6 +403,7 @@ def _vertical_run(
     """
     before = horizontal_m[row, k]
     last = k
+    seen = k
     long = False
     n_points = int(np.int64(0))
     lowest = np.inf
@@ -361,15 +421,19 @@ def _vertical_run(
             highest = max(highest, height)
             long = highest - lowest >= thresholds.vertical_extent_m and not highest <= top_m
             before = here
+            seen = j
             last = j if j < stop else last
         j += 1
+    if thresholds.vertical_open and seen == n - 1 and highest - lowest >= thresholds.vertical_extent_m:
+        return j, last, True
     if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
         # what is higher than the side of a car need not be straight, nor upright where its points are few
         high = highest - lowest >= thresholds.vertical_extent_m
         residual_m = np.inf if high else thresholds.straight_residual_m
         slope = thresholds.vertical_slope if high else thresholds.straight_slope
         few = n_points < thresholds.straight_points
-        long = (high and few) or _is_straight(xyz_m, horizontal_m, row, k, j, residual_m, slope)
+        noise_m = thresholds.lean_noise_m
+        long = (high and few) or _is_straight(xyz_m, horizontal_m, row, k, j, residual_m, slope, noise_m)
     return j, last, long
 
 
