@@ -110,6 +110,7 @@ def divider_thresholds(rng: Generator) -> DividerThresholds:
         straight_extent_m=float(rng.choice([0.0, 0.25, 1.0, np.inf])),
         straight_residual_m=float(rng.choice([0.0301, 0.1303])),
         straight_slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
+        relief_m=float(rng.choice([0.0, 0.0301, 0.1303])),
         lean_noise_m=float(rng.choice([0.0, 0.0503])),
     )
 

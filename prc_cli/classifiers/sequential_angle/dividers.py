@@ -155,6 +155,13 @@ class DividersParams(Params):
     straight_lean_deg: float = Field(
         1.5, ge=0, le=45, description="upright is what leans less than this from the vertical [deg]"
     )
+    relief_m: float = Field(
+        0.03,
+        ge=0,
+        le=10,
+        description="runs of vertical and horizontal points as high as vertical_extent_m and as upright, but only this "
+        "straight (rms), are cut out too: walls with reliefs; published: 0, none is [m]",
+    )
     lean_sigmas: float = Field(
         2.0,
         ge=0,
@@ -198,6 +205,7 @@ class DividersParams(Params):
             straight_extent_m=self.straight_extent_m if self.straight_extent_m > 0 else math.inf,
             straight_residual_m=max(self.straight_m, self.straight_sigmas * range_noise_m),
             straight_slope=math.tan(math.radians(self.straight_lean_deg)),
+            relief_m=self.relief_m,
             lean_noise_m=self.lean_sigmas * range_noise_m,
         )
 

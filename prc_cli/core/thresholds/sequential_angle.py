@@ -280,6 +280,9 @@ class DividerThresholds(NamedTuple):
     """Root mean square of the residuals of their horizontal distances from a straight line at most, ..."""
     straight_slope: float
     """... and slope of that line from the vertical at most, a tangent."""
+    relief_m: float
+    """Runs of V and H as high as long vertical ones, as upright as straight ones, and no farther than this from a
+    straight line (rms) are cut out too, where steps are small; 0 = none is."""
     lean_noise_m: float
     """Noise of a horizontal distance by which both slopes may be larger: this over the root of the sum of squares of
     the heights about their mean."""

@@ -231,10 +231,17 @@ def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> b
     high = bool(np.ptp(heights) >= thresholds.vertical_extent_m)
     if high and len(heights) < thresholds.straight_points:
         return True
+    residual_m, slope = (
+        (np.inf, thresholds.vertical_slope) if high else (thresholds.straight_residual_m, thresholds.straight_slope)
+    )
+    return is_upright(distance, heights, residual_m, slope, thresholds)
+
+
+def is_upright(distance: F64, heights: F64, residual_m: float, slope: float, thresholds: DividerThresholds) -> bool:
+    """Tell whether points are near a straight line that is nearly upright."""
     lean, offset = np.polyfit(heights - heights[0], distance - distance[0], 1)
     residual = distance - distance[0] - lean * (heights - heights[0]) - offset
-    near = high or np.sqrt(np.mean(residual**2)) <= thresholds.straight_residual_m
-    slope = thresholds.vertical_slope if high else thresholds.straight_slope
+    near = np.sqrt(np.mean(residual**2)) <= residual_m
     return bool(near and abs(lean) <= slope + thresholds.lean_noise_m / np.sqrt(len(heights) * np.var(heights)))
 
 
@@ -267,8 +274,34 @@ def cut_verticals(
             too_high = too_high or is_open(beams[begin : end + 1], heights, n_beams[row], thresholds)
             if too_high or is_straight(distance[begin : end + 1], heights, thresholds):
                 keep[begin : end + 1] = [False] * (end + 1 - begin)
+        height = xyz_m[row, beams, 2].astype(np.float64)
+        for begin, end in reliefs(codes, distance, height, beams.index(last), thresholds):
+            keep[begin : end + 1] = [False] * (end + 1 - begin)
         left += [(row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)]
     return np.array(left, np.int32).reshape(-1, 3)
+
+
+def reliefs(
+    codes: list[int], distance: F64, height: F64, last: int, thresholds: DividerThresholds
+) -> list[tuple[int, int]]:
+    """Return first and last position of rough walls: H and V that are high, upright and nearly straight."""
+    found: list[tuple[int, int]] = []
+    begin = 0
+    while begin <= last and thresholds.relief_m > 0:
+        run = [begin] if codes[begin] in (H, V) else []
+        while run:
+            ahead = range(run[-1] + 1, min(run[-1] + 2 + thresholds.return_points, len(codes)))
+            near = [k for k in ahead if codes[k] in (H, V) and abs(distance[k] - distance[run[-1]]) <= 0.1]
+            if not near:
+                break
+            run.append(near[0])
+        heights = height[run]
+        if len(run) >= thresholds.straight_points and np.ptp(heights) >= thresholds.vertical_extent_m:
+            limits = thresholds.relief_m, thresholds.straight_slope, thresholds
+            if np.ptp(heights) > 0 and is_upright(distance[run], heights, *limits):
+                found.append((begin, run[-1]))
+        begin = max([begin, *run]) + 1
+    return found
 
 
 def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:

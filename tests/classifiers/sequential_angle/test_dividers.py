@@ -41,6 +41,7 @@ class PlainDividersParams(DividersParams):
     vertical_open: bool = False
     straight_extent_m: float = 0.0
     lean_sigmas: float = 0.0
+    relief_m: float = 0.0
 
 
 PARAMS = PlainDividersParams()
@@ -372,3 +373,15 @@ def test_a_roof_is_no_ground() -> None:
     begin = len(ground(2, 6.5))
     assert spans([*start, *roof]) == [(begin, len(start))]
     assert spans([*start, *roof], PlainDividersParams(flat_above_m=1.0)) == [(begin, len(start) + 19)]
+
+
+def test_a_rough_wall_is_cut_out_and_a_van_is_not() -> None:
+    """Slats that return from two depths, some shots through them: angles call half of them horizontal."""
+    x, z, surface = columns([(6.0, -1.6, 0.2, 80)], "V")
+    surface[0, ::3] = H
+    rough = x + 0.03 * (np.arange(80) % 5 == 0)
+    rough[[20, 41]] = 9.0
+    assert left_of(rough, z, surface) == []
+    assert left_of(rough, z, surface, relief_m=0) != []
+    leaning = rough + np.tan(np.deg2rad(5)) * z
+    assert left_of(leaning, z, surface) == left_of(leaning, z, surface, relief_m=0) != []
