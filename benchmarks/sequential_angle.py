@@ -49,6 +49,7 @@ from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.world import PROPERTIES, Material, Property
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
@@ -333,6 +334,49 @@ def vegetation(folder: Path) -> None:
     print()
 
 
+PAPER_SHARES = (0.160, 0.656, 0.057, 0.127)
+"""Shares of the classes of :data:`PAPER` in its 7.3 million points, from the rows of its Table 1."""
+DARK = 1e-9
+"""Reflectance of what gives no return."""
+WINDOWS: dict[str, tuple[Material, ...]] = {
+    "as simulated": (),
+    "windows of houses give no return": (Material.GLASS,),
+    "windows of cars give no return": (Material.CAR_GLASS,),
+    "no window gives a return": (Material.GLASS, Material.CAR_GLASS),
+}
+
+
+def windows(folder: Path) -> None:
+    """What windows and the mixture of classes make of the published constants."""
+    print("## The published constants and windows\n\nStreets 1 to 4, which were used in development, 1 mm. A shot at a")
+    print("window returns from the room behind it, or not at all. In the second rows the classes have the shares")
+    print(
+        "that they have in the paper: " + ", ".join(f"{name} {s}" for name, s in zip(PAPER, PAPER_SHARES, strict=True))
+    )
+    print("(precision depends on them).\n")
+    names = tuple(PAPER)
+    print("| | " + " | ".join(f"{name} recall | precision" for name in names) + " |\n|---|" + "---:|" * 8)
+    usual = dict(PROPERTIES)
+    config = street_scan(preset="street-scan-published", range_noise_m=0.001)
+    for title, dark in WINDOWS.items():
+        PROPERTIES.update({each: Property(usual[each].label, DARK) for each in dark})
+        total = np.zeros((4, 4))
+        for seed in range(1, 5):
+            source, reference = write_scan(folder, seed, COARSE, FINE)
+            classify(source, folder / "labels.npy", config, overwrite=True)
+            matrix = evaluate(folder / "labels.npy", reference, "street_scan")
+            rows = [matrix.reference_names.index(name) for name in names]
+            columns = [matrix.predicted_names.index(name) for name in names]
+            total += matrix.counts[np.ix_(rows, columns)]
+        PROPERTIES.update(usual)
+        mixed = total * (np.array(PAPER_SHARES) / total.sum(axis=1))[:, None]
+        for what, counts in ((title, total), (f"{title}, shares of the paper", mixed)):
+            right = np.diag(counts)
+            cells = np.stack([right / counts.sum(axis=1), right / counts.sum(axis=0)], axis=1)
+            print(f"| {what} | " + " | ".join(f"{number:.3f}" for number in cells.ravel()) + " |")
+    print(f"| *the paper* | {' | '.join(f'{r:.3f} | {p:.3f}' for r, p in PAPER.values())} |\n")
+
+
 def kitti(folder: Path) -> None:
     """The labelled frame of a scanner with 64 rings."""
     source, labels = DATA / "kitti" / "000000.bin", folder / "kitti.npy"
@@ -529,6 +573,7 @@ PARTS: dict[str, Callable[[Path], None]] = {
     "simulated": simulated,
     "readings": readings,
     "vegetation": vegetation,
+    "windows": windows,
     "kitti": kitti,
     "oakland": oakland,
     "organised": organised,

@@ -240,8 +240,8 @@ def dividers(
     """Cut suspicious lines into intervals that may be cars.
 
     The search covers the whole line, not only the part from the trigger on, because the trigger often comes late on
-    the car. It ends before the first point of T' (or without an angle), before the first point that is too high, or
-    at the end of the line.
+    the car. It ends before the first point of T' (or without an angle) that is not seen through the window of a car,
+    before the first point that is too high and not on the side of a van, or at the end of the line.
 
     1. An interval begins at the first change from H to V that is gradual (a tyre), or sudden with something farther
        away under it (bumper, side; not a wall, curb or pole that stands on the ground).
@@ -249,10 +249,11 @@ def dividers(
     3. If an interval contains a long flat stretch within one run of H, it ends at the first point of the stretch
        instead, and the search goes on as in 1. after its last point. A stretch is flat if a straight line fits its
        heights (so sloping ground counts) and the line is not steep (so a roof and the ground behind it are not one
-       stretch). It may be part of a run, since only a jump separates such a roof from such ground.
+       stretch), and if it begins low enough to be no roof. It may be part of a run, since only a jump separates such a roof from such ground.
     4. Runs of V with a height of ``vertical_extent_m`` or more are cut out. The height includes the part above the end
        of the search, as the interval holds only what is visible of a wall between the car's roof and ``height_m``. A
-       run ends where the distance changes: the side of a car and the wall behind it are two surfaces.
+       run ends where the distance changes: the side of a car and the wall behind it are two surfaces. So are lower
+       runs that are straight and upright, and rough walls, of which a part is H.
 
     Parameters
     ----------
