@@ -30,17 +30,18 @@ from prc_cli.classifiers.sequential_angle.angles import (
 from prc_cli.classifiers.sequential_angle.car import CarParams, cars
 from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
 from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
+from prc_cli.classifiers.sequential_angle.dividers import DividersParams
 from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
 from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lines
 from prc_cli.classifiers.sequential_angle.markov import HmmParams
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import ClassCodes, Label, Surface
+from prc_cli.core.classes import CarTest, ClassCodes, Label, Surface
 from prc_cli.core.config import merge
 from prc_cli.core.errors import PrcError
 from prc_cli.core.stream import ScanBlock, cut
-from prc_cli.core.types import F64, U8
+from prc_cli.core.types import F64, I64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
 from prc_cli.evaluation.scores import scores
@@ -334,6 +335,78 @@ def vegetation(folder: Path) -> None:
     print()
 
 
+DEVELOPMENT: dict[str, tuple[range, dict[str, Any]]] = {
+    "on the road": (range(1, 9), {}),
+    "varied": (range(701, 707), VARIED),
+    "varied, on the sidewalk": (range(701, 707), merge(VARIED, SIDEWALK)),
+}
+"""Streets that the stages of the car algorithm were developed on."""
+EARLIER: dict[str, Any] = {
+    "car": {
+        "suspicious": {"enabled": True},
+        "fourier": {"longest": 32},
+        "dividers": {
+            "glass_m": 0, "flat_above_m": 1000, "tall_m": 0, "vertical_open": False, "relief_m": 0, "lean_sigmas": 0,
+            "straight_lean_deg": 2, "vertical_lean_deg": 3,
+        },
+    },
+    "ground": {"roof_m": 1000, "start_heights": 50},
+}  # fmt: skip
+"""Without windows, roofs, vans, rough walls and bonnets of cars."""
+CAUSES: tuple[tuple[str, CarTest | None], ...] = (
+    ("found", CarTest.CAR),
+    ("is T', or behind it", None),
+    ("too high", None),
+    ("before, between or behind intervals", CarTest.OUTSIDE),
+    ("cut out as a vertical run", CarTest.VERTICAL),
+    ("an interval of foliage (Fourier, T, few points)", CarTest.VEGETATION),
+    ("behind a high vertical", CarTest.BEHIND_WALL),
+    ("horizontal next to the ground", CarTest.ON_GROUND),
+    ("on or behind a curb", CarTest.BEHIND_CURB),
+)
+"""What becomes of the shots of cars; without a test: by the first shot of the line that ends the search."""
+
+
+def lost_cars(block: ScanBlock, label: U8, config: LoadedConfig) -> I64:
+    """Count the shots of cars by :data:`CAUSES`, (causes,) int64."""
+    found = list(label_blocks(iter([block]), config.config.classifier, stages=True))
+    stages = [each.stages for each in found if each.stages is not None]
+    test = np.concatenate([each.car_test for each in stages])
+    layer = np.concatenate([each.car_surface for each in stages])
+    assert block.xyz_m is not None
+    above_m = block.xyz_m[..., 2] - np.concatenate([each.ground_height_m for each in stages])
+    dense = np.logical_or.accumulate(layer == Surface.VEGETATION, axis=1)
+    high = np.logical_or.accumulate(above_m > DividersParams().height_m, axis=1)
+    outside, car = test == CarTest.OUTSIDE, label == Label.CAR
+    masks = [outside & dense, outside & high & ~dense]
+    counts = []
+    for _, wanted in CAUSES:
+        if wanted is None:
+            mask = masks.pop(0)
+        else:
+            mask = outside & ~dense & ~high if wanted == CarTest.OUTSIDE else test == wanted
+        counts.append(np.count_nonzero(mask & car))
+    return np.array(counts, np.int64)
+
+
+def causes(_: Path) -> None:
+    """Where the shots of cars go, stage by stage, on the streets of development."""
+    without = load_config(preset="street-scan", options={"sequential_angle": EARLIER})
+    runs = {"without": without, "with": street_scan()}
+    columns = {}
+    for kind, (seeds, options) in DEVELOPMENT.items():
+        scans = [scan_of(seed, COARSE, options) for seed in seeds]
+        for title, config in runs.items():
+            counts = sum(lost_cars(block, label, config) for block, label in scans)
+            columns[f"{kind}, {title}"] = counts / np.sum(counts)
+    print("## Where cars are lost\n\nShares of all shots of cars, 5 mm, streets 1 to 8 and 701 to 706 (development),")
+    print("without and with what the preset does about windows, roofs, vans, rough walls, leans and bonnets.\n")
+    print(f"| | {' | '.join(columns)} |\n|---|" + "---:|" * len(columns))
+    for number, (title, _) in enumerate(CAUSES):
+        print(f"| {title} | " + " | ".join(f"{shares[number]:.3f}" for shares in columns.values()) + " |")
+    print()
+
+
 PAPER_SHARES = (0.160, 0.656, 0.057, 0.127)
 """Shares of the classes of :data:`PAPER` in its 7.3 million points, from the rows of its Table 1."""
 DARK = 1e-9
@@ -573,6 +646,7 @@ PARTS: dict[str, Callable[[Path], None]] = {
     "simulated": simulated,
     "readings": readings,
     "vegetation": vegetation,
+    "causes": causes,
     "windows": windows,
     "kitti": kitti,
     "oakland": oakland,

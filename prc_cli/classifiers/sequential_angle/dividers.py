@@ -249,7 +249,8 @@ def dividers(
     3. If an interval contains a long flat stretch within one run of H, it ends at the first point of the stretch
        instead, and the search goes on as in 1. after its last point. A stretch is flat if a straight line fits its
        heights (so sloping ground counts) and the line is not steep (so a roof and the ground behind it are not one
-       stretch), and if it begins low enough to be no roof. It may be part of a run, since only a jump separates such a roof from such ground.
+       stretch), and if it begins low enough to be no roof. It may be part of a run, since only a jump separates such
+       a roof from such ground.
     4. Runs of V with a height of ``vertical_extent_m`` or more are cut out. The height includes the part above the end
        of the search, as the interval holds only what is visible of a wall between the car's roof and ``height_m``. A
        run ends where the distance changes: the side of a car and the wall behind it are two surfaces. So are lower
