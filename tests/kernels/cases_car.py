@@ -84,7 +84,9 @@ def interval_case(rng: Generator) -> tuple[Any, ...]:
 
 def divider_thresholds(rng: Generator) -> DividerThresholds:
     return DividerThresholds(
-        height_m=float(rng.choice([2.0, 100.0])),
+        height_m=float(rng.choice([0.5, 2.0, 100.0])),
+        tall_m=float(rng.choice([0.0, 1.0, 2.5, 101.0])),
+        glass_m=float(rng.choice([0.0, 0.5, 10.0])),
         sudden_from_deg=-5.0,
         sudden_to_deg=20.0,
         chord_m=float(rng.choice([0.0, 0.08, 0.25, 0.75])),
@@ -98,14 +100,18 @@ def divider_thresholds(rng: Generator) -> DividerThresholds:
         flat_residual_m=0.0503,
         flat_slope=float(np.tan(np.deg2rad(rng.choice([10.0, 25.0])))),
         flat_step_m=float(rng.choice([0.25, np.inf])),
+        flat_above_m=float(rng.choice([0.0, 0.25, np.inf])),
         vertical_extent_m=float(rng.choice([0.0, 0.25, 1.25])),
         vertical_break_m=float(rng.choice([0.0, 0.25, 1.0])),
         vertical_top_m=float(rng.choice([-np.inf, 1.0, 2.0])),
         vertical_slope=float(np.tan(np.deg2rad(rng.choice([3.0, 30.0])))),
+        vertical_open=bool(rng.integers(2)),
         straight_points=int(rng.choice([1, 3, 6])),
         straight_extent_m=float(rng.choice([0.0, 0.25, 1.0, np.inf])),
         straight_residual_m=float(rng.choice([0.0301, 0.1303])),
         straight_slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
+        relief_m=float(rng.choice([0.0, 0.0301, 0.1303])),
+        lean_noise_m=float(rng.choice([0.0, 0.0503])),
     )
 
 

@@ -36,7 +36,8 @@ def heights(rng: Generator, n: int) -> Any:
 
 
 def height_case(rng: Generator) -> tuple[Any, ...]:
-    return heights(rng, int(rng.choice([0, 1, 2, 7, 60]))), float(rng.choice([0.05, 0.0, 0.5]))
+    roof_m, roof_share = float(rng.choice([0.3, 0.6, np.inf])), float(rng.choice([0.1, 0.5, 1.0]))
+    return heights(rng, int(rng.choice([0, 1, 2, 7, 60]))), float(rng.choice([0.05, 0.0, 0.5])), roof_m, roof_share
 
 
 def rows(rng: Generator) -> tuple[Any, ...]:

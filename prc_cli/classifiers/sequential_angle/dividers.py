@@ -90,11 +90,33 @@ class DividersParams(Params):
         description="a change of height from one return to the next that ends such a stretch, as from a bonnet to the "
         "road behind; published: 0, none does [m]",
     )
+    flat_above_m: float = Field(
+        1.0,
+        ge=0,
+        le=1e3,
+        description="such a stretch ends no interval where it begins higher than this above the lowest return of the "
+        "interval, as the roof of a car does; published: so large that it is off [m]",
+    )
     height_m: float = Field(
         2.0,
         gt=0,
         le=1e3,
         description="t_height: cars are not sought above the first return this high over the ground [m] (published)",
+    )
+    tall_m: float = Field(
+        2.6,
+        ge=0,
+        le=1e3,
+        description="they are along a vertical run that goes on from below and ends no higher than this above the "
+        "ground, as the side of a van does; published: 0, they are not [m]",
+    )
+    glass_m: float = Field(
+        1.0,
+        ge=0,
+        le=1e3,
+        description="dense vegetation does not end the search where the next return behind it is horizontal or "
+        "vertical and no farther away than the last one before it by this: it is the window of a car; published: 0, "
+        "it does [m]",
     )
     vertical_extent_m: float = Field(
         1.2, gt=0, le=1e3, description="runs of vertical points of this height or more are cut out, ... [m]"
@@ -106,7 +128,12 @@ class DividersParams(Params):
         description="... if they end higher than this above the ground, as no car does; 0 = wherever they end [m]",
     )
     vertical_lean_deg: float = Field(
-        3.0, ge=0, le=45, description="or if they lean less than this from the vertical [deg]"
+        2.5, ge=0, le=45, description="or if they lean less than this from the vertical [deg]"
+    )
+    vertical_open: bool = Field(
+        True,
+        description="or if they go on to the last beam of the line, so that nothing tells where they end; "
+        "published: false",
     )
     straight_points: int = Field(
         16,
@@ -126,7 +153,21 @@ class DividersParams(Params):
     )
     straight_sigmas: float = Field(2.0, ge=0, le=1000, description="... or as many times the range noise")
     straight_lean_deg: float = Field(
-        2.0, ge=0, le=45, description="upright is what leans less than this from the vertical [deg]"
+        1.5, ge=0, le=45, description="upright is what leans less than this from the vertical [deg]"
+    )
+    relief_m: float = Field(
+        0.03,
+        ge=0,
+        le=10,
+        description="runs of vertical and horizontal points as high as vertical_extent_m and as upright, but only this "
+        "straight (rms), are cut out too: walls with reliefs; published: 0, none is [m]",
+    )
+    lean_sigmas: float = Field(
+        2.0,
+        ge=0,
+        le=1000,
+        description="both leans may be larger by so many standard deviations of a lean, as the range noise makes it "
+        "from so many points of such heights",
     )
     vertical_break_m: float = Field(
         0.5,
@@ -139,6 +180,8 @@ class DividersParams(Params):
         """Return the thresholds of the kernels, for a standard deviation of the range [m]."""
         return DividerThresholds(
             height_m=self.height_m,
+            tall_m=self.tall_m,
+            glass_m=self.glass_m,
             sudden_from_deg=self.sudden_from_deg,
             sudden_to_deg=self.sudden_to_deg,
             chord_m=max(self.change_chord_m, self.change_chord_sigmas * range_noise_m),
@@ -152,14 +195,18 @@ class DividersParams(Params):
             flat_residual_m=self.flat_residual_m,
             flat_slope=math.tan(math.radians(self.flat_slope_deg)),
             flat_step_m=self.flat_step_m if self.flat_step_m > 0 else math.inf,
+            flat_above_m=self.flat_above_m,
             vertical_extent_m=self.vertical_extent_m,
             vertical_break_m=self.vertical_break_m,
             vertical_top_m=self.vertical_top_m if self.vertical_top_m > 0 else -math.inf,
             vertical_slope=math.tan(math.radians(self.vertical_lean_deg)),
+            vertical_open=self.vertical_open,
             straight_points=self.straight_points,
             straight_extent_m=self.straight_extent_m if self.straight_extent_m > 0 else math.inf,
             straight_residual_m=max(self.straight_m, self.straight_sigmas * range_noise_m),
             straight_slope=math.tan(math.radians(self.straight_lean_deg)),
+            relief_m=self.relief_m,
+            lean_noise_m=self.lean_sigmas * range_noise_m,
         )
 
     @model_validator(mode="after")
@@ -193,8 +240,8 @@ def dividers(
     """Cut suspicious lines into intervals that may be cars.
 
     The search covers the whole line, not only the part from the trigger on, because the trigger often comes late on
-    the car. It ends before the first point of T' (or without an angle), before the first point that is too high, or
-    at the end of the line.
+    the car. It ends before the first point of T' (or without an angle) that is not seen through the window of a car,
+    before the first point that is too high and not on the side of a van, or at the end of the line.
 
     1. An interval begins at the first change from H to V that is gradual (a tyre), or sudden with something farther
        away under it (bumper, side; not a wall, curb or pole that stands on the ground).
@@ -202,10 +249,12 @@ def dividers(
     3. If an interval contains a long flat stretch within one run of H, it ends at the first point of the stretch
        instead, and the search goes on as in 1. after its last point. A stretch is flat if a straight line fits its
        heights (so sloping ground counts) and the line is not steep (so a roof and the ground behind it are not one
-       stretch). It may be part of a run, since only a jump separates such a roof from such ground.
+       stretch), and if it begins low enough to be no roof. It may be part of a run, since only a jump separates such
+       a roof from such ground.
     4. Runs of V with a height of ``vertical_extent_m`` or more are cut out. The height includes the part above the end
        of the search, as the interval holds only what is visible of a wall between the car's roof and ``height_m``. A
-       run ends where the distance changes: the side of a car and the wall behind it are two surfaces.
+       run ends where the distance changes: the side of a car and the wall behind it are two surfaces. So are lower
+       runs that are straight and upright, and rough walls, of which a part is H.
 
     Parameters
     ----------

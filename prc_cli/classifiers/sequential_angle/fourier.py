@@ -16,7 +16,7 @@ class FourierParams(Params):
 
     enabled: bool = Field(True, description="test intervals at all; the authors call this step dispensable")
     longest: int = Field(
-        32,
+        16,
         ge=0,
         le=1_000_000,
         description="test intervals of at most this many angles: windows of cars look like foliage to it, and where "

@@ -61,7 +61,11 @@ class GroundParams(Params):
         5, ge=1, le=1000, description="points, the lowest ones, whose mean z is the height of a line (published)"
     )
     start_heights: int = Field(
-        50, ge=1, le=100_000, description="heights of lines that the first estimate of the ground needs (published)"
+        200,
+        ge=1,
+        le=100_000,
+        description="heights of lines that the first estimate of the ground needs; published: 50, which the bonnet of "
+        "a car beside the scanner can fill",
     )
     height_tolerance: float = Field(
         0.10,
@@ -104,6 +108,16 @@ class GroundParams(Params):
         le=1,
         description="bandwidth of the mean shift over heights, as a share of the median height; rounded up to a "
         "multiple of 16 mm",
+    )
+    roof_m: float = Field(
+        0.6,
+        ge=0,
+        le=1e6,
+        description="heights that much above a lower mode are those of bonnets and roofs, ... [m]; published: so large "
+        "that it is off",
+    )
+    roof_share: float = Field(
+        0.25, gt=0, le=1, description="... if the lower mode has at least this share of the heights of the main one"
     )
     heights: Literal["all", "accepted"] = Field(
         "all",
@@ -181,6 +195,8 @@ class GroundParams(Params):
             least_heights=self.least,
             memory_heights=self.memory,
             height_bandwidth=self.height_bandwidth,
+            roof_m=self.roof_m,
+            roof_share=self.roof_share,
             all_heights=self.heights == "all",
             renew_every=self.renew == "every",
             height_tolerance=self.height_tolerance,
@@ -229,8 +245,8 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
     Returns
     -------
     GroundState
-        From the first 50 heights, or all if fewer; height unknown if they are fewer than 10 and fewer than half of
-        the rows. :func:`ground` must be called for these rows first.
+        From the first ``start_heights`` heights, or all if fewer; height unknown if they are fewer than 10 and fewer
+        than half of the rows. :func:`ground` must be called for these rows first.
 
     Examples
     --------
@@ -239,7 +255,9 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
     """
     rows = np.flatnonzero(~np.isnan(heights_m))[: params.start_heights]
     n_rows = int(rows[-1]) + 1 if len(rows) == params.start_heights else len(heights_m)
-    _, z_g, bins, histogram = kernels.main_height(heights_m[rows], params.height_bandwidth)
+    _, z_g, bins, histogram = kernels.main_height(
+        heights_m[rows], params.height_bandwidth, params.roof_m, params.roof_share
+    )
     if len(rows) < min(params.least, (len(heights_m) + 1) // 2):
         z_g = float("nan")
     return GroundState(histogram, bins if params.memory else bins[:0], z_g, n_rows)

@@ -30,7 +30,7 @@ Matrix = tuple[Row, Row, Row]
 class SuspiciousParams(Params):
     """Markov chains of H, V and M on a regular surface and on a car (``[sequential_angle.car.suspicious]``)."""
 
-    enabled: bool = Field(True, description="test lines at all; false = every line may hold a car")
+    enabled: bool = Field(False, description="test lines at all; false = every line may hold a car; published: true")
     h0: Matrix = Field(
         ((0.8, 0.1, 0.1), (0.09, 0.9, 0.01), (0.6, 0.3, 0.1)),
         description="regular surface: probabilities from H, V, M (rows) to H, V, M (published; the third column "
@@ -77,7 +77,7 @@ def suspicious(car_surface: U8, n_beams: I32, params: SuspiciousParams) -> I32:
     Ground with one missing shot, then ground with two:
 
     >>> lines = np.array([[2, 2, 0, 2, 2], [2, 2, 0, 0, 2]], dtype=np.uint8)
-    >>> suspicious(lines, np.array([5, 5], dtype=np.int32), SuspiciousParams())
+    >>> suspicious(lines, np.array([5, 5], dtype=np.int32), SuspiciousParams(enabled=True))
     array([-1,  3], dtype=int32)
     """
     if not params.enabled:

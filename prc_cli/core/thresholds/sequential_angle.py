@@ -139,6 +139,10 @@ class GroundThresholds(NamedTuple):
     """Heights that are remembered, the oldest one is forgotten; 0 = all."""
     height_bandwidth: float
     """Bandwidth of heights, as a share of their median."""
+    roof_m: float
+    """The main mode of the heights is roofs where another one is this much lower; inf = never ..."""
+    roof_share: float
+    """... and has at least this share of its heights."""
     all_heights: bool
     """Heights of rows without ground count too."""
     renew_every: bool
@@ -225,7 +229,11 @@ class DividerThresholds(NamedTuple):
     """Where a car may begin and end along a line (sec. 7.3)."""
 
     height_m: float
-    """The search ends at the first return higher above the ground."""
+    """The search ends at the first return higher above the ground, ..."""
+    tall_m: float
+    """... but goes on along a vertical run that ends no higher than this."""
+    glass_m: float
+    """The search goes on behind T' where the next return is H or V and no farther behind the last one; 0 = it ends."""
     sudden_from_deg: float
     """A change from H to V at an angle between this ..."""
     sudden_to_deg: float
@@ -252,6 +260,8 @@ class DividerThresholds(NamedTuple):
     """... and slope at most, a tangent."""
     flat_step_m: float
     """A larger change of height from one return to the next ends such a stretch; inf = none does."""
+    flat_above_m: float
+    """Such a stretch is a roof where it begins higher above the lowest return of its interval; inf = none is."""
     vertical_extent_m: float
     """Vertical runs from this difference between their highest and lowest point up are cut out."""
     vertical_break_m: float
@@ -260,6 +270,8 @@ class DividerThresholds(NamedTuple):
     """Such a run must end higher than this above the ground; -inf = anywhere."""
     vertical_slope: float
     """Or such a run must be no farther from upright than this, a tangent."""
+    vertical_open: bool
+    """Or such a run must go on to the last beam of its row: nothing tells where it ends."""
     straight_points: int
     """Runs of fewer returns are cut out by their height alone, wherever they end."""
     straight_extent_m: float
@@ -268,6 +280,12 @@ class DividerThresholds(NamedTuple):
     """Root mean square of the residuals of their horizontal distances from a straight line at most, ..."""
     straight_slope: float
     """... and slope of that line from the vertical at most, a tangent."""
+    relief_m: float
+    """Runs of V and H as high as long vertical ones, as upright as straight ones, and no farther than this from a
+    straight line (rms) are cut out too, where steps are small; 0 = none is."""
+    lean_noise_m: float
+    """Noise of a horizontal distance by which both slopes may be larger: this over the root of the sum of squares of
+    the heights about their mean."""
 
 
 class FourierThresholds(NamedTuple):

@@ -23,11 +23,52 @@ _WINDOW_M = 0.8
 """... if it is no higher above it than the window of a car [m]."""
 
 
+_STEP_M = 0.1
+"""The reliefs of walls are no deeper from one return to the next [m]."""
+_SILL_M = 0.6
+"""The windows of cars begin higher above the ground than this [m]."""
+
+
+@helper
+def _behind_glass(
+    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, k: int, n: int, limit_m: float,
+    most_m: float
+) -> int:  # fmt: skip
+    """Return the first beam behind T' that is seen through a window, or -1: what follows is near again and no T'."""
+    while k < n and (range_m[row, k] != range_m[row, k] or surface[row, k] == _VEGETATION):
+        if xyz_m[row, k, 2] > limit_m:
+            return -1
+        k += 1
+    if k == n or (surface[row, k] != _HORIZONTAL and surface[row, k] != _VERTICAL):
+        return -1
+    return k if xyz_m[row, k, 2] <= limit_m and np.float64(horizontal_m[row, k]) <= most_m else -1
+
+
+@helper
+def _top_of_van(
+    surface: U8, horizontal_m: F32, xyz_m: F32, row: int, k: int, n: int, before: float, break_m: float, most_m: float
+) -> int:
+    """Return the beam after the vertical run that a beam goes on with, or -1: it ends too high, or with the row."""
+    while k < n:
+        here = np.float64(horizontal_m[row, k])
+        if here == here:
+            if surface[row, k] != _VERTICAL or abs(here - before) > break_m:
+                return k
+            if xyz_m[row, k, 2] > most_m:
+                return -1
+            before = here
+        elif k + 1 == n:
+            return n
+        k += 1
+    return -1
+
+
 @helper
 def _gather(
-    surface: U8, range_m: F32, xyz_m: F32, row: int, n: int, limit_m: float, beam: I32, code: U8, from_start: bool
-) -> tuple[int, int]:
-    """List the returns of a row up to the first one that is neither H nor V, or too high.
+    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, n: int, ground_m: float, beam: I32, code: U8,
+    thresholds: DividerThresholds,
+) -> tuple[int, int]:  # fmt: skip
+    """List the returns of a row up to the first one that is neither H nor V, or too high; T' in windows is left out.
 
     Returns how many there are, and which of them is the first vertical one behind a horizontal one, or that of the
     row with ``from_start``.
@@ -35,13 +76,28 @@ def _gather(
     size = int(np.int64(0))
     first = int(np.int64(-1))
     before = _VERTICAL
+    skipped = van = int(np.int64(0))
+    limit_m, sill_m, glass_m = ground_m + thresholds.height_m, ground_m + _SILL_M, thresholds.glass_m
     for k in range(n):
-        if range_m[row, k] != range_m[row, k]:
+        if k < skipped or range_m[row, k] != range_m[row, k]:
             continue
         here = surface[row, k]
-        if (here != _HORIZONTAL and here != _VERTICAL) or xyz_m[row, k, 2] > limit_m:
+        if here == _VEGETATION and first >= 0 and glass_m > 0.0 and xyz_m[row, beam[size - 1], 2] >= sill_m:
+            most_m = np.float64(horizontal_m[row, beam[size - 1]]) + glass_m
+            skipped = _behind_glass(surface, range_m, xyz_m, horizontal_m, row, k, n, limit_m, most_m)
+            if skipped > k:
+                continue
+        if here != _HORIZONTAL and here != _VERTICAL:
             break
-        starts = from_start and size == 0
+        if xyz_m[row, k, 2] > limit_m and k >= van:
+            if size > 0 and before == _VERTICAL:
+                van = _top_of_van(
+                    surface, horizontal_m, xyz_m, row, k, n, np.float64(horizontal_m[row, beam[size - 1]]),
+                    thresholds.vertical_break_m, ground_m + thresholds.tall_m,
+                )  # fmt: skip
+            if k >= van:
+                break
+        starts = thresholds.from_start and size == 0
         if first < 0 and here == _VERTICAL and (starts or before == _HORIZONTAL):
             first = size
         before = here
@@ -175,6 +231,8 @@ def _first_flat(
 ) -> tuple[int, int]:
     """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
     i = begin
+    lowest = np.inf
+    done = begin
     while i <= end:
         first = i
         while i <= end and code[i] == _HORIZONTAL:
@@ -183,7 +241,10 @@ def _first_flat(
                 break
         if i > first:
             stretch = _flat_stretch(points, first, i - 1, thresholds, sums, farthest)
-            if stretch[0] >= 0:
+            while done < stretch[0]:
+                lowest = min(lowest, points[done, _Z])
+                done += 1
+            if stretch[0] >= 0 and not points[stretch[0], _Z] - lowest > thresholds.flat_above_m:
                 return stretch
         if i == first or code[i - 1] != _HORIZONTAL or i > end or code[i] != _HORIZONTAL:
             i += 1
@@ -276,9 +337,8 @@ def car_intervals(
         ground = np.float64(ground_m[row])
         if not triggered[row] or ground != ground:
             continue
-        limit_m = ground + thresholds.height_m
         size, j = _gather(
-            surface, range_m, xyz_m, row, int(np.int64(n_beams[row])), limit_m, beam, code, thresholds.from_start
+            surface, range_m, xyz_m, horizontal_m, row, int(np.int64(n_beams[row])), ground, beam, code, thresholds
         )
         if j == size:
             continue
@@ -310,27 +370,41 @@ def car_intervals(
 
 
 @helper
+def _is_upright(sums: F64, n: int, residual_m: float, slope: float, noise_m: float) -> bool:
+    """Tell whether the straight line through points is near them and nearly upright.
+
+    ``sums`` are those of z, h, z², zh and h², counted from the first point.
+    """
+    mean_z, mean_h = sums[0] / n, sums[1] / n
+    zz, zh, hh = sums[2] / n - mean_z * mean_z, sums[3] / n - mean_z * mean_h, sums[4] / n - mean_h * mean_h
+    upright = abs(zh) <= (slope + noise_m / math.sqrt(n * zz)) * zz
+    return bool(upright and hh - zh * zh / zz <= residual_m * residual_m)
+
+
+@helper
+def _add(sums: F64, z: float, h: float) -> None:
+    """Add a point."""
+    sums[0] += z
+    sums[1] += h
+    sums[2] += z * z
+    sums[3] += z * h
+    sums[4] += h * h
+
+
+@helper
 def _is_straight(
-    xyz_m: F32, horizontal_m: F32, row: int, first: int, after: int, residual_m: float, slope: float
+    xyz_m: F32, horizontal_m: F32, row: int, first: int, after: int, residual_m: float, slope: float, noise_m: float
 ) -> bool:
     """Tell whether the straight line through the returns of a run is near them and nearly upright."""
-    n = 0
+    n = int(np.int64(0))
     z_0, h_0 = np.float64(xyz_m[row, first, 2]), np.float64(horizontal_m[row, first])
-    sum_z = sum_h = sum_zz = sum_zh = sum_hh = 0.0
+    sums = np.zeros(5, np.float64)
     for j in range(first, after):
         if horizontal_m[row, j] != horizontal_m[row, j]:
             continue
-        z = np.float64(xyz_m[row, j, 2]) - z_0
-        h = np.float64(horizontal_m[row, j]) - h_0
-        sum_z += z
-        sum_h += h
-        sum_zz += z * z
-        sum_zh += z * h
-        sum_hh += h * h
+        _add(sums, np.float64(xyz_m[row, j, 2]) - z_0, np.float64(horizontal_m[row, j]) - h_0)
         n += 1
-    mean_z, mean_h = sum_z / n, sum_h / n
-    zz, zh, hh = sum_zz / n - mean_z * mean_z, sum_zh / n - mean_z * mean_h, sum_hh / n - mean_h * mean_h
-    return bool(abs(zh) <= slope * zz and hh - zh * zh / zz <= residual_m * residual_m)
+    return _is_upright(sums, n, residual_m, slope, noise_m)
 
 
 @helper
@@ -344,6 +418,7 @@ def _vertical_run(
     """
     before = horizontal_m[row, k]
     last = k
+    seen = k
     long = False
     n_points = int(np.int64(0))
     lowest = np.inf
@@ -361,16 +436,68 @@ def _vertical_run(
             highest = max(highest, height)
             long = highest - lowest >= thresholds.vertical_extent_m and not highest <= top_m
             before = here
+            seen = j
             last = j if j < stop else last
         j += 1
+    if thresholds.vertical_open and seen == n - 1 and highest - lowest >= thresholds.vertical_extent_m:
+        return j, last, True
     if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
         # what is higher than the side of a car need not be straight, nor upright where its points are few
         high = highest - lowest >= thresholds.vertical_extent_m
         residual_m = np.inf if high else thresholds.straight_residual_m
         slope = thresholds.vertical_slope if high else thresholds.straight_slope
         few = n_points < thresholds.straight_points
-        long = (high and few) or _is_straight(xyz_m, horizontal_m, row, k, j, residual_m, slope)
+        noise_m = thresholds.lean_noise_m
+        long = (high and few) or _is_straight(xyz_m, horizontal_m, row, k, j, residual_m, slope, noise_m)
     return j, last, long
+
+
+@helper
+def _next_of_wall(surface: U8, horizontal_m: F32, row: int, k: int, n: int, before: float, reach: int) -> int:
+    """Return the next beam that goes on with a wall, behind so many returns that go through it, or n."""
+    through = 0
+    while k < n and through <= reach:
+        here = np.float64(horizontal_m[row, k])
+        solid = surface[row, k] == _HORIZONTAL or surface[row, k] == _VERTICAL
+        if solid and abs(here - before) <= _STEP_M:
+            return k
+        through += here == here
+        k += 1
+    return n
+
+
+@helper
+def _mark_reliefs(
+    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, first: int, stop: int, n: int,
+    thresholds: DividerThresholds, gone: Mask,
+) -> None:  # fmt: skip
+    """Mark the rough walls of an interval: runs of H and V that are high, upright and nearly straight."""
+    begin = first
+    while begin < stop:
+        if surface[row, begin] != _HORIZONTAL and surface[row, begin] != _VERTICAL:
+            begin += 1
+            continue
+        z_0, h_0 = np.float64(xyz_m[row, begin, 2]), np.float64(horizontal_m[row, begin])
+        sums = np.zeros(5, np.float64)
+        lowest = highest = 0.0
+        last = begin
+        n_points = int(np.int64(0))
+        j = begin
+        while j < n:
+            height = np.float64(xyz_m[row, j, 2]) - z_0
+            here = np.float64(horizontal_m[row, j])
+            _add(sums, height, here - h_0)
+            lowest, highest = min(lowest, height), max(highest, height)
+            n_points += 1
+            last = j
+            j = _next_of_wall(surface, horizontal_m, row, j + 1, n, here, thresholds.return_points)
+        high = n_points >= thresholds.straight_points and highest - lowest >= thresholds.vertical_extent_m
+        if high and highest > lowest:
+            slope, noise_m = thresholds.straight_slope, thresholds.lean_noise_m
+            if _is_upright(sums, n_points, thresholds.relief_m, slope, noise_m):
+                for k in range(begin, min(last + 1, stop)):
+                    gone[k] = True
+        begin = last + 1
 
 
 @kernel(
@@ -415,33 +542,38 @@ def cut_verticals(
         n_most += (intervals[i, 2] - intervals[i, 1]) // 2 + 1
     left = np.empty((n_most, 3), np.int32)
     n_left = 0
+    gone = np.zeros(surface.shape[1], np.bool_)
     for i in range(len(intervals)):
-        row, stop = intervals[i, 0], intervals[i, 2] + 1
+        row, first, stop = intervals[i, 0], intervals[i, 1], intervals[i, 2] + 1
         n = n_beams[row]
-        begin = -1  # first and last return of the piece that is being put together
-        end = -1
-        k = intervals[i, 1]
+        for k in range(first, stop):
+            gone[k] = False
+        if thresholds.relief_m > 0.0:
+            _mark_reliefs(surface, xyz_m, horizontal_m, row, first, stop, n, thresholds, gone)
+        k = first
         while k < stop:
-            if horizontal_m[row, k] != horizontal_m[row, k]:
-                k += 1
-                continue
-            if surface[row, k] != _VERTICAL:
-                begin = k if begin < 0 else begin
-                end = k
+            if horizontal_m[row, k] != horizontal_m[row, k] or surface[row, k] != _VERTICAL:
                 k += 1
                 continue
             after, last, long = _vertical_run(
                 surface, xyz_m, horizontal_m, row, k, stop, n, np.float64(ground_m[row]), thresholds
             )
             if long:
-                if begin >= 0:
-                    left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
-                    n_left += 1
-                begin = -1
-            else:
-                begin = k if begin < 0 else begin
-                end = last
+                for j in range(k, last + 1):
+                    gone[j] = True
             k = after
+        begin = -1  # first and last return of the piece that is being put together
+        end = -1
+        for k in range(first, stop):
+            if horizontal_m[row, k] != horizontal_m[row, k]:
+                continue
+            if not gone[k]:
+                begin = k if begin < 0 else begin
+                end = k
+            elif begin >= 0:
+                left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+                n_left += 1
+                begin = -1
         if begin >= 0:
             left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
             n_left += 1

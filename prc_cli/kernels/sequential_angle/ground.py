@@ -758,13 +758,27 @@ def _count_height(heights: _Heights, z: float, memory: int, share: float) -> Non
 
 
 @helper
-def _main_height(heights: _Heights, tops: I64, counts: I64) -> tuple[int, float]:
-    """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins."""
+def _lowest(tops: I64, counts: I64, best: int, width: int, roof_m: float, roof_share: float) -> int:
+    """Return the lowest mode that makes a roof of the main one: far enough below, with a share of its samples."""
+    for i in range(best):
+        below_m = (((tops[best] - tops[i]) * width) // 2) / PER_METRE
+        if below_m >= roof_m and np.float64(counts[i]) >= roof_share * np.float64(counts[best]):
+            return i
+    return best
+
+
+@helper
+def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_share: float) -> tuple[int, float]:
+    """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins.
+
+    Where the main mode is a roof, those of the ground below it.
+    """
     histogram, figures = heights.histogram, heights.figures[0]
     if figures["n"] == 0:
         return 0, np.nan
     width = figures["width"]
     best = _main(counts, _walk(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts))
+    best = _lowest(tops, counts, best, width, roof_m, roof_share)
     place = ((tops[best] - 2 * HALF) * width + width) // 2
     shift = 0.0
     for _ in range(20):
@@ -790,8 +804,8 @@ def _main_height(heights: _Heights, tops: I64, counts: I64) -> tuple[int, float]
     return counts[best], (place + 0.5 + shift) / PER_METRE + LOWEST_M
 
 
-@kernel("Tuple((int64, float64, int32[::1], int32[::1]))(float64[::1], float64)")
-def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
+@kernel("Tuple((int64, float64, int32[::1], int32[::1]))(float64[::1], float64, float64, float64)")
+def main_height(heights: F64, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights.
 
     Parameters
@@ -800,6 +814,10 @@ def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
         Finite.
     share : float
         Bandwidth as a share of the median height; rounded up to a multiple of 16 mm.
+    roof_m : float
+        A mode this much lower than the main one takes its place, the lowest of them; inf = none does ...
+    roof_share : float
+        ... if it has this share of its heights.
 
     Returns
     -------
@@ -818,7 +836,8 @@ def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
         bins[i] = _height_bin(heights[i])
         histogram[bins[i]] += 1
     found = _new_heights(histogram, bins, int(np.int64(0)), share)
-    count, height = _main_height(found, np.empty(N_HEIGHTS, np.int64), np.empty(N_HEIGHTS, np.int64))
+    tops, counts = np.empty(N_HEIGHTS, np.int64), np.empty(N_HEIGHTS, np.int64)
+    count, height = _main_height(found, tops, counts, roof_m, roof_share)
     return count, height, bins, histogram
 
 
@@ -936,6 +955,7 @@ def ground_rows(
     queue = np.empty(n_recent + n_rows, np.int32)
     queue[:n_recent] = state.recent
     memory, share, z_g = thresholds.memory_heights, thresholds.height_bandwidth, state.z_g
+    roof_m, roof_share = thresholds.roof_m, thresholds.roof_share
     heights = _new_heights(state.histogram.copy(), queue, n_recent, share)
     figures = heights.figures[0]
     ground = np.zeros((n_rows, n), np.bool_)
@@ -953,7 +973,7 @@ def ground_rows(
                 _count_height(heights, z_i, memory, share)
                 to_count = False
                 if z_g == z_g or figures["n"] >= thresholds.least_heights:
-                    _, z_g = _main_height(heights, tops, counts)
+                    _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
             accepted = abs(z_i - z_g) < max(thresholds.height_tolerance * abs(z_g), thresholds.height_tolerance_m)
             if accepted or z_row != z_row:
                 z_row = z_i
@@ -969,7 +989,7 @@ def ground_rows(
         if to_count and z_row == z_row and (accepted or thresholds.all_heights):
             _count_height(heights, z_row, memory, share)
             if accepted or thresholds.renew_every:
-                _, z_g = _main_height(heights, tops, counts)
+                _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
         z_rows[i] = z_g
     recent = queue[figures["oldest"] : figures["newest"]].copy()
     ahead_still = max(state.n_in_histogram_ahead - n_rows, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ from prc_cli.core.classes import Surface
 from prc_cli.core.thresholds.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
-H, V = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
+H, V, T = int(Surface.HORIZONTAL), int(Surface.VERTICAL), int(Surface.VEGETATION)
 """Surface codes."""
 
 
@@ -92,10 +93,11 @@ def car_intervals(
     for row in range(len(n_beams)):
         if not triggered[row] or np.isnan(ground_m[row]):
             continue
-        beams = [k for k in range(n_beams[row]) if not np.isnan(range_m[row, k])]
-        limit = float(ground_m[row]) + thresholds.height_m
-        ends = [i for i, k in enumerate(beams) if surface[row, k] not in (H, V) or float(xyz_m[row, k, 2]) > limit]
-        beams = beams[: ends[0]] if ends else beams
+        line = Line(
+            surface[row, : n_beams[row]], horizontal_m[row].astype(np.float64), xyz_m[row, :, 2].astype(np.float64),
+            float(ground_m[row]),
+        )  # fmt: skip
+        beams = line.searched(thresholds)
         codes = [int(surface[row, k]) for k in beams]
         points = xyz_m[row, beams].astype(np.float64).reshape(-1, 3)
         ranges = range_m[row, beams].astype(np.float64)
@@ -134,6 +136,65 @@ def car_intervals(
     return np.array(found, np.int32).reshape(-1, 3)
 
 
+@dataclass
+class Line:
+    """A row, and which of its beams are searched for cars."""
+
+    surface: U8
+    distance: F64
+    height: F64
+    ground_m: float
+
+    def searched(self, thresholds: DividerThresholds) -> list[int]:
+        """Return the returns up to the first one that is too high, or neither H nor V; T' in windows is left out."""
+        returns = [k for k in range(len(self.surface)) if not np.isnan(self.distance[k])]
+        found: list[int] = []
+        while returns:
+            k = returns[0]
+            if self.surface[k] == T and thresholds.glass_m > 0 and self.is_begun(found, thresholds):
+                returns = self.behind_glass(returns, found[-1], thresholds)
+                continue
+            if self.surface[k] not in (H, V):
+                break
+            more = [k]
+            if self.height[k] > self.ground_m + thresholds.height_m:
+                more = self.side_of_van(returns, found[-1:], thresholds)
+                if not more:
+                    break
+            found += more
+            returns = returns[len(more) :]
+        return found
+
+    def is_begun(self, beams: list[int], thresholds: DividerThresholds) -> bool:
+        """Tell whether there has been a change from H to V, or a V to begin with."""
+        codes = self.surface[beams].tolist()
+        return (H, V) in pairwise(codes) or (thresholds.from_start and codes[:1] == [V])
+
+    def behind_glass(self, returns: list[int], last: int, thresholds: DividerThresholds) -> list[int]:
+        """Return those of the returns, T' first, that follow the window of a car; empty = it is none."""
+        behind = next((i for i, k in enumerate(returns) if self.surface[k] != T), len(returns))
+        window, rest = returns[:behind], returns[behind:]
+        if not rest or self.surface[rest[0]] not in (H, V):
+            return []
+        near = self.distance[rest[0]] <= self.distance[last] + thresholds.glass_m
+        low = all(not self.height[k] > self.ground_m + thresholds.height_m for k in [*window, rest[0]])
+        return rest if near and low and self.height[last] >= self.ground_m + 0.6 else []
+
+    def side_of_van(self, returns: list[int], last: list[int], thresholds: DividerThresholds) -> list[int]:
+        """Return those of the returns, the first too high, that go on with the side of a van; empty = it is none."""
+        if not last or self.surface[last[0]] != V:
+            return []
+        steps = [
+            i
+            for i, (a, b) in enumerate(pairwise([*last, *returns]))
+            if self.surface[b] != V or abs(self.distance[b] - self.distance[a]) > thresholds.vertical_break_m
+        ]
+        run = returns[: steps[0]] if steps else returns
+        is_open = not steps and returns[-1] == len(self.surface) - 1
+        too_high = any(self.height[k] > self.ground_m + thresholds.tall_m for k in run)
+        return [] if is_open or too_high else run
+
+
 def first_ground(
     codes: list[int], distance: F64, height: F64, t1: int, t2: int, thresholds: DividerThresholds
 ) -> tuple[int, int] | None:
@@ -145,7 +206,8 @@ def first_ground(
     for first, last in level:
         part = slice(t1 + first, t1 + last + 1)
         stretch = flat_stretch(distance[part], height[part], *limits)
-        if stretch:
+        before = height[t1 : t1 + first + stretch[0]] if stretch else height[:0]
+        if stretch and not height[t1 + first + stretch[0]] - min(before, default=np.inf) > thresholds.flat_above_m:
             return t1 + first + stretch[0], t1 + first + stretch[1]
     return None
 
@@ -157,6 +219,11 @@ def is_too_high(heights: F64, ground_m: float, thresholds: DividerThresholds) ->
     )
 
 
+def is_open(beams: list[int], heights: F64, n: int, thresholds: DividerThresholds) -> bool:
+    """Tell whether a high vertical run goes on to the last beam."""
+    return bool(thresholds.vertical_open and beams[-1] == n - 1 and np.ptp(heights) >= thresholds.vertical_extent_m)
+
+
 def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> bool:
     """Tell whether a vertical run is straight and upright, as no car is."""
     if np.ptp(heights) < thresholds.straight_extent_m or np.ptp(heights) == 0:
@@ -164,10 +231,18 @@ def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> b
     high = bool(np.ptp(heights) >= thresholds.vertical_extent_m)
     if high and len(heights) < thresholds.straight_points:
         return True
+    residual_m, slope = (
+        (np.inf, thresholds.vertical_slope) if high else (thresholds.straight_residual_m, thresholds.straight_slope)
+    )
+    return is_upright(distance, heights, residual_m, slope, thresholds)
+
+
+def is_upright(distance: F64, heights: F64, residual_m: float, slope: float, thresholds: DividerThresholds) -> bool:
+    """Tell whether points are near a straight line that is nearly upright."""
     lean, offset = np.polyfit(heights - heights[0], distance - distance[0], 1)
     residual = distance - distance[0] - lean * (heights - heights[0]) - offset
-    near = high or np.sqrt(np.mean(residual**2)) <= thresholds.straight_residual_m
-    return bool(near and abs(lean) <= (thresholds.vertical_slope if high else thresholds.straight_slope))
+    near = np.sqrt(np.mean(residual**2)) <= residual_m
+    return bool(near and abs(lean) <= slope + thresholds.lean_noise_m / np.sqrt(len(heights) * np.var(heights)))
 
 
 def cut_verticals(
@@ -196,10 +271,37 @@ def cut_verticals(
         for begin, end in vertical:
             heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
             too_high = is_too_high(heights, float(ground_m[row]), thresholds)
+            too_high = too_high or is_open(beams[begin : end + 1], heights, n_beams[row], thresholds)
             if too_high or is_straight(distance[begin : end + 1], heights, thresholds):
                 keep[begin : end + 1] = [False] * (end + 1 - begin)
+        height = xyz_m[row, beams, 2].astype(np.float64)
+        for begin, end in reliefs(codes, distance, height, beams.index(last), thresholds):
+            keep[begin : end + 1] = [False] * (end + 1 - begin)
         left += [(row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)]
     return np.array(left, np.int32).reshape(-1, 3)
+
+
+def reliefs(
+    codes: list[int], distance: F64, height: F64, last: int, thresholds: DividerThresholds
+) -> list[tuple[int, int]]:
+    """Return first and last position of rough walls: H and V that are high, upright and nearly straight."""
+    found: list[tuple[int, int]] = []
+    begin = 0
+    while begin <= last and thresholds.relief_m > 0:
+        run = [begin] if codes[begin] in (H, V) else []
+        while run:
+            ahead = range(run[-1] + 1, min(run[-1] + 2 + thresholds.return_points, len(codes)))
+            near = [k for k in ahead if codes[k] in (H, V) and abs(distance[k] - distance[run[-1]]) <= 0.1]
+            if not near:
+                break
+            run.append(near[0])
+        heights = height[run]
+        if len(run) >= thresholds.straight_points and np.ptp(heights) >= thresholds.vertical_extent_m:
+            limits = thresholds.relief_m, thresholds.straight_slope, thresholds
+            if np.ptp(heights) > 0 and is_upright(distance[run], heights, *limits):
+                found.append((begin, run[-1]))
+        begin = max([begin, *run]) + 1
+    return found
 
 
 def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:

@@ -234,10 +234,15 @@ def to_bin(z: float) -> int:
     return int(np.clip(np.floor((z - LOWEST_M) * PER_METRE), 0, N_HEIGHTS - 1))
 
 
-def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
+def main_height(heights: F64, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights; see :func:`prc_cli.kernels.sequential_angle.ground.main_height`."""
     bins = [to_bin(height) for height in heights]
-    return *main_bin(bins, share), np.array(bins, dtype=np.int32), histogram_of(bins)
+    return *main_bin(bins, share, roof_m, roof_share), np.array(bins, dtype=np.int32), histogram_of(bins)
+
+
+def floor_m(bins: float, width: int) -> float:
+    """Return a number of half or whole bins as a length, rounded down to bins of heights [m]."""
+    return math.floor(bins * width) / PER_METRE
 
 
 def histogram_of(bins: list[int]) -> I32:
@@ -245,13 +250,19 @@ def histogram_of(bins: list[int]) -> I32:
     return np.bincount(np.array(bins, dtype=np.int64), minlength=N_HEIGHTS).astype(np.int32)
 
 
-def main_bin(heights: list[int], share: float) -> tuple[int, float]:
+def main_bin(heights: list[int], share: float, roof_m: float, roof_share: float) -> tuple[int, float]:
     """Return the number of binned heights in their main mode, and its place [m]."""
     if not heights:
         return 0, math.nan
     median = sorted(heights)[(len(heights) - 1) // 2]
     width = max(1, math.ceil(share * abs(median + 0.5 + LOWEST_M * PER_METRE) / EIGHTHS))
-    place, count = main_mode(grid_modes([height // width for height in heights]))
+    modes = grid_modes([height // width for height in heights])
+    place, count = main_mode(modes)
+    place, count = next(
+        (one, n)
+        for one, n in modes
+        if one == place or (floor_m(place - one, width) >= roof_m and n >= roof_share * count)
+    )
     centre = math.floor((place + 0.5) * width)
     for _ in range(20):
         moment = mass = 0
@@ -303,7 +314,7 @@ def ground_rows(
                 heights = [*heights, to_bin(z_i)][-memory:]
                 to_count = False
                 if len(heights) >= thresholds.least_heights or not math.isnan(z_g):
-                    z_g = main_bin(heights, share)[1]
+                    z_g = main_bin(heights, share, thresholds.roof_m, thresholds.roof_share)[1]
             accepted = is_near(z_i, z_g, thresholds)
             z_row = z_i if accepted or math.isnan(z_row) else z_row
             if accepted:
@@ -314,7 +325,7 @@ def ground_rows(
         if to_count and not math.isnan(z_row) and (accepted or thresholds.all_heights):
             heights = [*heights, to_bin(z_row)][-memory:]
             if accepted or thresholds.renew_every:
-                z_g = main_bin(heights, share)[1]
+                z_g = main_bin(heights, share, thresholds.roof_m, thresholds.roof_share)[1]
         z_rows[i] = z_g
     recent = np.array(heights if memory else [], dtype=np.int32)
     ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)

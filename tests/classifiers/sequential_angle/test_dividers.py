@@ -34,8 +34,14 @@ class PlainDividersParams(DividersParams):
     return_points: int = 0
     from_start: bool = False
     flat_step_m: float = 0.0
+    flat_above_m: float = 1000.0
+    tall_m: float = 0.0
+    glass_m: float = 0.0
     vertical_top_m: float = 0.0
+    vertical_open: bool = False
     straight_extent_m: float = 0.0
+    lean_sigmas: float = 0.0
+    relief_m: float = 0.0
 
 
 PARAMS = PlainDividersParams()
@@ -313,7 +319,8 @@ def test_a_fence_is_cut_out_and_the_bowed_side_of_a_car_is_not() -> None:
 def test_only_what_is_higher_than_a_van_is_cut_out_by_its_height() -> None:
     x, z, surface = columns([(6.0, -1.6, 0.5, 60)], "V")
     leaning = x + np.tan(np.deg2rad(5)) * (z + 1.6)
-    assert left_of(leaning, z, surface) == [(0, 59)]
+    assert left_of(leaning, z, surface) == []  # it goes on to the last beam, so that nothing tells where it ends
+    assert left_of(leaning, z, surface, vertical_open=False) == [(0, 59)]
     assert left_of(leaning, z, surface, vertical_top_m=0) == []
     assert left_of(leaning, z + 0.5, surface) == []
     few = slice(None, None, 6)
@@ -324,3 +331,57 @@ def test_a_line_that_begins_on_a_car_begins_with_an_interval() -> None:
     steps = [("V", 2.0, -1.4 + 0.1 * i) for i in range(6)] + [("H", 2.1 + 0.1 * i, -0.8) for i in range(6)]
     assert spans(steps, DividersParams(straight_extent_m=0)) == [(0, 11)]
     assert spans(steps, DividersParams(straight_extent_m=0, from_start=False)) == []
+
+
+def test_a_lean_within_the_noise_is_upright() -> None:
+    x, z, surface = columns([(6.0, -1.6, -1.2, 20)], "V")
+    leaning = x + np.tan(np.deg2rad(2)) * z
+    assert left_of(leaning, z, surface) == []
+    assert left_of(leaning, z, surface, lean_sigmas=0) == [(0, 19)]
+
+
+def test_the_side_of_a_van_is_searched_to_its_top() -> None:
+    def van(top: float) -> list[tuple[str, float, float]]:
+        start = [*ground(2, 6.5), *side(6)]
+        flank = [("V", 6.0 + 0.05 * float(z), float(z)) for z in np.arange(1.0, top, 0.1)]
+        return [*start, *flank, ("V", 12.0, top + 0.5), ("V", 12.0, top + 0.6)]
+
+    begin = len(ground(2, 6.5))
+    low = len([*ground(2, 6.5), *side(6)]) + 10  # up to 2 m
+    tall = PlainDividersParams(tall_m=2.6, vertical_extent_m=9)
+    for top, expected in ((2.5, len(van(2.5)) - 3), (2.9, low)):
+        ((first, last),) = spans(van(top), tall)
+        assert first == begin
+        assert abs(last - expected) <= 1
+    assert spans(van(2.5), PlainDividersParams(vertical_extent_m=9))[0][1] <= low
+
+
+def test_a_window_does_not_end_the_search_and_a_bush_does() -> None:
+    start = [*ground(2, 6.5), *side(6)]
+    begin, panes = len(ground(2, 6.5)), [("T", 6.0 + 0.4 * (i % 3), 0.9 + 0.05 * i) for i in range(8)]
+    behind = [("V", 6.3, 1.35), ("H", 6.5, 1.4), ("H", 6.8, 1.4)]
+    params = PlainDividersParams(glass_m=1.0)
+    assert spans([*start, *panes, *behind], params) == [(begin, len(start) + len(panes) + 2)]
+    assert spans([*start, *panes, *behind]) == [(begin, len(start) - 1)]
+    far = [("V", 9.3, 1.35), ("V", 9.3, 1.4)]
+    assert spans([*start, *panes, *far], params) == [(begin, len(start) - 1)], "a wall behind a bush"
+
+
+def test_a_roof_is_no_ground() -> None:
+    start = [*ground(2, 6.5), *side(6)]
+    roof = [("H", 6.3 + 0.2 * i, 1.5) for i in range(20)]
+    begin = len(ground(2, 6.5))
+    assert spans([*start, *roof]) == [(begin, len(start))]
+    assert spans([*start, *roof], PlainDividersParams(flat_above_m=1.0)) == [(begin, len(start) + 19)]
+
+
+def test_a_rough_wall_is_cut_out_and_a_van_is_not() -> None:
+    """Slats that return from two depths, some shots through them: angles call half of them horizontal."""
+    x, z, surface = columns([(6.0, -1.6, 0.2, 80)], "V")
+    surface[0, ::3] = H
+    rough = x + 0.03 * (np.arange(80) % 5 == 0)
+    rough[[20, 41]] = 9.0
+    assert left_of(rough, z, surface) == []
+    assert left_of(rough, z, surface, relief_m=0) != []
+    leaning = rough + np.tan(np.deg2rad(5)) * z
+    assert left_of(leaning, z, surface) == left_of(leaning, z, surface, relief_m=0) != []

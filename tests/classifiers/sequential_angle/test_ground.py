@@ -20,7 +20,7 @@ from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from tests.classifiers.sequential_angle.profiles import NOISE_M, ROAD_Z, H, Scene, Segment, V, scan, street
 
-PARAMS = GroundParams()
+PARAMS = GroundParams(start_heights=50)
 
 
 def follow(
@@ -61,7 +61,7 @@ def test_without_resuming_some_lines_lose_the_road() -> None:
     """Why the search resumes: noise of neighbouring shots near the scanner parts the first points of some lines."""
     scene = scan([street()] * 40, n=2154)
     assert find(scene)[1][road(scene)].mean() > 0.99
-    assert find(scene, GroundParams(resume=False))[1][road(scene)].mean() < 0.95
+    assert find(scene, GroundParams(start_heights=50, resume=False))[1][road(scene)].mean() < 0.95
 
 
 def test_height_is_robust_against_hedges_in_a_third_of_the_lines() -> None:
@@ -107,7 +107,7 @@ def test_height_follows_all_lines_after_the_first_fifty_only() -> None:
 def test_accepted_heights_alone_can_be_counted() -> None:
     scene = scan([street()] * 50 + [[(0.3, -0.5, 4.0, -0.5, H)]] * 20, n=300)
     assert find(scene)[3].histogram.sum() == 70
-    assert find(scene, GroundParams(heights="accepted"))[3].histogram.sum() == 50
+    assert find(scene, GroundParams(start_heights=50, heights="accepted"))[3].histogram.sum() == 50
 
 
 def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
@@ -125,7 +125,7 @@ def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     few, first = np.full(40, np.nan), np.array([-0.4, -0.3])
     few[[7, 20]] = first
     assert np.isnan(initial_ground(few, PARAMS).z_g)
-    assert initial_ground(few, GroundParams(least_heights=1)).z_g < 0
+    assert initial_ground(few, GroundParams(start_heights=50, least_heights=1)).z_g < 0
     found, z_g, _ = follow(
         scene.lines, scene.surface, scene.phihat, scene.ahead, initial_ground(few, PARAMS)._replace(
         n_in_histogram_ahead=0), PARAMS,
@@ -155,27 +155,38 @@ def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> N
 
 def test_lowest_points_of_all_potential_ground_lose_a_slope() -> None:
     scene = plane(3.0)
-    found = find(scene, GroundParams(height_points=0, renew="accepted"))[1]
+    found = find(scene, GroundParams(start_heights=50, height_points=0, renew="accepted"))[1]
     assert found[scene.surface == H].mean() < 0.9
+
+
+@pytest.mark.parametrize(("below_m", "left"), [(0.9, True), (0.4, False)])
+def test_the_bonnet_of_a_car_is_not_the_ground(below_m: float, left: bool) -> None:
+    bonnet: list[Segment] = [(0.3, ROAD_Z + below_m, 6.0, ROAD_Z + below_m, H)]
+    scene = scan([bonnet] * 80 + [street()] * 30, n=300)
+    _, found, z_g, _ = find(scene)
+    assert found[105:].any(axis=1).all() == left
+    assert (abs(z_g[-1] - ROAD_Z) < 0.03) == left
+    off = GroundParams(start_heights=50, roof_m=1000)
+    assert not find(scene, off)[1][80:].any()
 
 
 @pytest.mark.parametrize("memory", [100, 0])
 def test_a_wrong_first_estimate_is_left_behind(memory: int) -> None:
     ramp: list[Segment] = [(0.3, -0.9, 6.0, -0.9, H)]
     scene = scan([ramp] * 49 + [street()] * 150, n=300)
-    _, found, z_g, _ = find(scene, GroundParams(memory_heights=memory))
+    _, found, z_g, _ = find(scene, GroundParams(start_heights=50, memory_heights=memory))
     assert found[105:].any(axis=1).all()
     np.testing.assert_allclose(z_g[105:], ROAD_Z, atol=0.03)
-    assert not find(scene, GroundParams(renew="accepted"))[1][60:].any()
+    assert not find(scene, GroundParams(start_heights=50, renew="accepted"))[1][60:].any()
 
 
 def test_old_heights_are_forgotten() -> None:
     lower = [(x0, z0 - 0.5, x1, z1 - 0.5, kind) for x0, z0, x1, z1, kind in street(wall=False)]
     scene = scan([street(wall=False)] * 300 + [lower] * 120, n=200)
-    _, found, _, state = find(scene, GroundParams(memory_heights=100))
+    _, found, _, state = find(scene, GroundParams(start_heights=50, memory_heights=100))
     assert state.histogram.sum() == len(state.recent) == 100
     assert found[360:].any(axis=1).all()
-    whole = find(scene, GroundParams(memory_heights=0))
+    whole = find(scene, GroundParams(start_heights=50, memory_heights=0))
     assert not whole[1][360:].any()
     assert whole[3].histogram.sum() == 420
     assert len(whole[3].recent) == 0
@@ -195,7 +206,7 @@ def test_noisy_shots_do_not_end_the_road() -> None:
     _, found, _, _ = find(scene)
     assert found[road(scene)].mean() > 0.97
     assert not found[:, [5, 60, 61, 130, 131, 132, 133, 300]].any()
-    assert find(scene, GroundParams(bridge=0))[1][road(scene)].mean() < 0.4
+    assert find(scene, GroundParams(start_heights=50, bridge=0))[1][road(scene)].mean() < 0.4
     scene = noisy(scan([street()] * 20, n=1000), [130, 131, 132, 133, 134])
     assert find(scene)[1][road(scene)].mean() < 0.6
 
@@ -223,7 +234,7 @@ def test_scanner_near_the_ground() -> None:
     assert find(scene)[1].any(axis=1).all()
     low = initial_ground(np.full(50, -0.15), PARAMS)._replace(n_in_histogram_ahead=0)
     for limit, everywhere in ((0.05, True), (0.0, False)):
-        params = GroundParams(height_tolerance_m=limit, renew="accepted")
+        params = GroundParams(start_heights=50, height_tolerance_m=limit, renew="accepted")
         found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params)
         assert found.any(axis=1).all() == everywhere
 
@@ -273,7 +284,7 @@ def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> No
 
 
 def test_literal_set_can_be_chosen() -> None:
-    literal = GroundParams(bandwidth_sigmas=0, resume=False)
+    literal = GroundParams(start_heights=50, bandwidth_sigmas=0, resume=False)
     scene = scan([street()] * 10, n=300, noise_m=0.0)
     assert find(scene, literal)[1].any()
 

@@ -13,7 +13,7 @@ from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
 
 CODES = {"M": 0, "T": 1, "H": 2, "V": 3, "U": 4}
-PARAMS = SuspiciousParams()
+PARAMS = SuspiciousParams(enabled=True)
 
 
 def trigger(states: str, params: SuspiciousParams = PARAMS) -> int:
@@ -66,7 +66,7 @@ def test_fill_is_not_missing() -> None:
 
 
 def test_sky_fires_unless_only_closed_gaps_count() -> None:
-    closed = SuspiciousParams(closed_gaps_only=True)
+    closed = SuspiciousParams(enabled=True, closed_gaps_only=True)
     assert trigger("HHHVVVMMMM") == 6
     assert trigger("HHHVVVMMMM", closed) == -1
     assert trigger("HHHVVVMMMV", closed) == 6
