@@ -11,6 +11,7 @@ from types import CodeType
 from typing import Any
 
 import prc_cli
+from prc_cli.core.thresholds import fused as thresholds
 from prc_cli.kernels import compiling
 
 FORBIDDEN = (
@@ -39,8 +40,8 @@ CHANGES = {
     "shutil.move": 2,
 }
 """Events whose first arguments are names of files that are changed."""
-COMPILER = compiling.__file__
-"""Begins processes that compile loops, once after installation."""
+OWN = (compiling.__file__, thresholds.__file__)
+"""The one begins processes that compile loops, once after installation; the other reads types of its own fields."""
 TEMPLATES = tuple(Path(prc_cli.__path__[0], room, "templates") for room in ("evaluation", "imaging"))
 """The program's own pages, which jinja2 turns into code."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_TRUNC
@@ -117,7 +118,7 @@ def _is_import() -> bool:
     frame = sys._getframe(2)
     while frame is not None:
         name = frame.f_code.co_filename
-        if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name or name == COMPILER:
+        if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name or name in OWN:
             return True
         frame = frame.f_back  # type: ignore[assignment]
     return False
