@@ -95,7 +95,7 @@ def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
     >>> car = np.repeat([2.0, 88.0], 16)
     >>> tree = np.tile([40.0, -70.0, 80.0, -20.0], 8)
     >>> angles = np.array([car, tree], dtype=np.float32)
-    >>> fourier(angles, np.array([[0, 0, 31], [1, 0, 31]], dtype=np.int32), FourierParams())
+    >>> fourier(angles, np.array([[0, 0, 31], [1, 0, 31]], dtype=np.int32), FourierParams(longest=32))
     array([ True, False])
     """
     if not params.enabled:
