@@ -255,6 +255,7 @@ PRINTED: dict[str, dict[str, Any]] = {
         "car": {"dividers": {"straight_lean_deg": 2, "vertical_lean_deg": 3}}
     },
     "ground.roof_m = 1000": {"ground": {"roof_m": 1000}},
+    "ground.follow_m = 0": {"ground": {"follow_m": 0}},
     "ground.start_heights = 50": {"ground": {"start_heights": 50}},
     "with the trigger": {"car": {"suspicious": {"enabled": True}}},
     "no high verticals": {"car": {"high_verticals": {"enabled": False}}},
@@ -450,6 +451,15 @@ def windows(folder: Path) -> None:
     print(f"| *the paper* | {' | '.join(f'{r:.3f} | {p:.3f}' for r, p in PAPER.values())} |\n")
 
 
+KITTI_GROUND: dict[str, tuple[int, ...]] = {
+    "road and sidewalk": (40, 48),
+    "road": (40,),
+    "sidewalk": (48,),
+    "terrain": (72,),
+}
+"""SemanticKITTI's codes of what is ground."""
+
+
 def kitti(folder: Path) -> None:
     """The labelled frame of a scanner with 64 rings."""
     source, labels = DATA / "kitti" / "000000.bin", folder / "kitti.npy"
@@ -460,6 +470,18 @@ def kitti(folder: Path) -> None:
     print("      --set sequential_angle.angles.range_noise_m=0.02")
     print("$ prc evaluate kitti.npy 000000.label --mapping street_scan_kitti --format markdown\n```\n")
     print(as_markdown(evaluate(labels, source.with_suffix(".label"), "street_scan_kitti")))
+    print("Share that is ground, with and without heights that follow their side:\n")
+    print(f"| | {' | '.join(KITTI_GROUND)} | all that is ground |\n|---|" + "---:|" * (len(KITTI_GROUND) + 1))
+    truth = np.fromfile(source.with_suffix(".label"), np.uint32) & 0xFFFF
+    code = next(code for code, name in ClassCodes().names().items() if name == "ground")
+    for follow_m in (GroundParams().follow_m, 0):
+        options = {"sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}}
+        classify(source, labels, load_config(KITTI, preset="street-scan", options=options), overwrite=True)
+        found = np.load(labels).ravel() == code
+        cells = [np.mean(found[np.isin(truth, classes)]) for classes in KITTI_GROUND.values()]
+        right = np.mean(np.isin(truth[found], sum(KITTI_GROUND.values(), ())))
+        print(f"| ground.follow_m = {follow_m:g} | {' | '.join(f'{cell:.3f}' for cell in (*cells, right))} |")
+    print()
 
 
 def oakland(folder: Path) -> None:

@@ -283,6 +283,20 @@ def test_what_contradicts_itself_is_refused(
     assert words in result.err
 
 
+@pytest.mark.data
+def test_ground_that_leans_is_followed_around_the_kitti_frame(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    config = Path(__file__).resolve().parents[2] / "sample_configs" / "kitti_frame.toml"
+    flat = np.isin(np.fromfile(real_data / "kitti" / "000000.label", np.uint32) & 0xFFFF, (40, 48))
+    shares = []
+    for follow_m in (0.1, 0):
+        output, follow = tmp_path / f"{follow_m}.npy", f"sequential_angle.ground.follow_m={follow_m}"
+        frame = real_data / "kitti" / "000000.bin"
+        result = prc("classify", frame, output, "--config", config, "--preset", "street-scan", "--set", follow)
+        assert result.code in (0, 4), result.err
+        shares.append((np.load(output)[flat] == ClassCodes().ground).mean())
+    assert shares[0] > 0.95 > shares[1] + 0.3
+
+
 def test_segments_of_a_method_without_segments_are_told(prc: Prc, tmp_path: Path) -> None:
     result = prc("classify", npz(tmp_path), tmp_path / "labels.csv", "--preset", "street-scan", "--segment-ids")
     assert result.code == 0

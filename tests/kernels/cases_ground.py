@@ -84,6 +84,7 @@ def rows(rng: Generator) -> tuple[Any, ...]:
             renew_every=bool(rng.random() < 0.5),
             height_tolerance=float(rng.choice([0.1, 0.05])),
             height_tolerance_m=float(rng.choice([0.0, 0.125])),
+            follow_m=float(rng.choice([0.0, 0.0625, 0.25])),
         )
     )
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
@@ -96,7 +97,8 @@ def ground_case(rng: Generator) -> tuple[Any, ...]:
     thresholds = thresholds._replace(memory_heights=int(rng.choice([0, max(len(known), 1), 30])))
     recent = np.array(known if thresholds.memory_heights else [], np.int32)
     z_g = float(rng.choice([-1.8, -1.8, np.nan, -1.62, 0.0]))
-    state = GroundState(histogram_of(known), recent, z_g, int(rng.integers(0, 3)))
+    side_m = rng.choice([np.nan, -1.8, -1.5, -2.0], int(rng.choice([1, 2])))
+    state = GroundState(histogram_of(known), recent, z_g, int(rng.integers(0, 3)), side_m)
     return *row, potential_heights(*row, thresholds), state, thresholds
 
 

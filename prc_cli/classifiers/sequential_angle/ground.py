@@ -25,6 +25,8 @@ Interpretations where the text is silent or ambiguous:
 - One or two noisy shots must not end the ground of a line. A few points that are neither horizontal nor missing are
   skipped where the next horizontal ones continue the local line within less than the height of a curb.
 - For the same reason ground found later in a row is accepted by the local line, not by the height of its points.
+- Where the ground leans, one height does not hold all around the scanner. Potential ground at the height of the last
+  ground of its side is ground too. The dominant height itself stays one, since cars are told worse by the other.
 - The dominant height is the main mode of the heights of all rows, accepted or not (an option), and is recomputed after
   each of them: with accepted rows only, a wrong first estimate would never be corrected. The oldest heights are
   dropped, so that it follows a long street.
@@ -76,6 +78,13 @@ class GroundParams(Params):
     )
     height_tolerance_m: float = Field(
         0.05, ge=0, le=100, description="the same at least, for scanners near the ground [m]; 0: the printed text"
+    )
+    follow_m: float = Field(
+        0.10,
+        ge=0,
+        le=100,
+        description="potential ground is ground, too, when its height differs by less than this from that of the last "
+        "ground of the same side [m]; 0: the printed text",
     )
     height_points: int = Field(
         30,
@@ -201,6 +210,7 @@ class GroundParams(Params):
             renew_every=self.renew == "every",
             height_tolerance=self.height_tolerance,
             height_tolerance_m=self.height_tolerance_m,
+            follow_m=self.follow_m,
         )
 
 
@@ -233,7 +243,7 @@ def potential_ground(
     return found
 
 
-def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
+def initial_ground(heights_m: F64, params: GroundParams, n_sides: int = 1) -> GroundState:
     """Estimate the height of the ground from the first rows of a stream (part b, first half).
 
     Parameters
@@ -241,6 +251,8 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
     heights_m : (R,) float64
         z_i of the first rows, NaN = none [m].
     params : GroundParams
+    n_sides : int
+        Half-lines of a scan line.
 
     Returns
     -------
@@ -260,7 +272,7 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
     )
     if len(rows) < min(params.least, (len(heights_m) + 1) // 2):
         z_g = float("nan")
-    return GroundState(histogram, bins if params.memory else bins[:0], z_g, n_rows)
+    return GroundState(histogram, bins if params.memory else bins[:0], z_g, n_rows, np.full(n_sides, np.nan))
 
 
 def ground(

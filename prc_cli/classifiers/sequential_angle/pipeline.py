@@ -406,7 +406,7 @@ def _start_ground(
     enough = int(np.count_nonzero(np.isfinite(heights[: state.n_most]))) >= params.start_heights
     if not enough and len(heights) < state.n_most and not last:
         return [], replace(state, waiting=waiting, heights_m=heights)
-    known = initial_ground(heights[: state.n_most], params)
+    known = initial_ground(heights[: state.n_most], params, rows.lines.n_sides)
     return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), known=known)
 
 

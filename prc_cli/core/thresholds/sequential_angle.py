@@ -151,6 +151,8 @@ class GroundThresholds(NamedTuple):
     """Difference between a row's height and that of the ground, as a share of the latter, below which it is ground."""
     height_tolerance_m: float
     """The same at least."""
+    follow_m: float
+    """Difference between a row's height and that of the last ground of its side, below which it is ground; 0 = off."""
 
 
 class PotentialGround(NamedTuple):
@@ -177,6 +179,8 @@ class GroundState(NamedTuple):
     """Height of the ground, NaN = unknown."""
     n_in_histogram_ahead: int
     """Rows to come whose heights the histogram holds already."""
+    side_m: Floats
+    """(n_sides,) float64, height of the last ground of every side, NaN = none."""
 
 
 class CurbThresholds(NamedTuple):

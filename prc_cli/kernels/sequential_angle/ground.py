@@ -960,10 +960,12 @@ def ground_rows(
     figures = heights.figures[0]
     ground = np.zeros((n_rows, n), np.bool_)
     z_rows = np.empty(n_rows, np.float32)
+    side_m, follow_m = state.side_m.copy(), thresholds.follow_m
     for i in range(n_rows):
         row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
         n_valid = int(np.int64(n_beams[i]))
         to_count = i >= state.n_in_histogram_ahead
+        side = i % len(side_m)
         z_row, accepted = np.nan, False
         # the first potential ground is known
         n_points = _horizontal_beams(row.surface, potential.first[i], potential.last[i], beams)
@@ -975,6 +977,7 @@ def ground_rows(
                 if z_g == z_g or figures["n"] >= thresholds.least_heights:
                     _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
             accepted = abs(z_i - z_g) < max(thresholds.height_tolerance * abs(z_g), thresholds.height_tolerance_m)
+            accepted = accepted or abs(z_i - side_m[side]) < follow_m
             if accepted or z_row != z_row:
                 z_row = z_i
             if accepted:
@@ -984,6 +987,7 @@ def ground_rows(
             if n_points > 0:
                 z_i = _lowest_mean(row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points)
         if accepted:
+            side_m[side] = z_i
             for j in range(_grow(row, n_valid, beams, n_points, b, more, thresholds, scratch)):
                 ground[i, beams[j]] = True
         if to_count and z_row == z_row and (accepted or thresholds.all_heights):
@@ -993,4 +997,4 @@ def ground_rows(
         z_rows[i] = z_g
     recent = queue[figures["oldest"] : figures["newest"]].copy()
     ahead_still = max(state.n_in_histogram_ahead - n_rows, 0)
-    return ground, z_rows, GroundState(heights.histogram, recent, z_g, ahead_still)
+    return ground, z_rows, GroundState(heights.histogram, recent, z_g, ahead_still, side_m)

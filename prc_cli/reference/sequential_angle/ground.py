@@ -301,9 +301,11 @@ def ground_rows(
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
     heights = (state.recent if memory else np.repeat(np.arange(len(state.histogram)), state.histogram)).tolist()
     z_g = state.z_g
+    side_m = state.side_m.tolist()
     for i in range(len(surface)):
         row = Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i], n_beams[i], thresholds)
         to_count = i >= state.n_in_histogram_ahead
+        side = i % len(side_m)
         z_row = math.nan
         accepted = False
         first, last = potential.first[i], potential.last[i]
@@ -315,9 +317,11 @@ def ground_rows(
                 to_count = False
                 if len(heights) >= thresholds.least_heights or not math.isnan(z_g):
                     z_g = main_bin(heights, share, thresholds.roof_m, thresholds.roof_share)[1]
-            accepted = is_near(z_i, z_g, thresholds)
+            follows = abs(z_i - side_m[side]) < thresholds.follow_m
+            accepted = follows or is_near(z_i, z_g, thresholds)
             z_row = z_i if accepted or math.isnan(z_row) else z_row
             if accepted:
+                side_m[side] = z_i
                 ground[i, grown_row(row, beams, b)] = True
             else:
                 beams, b = row.potential(beams[-1] + 1)
@@ -329,7 +333,7 @@ def ground_rows(
         z_rows[i] = z_g
     recent = np.array(heights if memory else [], dtype=np.int32)
     ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
-    return ground, z_rows, GroundState(histogram_of(heights), recent, z_g, ahead_still)
+    return ground, z_rows, GroundState(histogram_of(heights), recent, z_g, ahead_still, np.array(side_m))
 
 
 def grown_row(row: Row, beams: list[int], b: float) -> list[int]:

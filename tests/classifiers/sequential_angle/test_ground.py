@@ -155,8 +155,36 @@ def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> N
 
 def test_lowest_points_of_all_potential_ground_lose_a_slope() -> None:
     scene = plane(3.0)
-    found = find(scene, GroundParams(start_heights=50, height_points=0, renew="accepted"))[1]
+    found = find(scene, GroundParams(start_heights=50, height_points=0, renew="accepted", follow_m=0))[1]
     assert found[scene.surface == H].mean() < 0.9
+
+
+def test_ground_is_followed_along_its_own_side() -> None:
+    """One side sinks and the other one rises by half a metre: no height holds for both."""
+    away_m = np.repeat(np.minimum(np.arange(120) * 0.01, 0.5), 2) * np.tile([-1.0, 1.0], 120)
+    scene = scan([[(0.6, ROAD_Z + up, 15.0, ROAD_Z + up, H)] for up in away_m.tolist()], n=150)
+    heights = find(scene)[0]
+
+    def at_the_end(n_sides: int, **values: float) -> list[float]:
+        params = GroundParams.model_validate({"start_heights": 50, **values})
+        state = initial_ground(heights, params, n_sides)
+        found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
+        first, left = scene.rows(0, 78), scene.rows(78, 240)  # the state holds the heights of both sides
+        before, _, state = follow(first.lines, first.surface, first.phihat, first.ahead, state, params)
+        behind, _, _ = follow(left.lines, left.surface, left.phihat, left.ahead, state, params)
+        np.testing.assert_array_equal(np.concatenate([before, behind]), found)
+        return [float(found[side::2][-40:].any(axis=1).mean()) for side in (0, 1)]
+
+    assert at_the_end(2) == [1.0, 1.0]
+    assert at_the_end(2, follow_m=0) == [1.0, 0.0]  # the dominant height is that of one of them
+    assert at_the_end(1) == [1.0, 0.0]  # the height of the other side is of no use
+
+
+def test_what_steps_up_at_once_is_not_followed() -> None:
+    bonnet: list[Segment] = [(0.3, ROAD_Z + 0.5, 6.0, ROAD_Z + 0.5, H)]
+    scene = scan([street()] * 60 + [bonnet] * 20 + [street()] * 20, n=300)
+    found = find(scene)[1]
+    assert found.any(axis=1).tolist() == [True] * 60 + [False] * 20 + [True] * 20
 
 
 @pytest.mark.parametrize(("below_m", "left"), [(0.9, True), (0.4, False)])
