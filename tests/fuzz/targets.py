@@ -241,7 +241,12 @@ def suffix_of_seed(name: str) -> str:
 
 
 def lay(folder: Path, target: Target, name: str, data: bytes, stem: str = "case") -> Path:
-    """Write a damaged seed, among the others of its folder if it has one; return what a command is given."""
+    """Write a damaged seed, among the others of its folder if it has one; return what a command is given.
+
+    What was laid before is removed: a layout beside a file counts for all files of its folder.
+    """
+    for old in folder.glob(f"{stem}.*"):
+        old.unlink()
     if not target.given:
         case = folder / f"{stem}{suffix_of_seed(name)}"
         case.write_bytes(data)

@@ -100,13 +100,14 @@ class Worker:
         grown = _peak() - before
         if grown > max(GROWTH_BYTES, GROWTH_FACTOR * Path(job["case"]).stat().st_size):
             faults.append(f"memory: grew by {grown >> 20} MiB")
-        panicked = False
+        panicked, said = False, ""
         if "command" in job:
-            found, panicked = self._judge_output(job, code)
+            found, said = self._judge_output(job, code)
+            panicked = "panicked at" in said
             faults += found
         return {
             "code": code, "seconds": seconds, "grown": grown, "faults": faults, "fresh": self._tracer.fresh(),
-            "panicked": panicked,
+            "panicked": panicked, "said": said[-300:],
         }  # fmt: skip
 
     def _read(self, job: dict[str, Any]) -> int:
@@ -148,8 +149,8 @@ class Worker:
                         stream.close()
                 sys.stdin, sys.stdout, sys.stderr = held
 
-    def _judge_output(self, job: dict[str, Any], code: Any) -> tuple[list[str], bool]:
-        """Return the faults, and whether a library panicked: the guard is to keep that from the terminal."""
+    def _judge_output(self, job: dict[str, Any], code: Any) -> tuple[list[str], str]:
+        """Return the faults, and what was printed, also by libraries: the guard is to keep that from the terminal."""
         faults = []
         self._printed.seek(0)
         text = self._printed.read(4 << 20).decode("utf-8", "surrogateescape")
@@ -169,7 +170,7 @@ class Worker:
             faults.append(f"exit code {code} left {left}")
         for path in self._out.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-        return faults, "panicked at" in text
+        return faults, text
 
     def _judge_content(self, job: dict[str, Any]) -> list[str]:
         """Compare an output with what other ways to it give."""
