@@ -491,7 +491,9 @@ def kitti(folder: Path) -> None:
     print("| | views | ground found | found that is ground |\n|---|---:|---:|---:|")
     for follow_m in (GroundParams().follow_m, 0):
         found = np.array([_ground_of(view, follow_m) for kind in (0, 1) for view in views("kitti", kind)])
-        print(f"| ground.follow_m = {follow_m:g} | {len(found)} | {found[:, 0].mean():.3f} | {found[:, 1].mean():.3f} |")
+        print(
+            f"| ground.follow_m = {follow_m:g} | {len(found)} | {found[:, 0].mean():.3f} | {found[:, 1].mean():.3f} |"
+        )
     print()
 
 
