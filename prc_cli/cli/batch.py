@@ -416,7 +416,7 @@ def _read_command(path: Path) -> tuple[Path, dict[str, Any]]:
                 value = parameter.get_default(context)
                 value = None if parameter.value_is_missing(value) else value
             options[name] = () if value == [] else parameter.type_cast_value(context, value)
-        except (click.ClickException, ValueError) as error:  # of a name that cannot be one, or a damaged one
+        except (click.ClickException, ValueError, TypeError, AttributeError) as error:  # of another type, or no name
             said = error.format_message() if isinstance(error, click.ClickException) else str(error)
             raise ConfigError(str(path), f"{name}: {said}", hint) from None
     return folder, options
