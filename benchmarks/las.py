@@ -144,7 +144,10 @@ def main() -> None:
     parser.add_argument("--format", type=int, default=6, choices=(1, 6))
     parser.add_argument("--cold", action="store_true")
     arguments = parser.parse_args()
-    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+    # a long drive passes the same street again and again
+    accepted = ["repeated-lines", "line-order"]
+    rules = {"points_per_line": POINTS_PER_LINE, "accept_doubts": accepted}
+    config = load_config(preset="urban", options={"input": rules})
     load_classifier(config)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
