@@ -128,6 +128,7 @@ def smooth_case(rng: Generator) -> tuple[Any, ...]:
         tolerance_per_m=rng.choice([0.0, 0.01]),
         gap_m=rng.choice([0.4, 5.0]),
         gap_steps=16.0,
+        apart_m=rng.choice([0.0, 0.5, 1.0, 3.0]),
     )
     return *one.seen, chosen
 
@@ -163,7 +164,8 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         *one.seen, typed(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8)
     )
     smooth = fused_neighbours.smooth_counts(
-        *one.seen, typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16)
+        *one.seen,
+        typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16, apart_m=0.5),
     )
     usual = typed(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
     chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)

@@ -66,6 +66,8 @@ class SmoothThresholds(NamedTuple):
     """Greatest distance between the two of a pair within a line [m] ..."""
     gap_steps: np.float32
     """... or so many distances between adjacent columns, if that is more."""
+    apart_m: np.float32
+    """Shots of a line are compared at least so far from each other, where columns allow it [m]."""
 
 
 class SpacingThresholds(NamedTuple):

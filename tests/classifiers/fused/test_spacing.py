@@ -135,6 +135,29 @@ def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
         np.testing.assert_array_equal(found[i], pairs if stride != STANDS else IN_LINE_PAIRS[pairs])
 
 
+def test_a_leaf_that_many_shots_hit_is_rough_and_a_wall_is_smooth() -> None:
+    beam = np.deg2rad(np.arange(80.0, 100.0, 0.05))
+    plane, distance_m = ScanPlane.of(beam), 4.0
+    rng = np.random.default_rng(6)
+    # leaves 2.5 cm wide, each turned its own way, the shots 3.5 mm apart
+    leaf = (beam * distance_m / 0.025).astype(np.int64)
+    leaf -= leaf[0]
+    depth_m = rng.uniform(0, 0.5, (5, leaf[-1] + 1))[:, leaf]
+    turned = rng.uniform(-1, 1, (5, leaf[-1] + 1))[:, leaf] * ((beam * distance_m) % 0.025)
+    noise = rng.normal(0, NOISE_M, (5, len(beam)))
+    leaves = (distance_m + depth_m + turned + noise).astype(np.float32)
+    wall = (distance_m / np.sin(beam) + noise).astype(np.float32)
+    shares = {}
+    for apart_m in (0.0, 0.012):
+        params = SmoothnessParams(apart_m=apart_m)
+        shares[apart_m] = [
+            float((smooth_pairs(one, plane, NOISE_M, params)[0, 16:-16] >= 4).mean()) for one in (leaves, wall)
+        ]
+    assert shares[0.0][0] > 0.5
+    assert shares[0.012][0] < 0.25
+    assert min(shares[0.0][1], shares[0.012][1]) > 0.95
+
+
 def test_only_shots_that_are_as_far_as_before_keep_their_labels() -> None:
     limits = typed(SpacingThresholds, tolerance_m=0.1, tolerance_per_m=0.0, near_m=1.0)
     halt = Halt(np.array([5, 5, 5, np.nan], np.float32), np.array([3, 2, 3, 0], np.uint8))
