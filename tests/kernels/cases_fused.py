@@ -200,11 +200,17 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
         known_m=0.15,
         memory_lines=rng.choice([0, 5, 60]),
         follow=0.4,
+        start_reach_m=rng.choice([0.0, 1.0, 10.0]),
     )
     keep = int(rng.integers(0, len(one.range_m) + 1))
-    start = np.float32(rng.choice([-2.0, 0.0]))
+    start, lost = np.float32(rng.choice([-2.0, 0.0])), int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2]))
+    shots = np.zeros((2, fused_ground.DEPTHS), np.float32)
+    if lost not in (0, -1):
+        shots[:, 12:26] = np.sort(rng.integers(0, 9, (2, 14)), axis=0)
+    sums = (shots * np.float32(-1.9)).astype(np.float32)
     sides = one.left, one.right
-    return one.range_m, one.beams, random_counts(rng, one), sides, memory, age, start, keep, chosen
+    known = memory, age, shots, sums
+    return one.range_m, one.beams, random_counts(rng, one), sides, known, start, lost, keep, chosen
 
 
 def heights(rng: Generator, one: Street) -> F32:
@@ -399,7 +405,17 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
         label=rng.choice([1, 7]),
     )
     texture = rng.random((n_lines, m)).astype(np.float32)
-    return labels, range_m, above, texture, np.sin(beam).astype(np.float32), sides, before, chosen
+    return (
+        labels,
+        range_m,
+        above,
+        texture,
+        np.sin(beam).astype(np.float32),
+        sides,
+        before,
+        int(rng.integers(1, n_lines + 1)),
+        chosen,
+    )
 
 
 def confidence_case(rng: Generator) -> tuple[Any, ...]:

@@ -113,6 +113,8 @@ class WalkThresholds(NamedTuple):
     """Lines that a place is remembered for."""
     follow: np.float32
     """Share of a new height in the memory of its place."""
+    start_reach_m: np.float32
+    """Where no place is known, the ground is searched up to this far to the side, if anything is level there [m]."""
 
 
 class StripThresholds(NamedTuple):
