@@ -20,9 +20,16 @@ WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 
 
 def mean_smoothness(
-    range_m: F32, near: U8, smooth: U8, step: np.float32, least_near: np.float32, half_m: np.float32
+    range_m: F32,
+    near: U8,
+    smooth: U8,
+    step: np.float32,
+    least_near: np.float32,
+    half_m: np.float32,
+    limits: tuple[np.float32, np.float32],
 ) -> F32:
     """Average smoothness; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    rough, depth_m = limits
     mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
     pairs = np.minimum(smooth, 8).astype(int)
     for line, i in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
@@ -31,6 +38,14 @@ def mean_smoothness(
         counts = near[place] >= least_near
         if counts.any():
             mean[line, i] = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
+        if mean[line, i] < rough and smooth[line + 2, i] >= 2:
+            stride = max(-(-columns // 4), 1)
+            beside = [j for j in range(range_m.shape[1]) if abs(j - i) <= columns and (j - i) % stride == 0]
+            place = np.ix_(range(line, line + 5), beside)
+            counts = (near[place] >= least_near) & (np.abs(range_m[place] - range_m[line + 2, i]) < depth_m)
+            if counts.any():
+                share = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
+                mean[line, i] = max(mean[line, i], share)
     return mean
 
 
@@ -154,7 +169,8 @@ class _Shot:
         return bool(np.float32(pairs) > self.thresholds.spike_share * np.float32(8 * int(counts.sum())))
 
     def is_reflection(self) -> bool:
-        return bool(self.above < -self.thresholds.below_m) and self.smooth < 3
+        is_pit = self.upright > 0 and self.near >= self.thresholds.pit_near
+        return bool(self.above < -self.thresholds.below_m) and self.smooth < 3 and not is_pit
 
     def is_ground(self) -> bool:
         off = abs(self.above)

@@ -173,7 +173,9 @@ class DecisionThresholds(NamedTuple):
     spike_share: np.float32
     """A rough shot is a spike where the share of smooth pairs around it is greater."""
     below_m: np.float32
-    """Rough shots farther below the ground are noise [m]."""
+    """Rough shots farther below the ground are noise [m] ..."""
+    pit_near: np.float32
+    """... unless upright and with as many near neighbours: the side of a pit."""
     leaf_slots: np.float32
     """Slots with rough shots around a lonely shot that make it a leaf."""
     lone_m: np.float32
