@@ -61,6 +61,7 @@ STEPS: tuple[tuple[str, ...], ...] = (
     ("fused.walls.roofs=false",),
     ("fused.leaves.at_depth=false",),
     ("fused.noise.pits=false",),
+    ("fused.interlace.enabled=false",),
     ("fused.noise.panes=false",),
     ("fused.noise.lone_leaves=false",),
     ("fused.curbs.steep=0",),

@@ -288,7 +288,7 @@ def texture_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     near, smooth = random_counts(rng, one)[:2]
     half = np.float32(rng.choice([0.35, 5.0, 0.0]))
-    limits = np.float32(rng.choice([0.0, 0.4, 2.0])), np.float32(rng.choice([0.2, 1.0, 1e9]))
+    limits = tuple(np.float32(rng.choice(some)) for some in ([0.0, 0.4, 2.0], [0.2, 1.0, 1e9], [0, 2]))
     return one.range_m, near, smooth, one.step, np.float32(rng.choice([0, 3])), half, limits
 
 

@@ -26,10 +26,10 @@ def mean_smoothness(
     step: np.float32,
     least_near: np.float32,
     half_m: np.float32,
-    limits: tuple[np.float32, np.float32],
+    limits: tuple[np.float32, np.float32, np.float32],
 ) -> F32:
     """Average smoothness; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
-    rough, depth_m = limits
+    rough, depth_m, least_pairs = limits
     mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
     pairs = np.minimum(smooth, 8).astype(int)
     for line, i in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
@@ -38,7 +38,7 @@ def mean_smoothness(
         counts = near[place] >= least_near
         if counts.any():
             mean[line, i] = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
-        if mean[line, i] < rough and smooth[line + 2, i] >= 2:
+        if mean[line, i] < rough and smooth[line + 2, i] >= least_pairs:
             stride = max(-(-columns // 4), 1)
             beside = [j for j in range(range_m.shape[1]) if abs(j - i) <= columns and (j - i) % stride == 0]
             place = np.ix_(range(line, line + 5), beside)

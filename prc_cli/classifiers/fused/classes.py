@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydantic import Field
 
@@ -60,7 +62,16 @@ class LeavesParams(Params):
     at_depth: bool = Field(
         True, description="whether rough surroundings are looked at again without what is nearer or farther ..."
     )
-    depth_m: float = Field(1.0, gt=0, le=100, description="... by more than this [m]")
+    depth_m: float = Field(1.0, gt=0, le=100, description="... by more than this [m] ...")
+    depth_pairs: int = Field(
+        2, ge=0, le=11, description="... around shots with this many smooth pairs; around all where columns are"
+    )
+    depth_step_deg: float = Field(0.2, ge=0, le=180, description="at least this far apart [deg]")
+
+    def again(self, step_rad: float) -> tuple[np.float32, np.float32, np.float32]:
+        """Return what the loop is given, for an angle between columns [rad]: a share, a distance and smooth pairs."""
+        pairs = 0 if step_rad >= math.radians(self.depth_step_deg) else self.depth_pairs
+        return np.float32(self.share if self.at_depth else 0.0), np.float32(self.depth_m), np.float32(pairs)
 
 
 class CarParams(Params):
@@ -132,7 +143,7 @@ class VoteParams(Params):
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
     """Return the mean smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
-    again = np.float32(params.share if params.at_depth else 0.0), np.float32(params.depth_m)
+    again = params.again(float(plane.step_rad))
     texture: F32 = kernels.mean_smoothness(
         range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m), again
     )

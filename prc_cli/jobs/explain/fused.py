@@ -19,6 +19,7 @@ from prc_cli.classifiers.fused.pipeline import (
     FusedParams,
     FusedScanner,
     evidence_of,
+    in_step,
     lines_apart,
     of_scanner,
     streams_of,
@@ -107,7 +108,7 @@ def _street(
     plane, (at, final) = scanner.scan_plane, shot
     line, column = at
     noise_m = float(heard[NOISE.name])
-    wide = window_of(heard[TAIL.name], block.range_m, block.next_m)
+    wide = in_step(window_of(heard[TAIL.name], block.range_m, block.next_m), scanner, noise_m, params)
     strides = heard.get(SPACING.name)
     if strides is None:
         strides = np.ones(block.n_lines + 2 * BESIDE_LINES, np.int64)

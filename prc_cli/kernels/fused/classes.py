@@ -22,8 +22,6 @@ MOST_SMOOTH = 8
 MOST_COLUMNS = 60
 LEAST_COLUMNS = 2
 """Limits of the half width of a place, in columns."""
-OWN_PAIRS = 2
-"""Smooth pairs of a shot whose place is looked at again, at least; most leaves have fewer."""
 DEPTH_SHOTS = 4
 """Shots of a line on either side that are read where a place is looked at again."""
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
@@ -173,23 +171,24 @@ def _look_at_depth(
     pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
     columns: I32,
     smooth: U8,
-    limits: tuple[np.float32, np.float32],
+    limits: tuple[np.float32, np.float32, np.float32],
     shares: F32,
     shots: I32,
 ) -> None:
     """Raise the share of rough places around smooth shots to that of what is about as far away, if it is more."""
-    rough, depth_m = limits
+    rough, depth_m, least = limits
+    ranges = lines[2]
     n = 0
     for i in range(len(shares)):
         shots[n] = i
-        n += (shares[i] < rough) & (smooth[i] >= OWN_PAIRS)
+        n += (shares[i] < rough) & (np.float32(smooth[i]) >= least) & (ranges[i] == ranges[i])
     for k in range(n):
         i = shots[k]
         shares[i] = max(shares[i], _share_at_depth(lines, pairs, int(i), int(columns[i]), depth_m))
 
 
 @kernel(
-    "float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32, UniTuple(float32, 2))"
+    "float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32, UniTuple(float32, 3))"
 )
 def mean_smoothness(
     range_m: F32,
@@ -198,12 +197,12 @@ def mean_smoothness(
     step: np.float32,
     least_near: np.float32,
     half_m: np.float32,
-    limits: tuple[np.float32, np.float32],
+    limits: tuple[np.float32, np.float32, np.float32],
 ) -> F32:
     """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
 
-    A place with few, around a shot with two and more, is looked at again without what is nearer or farther: leaves
-    before a wall do not make it rough. Then at most nine columns of it are read.
+    A place with few is looked at again without what is nearer or farther: leaves before a wall do not make it rough.
+    Then at most nine columns of it are read.
 
     Parameters
     ----------
@@ -217,9 +216,9 @@ def mean_smoothness(
         Shots with fewer near neighbours do not count.
     half_m : float32
         Half of the width [m]; 2 columns at least, 60 at most.
-    limits : (float32, float32)
+    limits : tuple of three float32
         Places with a smaller share than the first are looked at again, at the shots that differ by less than the
-        second in range [m].
+        second in range [m]; but only around shots with as many smooth pairs as the third.
 
     Returns
     -------
