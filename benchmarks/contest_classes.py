@@ -59,6 +59,7 @@ STEPS: tuple[tuple[str, ...], ...] = (
     ("fused.poles.arms=false",),
     ("fused.walls.lines=0",),
     ("fused.walls.roofs=false",),
+    ("fused.walls.storey_m=0",),
     ("fused.leaves.at_depth=false",),
     ("fused.noise.pits=false",),
     ("fused.interlace.enabled=false",),

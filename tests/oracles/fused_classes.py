@@ -146,10 +146,12 @@ class _Shot:
         return bool(self.smooth == 0 and self.near < self.thresholds.cabin_near)
 
     def _is_about_wall(self, most_m: np.float32) -> bool:
-        """Return whether a shot is a little before a wall, or not farther than this behind it, at any height."""
+        """Return whether a shot is a little before a house, or not farther than this behind it, at any height."""
         if self.strip is None:
             return False
         at = self.walls[0][self.line, self.strip]
+        if self.walls[1][self.line, self.strip] - self.height + self.above < self.thresholds.storey_m:
+            return False
         return bool(at != 0 and -self.thresholds.front_m <= abs(self.side) - abs(at) <= most_m)
 
     def is_facade(self) -> bool:

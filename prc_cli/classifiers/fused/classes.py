@@ -211,6 +211,7 @@ def decision_thresholds(
         behind_m=walls.behind_m,
         over_m=walls.over_m,
         roof_m=walls.roof_m if walls.roofs else -NEVER,
+        storey_m=walls.storey_m,
         car_top_m=cars.top_m,
         car_bins=cars.level_bins if cars.enabled else NEVER,
         car_bins_rough=cars.level_bins_rough if cars.enabled else NEVER,

@@ -199,7 +199,9 @@ class DecisionThresholds(NamedTuple):
     over_m: np.float32
     """Lines of sight up to this far above its top count as through it [m]."""
     roof_m: np.float32
-    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m]."""
+    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m] ..."""
+    storey_m: np.float32
+    """... if the wall is this high above the ground [m]."""
     car_top_m: np.float32
     """Things that reach above this are no cars [m]."""
     car_bins: np.float32

@@ -630,6 +630,7 @@ def _label_things(
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
     nothing, arm_m = np.float32(0.0), thresholds.arm_m
     front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
+    storey_m = thresholds.storey_m
     pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
     for i in range(len(labels)):
         y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
@@ -638,7 +639,7 @@ def _label_things(
         before = abs(ahead[i]) - abs(y)
         is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
         beyond = abs(y) - wall
-        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & is_here
+        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & (end - z + h >= storey_m) & is_here
         is_soft = texture < (share_before if is_before | is_roof else leaf_share)
         is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
         is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
