@@ -46,6 +46,7 @@ from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.forest_noise import forest_noise
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
 from prc_cli.classifiers.fused.heights import Overhearing, true_heights
+from prc_cli.classifiers.fused.interlace import InterlaceParams, put_in_step
 from prc_cli.classifiers.fused.neighbours import (
     DirectionParams,
     NeighbourhoodParams,
@@ -125,6 +126,7 @@ class FusedParams(MethodParams):
     sensor: SensorParams = SensorParams()
     company: NeighbourhoodParams = NeighbourhoodParams()
     smoothness: SmoothnessParams = SmoothnessParams()
+    interlace: InterlaceParams = InterlaceParams()
     spacing: SpacingParams = SpacingParams()
     directions: DirectionParams = DirectionParams()
     ground: GroundParams = GroundParams()
@@ -366,6 +368,7 @@ def _classify(
     wide = window_of(tail, range_m, next_m, ahead)
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
     noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
+    wide = in_step(wide, scanner, noise_m, params)
     strides = _strides(wide, (line, n_lines), scanner, noise_m, turn, params)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, params)
@@ -548,6 +551,13 @@ def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[S
     at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
     standing = Standing((every, rough), (at, top, ahead), wider(lambda each: each.standing.levels))
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
+
+
+def in_step(wide: F32, scanner: FusedScanner, noise_m: F64, params: FusedParams) -> F32:
+    """Return a block and the lines around with interlaced columns in step; rings are apart on purpose."""
+    if scanner.is_fan:
+        return wide
+    return put_in_step(wide, scanner.scan_plane, noise_m, params.smoothness, params.interlace)
 
 
 def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:

@@ -177,7 +177,9 @@ class DecisionThresholds(NamedTuple):
     spike_share: np.float32
     """A rough shot is a spike where the share of smooth pairs around it is greater."""
     below_m: np.float32
-    """Rough shots farther below the ground are noise [m]."""
+    """Rough shots farther below the ground are noise [m] ..."""
+    pit_near: np.float32
+    """... unless upright and with as many near neighbours: the side of a pit."""
     leaf_slots: np.float32
     """Slots with rough shots around a lonely shot that make it a leaf."""
     lone_m: np.float32
@@ -201,7 +203,9 @@ class DecisionThresholds(NamedTuple):
     over_m: np.float32
     """Lines of sight up to this far above its top count as through it [m]."""
     roof_m: np.float32
-    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m]."""
+    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m] ..."""
+    storey_m: np.float32
+    """... if the wall is this high above the ground [m]."""
     car_top_m: np.float32
     """Things that reach above this are no cars [m]."""
     car_bins: np.float32

@@ -20,6 +20,7 @@ from prc_cli.classifiers.fused.pipeline import (
     FusedParams,
     FusedScanner,
     evidence_of,
+    in_step,
     lines_ahead,
     lines_apart,
     of_scanner,
@@ -109,12 +110,12 @@ def _street(
 ) -> Iterator[Answer]:
     plane, (at, final) = scanner.scan_plane, shot
     line, column = at
-    ahead = lines_ahead(plane, params)
-    wide = window_of(heard[TAIL.name], block.range_m, block.next_m, ahead)
+    ahead, noise_m = lines_ahead(plane, params), heard[NOISE_ALONG.name]
+    wide = in_step(window_of(heard[TAIL.name], block.range_m, block.next_m, ahead), scanner, noise_m, params)
     strides = heard.get(SPACING.name)
     if strides is None:
         strides = np.ones(block.n_lines + ahead + 2 * BESIDE_LINES, np.int64)
-    streams = streams_of(wide, strides, plane, heard[NOISE_ALONG.name], params)
+    streams = streams_of(wide, strides, plane, noise_m, params)
     apart, grounds = int(lines_apart(strides)[line]), heard[MEMORY.name].parts
     k = next(k for k, each in enumerate(streams) if each.every == apart and each.first == line % apart)
     stream, ground = streams[k], grounds[k]
