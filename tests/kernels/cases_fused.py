@@ -40,7 +40,7 @@ USUAL = typed(
     DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
-    car_top_m=3.75, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5,
+    car_top_m=3.75, lorry_top_m=5.5, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5,
     pole_shots=3, thick_m=0.15, arm_m=3.0, keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5,
     ghost_near=15, pane_m=1.0, cabin_near=3, roof_m=6.0, car_label=7, pole_label=11,
 )  # fmt: skip
@@ -269,6 +269,7 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
     wall = np.where(rng.random(shape) < rng.choice([0.01, 0.1]), rng.random(shape), 0).astype(np.float32)
     middle = (np.arange(shape[1]) - shape[1] // 2 + rng.random(shape)).astype(np.float32) * np.float32(0.5)
     levels = (rng.random((len(above) - 4, 2 * fused_strips.STRIPS)) < rng.choice([0.0, 0.1])).astype(np.uint8)
+    every = rng.integers(0, 2**63, shape, np.uint64) << np.uint64(rng.choice([0, 3, 6]))
     chosen = typed(
         FlankThresholds,
         least_m=rng.choice([0.0, 0.1]),
@@ -276,12 +277,14 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
         share=rng.choice([0.0, 0.5]),
         low_m=rng.choice([0.1, 0.0]),
         sill_m=rng.choice([0.5, 1.0]),
-        body_m=rng.choice([0.75, 3.0]),
+        body_m=rng.choice([0.75, 3.0, 0.0]),
+        large_m=rng.choice([0.0, 0.5]),
+        high_m=rng.choice([1.5, 3.0, -1.0]),
         soil_m=rng.choice([0.1, 2.0]),
         shots=rng.choice([0, 1, 3]),
     )
     length = wall * rng.choice([1.0, 2.0, 3.0], shape).astype(np.float32)
-    return one.range_m, above, counts[2], one.beams, (length, wall, wall * middle), levels, chosen
+    return one.range_m, above, counts[2], one.beams, (length, wall, wall * middle), every, levels, chosen
 
 
 def texture_case(rng: Generator) -> tuple[Any, ...]:
@@ -301,7 +304,8 @@ def decision(rng: Generator) -> DecisionThresholds:
         keeps_parts=np.float32(rng.choice([0, 1])), takes_long=np.float32(rng.choice([0, 1]))
     )
     top_m = min(thresholds.car_top_m, np.float32(15.0))
-    return thresholds._replace(car_top_m=top_m, car_label=car, pole_label=pole)
+    lorry_m = min(thresholds.lorry_top_m, np.float32(15.0))
+    return thresholds._replace(car_top_m=top_m, lorry_top_m=lorry_m, car_label=car, pole_label=pole)
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
@@ -335,10 +339,11 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     more = rng.integers(0, len(one.window), (2, THIN - AROUND))
+    cars = fused_strips.widen_levels(levels)
+    cars |= ((rng.random(cars.shape) < rng.choice([0.0, 0.3])) * np.uint8(17)).astype(np.uint8)
     window = np.concatenate([one.window[more[0]], one.window, one.window[more[1]]])
     return (
-        window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,
-        one.step, decision(rng),
+        window, above, counts, walked, texture, wide, walls, cars, one.beams, one.step, decision(rng),
     )  # fmt: skip
 
 

@@ -175,14 +175,15 @@ class _Shot:
     def is_low_with_level(self, *, rough: bool) -> bool:
         if self.strip is None or not self.above >= 0:
             return False
-        top = int(self.thresholds.car_top_m / SLOT)
+        b, limits = floor(self.side / np.float32(0.25)) + N, self.thresholds
+        around = self.levels[self.line, max(b - 6, 0) : b + 7]
+        is_lorry = int((around // 16).sum()) >= min(limits.car_bins, limits.car_bins_rough)
+        top = int((limits.lorry_top_m if is_lorry else limits.car_top_m) / SLOT)
         filled = self.filled(0)
         closed = [filled[k] or (k > 0 and filled[k - 1]) or (k > 1 and filled[k - 2]) for k in range(64)]
         if all(closed[self.slot : top]):
             return False
-        b = floor(self.side / np.float32(0.25)) + N
-        bins = int(self.levels[self.line, max(b - 6, 0) : b + 7].sum())
-        return bool(bins >= (self.thresholds.car_bins_rough if rough else self.thresholds.car_bins))
+        return bool(int((around % 16).sum()) >= (limits.car_bins_rough if rough else limits.car_bins))
 
     def is_standing(self, *, is_car: bool) -> bool:
         if self.strip is None or not self.above > self.thresholds.foot_m:

@@ -60,7 +60,10 @@ class CarParams(Params):
 
     enabled: bool = Field(True, description="whether to separate them from walls and hedges")
     named: bool = Field(True, description="whether they get their class; otherwise they stay unclassified")
-    top_m: float = Field(4.25, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    top_m: float = Field(4.75, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    lorry_top_m: float = Field(
+        5.75, ge=0, le=15, description="the same where a body hangs as high as that of a lorry [m]"
+    )
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
     roofs: bool = Field(
@@ -191,6 +194,7 @@ def decision_thresholds(
         over_m=walls.over_m,
         roof_m=walls.roof_m if walls.roofs else -NEVER,
         car_top_m=cars.top_m,
+        lorry_top_m=cars.lorry_top_m,
         car_bins=cars.level_bins if cars.enabled else NEVER,
         car_bins_rough=cars.level_bins_rough if cars.enabled else NEVER,
         pole_m=poles.height_m if poles.enabled else 0.0,

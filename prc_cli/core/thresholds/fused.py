@@ -159,6 +159,10 @@ class FlankThresholds(NamedTuple):
     """Ground is seen beneath it where the line of sight passes it between these heights [m] ..."""
     body_m: np.float32
     """... and through it where above, up to this height [m]."""
+    large_m: np.float32
+    """Least height of the smooth upright surface of bodies that hang higher than that [m]."""
+    high_m: np.float32
+    """Bodies may hang as high as this, if nothing is below them [m]."""
     soil_m: np.float32
     """Shots this near to the ground are ground [m]."""
     shots: np.float32
@@ -199,7 +203,9 @@ class DecisionThresholds(NamedTuple):
     roof_m: np.float32
     """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m]."""
     car_top_m: np.float32
-    """Things that reach above this are no cars [m]."""
+    """Things that reach above this are no cars [m] ..."""
+    lorry_top_m: np.float32
+    """... nor, above this, lorries [m]."""
     car_bins: np.float32
     """Bins with a level surface around a smooth shot that make it part of a car."""
     car_bins_rough: np.float32

@@ -9,6 +9,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.fused.flanks import HANGS
 
 Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
@@ -429,23 +430,24 @@ def _count_bins(levels: U8, counts: U8) -> None:
 def _find_cars(every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]) -> None:
     """Write up to which height a smooth shot and a rough shot in every bin are of a car; 0 = no car.
 
-    There is a car where enough bins around are level. It ends below what reaches above cars without a gap.
+    There is a car where enough bins around are level. It ends below what reaches above cars without a gap; where they
+    are those of a body that hangs high, lorries.
     """
     smooth_bins, rough_bins = thresholds.car_bins, thresholds.car_bins_rough
-    car_slot = int(thresholds.car_top_m / SLOT_M)
+    car_slot, lorry_slot = int(thresholds.car_top_m / SLOT_M), int(thresholds.lorry_top_m / SLOT_M)
     least = min(smooth_bins, rough_bins)
     _count_bins(levels, counts)
     last, below = -1, np.float32(0.0)
     for q in range(2 * STRIPS):
-        n = np.float32(counts[q])
+        n, hanging = np.float32(counts[q] & (HANGS - 1)), np.float32(counts[q] // HANGS)
         if n < least:
             cars[0][q] = cars[1][q] = np.float32(0.0)
             continue
-        b = q // 2
-        if b != last:
-            word, last = every[b], b
+        b, high = q // 2, hanging >= least
+        if 2 * b + high != last:
+            word, last = every[b], 2 * b + high
             filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
-            slot = car_slot
+            slot = lorry_slot if high else car_slot
             while slot > 0 and (filled >> np.uint64(slot - 1)) & np.uint64(1) != np.uint64(0):
                 slot -= 1
             below = np.float32(slot) * SLOT_M
