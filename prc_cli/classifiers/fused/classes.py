@@ -16,8 +16,8 @@ from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import DecisionThresholds, FanThresholds, typed
 from prc_cli.core.types import F32, U8
 
-BESIDE_THIN_LINES = 12
-"""Lines before and after a line in which something is seen past a pole."""
+BESIDE_THIN_LINES = 20
+"""Lines before and after a line in which something is seen past a pole or a box."""
 NEVER = 1e9
 """A limit that no value reaches, for steps that are switched off."""
 
@@ -111,6 +111,13 @@ class PoleParams(Params):
     )
     arms: bool = Field(True, description="whether thin level things high up are poles too: arms and lamps ...")
     arm_m: float = Field(3.0, ge=0, le=100, description="... that is, above this height [m]")
+    boxes: bool = Field(True, description="whether small things with level tops are poles too: bins and cabinets ...")
+    box_m: float = Field(2.0, ge=0, le=15, description="... that is, lower than this, in the scan plane [m] ...")
+    box_flat_m: float = Field(
+        0.25, ge=0, le=100, description="... with tops as deep as this at least; those of garden walls are less [m] ..."
+    )
+    box_deep_m: float = Field(0.75, ge=0, le=100, description="... themselves as deep as this at most [m] ...")
+    box_lines: int = Field(16, ge=0, le=40, description="... and seen by so many other lines, at most")
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
     across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
@@ -204,6 +211,10 @@ def decision_thresholds(
         pole_shots=poles.shots,
         thick_m=poles.thick_m if poles.trunks else NEVER,
         arm_m=poles.arm_m if poles.arms else NEVER,
+        box_m=poles.box_m if poles.enabled and poles.boxes else 0.0,
+        box_flat_m=poles.box_flat_m,
+        box_deep_m=poles.box_deep_m,
+        box_lines=poles.box_lines,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
         takes_long=0.0 if poles.across else 1.0,
         foot_m=poles.foot_m,

@@ -224,6 +224,14 @@ class DecisionThresholds(NamedTuple):
     """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
     arm_m: np.float32
     """Above this height thin level things may be poles: arms and lamps [m]."""
+    box_m: np.float32
+    """Bins and cabinets are lower than this [m]; 0 = there are none."""
+    box_flat_m: np.float32
+    """They are as deep as this at least, and so are their level tops [m] ..."""
+    box_deep_m: np.float32
+    """... and as this at most [m]."""
+    box_lines: np.float32
+    """So many other lines see them, at most."""
     keeps_parts: np.float32
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
     takes_long: np.float32
