@@ -595,7 +595,8 @@ def _label_things(
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
-        may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
+        is_even = (texture >= leaf_share) | ((smooth[i] >= 3) & (thin[i] != 0))
+        may_be_pole = is_open & is_here & is_up & (h > foot) & is_even & (not is_ghost)
         is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
         poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
 
@@ -632,7 +633,8 @@ def _label_poles(
                 takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
-                is_thick = is_thick or bool(_depth_across(window_m, line, i, thresholds.jump_m) >= thresholds.thick_m)
+                across = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
+                is_thick = is_thick or bool(across >= thresholds.thick_m)
                 labels[i] = np.uint8(_VEGETATION) if is_thick else pole
 
 
