@@ -192,7 +192,9 @@ class _Shot:
             return False
         if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
             return False
-        return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
+        is_slim = self.smooth >= self.thresholds.slim_smooth and self._is_free_across()
+        is_even = self.texture >= self.thresholds.leaf_share or is_slim
+        return bool(is_even and self.thresholds.pole_m > 0)
 
     def is_thin(self) -> bool:
         return self._is_short_in_line() or self._is_narrow_across()
@@ -247,7 +249,8 @@ class _Shot:
                 if not np.abs(there - before) < limits.jump_m:
                     break
                 seen.append(there)
-        return bool(max(seen) - min(seen) >= limits.thick_m)
+        across = np.float32(max(seen) - min(seen)) * (abs(self.side) / self.range_m)
+        return bool(across >= limits.thick_m)
 
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + MARGIN

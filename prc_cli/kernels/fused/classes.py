@@ -348,7 +348,7 @@ def _is_round(deep: np.float32, tall: np.float32, thresholds: DecisionThresholds
 
 @inlined
 def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.float32:
-    """Return how deep the thing is that lines before and after see in the direction of a shot."""
+    """Return how deep the thing is that lines before and after see in the direction of a shot, along its beam."""
     least = most = window_m[line, i]
     for way in (-1, 1):
         last = window_m[line, i]
@@ -569,7 +569,7 @@ def _label_things(
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
     car = np.uint8(thresholds.car_label)
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
-    nothing, arm_m = np.float32(0.0), thresholds.arm_m
+    nothing, arm_m, slim = np.float32(0.0), thresholds.arm_m, thresholds.slim_smooth
     front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
     pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
     for i in range(len(labels)):
@@ -595,7 +595,8 @@ def _label_things(
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
-        is_even = (texture >= leaf_share) | ((smooth[i] >= 3) & (thin[i] != 0))
+        # nothing beside a post in other lines makes its place smooth
+        is_even = (texture >= leaf_share) | ((np.float32(smooth[i]) >= slim) & (thin[i] != 0))
         may_be_pole = is_open & is_here & is_up & (h > foot) & is_even & (not is_ghost)
         is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
         poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
