@@ -67,6 +67,8 @@ GOALS: dict[str, dict[str, float]] = {
     FOREST_NOISY: {"stem": 0.85},
 }
 """Least F1, mean over the scans, by group and class."""
+FURTHER = (SLOW, FOREST_NOISY, *VIEWS.values())
+"""Groups that ablations leave out."""
 MOST_LOST = 0.03
 """Of F1 in a slow drive, beside the same street driven normally."""
 JUDGED_OF_PEERS = ("ground", "noise")
@@ -130,13 +132,29 @@ def summary(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     mean over the scans of the group that the method is meant for; worst scan in brackets. The Oakland
     reference has no noise: points predicted as noise count as errors of their true class. Noise is scored on
     the same strips with background added.""")
-    print("| | " + " | ".join(groups) + " |\n|---|" + "---:|" * len(groups))
-    for name, own in runs.items():
-        cells = [_macro(of_group(own, items)) for items in groups.values()]
-        print(f"| {name} | {' | '.join(cells)} |")
-    print()
+    usual = {name: items for name, items in groups.items() if name not in FURTHER}
+    print_macros(usual, runs)
+    print_macros({name: items for name, items in groups.items() if name in FURTHER}, runs)
     for title, items in {"Simulated streets": _streets(groups), **_others(groups)}.items():
         print_classes(title, items, runs)
+
+
+def print_macros(groups: dict[str, list[DataSet]], runs: dict[str, dict[str, Run]]) -> None:
+    """Mean macro F1 of every method by group."""
+    if not groups:
+        return
+    print(f"| | {' | '.join(groups)} |\n|---|{'---:|' * len(groups)}")
+    for name, own in runs.items():
+        cells = [_macro(of_group(own, items)) for items in groups.values()]
+        if any(cells):
+            print(f"| {name} | {' | '.join(cells)} |")
+    print()
+
+
+def _macro(verdicts: list[Verdict]) -> str:
+    macros = [verdict.macro for verdict in verdicts]
+    spread = f" ({min(macros):.2f})" if len(macros) > 1 else ""
+    return f"{np.mean(macros):.3f}{spread}" if macros else ""
 
 
 def _streets(groups: dict[str, list[DataSet]]) -> list[DataSet]:
@@ -428,7 +446,7 @@ def ablation(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     print("## What each step is worth\n")
     say("""Macro F1 without the step (mean over the scans of a group) and the difference to all steps; negative: the
     step helps.""")
-    own_items = tuple(item for item in contest.items if item.group not in (SLOW, FOREST_NOISY, *VIEWS.values()))
+    own_items = tuple(item for item in contest.items if item.group not in FURTHER)
     contest = replace(contest, items=own_items)
     found = contest.all_runs(switched)
     groups = contest.groups()
@@ -465,17 +483,7 @@ def default(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     brackets, beside the fused presets by name.""")
     chosen = contest.all_runs((DEFAULT,)).get(DEFAULT.name, {})
     groups = contest.groups()
-    print(f"| | {' | '.join(groups)} |\n|---|{'---:|' * len(groups)}")
-    for name, own in {DEFAULT.name: chosen, **{m.name: runs[m.name] for m in fused() if m.name in runs}}.items():
-        cells = [_macro(of_group(own, items)) for items in groups.values()]
-        print(f"| {name} | {' | '.join(cells)} |")
-    print()
-
-
-def _macro(verdicts: list[Verdict]) -> str:
-    macros = [verdict.macro for verdict in verdicts]
-    spread = f" ({min(macros):.2f})" if len(macros) > 1 else ""
-    return f"{np.mean(macros):.3f}{spread}" if macros else ""
+    print_macros(groups, {DEFAULT.name: chosen, **{m.name: runs[m.name] for m in fused() if m.name in runs}})
 
 
 def drives(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
