@@ -39,23 +39,19 @@ class _Window:
         return self.range_m[k, j] * self.beams[0][j], -(self.range_m[k, j] * self.beams[1][j])
 
     def is_on_surface(self, off_m: np.float32) -> bool:
-        m, agreeing = self.range_m.shape[1], []
-        sine, cosine = self.beams[0][self.i], self.beams[1][self.i]
+        if not 2 <= self.i < self.range_m.shape[1] - 2:
+            return False
+        sine, cosine, agreeing = self.beams[0][self.i], self.beams[1][self.i], []
         for away in (1, 2):
-            if self.i - away < 0 or self.i + away >= m:
-                continue
             (ay, az), (by, bz) = self.point(self.line, self.i - away), self.point(self.line, self.i + away)
             if np.isnan(ay) or np.isnan(by):
                 continue
             across = sine * (bz - az) + cosine * (by - ay)
             agreeing.append(abs(ay * bz - az * by - self.own * across) < off_m * abs(across))
         for away in (-1, 0, 1):
-            if away == 0 or 0 < self.i < m - 1:
-                there = np.float32(0.5) * (
-                    self.range_m[self.line - 1, self.i + away] + self.range_m[self.line + 1, self.i - away]
-                )
-                if not np.isnan(there):
-                    agreeing.append(abs(there - self.own) < off_m)
+            before, after = self.range_m[self.line - 1, self.i + away], self.range_m[self.line + 1, self.i - away]
+            if not (np.isnan(before) or np.isnan(after)):
+                agreeing.append(abs(np.float32(0.5) * (before + after) - self.own) < off_m)
         return sum(agreeing) > 0 and 2 * sum(agreeing) >= len(agreeing)
 
     def is_sparse(self, step: np.float32, limits: NearThresholds, thresholds: AgainThresholds) -> bool:

@@ -69,7 +69,7 @@ class NoiseParams(Params):
     )
     alone_m: float = Field(0.1, ge=0, le=100, description="... as far: within this in range [m] ...")
     alone_gap_m: float = Field(0.75, ge=0, le=1000, description="... none beyond, or none before, within this [m] ...")
-    alone_share: float = Field(0.15, ge=0, le=1, description="... where a greater share of the pairs is smooth")
+    alone_share: float = Field(0.25, ge=0, le=1, description="... where a greater share of the pairs is smooth")
 
 
 class LeavesParams(Params):

@@ -31,14 +31,17 @@ _FAR = np.float32(1e9)
 
 
 @helper
-def _mark(labels: U8, near: U8, smooth: U8, least_near: np.uint8, marks: U8) -> None:
-    """Mark the shots of a line that may be asked about; without branches, as most are not."""
-    nothing = np.uint8(0)
+def _mark(labels: U8, counts: tuple[U8, U8], texture: F32, above: F32, thresholds: AgainThresholds, marks: U8) -> None:
+    """Mark the shots of a line that are asked about; without branches, as most are not."""
+    near, smooth = counts
+    least, sparse, low = thresholds.least_near, thresholds.sparse_texture, thresholds.low_m
+    rough, foot, nothing = thresholds.alone_texture, thresholds.foot_m, np.uint8(0)
     for i in range(len(labels)):
+        may_be_kept = (texture[i] < sparse) & ((near[i] > 0) | (abs(above[i]) < low))
         mark = _SPIKE if smooth[i] == 0 else nothing
-        mark = _SPARSE if near[i] < least_near else mark
-        alone = _ALONE if (smooth[i] == 0) & (labels[i] != _MISSING) else nothing
-        marks[i] = mark if labels[i] == _NOISE else alone
+        mark = (_SPARSE if may_be_kept else nothing) if np.float32(near[i]) < least else mark
+        is_open = (smooth[i] == 0) & (texture[i] > rough) & (above[i] > foot) & (labels[i] != _MISSING)
+        marks[i] = mark if labels[i] == _NOISE else (_ALONE if is_open else nothing)
 
 
 @helper
@@ -74,24 +77,22 @@ def _list(words: Words, marks: U8, shots: I32) -> int:
 def _is_on_surface(range_m: F32, line: int, i: int, beams: tuple[F32, F32], off_m: np.float32) -> bool:
     """Return whether the surface through most pairs of opposite shots meets the beam near a shot."""
     sine, cosine = beams
-    m, own = range_m.shape[1], range_m[line, i]
-    pairs = agreeing = 0
+    own = range_m[line, i]
+    if i < 2 or i >= range_m.shape[1] - 2:
+        return False
+    pairs = agreeing = np.int32(0)
     for away in (1, 2):
-        a, b = i - away, i + away
-        if a >= 0 and b < m and range_m[line, a] == range_m[line, a] and range_m[line, b] == range_m[line, b]:
-            ay, az = range_m[line, a] * sine[a], -(range_m[line, a] * cosine[a])
-            by, bz = range_m[line, b] * sine[b], -(range_m[line, b] * cosine[b])
-            across = sine[i] * (bz - az) + cosine[i] * (by - ay)
-            pairs += 1
-            agreeing += abs(ay * bz - az * by - own * across) < off_m * abs(across)
+        a, b = np.uint64(i - away), np.uint64(i + away)
+        ay, az = range_m[line, a] * sine[a], -(range_m[line, a] * cosine[a])
+        by, bz = range_m[line, b] * sine[b], -(range_m[line, b] * cosine[b])
+        across = sine[i] * (bz - az) + cosine[i] * (by - ay)
+        pairs += np.int32(across == across)
+        agreeing += np.int32(abs(ay * bz - az * by - own * across) < off_m * abs(across))
     for away in (-1, 0, 1):
-        a, b = i + away, i - away
-        if min(a, b) >= 0 and max(a, b) < m:
-            before, after = range_m[line - 1, a], range_m[line + 1, b]
-            there = np.float32(0.5) * (before + after)
-            pairs += there == there
-            agreeing += abs(there - own) < off_m
-    return agreeing > 0 and 2 * agreeing >= pairs
+        there = np.float32(0.5) * (range_m[line - 1, np.uint64(i + away)] + range_m[line + 1, np.uint64(i - away)])
+        pairs += np.int32(there == there)
+        agreeing += np.int32(abs(there - own) < off_m)
+    return bool((agreeing > 0) & (2 * agreeing >= pairs))
 
 
 @helper
@@ -122,7 +123,7 @@ def _is_sparse(
     apart = own * step
     near = max(limits.near_m, limits.near_steps * apart)
     along = max(max(limits.along_m, limits.along_steps * apart), near)
-    present = close = before = 0
+    present = close = before = np.int32(0)
     first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])
     sines, cosines = sine[first:last], cosine[first:last]
     for k in range(line - LINES, line + LINES + 1):
@@ -130,9 +131,9 @@ def _is_sparse(
         for j in range(last - first):
             a, b = abs(there[j] * sines[j] - y), abs(-(there[j] * cosines[j]) - z)
             is_close = max(a, b) < (along if min(a, b) < limits.thin_m else near)
-            present += there[j] == there[j]
-            close += is_close
-            before += (not is_close) & (there[j] < own) & (pairs[j] >= SMOOTH)
+            present += np.int32(there[j] == there[j])
+            close += np.int32(is_close)
+            before += np.int32((not is_close) & (there[j] < own) & (pairs[j] >= SMOOTH))
     # the shot is near to itself
     is_one = np.float32(close - 1) >= thresholds.sparse_shots
     return bool(is_one & (np.float32(before) < thresholds.through_share * np.float32(present - 1)))
@@ -151,37 +152,46 @@ def _is_mirrored(
     row, end = range_m[line], own - gap
     if not ((row[i - 1] < end) | (row[i - 2] < end)) & ((row[i + 1] < end) | (row[i + 2] < end)):
         return False
-    left = right = fellows = 0
+    first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, m)
+    left = right = fellows = np.int32(0)
     for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
-        for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, m)):
-            off = range_m[k, j] - own
-            is_before = (off < -gap) & (labels[k - before, j] == car)
-            left += is_before & (j < i)
-            right += is_before & (j > i)
-            fellows += (abs(off) <= gap) & (smooth[k, j] >= SMOOTH)
+        there, pairs, names = range_m[k, first:last], smooth[k, first:last], labels[k - before, first:last]
+        for j in range(last - first):
+            off = there[j] - own
+            is_before = (off < -gap) & (names[j] == car)
+            left += np.int32(is_before & (j < i - first))
+            right += np.int32(is_before & (j > i - first))
+            fellows += np.int32((abs(off) <= gap) & (pairs[j] >= SMOOTH))
     least = thresholds.mirror_share * np.float32((2 * BESIDE_LINES + 1) * COLUMNS)
     return bool((np.float32(min(left, right)) >= least) & (fellows <= MOST_FELLOWS))
 
 
 @helper
-def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> bool:
-    """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
-    own, same = range_m[line, i], thresholds.alone_m
+def _is_as_far(range_m: F32, line: int, i: int, same: np.float32) -> bool:
+    """Return whether another shot of the window is about as far as one."""
+    own, found = range_m[line, i], np.int32(-1)  # the shot is as far as itself
     first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])
-    for j in range(max(i - 1, 0), min(i + 2, range_m.shape[1])):
-        # these are as far most often
-        if j != i and abs(range_m[line, j] - own) < same:
-            return False
-    before = after = _FAR
-    missing = cells = 0
     for n in range(2 * LINES + 1):
         # from its own line outwards
         k = line + (n + 1) // 2 * (1 if n % 2 else -1)
-        there = range_m[k, first:last]
-        for j in range(last - first):
-            off = there[j] - own
-            if abs(off) < same and not (n == 0 and j == i - first):
-                return False
+        for there in range_m[k, first:last]:
+            found += np.int32(abs(there - own) < same)
+        if found > 0:
+            return True
+    return False
+
+
+@helper
+def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> bool:
+    """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
+    if thresholds.alone_m > 0 and _is_as_far(range_m, line, i, thresholds.alone_m):
+        return False
+    own = range_m[line, i]
+    before = after = _FAR
+    missing = cells = 0
+    for k in range(line - LINES, line + LINES + 1):
+        for there in range_m[k, max(i - COLUMNS, 0) : min(i + COLUMNS + 1, range_m.shape[1])]:
+            off = there - own
             cells += 1
             missing += off != off
             before = min(before, -off if off < 0 else _FAR)
@@ -251,13 +261,12 @@ def noise_again(
     found = voted.copy()
     room = (m + 7) // 8 * 8
     marks, shots = np.zeros(room, np.uint8), np.empty(room + 1, np.int32)
-    words, least_near = marks.view(np.uint64), np.uint8(thresholds.least_near)
-    rough, foot_m, car = thresholds.alone_texture, thresholds.foot_m, np.uint8(thresholds.car_label)
+    words, car = marks.view(np.uint64), np.uint8(thresholds.car_label)
     # the first line of the labels is this many lines after that of the ranges
     before = LINES - BESIDE_LINES
     for line in range(n_lines):
         k, row = line + LINES, found[line]
-        _mark(voted[line], near[k], smooth[k], least_near, marks[:m])
+        _mark(voted[line], (near[k], smooth[k]), texture[line], above_m[line], thresholds, marks[:m])
         _mark_amid_cars(labels[line + BESIDE_LINES], smooth[k], car, marks[:m])
         for n in range(_list(words, marks, shots)):
             i = int(shots[n])
@@ -265,13 +274,11 @@ def noise_again(
             if mark == _SPIKE:
                 is_kept = _is_on_surface(range_m, k, i, beams, thresholds.spike_m)
             elif mark == _SPARSE:
-                if not texture[line, i] < thresholds.sparse_texture:
-                    continue
                 if abs(above_m[line, i]) < thresholds.low_m and _is_amid_ground(labels, line + BESIDE_LINES, i):
                     row[i] = np.uint8(_GROUND)
                 elif near[k, i] > 0:
                     is_kept = _is_sparse(range_m, smooth, (k, i), beams, step, limits, thresholds)
-            elif mark & _ALONE and (texture[line, i] > rough) & (above_m[line, i] > foot_m):
+            elif mark & _ALONE:
                 is_noise = _is_alone(range_m, k, i, thresholds)
             if mark & _MIRRORED and not is_noise:
                 is_noise = _is_mirrored(range_m, smooth, labels, (k, i), before, thresholds)
