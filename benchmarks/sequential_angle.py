@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.contest_data import Scan
+from benchmarks.contest_data import Scan, views
 from benchmarks.contest_methods import label
 from benchmarks.peak import peak_mib
-from benchmarks.rings import CLASSES, views
+from benchmarks.rings import CLASSES
 from prc_cli.classifiers.sequential_angle.angles import (
     AnglesParams,
     angle_differences,

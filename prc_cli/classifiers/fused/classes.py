@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydantic import Field
 
@@ -16,8 +18,8 @@ from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import DecisionThresholds, FanThresholds, typed
 from prc_cli.core.types import F32, U8
 
-BESIDE_THIN_LINES = 12
-"""Lines before and after a line in which something is seen past a pole."""
+BESIDE_THIN_LINES = 20
+"""Lines before and after a line in which something is seen past a pole or a box."""
 NEVER = 1e9
 """A limit that no value reaches, for steps that are switched off."""
 
@@ -27,6 +29,10 @@ class NoiseParams(Params):
 
     spikes: bool = Field(True, description="whether a rough shot among smooth ones is noise")
     spike_share: float = Field(0.65, ge=0, le=1, description="least share of smooth pairs around it")
+    pits: bool = Field(
+        True, description="whether upright shots in company below the ground are no noise, but the side of a pit ..."
+    )
+    pit_near: int = Field(9, ge=0, le=28, description="... that is, with this many near neighbours, of 28")
     leaves: bool = Field(True, description="whether an isolated shot among rough ones is a leaf")
     leaf_slots: int = Field(
         4, ge=1, le=9, description="least number of cells of 0.25 m around it, of 9, that hold rough shots"
@@ -78,6 +84,19 @@ class LeavesParams(Params):
     half_width_m: float = Field(0.35, gt=0, le=100, description="half width of the surroundings that are averaged [m]")
     share: float = Field(0.4, ge=0, le=1, description="surroundings with a smaller share of smooth pairs are foliage")
     share_before_walls: float = Field(0.2, ge=0, le=1, description="the same close in front of a wall")
+    at_depth: bool = Field(
+        True, description="whether rough surroundings are looked at again without what is nearer or farther ..."
+    )
+    depth_m: float = Field(1.0, gt=0, le=100, description="... by more than this [m] ...")
+    depth_pairs: int = Field(
+        2, ge=0, le=11, description="... around shots with this many smooth pairs; around all where columns are"
+    )
+    depth_step_deg: float = Field(0.2, ge=0, le=180, description="at least this far apart [deg]")
+
+    def again(self, step_rad: float) -> tuple[np.float32, np.float32, np.float32]:
+        """Return what the loop is given, for an angle between columns [rad]: a share, a distance and smooth pairs."""
+        pairs = 0 if step_rad >= math.radians(self.depth_step_deg) else self.depth_pairs
+        return np.float32(self.share if self.at_depth else 0.0), np.float32(self.depth_m), np.float32(pairs)
 
 
 class CarParams(Params):
@@ -85,7 +104,10 @@ class CarParams(Params):
 
     enabled: bool = Field(True, description="whether to separate them from walls and hedges")
     named: bool = Field(True, description="whether they get their class; otherwise they stay unclassified")
-    top_m: float = Field(4.25, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    top_m: float = Field(4.75, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    lorry_top_m: float = Field(
+        5.75, ge=0, le=15, description="the same where a body hangs as high as that of a lorry [m]"
+    )
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
     roofs: bool = Field(
@@ -127,12 +149,22 @@ class PoleParams(Params):
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
     shots: int = Field(6, ge=1, le=1000, description="fewest shots of its run; leaves and bars of fences have fewer")
+    slim_smooth: int = Field(
+        3, ge=0, le=11, description="in rough places, fewest smooth pairs of a shot that one of four lines sees past"
+    )
     trunks: bool = Field(True, description="whether what is thick and round is a trunk, crown or not ...")
     thick_m: float = Field(
         0.15, ge=0, le=100, description="... that is, this deep from the middle of its front to its edges [m]"
     )
     arms: bool = Field(True, description="whether thin level things high up are poles too: arms and lamps ...")
     arm_m: float = Field(3.0, ge=0, le=100, description="... that is, above this height [m]")
+    boxes: bool = Field(True, description="whether small things with level tops are poles too: bins and cabinets ...")
+    box_m: float = Field(2.0, ge=0, le=15, description="... that is, lower than this, in the scan plane [m] ...")
+    box_flat_m: float = Field(
+        0.25, ge=0, le=100, description="... with tops as deep as this at least; those of garden walls are less [m] ..."
+    )
+    box_deep_m: float = Field(0.75, ge=0, le=100, description="... themselves as deep as this at most [m] ...")
+    box_lines: int = Field(16, ge=0, le=40, description="... and seen by so many other lines, at most")
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
     across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
@@ -149,8 +181,9 @@ class VoteParams(Params):
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
     """Return the mean smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    again = params.again(float(plane.step_rad))
     texture: F32 = kernels.mean_smoothness(
-        range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m)
+        range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m), again
     )
     return texture
 
@@ -171,7 +204,7 @@ def decide(
 
     1. isolated, and neither a leaf nor part of a surface: noise;
     2. a spike: noise;
-    3. rough and far below the ground: noise;
+    3. rough and far below the ground, and not the side of a pit: noise;
     4. on the ground: ground;
     5. few near neighbours behind a wall, and either no smooth pair, or rough and far behind it: noise; so is what is
        isolated in a car without a smooth pair;
@@ -203,6 +236,7 @@ def decision_thresholds(
         least_near=least_near,
         spike_share=noise.spike_share if noise.spikes else NEVER,
         below_m=ground.below_m,
+        pit_near=noise.pit_near if noise.pits else NEVER,
         leaf_slots=noise.leaf_slots if noise.leaves else NEVER,
         lone_m=noise.lone_m if noise.leaves and noise.lone_leaves else NEVER,
         walked_m=ground.walked_m,
@@ -215,7 +249,9 @@ def decision_thresholds(
         behind_m=walls.behind_m,
         over_m=walls.over_m,
         roof_m=walls.roof_m if walls.roofs else -NEVER,
+        storey_m=walls.storey_m,
         car_top_m=cars.top_m,
+        lorry_top_m=cars.lorry_top_m,
         car_bins=cars.level_bins if cars.enabled else NEVER,
         car_bins_rough=cars.level_bins_rough if cars.enabled else NEVER,
         pole_m=poles.height_m if poles.enabled else 0.0,
@@ -223,8 +259,13 @@ def decision_thresholds(
         far_m=poles.far_m,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
+        slim_smooth=poles.slim_smooth,
         thick_m=poles.thick_m if poles.trunks else NEVER,
         arm_m=poles.arm_m if poles.arms else NEVER,
+        box_m=poles.box_m if poles.enabled and poles.boxes else 0.0,
+        box_flat_m=poles.box_flat_m,
+        box_deep_m=poles.box_deep_m,
+        box_lines=poles.box_lines,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
         takes_long=0.0 if poles.across else 1.0,
         foot_m=poles.foot_m,
