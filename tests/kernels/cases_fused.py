@@ -38,12 +38,12 @@ from prc_cli.kernels.fused import (
 AROUND, INNER, THIN = 4, 2, 20
 USUAL = typed(
     DecisionThresholds,
-    least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
+    least_near=3, spike_share=0.7, below_m=0.3, pit_near=9, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
     car_top_m=3.75, lorry_top_m=5.5, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5,
     pole_shots=3, slim_smooth=3, thick_m=0.15, arm_m=3.0, box_m=2.0, box_flat_m=0.25, box_deep_m=0.75, box_lines=16,
     keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5,
-    ghost_near=15, pane_m=1.0, cabin_near=3, roof_m=6.0, car_label=7, pole_label=11,
+    ghost_near=15, pane_m=1.0, cabin_near=3, roof_m=6.0, storey_m=2.5, car_label=7, pole_label=11,
 )  # fmt: skip
 
 
@@ -129,6 +129,7 @@ def smooth_case(rng: Generator) -> tuple[Any, ...]:
         tolerance_per_m=rng.choice([0.0, 0.01]),
         gap_m=rng.choice([0.4, 5.0]),
         gap_steps=16.0,
+        apart_m=rng.choice([0.0, 0.5, 1.0, 3.0]),
     )
     return *one.seen, chosen
 
@@ -164,7 +165,8 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         *one.seen, typed(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8)
     )
     smooth = fused_neighbours.smooth_counts(
-        *one.seen, typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16)
+        *one.seen,
+        typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16, apart_m=0.5),
     )
     usual = typed(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
     chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)
@@ -199,11 +201,17 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
         known_m=0.15,
         memory_lines=rng.choice([0, 5, 60]),
         follow=0.4,
+        start_reach_m=rng.choice([0.0, 1.0, 10.0]),
     )
     keep = int(rng.integers(0, len(one.range_m) + 1))
-    start = np.float32(rng.choice([-2.0, 0.0]))
+    start, lost = np.float32(rng.choice([-2.0, 0.0])), int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2]))
+    shots = np.zeros((2, fused_ground.DEPTHS), np.float32)
+    if lost not in (0, -1):
+        shots[:, 12:26] = np.sort(rng.integers(0, 9, (2, 14)), axis=0)
+    sums = (shots * np.float32(-1.9)).astype(np.float32)
     sides = one.left, one.right
-    return one.range_m, one.beams, random_counts(rng, one), sides, memory, age, start, keep, chosen
+    known = memory, age, shots, sums
+    return one.range_m, one.beams, random_counts(rng, one), sides, known, start, lost, keep, chosen
 
 
 def heights(rng: Generator, one: Street) -> F32:
@@ -292,7 +300,8 @@ def texture_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     near, smooth = random_counts(rng, one)[:2]
     half = np.float32(rng.choice([0.35, 5.0, 0.0]))
-    return one.range_m, near, smooth, one.step, np.float32(rng.choice([0, 3])), half
+    limits = tuple(np.float32(rng.choice(some)) for some in ([0.0, 0.4, 2.0], [0.2, 1.0, 1e9], [0, 2]))
+    return one.range_m, near, smooth, one.step, np.float32(rng.choice([0, 3])), half, limits
 
 
 def decision(rng: Generator) -> DecisionThresholds:
@@ -444,7 +453,17 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
         label=rng.choice([1, 7]),
     )
     texture = rng.random((n_lines, m)).astype(np.float32)
-    return labels, range_m, above, texture, np.sin(beam).astype(np.float32), sides, before, chosen
+    return (
+        labels,
+        range_m,
+        above,
+        texture,
+        np.sin(beam).astype(np.float32),
+        sides,
+        before,
+        int(rng.integers(1, n_lines + 1)),
+        chosen,
+    )
 
 
 def confidence_case(rng: Generator) -> tuple[Any, ...]:

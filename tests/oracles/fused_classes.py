@@ -20,9 +20,16 @@ WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 
 
 def mean_smoothness(
-    range_m: F32, near: U8, smooth: U8, step: np.float32, least_near: np.float32, half_m: np.float32
+    range_m: F32,
+    near: U8,
+    smooth: U8,
+    step: np.float32,
+    least_near: np.float32,
+    half_m: np.float32,
+    limits: tuple[np.float32, np.float32, np.float32],
 ) -> F32:
     """Average smoothness; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    rough, depth_m, least_pairs = limits
     mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
     pairs = np.minimum(smooth, 8).astype(int)
     for line, i in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
@@ -31,6 +38,14 @@ def mean_smoothness(
         counts = near[place] >= least_near
         if counts.any():
             mean[line, i] = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
+        if mean[line, i] < rough and smooth[line + 2, i] >= least_pairs:
+            stride = max(-(-columns // 4), 1)
+            beside = [j for j in range(range_m.shape[1]) if abs(j - i) <= columns and (j - i) % stride == 0]
+            place = np.ix_(range(line, line + 5), beside)
+            counts = (near[place] >= least_near) & (np.abs(range_m[place] - range_m[line + 2, i]) < depth_m)
+            if counts.any():
+                share = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
+                mean[line, i] = max(mean[line, i], share)
     return mean
 
 
@@ -131,10 +146,12 @@ class _Shot:
         return bool(self.smooth == 0 and self.near < self.thresholds.cabin_near)
 
     def _is_about_wall(self, most_m: np.float32) -> bool:
-        """Return whether a shot is a little before a wall, or not farther than this behind it, at any height."""
+        """Return whether a shot is a little before a house, or not farther than this behind it, at any height."""
         if self.strip is None:
             return False
         at = self.walls[0][self.line, self.strip]
+        if self.walls[1][self.line, self.strip] - self.height + self.above < self.thresholds.storey_m:
+            return False
         return bool(at != 0 and -self.thresholds.front_m <= abs(self.side) - abs(at) <= most_m)
 
     def is_facade(self) -> bool:
@@ -154,7 +171,8 @@ class _Shot:
         return bool(np.float32(pairs) > self.thresholds.spike_share * np.float32(8 * int(counts.sum())))
 
     def is_reflection(self) -> bool:
-        return bool(self.above < -self.thresholds.below_m) and self.smooth < 3
+        is_pit = self.upright > 0 and self.near >= self.thresholds.pit_near
+        return bool(self.above < -self.thresholds.below_m) and self.smooth < 3 and not is_pit
 
     def is_ground(self) -> bool:
         off = abs(self.above)

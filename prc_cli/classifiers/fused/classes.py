@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydantic import Field
 
@@ -27,6 +29,10 @@ class NoiseParams(Params):
 
     spikes: bool = Field(True, description="whether a rough shot among smooth ones is noise")
     spike_share: float = Field(0.65, ge=0, le=1, description="least share of smooth pairs around it")
+    pits: bool = Field(
+        True, description="whether upright shots in company below the ground are no noise, but the side of a pit ..."
+    )
+    pit_near: int = Field(9, ge=0, le=28, description="... that is, with this many near neighbours, of 28")
     leaves: bool = Field(True, description="whether an isolated shot among rough ones is a leaf")
     leaf_slots: int = Field(
         4, ge=1, le=9, description="least number of cells of 0.25 m around it, of 9, that hold rough shots"
@@ -53,6 +59,19 @@ class LeavesParams(Params):
     half_width_m: float = Field(0.35, gt=0, le=100, description="half width of the surroundings that are averaged [m]")
     share: float = Field(0.4, ge=0, le=1, description="surroundings with a smaller share of smooth pairs are foliage")
     share_before_walls: float = Field(0.2, ge=0, le=1, description="the same close in front of a wall")
+    at_depth: bool = Field(
+        True, description="whether rough surroundings are looked at again without what is nearer or farther ..."
+    )
+    depth_m: float = Field(1.0, gt=0, le=100, description="... by more than this [m] ...")
+    depth_pairs: int = Field(
+        2, ge=0, le=11, description="... around shots with this many smooth pairs; around all where columns are"
+    )
+    depth_step_deg: float = Field(0.2, ge=0, le=180, description="at least this far apart [deg]")
+
+    def again(self, step_rad: float) -> tuple[np.float32, np.float32, np.float32]:
+        """Return what the loop is given, for an angle between columns [rad]: a share, a distance and smooth pairs."""
+        pairs = 0 if step_rad >= math.radians(self.depth_step_deg) else self.depth_pairs
+        return np.float32(self.share if self.at_depth else 0.0), np.float32(self.depth_m), np.float32(pairs)
 
 
 class CarParams(Params):
@@ -137,8 +156,9 @@ class VoteParams(Params):
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
     """Return the mean smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    again = params.again(float(plane.step_rad))
     texture: F32 = kernels.mean_smoothness(
-        range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m)
+        range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m), again
     )
     return texture
 
@@ -159,7 +179,7 @@ def decide(
 
     1. isolated, and neither a leaf nor part of a surface: noise;
     2. a spike: noise;
-    3. rough and far below the ground: noise;
+    3. rough and far below the ground, and not the side of a pit: noise;
     4. on the ground: ground;
     5. few near neighbours behind a wall, and either no smooth pair, or rough and far behind it: noise; so is what is
        isolated in a car without a smooth pair;
@@ -191,6 +211,7 @@ def decision_thresholds(
         least_near=least_near,
         spike_share=noise.spike_share if noise.spikes else NEVER,
         below_m=ground.below_m,
+        pit_near=noise.pit_near if noise.pits else NEVER,
         leaf_slots=noise.leaf_slots if noise.leaves else NEVER,
         lone_m=noise.lone_m if noise.leaves and noise.lone_leaves else NEVER,
         walked_m=ground.walked_m,
@@ -203,6 +224,7 @@ def decision_thresholds(
         behind_m=walls.behind_m,
         over_m=walls.over_m,
         roof_m=walls.roof_m if walls.roofs else -NEVER,
+        storey_m=walls.storey_m,
         car_top_m=cars.top_m,
         lorry_top_m=cars.lorry_top_m,
         car_bins=cars.level_bins if cars.enabled else NEVER,

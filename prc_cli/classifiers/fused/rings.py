@@ -51,6 +51,9 @@ class RingsParams(Params):
         0.7, ge=0, le=1, description="for fused.leaves.share: with so few shots hedges look smooth"
     )
     leaf_share_before_walls: float = Field(0.1, ge=0, le=1, description="for fused.leaves.share_before_walls")
+    leaves_at_depth: bool = Field(
+        False, description="for fused.leaves.at_depth: so few shots are left that hedges look smooth"
+    )
     cars: bool = Field(
         True, description="whether cars are found by lines across their roofs, instead of by level surfaces"
     )
@@ -79,7 +82,7 @@ class RingsParams(Params):
     def leaves(self, params: LeavesParams) -> LeavesParams:
         """Return the parameters of foliage for rings."""
         own = {"share": self.leaf_share, "share_before_walls": self.leaf_share_before_walls}
-        return params.model_copy(update=own)
+        return params.model_copy(update={**own, "at_depth": params.at_depth and self.leaves_at_depth})
 
     def car(self, params: CarParams) -> CarParams:
         """Return the parameters of cars for rings, found by lines across their roofs alone."""

@@ -69,7 +69,10 @@ class WallParams(Params):
     )
     roofs: bool = Field(True, description="whether walls above the scanner go on upwards, with roofs behind")
     roof_m: float = Field(
-        6.0, ge=0, le=100, description="foliage must be as rough up to this far behind a wall as before it [m]"
+        6.0, ge=0, le=100, description="foliage must be as rough up to this far behind a wall as before it [m] ..."
+    )
+    storey_m: float = Field(
+        2.5, ge=0, le=100, description="... if the wall is this high; lower ones are garden walls [m]"
     )
 
     def thresholds(self) -> WallThresholds:

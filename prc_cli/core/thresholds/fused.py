@@ -66,6 +66,8 @@ class SmoothThresholds(NamedTuple):
     """Greatest distance between the two of a pair within a line [m] ..."""
     gap_steps: np.float32
     """... or so many distances between adjacent columns, if that is more."""
+    apart_m: np.float32
+    """Shots of a line are compared at least so far from each other, where columns allow it [m]."""
 
 
 class SpacingThresholds(NamedTuple):
@@ -111,6 +113,8 @@ class WalkThresholds(NamedTuple):
     """Lines that a place is remembered for."""
     follow: np.float32
     """Share of a new height in the memory of its place."""
+    start_reach_m: np.float32
+    """Where no place is known, the ground is searched up to this far to the side, if anything is level there [m]."""
 
 
 class StripThresholds(NamedTuple):
@@ -177,7 +181,9 @@ class DecisionThresholds(NamedTuple):
     spike_share: np.float32
     """A rough shot is a spike where the share of smooth pairs around it is greater."""
     below_m: np.float32
-    """Rough shots farther below the ground are noise [m]."""
+    """Rough shots farther below the ground are noise [m] ..."""
+    pit_near: np.float32
+    """... unless upright and with as many near neighbours: the side of a pit."""
     leaf_slots: np.float32
     """Slots with rough shots around a lonely shot that make it a leaf."""
     lone_m: np.float32
@@ -201,7 +207,9 @@ class DecisionThresholds(NamedTuple):
     over_m: np.float32
     """Lines of sight up to this far above its top count as through it [m]."""
     roof_m: np.float32
-    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m]."""
+    """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m] ..."""
+    storey_m: np.float32
+    """... if the wall is this high above the ground [m]."""
     car_top_m: np.float32
     """Things that reach above this are no cars [m] ..."""
     lorry_top_m: np.float32

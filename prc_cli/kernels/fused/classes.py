@@ -33,6 +33,8 @@ MOST_SMOOTH = 8
 MOST_COLUMNS = 60
 LEAST_COLUMNS = 2
 """Limits of the half width of a place, in columns."""
+DEPTH_SHOTS = 4
+"""Shots of a line on either side that are read where a place is looked at again."""
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`prc_cli.kernels.fused.strips`."""
 HALF_STRIP_M = np.float32(0.25)
@@ -146,11 +148,72 @@ def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
         shares[i] = share if (ranges[i] == ranges[i]) & (shots > 0) else np.float32(0.0)
 
 
-@kernel("float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32)")
+@helper
+def _share_at_depth(
+    lines: tuple[F32, F32, F32, F32, F32],
+    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
+    i: int,
+    half: int,
+    depth_m: np.float32,
+) -> np.float32:
+    """Return the share of smooth pairs of those shots of a place that are about as far away as its middle one."""
+    own, m = lines[2][i], len(lines[2])
+    stride = max((half + DEPTH_SHOTS - 1) // DEPTH_SHOTS, 1)
+    place, last = max(i - half // stride * stride, i % stride), min(i + half + 1, m)
+    one, two, three, four, five = pairs
+    a, b, c, d, e = lines
+    total, nothing = np.uint32(0), np.uint32(0)
+    while place < last:
+        # every word is read, near or not, to avoid a branch
+        j = np.uint64(place)
+        total += one[j] if abs(a[j] - own) < depth_m else nothing
+        total += two[j] if abs(b[j] - own) < depth_m else nothing
+        total += three[j] if abs(c[j] - own) < depth_m else nothing
+        total += four[j] if abs(d[j] - own) < depth_m else nothing
+        total += five[j] if abs(e[j] - own) < depth_m else nothing
+        place += stride
+    n_shots, n_pairs = np.int32(total >> np.uint32(16)), np.int32(total & np.uint32(0xFFFF))
+    return np.float32(n_pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))))
+
+
+@helper
+def _look_at_depth(
+    lines: tuple[F32, F32, F32, F32, F32],
+    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
+    columns: I32,
+    smooth: U8,
+    limits: tuple[np.float32, np.float32, np.float32],
+    shares: F32,
+    shots: I32,
+) -> None:
+    """Raise the share of rough places around smooth shots to that of what is about as far away, if it is more."""
+    rough, depth_m, least = limits
+    ranges = lines[2]
+    n = 0
+    for i in range(len(shares)):
+        shots[n] = i
+        n += (shares[i] < rough) & (np.float32(smooth[i]) >= least) & (ranges[i] == ranges[i])
+    for k in range(n):
+        i = shots[k]
+        shares[i] = max(shares[i], _share_at_depth(lines, pairs, int(i), int(columns[i]), depth_m))
+
+
+@kernel(
+    "float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32, UniTuple(float32, 3))"
+)
 def mean_smoothness(
-    range_m: F32, near: U8, smooth: U8, step: np.float32, least_near: np.float32, half_m: np.float32
+    range_m: F32,
+    near: U8,
+    smooth: U8,
+    step: np.float32,
+    least_near: np.float32,
+    half_m: np.float32,
+    limits: tuple[np.float32, np.float32, np.float32],
 ) -> F32:
     """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
+
+    A place with few is looked at again without what is nearer or farther: leaves before a wall do not make it rough.
+    Then at most nine columns of it are read.
 
     Parameters
     ----------
@@ -164,6 +227,9 @@ def mean_smoothness(
         Shots with fewer near neighbours do not count.
     half_m : float32
         Half of the width [m]; 2 columns at least, 60 at most.
+    limits : tuple of three float32
+        Places with a smaller share than the first are looked at again, at the shots that differ by less than the
+        second in range [m]; but only around shots with as many smooth pairs as the third.
 
     Returns
     -------
@@ -176,6 +242,7 @@ def mean_smoothness(
     # ring buffer of lines
     places = np.empty((room, m), np.uint32)
     together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
+    shots = np.empty(m + 1, np.int32)
     for k in range(n_lines + 2 * LINES):
         _count_pairs(near[k], smooth[k], least_near, places[k % room])
         if k < 2 * LINES:
@@ -186,6 +253,10 @@ def mean_smoothness(
         _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
         _sums_of_places(columns, so_far, together)
         _shares(range_m[line + LINES], together, mean[line])
+        lines = range_m[line], range_m[line + 1], range_m[line + 2], range_m[line + 3], range_m[line + 4]
+        a, b, c, d, e = line % room, (line + 1) % room, (line + 2) % room, (line + 3) % room, (line + 4) % room
+        pairs = places[a], places[b], places[c], places[d], places[e]
+        _look_at_depth(lines, pairs, columns, smooth[line + LINES], limits, mean[line], shots)
     return mean
 
 
@@ -515,7 +586,8 @@ def _label_odd(
         place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
         shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
         is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
-        if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH)):
+        is_pit = (upright[i] > 0) & (np.float32(near[i]) >= thresholds.pit_near)
+        if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH) & (not is_pit)):
             labels[i] = _NOISE
         elif _is_ground(h, walked[i], upright[i], level[i], thresholds):
             labels[i] = _GROUND
@@ -571,6 +643,7 @@ def _label_things(
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
     nothing, arm_m, slim = np.float32(0.0), thresholds.arm_m, thresholds.slim_smooth
     front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
+    storey_m = thresholds.storey_m
     pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
     for i in range(len(labels)):
         y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
@@ -579,7 +652,7 @@ def _label_things(
         before = abs(ahead[i]) - abs(y)
         is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
         beyond = abs(y) - wall
-        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & is_here
+        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & (end - z + h >= storey_m) & is_here
         is_soft = texture < (share_before if is_before | is_roof else leaf_share)
         is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
         is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
