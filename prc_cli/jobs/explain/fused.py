@@ -269,6 +269,9 @@ def _reason(place: _Place, label: Label, params: FusedParams) -> tuple[str, tupl
 
 
 def _why_pole(place: _Place, poles: PoleParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
+    if place.above_m < poles.arm_m and place.level > 0:
+        told = "small, with a level top, and far things beyond it: a bin or a cabinet"
+        return told, (("fused.poles.box_m", poles.box_m), ("fused.poles.box_lines", poles.box_lines))
     if place.level > 0:
         return "thin and high above the ground: an arm or a lamp", (("fused.poles.arm_m", poles.arm_m),)
     told = "upright and thin: lines beside it, or shots above and below, see past it"
