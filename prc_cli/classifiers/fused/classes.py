@@ -20,6 +20,8 @@ from prc_cli.core.types import F32, U8
 
 BESIDE_THIN_LINES = 12
 """Lines before and after a line in which something is seen past a pole."""
+ACROSS_LINES = 4
+"""Lines before and after a line by which a thing is found to be thin; at most :data:`BESIDE_THIN_LINES`."""
 NEVER = 1e9
 """A limit that no value reaches, for steps that are switched off."""
 
@@ -191,6 +193,7 @@ def decision_thresholds(
     leaves: LeavesParams,
     cars: CarParams,
     poles: PoleParams,
+    across_lines: int = ACROSS_LINES,
 ) -> DecisionThresholds:
     """Return the thresholds of the decision; steps that are switched off get limits that no value reaches."""
     return typed(
@@ -218,6 +221,7 @@ def decision_thresholds(
         pole_m=poles.height_m if poles.enabled else 0.0,
         jump_m=poles.jump_m,
         far_m=poles.far_m,
+        across_lines=across_lines,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
         thick_m=poles.thick_m if poles.trunks else NEVER,

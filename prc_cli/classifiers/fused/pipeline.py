@@ -22,6 +22,7 @@ from pydantic import Field
 from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
+    ACROSS_LINES,
     BESIDE_THIN_LINES,
     CarParams,
     LeavesParams,
@@ -84,6 +85,7 @@ from prc_cli.classifiers.fused.strips import FlankParams, Standing, StripsParams
 from prc_cli.classifiers.fused.terrain import heights_over_ground
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
+from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.035
@@ -363,7 +365,7 @@ def _classify(
         evidence_of(stream.seen, own.above_m, plane, params) for stream, own in zip(streams, grounds.parts, strict=True)
     ]
     decided = [
-        _decide(stream.seen, stream.wide_m, own, evidence, plane, params)
+        _decide(stream, own, evidence, plane, params)
         for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
     ]
     labels = _woven(decided, streams, apart)
@@ -387,6 +389,8 @@ class Stream:
     seen: Seen
     wide_m: F32
     """Ranges of its lines and of :data:`MARGIN_LINES` before and after them [m]."""
+    across_lines: int
+    """Lines before and after a line by which things are thin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -424,6 +428,8 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: float, params
     params : FusedParams
     """
     apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
+    is_slower = params.spacing.across and int(strides[BESIDE_LINES:-BESIDE_LINES].max()) > MOST_APART
+    across = 2 * ACROSS_LINES if is_slower else ACROSS_LINES
     streams = []
     for every in np.unique(apart).tolist():
         smooth = spaced_pairs(*_with_beside(wide, strides, every), plane, noise_m, params.smoothness)
@@ -432,7 +438,8 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: float, params
             if every > 1:
                 own_m = wide[_rows_of(first, every, len(apart))]
                 own = np.ascontiguousarray(smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)])
-            streams.append(Stream(first, every, see(own_m[around:-around], own, plane, params), own_m))
+            seen = see(own_m[around:-around], own, plane, params)
+            streams.append(Stream(first, every, seen, own_m, across if every == MOST_APART else ACROSS_LINES))
     return streams
 
 
@@ -618,15 +625,21 @@ def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, params: FusedParams)
     return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
 
 
-def _decide(seen: Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
-    """Label every shot; ``wide_m`` are the ranges of more lines around."""
-    thresholds = decision_thresholds(
-        params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
-    )
-    labels = decide(wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
+def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
+    """Label every shot of a stream."""
+    seen, thresholds = stream.seen, thresholds_of(stream, params)
+    labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
     return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)
+
+
+def thresholds_of(stream: Stream, params: FusedParams) -> DecisionThresholds:
+    """Return the thresholds of the decision for a stream."""
+    return decision_thresholds(
+        params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles,
+        stream.across_lines,
+    )  # fmt: skip
 
 
 def _with_cars(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.classifiers.fused.classes import PoleParams, decide, decision_thresholds, vote
+from prc_cli.classifiers.fused.classes import PoleParams, decide, vote
 from prc_cli.classifiers.fused.ground import Ground
 from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.pipeline import (
@@ -23,6 +23,7 @@ from prc_cli.classifiers.fused.pipeline import (
     lines_apart,
     of_scanner,
     streams_of,
+    thresholds_of,
     window_of,
 )
 from prc_cli.classifiers.fused.plane import INNER_LINES, WIDE_LINES, points_of
@@ -120,9 +121,7 @@ def _street(
     around, inner, seen = stream.seen, stream.seen.range_m, stream.seen.neighbours
     least, evidence = params.company.least, evidence_of(around, ground.above_m, plane, params)
     texture, standing = evidence.texture, evidence.standing
-    limits = decision_thresholds(
-        least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
-    )
+    limits = thresholds_of(stream, params)
     decided = decide(stream.wide_m, seen, ground, texture, standing, plane, limits)
     place = _place(inner, seen, ground, texture, standing, scanner, least, at)
     stride = int(strides[line + BESIDE_LINES])
