@@ -18,6 +18,10 @@ from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import DecisionThresholds, FanThresholds, typed
 from prc_cli.core.types import F32, U8
 
+NO_BINS = 99
+"""More bins than a level surface can have."""
+ROOM_SHARE = 0.01
+"""In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
 BESIDE_THIN_LINES = 12
 """Lines before and after a line in which something is seen past a pole."""
 ACROSS_LINES = 4
@@ -84,6 +88,9 @@ class CarParams(Params):
     top_m: float = Field(4.25, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
+    room_m: float = Field(
+        6.0, ge=0, le=100, description="none are where less than 1 % of the returns around are farther: a room [m]"
+    )
     roofs: bool = Field(
         True, description="whether they are also found by lines across their roofs, where columns are far apart ..."
     )
@@ -96,6 +103,21 @@ class CarParams(Params):
     roof_share: float = Field(
         0.5, ge=0, le=1, description="least share of such lines, or lines with a car, among 12 to either side"
     )
+
+    def in_rooms(self) -> CarParams:
+        """Return the parameters for a room, where no car is found."""
+        own = {"level_bins": NO_BINS, "level_bins_rough": NO_BINS, "roof_share": NEVER}
+        return self.model_copy(update=own)
+
+    def is_room(self, range_m: F32) -> bool:
+        """Return whether ranges, (lines, M) float32 [m], are those of a place that is too narrow for cars.
+
+        >>> params = CarParams()
+        >>> params.is_room(np.full((9, 9), 5, np.float32)), params.is_room(np.full((9, 9), 7, np.float32))
+        (True, False)
+        """
+        n_far, n = np.count_nonzero(range_m > np.float32(self.room_m)), np.count_nonzero(range_m == range_m)
+        return bool(n_far < ROOM_SHARE * n)
 
     def roof_thresholds(self) -> FanThresholds:
         """Return what the loop that looks for roofs is given."""

@@ -94,6 +94,8 @@ OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label looks at."""
 MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
 """Lines of a stream before and after a block that its labels depend on."""
+ROOM_LINES = 4
+"""Whether a place is a room is asked on every fourth line."""
 MOST_APART = 8
 """Most lines from one to the next of a stream of close lines: too few beside the block are known for more."""
 FARTHEST_BESIDE = 4
@@ -356,7 +358,7 @@ def _classify(
     wide = window_of(tail, range_m, next_m)
     window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
     noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
-    wide = in_step(wide, scanner, noise_m, params)
+    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
     strides = _strides(wide, scanner, noise_m, turn, params)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, params)
@@ -524,6 +526,13 @@ def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[S
     at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
     standing = Standing((every, rough), (at, top, ahead), wider(lambda each: each.standing.levels))
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
+
+
+def of_place(params: FusedParams, wide: F32) -> FusedParams:
+    """Return the parameters for the place of a block, given with the lines around: there are no cars in rooms."""
+    if not params.cars.is_room(wide[::ROOM_LINES]):
+        return params
+    return params.model_copy(update={"cars": params.cars.in_rooms()})
 
 
 def in_step(wide: F32, scanner: FusedScanner, noise_m: float, params: FusedParams) -> F32:

@@ -21,6 +21,7 @@ from prc_cli.classifiers.fused.pipeline import (
     evidence_of,
     in_step,
     lines_apart,
+    of_place,
     of_scanner,
     streams_of,
     thresholds_of,
@@ -109,7 +110,8 @@ def _street(
     plane, (at, final) = scanner.scan_plane, shot
     line, column = at
     noise_m = float(heard[NOISE.name])
-    wide = in_step(window_of(heard[TAIL.name], block.range_m, block.next_m), scanner, noise_m, params)
+    wide = window_of(heard[TAIL.name], block.range_m, block.next_m)
+    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
     strides = heard.get(SPACING.name)
     if strides is None:
         strides = np.ones(block.n_lines + 2 * BESIDE_LINES, np.int64)
