@@ -724,8 +724,8 @@ def _label_poles(
                 takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
-                across = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
-                is_thick = is_thick or bool(across >= thresholds.thick_m)
+                beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
+                is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
                 labels[i] = np.uint8(_VEGETATION) if is_thick else pole
 
 
