@@ -5,7 +5,7 @@ the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces 
 the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
 
 Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are short, and run
-block after block. All others need the block and 13 lines before and after it, 35 for the distance of lines.
+block after block. All others need the block and 21 lines before and after it, 35 for the distance of lines.
 """
 
 from __future__ import annotations
