@@ -63,6 +63,10 @@ STEPS: tuple[tuple[str, ...], ...] = (
     ("fused.interlace.enabled=false",),
     ("fused.noise.panes=false",),
     ("fused.noise.lone_leaves=false",),
+    ("fused.noise.mirrors=false",),
+    ("fused.noise.sparse=false",),
+    ("fused.noise.alone=false",),
+    ("fused.noise.spike_m=0",),
     ("fused.curbs.steep=0",),
 )
 """Settings that undo each step."""
