@@ -38,8 +38,9 @@ DRIVES = (
 def print_drives() -> None:
     """Print a row for every file that is there, and draw it."""
     print("## Real scans without a reference\n")
-    say("""<code>prc classify IN labels.npy</code>, nothing told. Shares are those of the shots with a return. The
-    pictures are of <code>prc render IN OUT.png --labels labels.npy</code>.""")
+    say("""<code>prc classify IN labels.npy</code>, nothing told. Records without a range and returns that are listed
+    twice stay unclassified and are left out of the shares. The pictures are of <code>prc render IN OUT.png --labels
+    labels.npy</code>.""")
     names = ClassCodes().names()
     rows, pictures = [], []
     for number, drive in enumerate(drive for drive in DRIVES if (DATA / drive.path).exists()):
@@ -55,7 +56,7 @@ def print_drives() -> None:
             in_process(["render", str(path), str(picture), "--labels", str(output), "--steps", "range,classes",
                         "--width", "1100", "--overwrite", "-q"])  # fmt: skip
         chosen = next(said["value"] for said in record["assumptions"] if said["key"] == "method")
-        counts = {entry["code"]: entry["count"] for entry in record["classes"] if entry["code"]}
+        counts = {entry["code"]: entry["count"] for entry in record["classes"] if entry["code"] > 1}
         total = sum(counts.values())
         shares = ", ".join(f"{names.get(key, key)} {n / total:.1%}" for key, n in counts.items() if n >= total / 1000)
         rows.append(f"| {drive.name} | `{drive.path}` | {code} | {chosen} | {shares} |")

@@ -18,8 +18,14 @@ from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import DecisionThresholds, FanThresholds, typed
 from prc_cli.core.types import F32, U8
 
+NO_BINS = 99
+"""More bins than a level surface can have."""
+ROOM_SHARE = 0.01
+"""In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
 BESIDE_THIN_LINES = 20
 """Lines before and after a line in which something is seen past a pole or a box."""
+ACROSS_LINES = 4
+"""Lines before and after a line by which a thing is found to be thin; at most :data:`BESIDE_THIN_LINES`."""
 NEVER = 1e9
 """A limit that no value reaches, for steps that are switched off."""
 
@@ -110,6 +116,9 @@ class CarParams(Params):
     )
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
+    room_m: float = Field(
+        6.0, ge=0, le=100, description="none are where less than 1 % of the returns around are farther: a room [m]"
+    )
     roofs: bool = Field(
         True, description="whether they are also found by lines across their roofs, where columns are far apart ..."
     )
@@ -122,6 +131,21 @@ class CarParams(Params):
     roof_share: float = Field(
         0.5, ge=0, le=1, description="least share of such lines, or lines with a car, among 12 to either side"
     )
+
+    def in_rooms(self) -> CarParams:
+        """Return the parameters for a room, where no car is found."""
+        own = {"level_bins": NO_BINS, "level_bins_rough": NO_BINS, "roof_share": NEVER}
+        return self.model_copy(update=own)
+
+    def is_room(self, range_m: F32) -> bool:
+        """Return whether ranges, (lines, M) float32 [m], are those of a place that is too narrow for cars.
+
+        >>> params = CarParams()
+        >>> params.is_room(np.full((9, 9), 5, np.float32)), params.is_room(np.full((9, 9), 7, np.float32))
+        (True, False)
+        """
+        n_far, n = np.count_nonzero(range_m > np.float32(self.room_m)), np.count_nonzero(range_m == range_m)
+        return bool(n_far < ROOM_SHARE * n)
 
     def roof_thresholds(self) -> FanThresholds:
         """Return what the loop that looks for roofs is given."""
@@ -229,6 +253,7 @@ def decision_thresholds(
     leaves: LeavesParams,
     cars: CarParams,
     poles: PoleParams,
+    across_lines: int = ACROSS_LINES,
 ) -> DecisionThresholds:
     """Return the thresholds of the decision; steps that are switched off get limits that no value reaches."""
     return typed(
@@ -257,6 +282,7 @@ def decision_thresholds(
         pole_m=poles.height_m if poles.enabled else 0.0,
         jump_m=poles.jump_m,
         far_m=poles.far_m,
+        across_lines=across_lines,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
         slim_smooth=poles.slim_smooth,

@@ -224,6 +224,8 @@ class DecisionThresholds(NamedTuple):
     """Difference in range at which a run ends [m]."""
     far_m: np.float32
     """What is beside a pole is farther than it by more than this [m]."""
+    across_lines: np.float32
+    """Lines before and after by which a thing is found to be thin."""
     crown_slots: np.float32
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.classifiers.fused.classes import PoleParams, decide, decision_thresholds, vote
+from prc_cli.classifiers.fused.classes import PoleParams, decide, vote
 from prc_cli.classifiers.fused.ground import Ground
 from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.noise import again_limits, ask_again
@@ -24,8 +24,10 @@ from prc_cli.classifiers.fused.pipeline import (
     in_step,
     lines_ahead,
     lines_apart,
+    of_place,
     of_scanner,
     streams_of,
+    thresholds_of,
     window_of,
 )
 from prc_cli.classifiers.fused.plane import INNER_LINES, WIDE_LINES, points_of
@@ -112,7 +114,8 @@ def _street(
     plane, (at, final) = scanner.scan_plane, shot
     line, column = at
     ahead, noise_m = lines_ahead(plane, params), heard[NOISE_ALONG.name]
-    wide = in_step(window_of(heard[TAIL.name], block.range_m, block.next_m, ahead), scanner, noise_m, params)
+    wide = window_of(heard[TAIL.name], block.range_m, block.next_m, ahead)
+    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
     strides = heard.get(SPACING.name)
     if strides is None:
         strides = np.ones(block.n_lines + ahead + 2 * BESIDE_LINES, np.int64)
@@ -124,9 +127,7 @@ def _street(
     around, inner, seen = stream.seen, stream.seen.range_m, stream.seen.neighbours
     least, evidence = params.company.least, evidence_of(around, ground.above_m, plane, params)
     texture, standing = evidence.texture, evidence.standing
-    limits = decision_thresholds(
-        least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
-    )
+    limits = thresholds_of(stream, params)
     decided = decide(stream.wide_m, seen, ground, texture, standing, plane, limits)
     place = _place(inner, seen, ground, texture, standing, scanner, least, at)
     stride = int(strides[line + BESIDE_LINES])
@@ -269,6 +270,9 @@ def _reason(place: _Place, label: Label, params: FusedParams) -> tuple[str, tupl
 
 
 def _why_pole(place: _Place, poles: PoleParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
+    if place.above_m < poles.arm_m and place.level > 0:
+        told = "small, with a level top, and far things beyond it: a bin or a cabinet"
+        return told, (("fused.poles.box_m", poles.box_m), ("fused.poles.box_lines", poles.box_lines))
     if place.level > 0:
         return "thin and high above the ground: an arm or a lamp", (("fused.poles.arm_m", poles.arm_m),)
     told = "upright and thin: lines beside it, or shots above and below, see past it"

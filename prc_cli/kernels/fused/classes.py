@@ -50,7 +50,7 @@ CAR_REACH = 6
 BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
 ACROSS_LINES = 4
-"""Lines before and after by which a thing is found to be thin."""
+"""Lines before and after by which a thing is found to be thin; in slow drives more, up to :data:`MARGIN`."""
 VOTERS = 4
 """Votes in a line on either side of a shot; fewer where the place has fewer columns."""
 GAP_SHOTS = 3
@@ -376,21 +376,21 @@ def _follow_run(
 
 
 @inlined
-def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
+def _is_thin(window_m: F32, line: int, i: int, far: np.float32, lines: int) -> bool:
     """Return whether close lines before and after see nothing, or only far things, in the direction of a shot."""
     own = window_m[line, i]
     before = after = 0
-    for k in range(1, ACROSS_LINES + 1):
+    for k in range(1, lines + 1):
         if line - k >= 0 and not (window_m[line - k, i] <= own + far):
             before = k
             break
     if before == 0:
         return False
-    for k in range(1, ACROSS_LINES + 1):
+    for k in range(1, lines + 1):
         if line + k < len(window_m) and not (window_m[line + k, i] <= own + far):
             after = k
             break
-    return after > 0 and before + after <= ACROSS_LINES + 1
+    return after > 0 and before + after <= lines + 1
 
 
 @inlined
@@ -430,6 +430,22 @@ def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.floa
             least, most = min(least, there), max(most, there)
             last = there
     return np.float32(most - least)
+
+
+@helper
+def _mark_thin_far(window_m: F32, line: int, far: np.float32, lines: int, after: U8, thin: U8) -> None:
+    """Mark what may be thin as :func:`_mark_thin` does, by so many lines on both sides; ``after`` is overwritten."""
+    own = window_m[line]
+    for way in (-1, 1):
+        marks = thin if way < 0 else after
+        for i in range(len(own)):
+            marks[i] = 0
+        for k in range(1, lines + 1):
+            other = window_m[line + way * k]
+            for i in range(len(own)):
+                marks[i] |= np.uint8(not (other[i] <= own[i] + far))
+    for i in range(len(own)):
+        thin[i] &= after[i]
 
 
 @helper
@@ -691,6 +707,7 @@ def _label_poles(
     ranges = window_m[line]
     side, height, above = points
     least, pole, takes_long = thresholds.least_near, np.uint8(thresholds.pole_label), thresholds.takes_long > 0
+    across = int(thresholds.across_lines)
     end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -699,7 +716,7 @@ def _label_poles(
         elif i >= end:
             end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
         is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
-        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m, across)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = np.uint8(_VEGETATION)
@@ -707,8 +724,8 @@ def _label_poles(
                 takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
-                across = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
-                is_thick = is_thick or bool(across >= thresholds.thick_m)
+                beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
+                is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
                 labels[i] = np.uint8(_VEGETATION) if is_thick else pole
 
 
@@ -933,7 +950,10 @@ def fused_labels(
         _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
-        _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
+        if thresholds.across_lines == ACROSS_LINES:
+            _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
+        else:
+            _mark_thin_far(window_m, line + MARGIN, thresholds.far_m, int(thresholds.across_lines), marks, thin)
         _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)
