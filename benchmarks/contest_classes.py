@@ -17,18 +17,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan, Simulated
+from benchmarks.contest_judge import curbs
 from benchmarks.contest_methods import label, preset_with
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.evaluation.mapping import load_mapping
 
 NAMES = ("noise", "ground", "building", "vegetation", "car", "pole")
 CURB = 66
-CURB_M = 0.1
-"""Tolerance of curbs [m]."""
 SCENES = ("mixed", "residential", "boulevard", "terraces", "suburb")
 TUNING = (
     *(Simulated(f"{scene}, photon-80", seed + 1, 60, scene) for seed, scene in enumerate(SCENES)),
@@ -90,10 +88,7 @@ def counts_of(scan: Scan, codes: I64) -> F64:
     table.append([0, 0, 0])
     if scan.world_m is not None and scan.mapping == "street":
         place = scan.world_m[there]
-        ours, theirs = place[predicted == CURB], place[reference == CURB]
-        found, right = _near(theirs, ours), _near(ours, theirs)
-        # scaled so that agreeing over predicted is the precision, and agreeing over the reference the recall
-        table[-1] = [found, len(ours) * found / max(right, 1), len(theirs)]
+        table[-1] = curbs(place[predicted == CURB], place[reference == CURB])
     return np.array(table, np.float64)
 
 
@@ -103,14 +98,6 @@ def _classes(names: tuple[str, ...], index: I64) -> I64:
     places = np.array([NAMES.index(name) if name in NAMES else -1 for name in (*names, "")])
     found: I64 = places[index]
     return found
-
-
-def _near(points: F64, others: F64) -> int:
-    """Count the points with another within the tolerance."""
-    if not len(points) or not len(others):
-        return 0
-    away, _ = cKDTree(others).query(points, distance_upper_bound=CURB_M)
-    return int((away < np.inf).sum())
 
 
 def scores(counts: F64) -> F64:

@@ -2,7 +2,7 @@
 
 Profilers: ``.npz`` with ranges, times, intensities and scan angles that count from the first column; with several
 returns a dump of records, one per return. The KITTI frame is the file itself with its sample configuration, whose
-coordinates are relative to the scanner.
+coordinates are relative to the scanner; range views hold the elevations of their rings.
 """
 
 from __future__ import annotations
@@ -52,11 +52,16 @@ def write(scan: Scan, folder: Path) -> ScanFile:
         return ScanFile(scan.source, options, (), scan.record, scan.extra.record)
     degrees = np.rad2deg(np.unwrap(scan.angle_rad))
     angle_deg: F64 = degrees - degrees[0]
-    nadir = ("--set", f"input.nadir={-degrees[0]:.10g}")
+    nadir: tuple[str, ...] = ("--set", f"input.nadir={-degrees[0]:.10g}")
     if len(scan.extra):
         return _write_records(scan, angle_deg, nadir, folder)
     path = folder / "scan.npz"
-    values: dict[str, NDArray[np.generic]] = {"range_m": scan.range_m, "angle_deg": angle_deg}
+    values: dict[str, NDArray[np.generic]] = {"range_m": scan.range_m}
+    if scan.is_upright:
+        # of a spinning scanner the elevations of the rings are known
+        values["zenith_deg"], nadir = 180.0 - np.rad2deg(scan.angle_rad), ()
+    else:
+        values["angle_deg"] = angle_deg
     if scan.time_s is not None:
         values["time_s"] = scan.time_s
     if scan.intensity is not None:

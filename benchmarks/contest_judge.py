@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from benchmarks.contest_data import Scan
-from prc_cli.core.types import I64
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.intervals import all_scores, block_intervals
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.result import Interval
@@ -24,6 +26,8 @@ MAPPINGS = {
     "cylinders": "lehtola_forest",
     "oakland": FOLDER / "contest_oakland.toml",
     "kitti": FOLDER / "contest_kitti.toml",
+    "views_kitti": FOLDER / "contest_views_kitti.toml",
+    "views_nuscenes": FOLDER / "contest_views_nuscenes.toml",
 }
 """File or name of the mapping, as for ``prc evaluate --mapping``."""
 _PROFILE_OTHERS = {"cars": [65], "poles, signs, wires, people": [1, 69]}
@@ -40,8 +44,23 @@ OTHERS: dict[str, dict[str, list[int]]] = {
         "vehicles, cycles, people": [10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260)],
         "poles, signs": [80, 81, 99],
     },
+    "views_kitti": {"vehicles, cycles, people": list(range(1, 9)), "poles, signs": [18, 19]},
+    "views_nuscenes": {"vehicles, cycles, people": list(range(5, 10)), "poles": [3]},
 }
-"""Reference codes that are not judged; their predictions are reported."""
+"""Reference codes that are no class of the confusion tables; their predictions are reported."""
+THINGS: dict[str, dict[str, list[int]]] = {
+    "street": {"car": [65], "pole": [69]},
+    "oakland": {"car": list(range(1500, 1600))},
+    "kitti": {"car": [10, 13, 16, 18, 20, 252, 257, 258, 259], "pole": [80, 81]},
+    "views_kitti": {"car": [1, 4, 5], "pole": [18, 19]},
+    "views_nuscenes": {"car": [7, 8, 9], "pole": [3]},
+}
+"""Reference codes of cars, lorries and buses, and of poles."""
+UNKNOWN = {"oakland": [0, 1001, 1002, 1003], "views_nuscenes": [10]}
+"""Reference codes of what is not known; elsewhere 0."""
+CURB = "curb, 10 cm"
+CURB_M = 0.1
+"""Tolerance of curbs [m]."""
 BLOCKS = 20
 """Number of blocks of lines for the intervals."""
 LEAST_SHARE = 0.005
@@ -153,6 +172,48 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
         if n.sum():
             others[name] = dict(zip(columns, n.tolist(), strict=True))
     return Verdict(rows, columns, counts.scored(), others)
+
+
+def judge_things(scan: Scan, codes: NDArray[np.integer]) -> dict[str, list[float]]:
+    """Count cars, poles and curbs, first returns alone.
+
+    Parameters
+    ----------
+    scan : Scan
+    codes : (lines, M) integer
+        Default codes of this program; ignored where there is no return.
+
+    Returns
+    -------
+    dict
+        By class: shots that agree, that are predicted, and of the reference. A curb agrees if one of the other side is
+        within 10 cm; in the first count those of the reference, in the second scaled so that the share is the
+        precision.
+    """
+    there = ~np.isnan(scan.range_m) & ~np.isin(scan.codes, UNKNOWN.get(scan.mapping, [0]))
+    predicted, reference = codes[there], scan.codes[there]
+    own, found = ClassCodes(), {}
+    for name, listed in THINGS.get(scan.mapping, {}).items():
+        said, true = predicted == own.code(Label[name.upper()]), np.isin(reference, listed)
+        found[name] = [float((said & true).sum()), float(said.sum()), float(true.sum())]
+    if scan.world_m is not None and scan.mapping == "street":
+        place, curb = scan.world_m[there], own.code(Label.CURB)
+        found[CURB] = curbs(place[predicted == curb], place[reference == curb])
+    return found
+
+
+def curbs(ours: F64, theirs: F64) -> list[float]:
+    """Return the three counts of curbs by their places, (n, 3) and (m, 3) [m]."""
+    agree, right = _near(theirs, ours), _near(ours, theirs)
+    return [float(agree), len(ours) * agree / max(right, 1), float(len(theirs))]
+
+
+def _near(points: F64, others: F64) -> int:
+    """Count the points with another within the tolerance."""
+    if not len(points) or not len(others):
+        return 0
+    away, _ = cKDTree(others).query(points, distance_upper_bound=CURB_M)
+    return int((away < np.inf).sum())
 
 
 def pooled(verdicts: list[Verdict]) -> Verdict:

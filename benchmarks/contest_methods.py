@@ -25,7 +25,7 @@ from prc_cli.core.types import U8
 from prc_cli.jobs.classify import label_blocks, load_classifier
 
 SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
-STREETS = frozenset({"street", "oakland", "kitti"})
+STREETS = frozenset({"street", "oakland", "kitti", "views_kitti", "views_nuscenes"})
 FORESTS = frozenset({"forest", "cylinders"})
 FUSED = "fused"
 
@@ -59,14 +59,18 @@ class Method:
 
     def arguments(self, scan: Scan) -> list[str]:
         """Return the options of ``prc classify`` for a scan."""
-        chosen = ["--preset", str(self.preset)] if self.path is None else ["--config", str(self.path)]
+        chosen = [] if self.preset is None else ["--preset", self.preset]
+        if self.path is not None:
+            chosen = ["--config", str(self.path)]
         options = self._options(scan)
         return chosen + [part for key, value in _flat(options) for part in ("--set", f"{key}={value}")]
 
     def command(self) -> str:
         """Return the same as a text, without what differs between scans."""
-        chosen = f"--preset {self.preset}" if self.path is None else f"--config {self.path.relative_to(ROOT)}"
-        return " ".join([chosen, *(f"--set {key}={value}" for key, value in _flat(self.options))])
+        chosen = [] if self.preset is None else ["--preset", self.preset]
+        if self.path is not None:
+            chosen = ["--config", str(self.path.relative_to(ROOT))]
+        return " ".join([*chosen, *(f"--set {key}={value}" for key, value in _flat(self.options))])
 
 
 def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
@@ -109,6 +113,10 @@ TO_THE_TOP = (
 )
 """The same with the height of stems: the cylinders of the reference end 4.3 m above the ground, which is 4.6 m in a
 plane tilted by 20°. Higher parts of a stem are noise in that reference by definition."""
+
+
+DEFAULT = Method("nothing told", mappings=STREETS | FORESTS)
+"""``prc classify IN OUT`` without a preset: the program chooses the method."""
 
 
 def fused() -> tuple[Method, ...]:
@@ -197,7 +205,9 @@ def label_scan(scan: Scan, method: Method) -> Labelled:
 
     Where that is refused, straight down is told, as the refusal says. What is refused still has no labels.
     """
-    load_classifier(method.config(scan))
+    config = method.config(scan)
+    if config.config.is_decided:
+        load_classifier(config)
     with tempfile.TemporaryDirectory() as name:
         file = contest_files.write(scan, Path(name))
         output = Path(name) / "labels.npy"
@@ -212,9 +222,10 @@ def label_scan(scan: Scan, method: Method) -> Labelled:
                 codes = np.load(output).ravel()
                 break
         else:
-            last = (
-                scan.n_shots if file.record is None else int(max(file.record.max(), file.extra_record.max(initial=-1)))
-            )
+            if file.record is None:
+                last = scan.n_shots - 1
+            else:
+                last = int(max(file.record.max(), file.extra_record.max(initial=-1)))
             codes = np.zeros(last + 1, np.uint8)
         image, extra = file.image(scan, codes)
     return Labelled(image, extra, cpu_s, wall_s, tuple(said), bool(nadir))

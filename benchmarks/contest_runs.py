@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 
 from benchmarks import contest_data as data
 from benchmarks import contest_peers as peers
+from benchmarks import slow
 from benchmarks.contest_data import ROOT, Scan, Simulated
-from benchmarks.contest_judge import FOLDER, MAPPINGS, Verdict, judge
+from benchmarks.contest_judge import FOLDER, MAPPINGS, Verdict, judge, judge_things
 from benchmarks.contest_methods import Method, label_scan
+from prc_cli.core.types import F64
 
 Progress = Callable[[str], None]
 POINTS = "points.npz"
@@ -41,6 +43,8 @@ class DataSet:
     how: str
     """Its origin, for the cache and for the reader."""
     with_peers: bool = False
+    source: Path | None = None
+    """The real file behind it."""
 
 
 def _simulated(spec: Simulated, group: str, *, with_peers: bool = False) -> DataSet:
@@ -50,7 +54,11 @@ def _simulated(spec: Simulated, group: str, *, with_peers: bool = False) -> Data
 PHOTON, SICK_GROUP, PROFILER = "streets, photon-80", "streets, sick-push-broom", "streets, profiler-1mhz"
 OAKLAND, OAKLAND_NOISY, OAKLAND_TRAIN = "Oakland 2, 3", "Oakland 2, 3, background added", "Oakland 1 (tuned on)"
 KITTI, FOREST, FOREST_CYLINDERS = "KITTI frame", "forests", "forests, reference of cylinders"
-PEER_SEEDS = (7001, 7002, 7005, 7008, 7009, 7010)
+FOREST_NOISY, SLOW = "forests, 3 cm of noise", "slow drives"
+VIEWS = {"kitti": "KITTI views", "nuscenes": "nuScenes views", "vlp32": "VLP-32 views"}
+"""By kind; those with odd numbers, the even ones chose parameters of rings. VLP-32 views chose none."""
+SLOW_DRIVES = ("normal", "1/4", "1/16", "stop and go")
+PEER_SEEDS = (7201, 7202, 7205, 7208, 7209, 7210)
 """Streets for the filters of registered clouds, which take minutes instead of seconds."""
 STREET_GROUPS = (PHOTON, SICK_GROUP, PROFILER)
 _GROUP_OF = {"photon-80": PHOTON, "sick-push-broom": SICK_GROUP, "profiler-1mhz": PROFILER}
@@ -61,21 +69,44 @@ def data_sets() -> tuple[DataSet, ...]:
     found = [
         _simulated(spec, _GROUP_OF[spec.scanner], with_peers=spec.seed in PEER_SEEDS) for spec in data.TEST_STREETS
     ]
+    found += _slow_drives()
     if (data.DATA / "oakland").exists():
-        strip, noisy = "Oakland strip {}", "Oakland strip {}, 5 % background added"
-        found += [
-            DataSet(strip.format(n), OAKLAND, partial(data.oakland, n), f"oakland {n}", with_peers=True) for n in (2, 3)
-        ]
-        found += [
-            DataSet(noisy.format(n), OAKLAND_NOISY, partial(data.oakland_noisy, n), f"oakland noisy {n}", True)
-            for n in (2, 3)
-        ]
-        found.append(DataSet(strip.format(1), OAKLAND_TRAIN, partial(data.oakland, 1), "oakland 1"))
+        for n in (2, 3):
+            name, path = f"Oakland strip {n}", data.DATA / "oakland" / f"oakland_{n}.csv.gz"
+            found.append(DataSet(name, OAKLAND, partial(data.oakland, n), f"oakland {n}", True, path))
+            noisy = partial(data.oakland_noisy, n)
+            found.append(
+                DataSet(f"{name}, 5 % background added", OAKLAND_NOISY, noisy, f"oakland noisy {n}", True, path)
+            )
+        path = data.DATA / "oakland" / "oakland_1.csv.gz"
+        found.append(DataSet("Oakland strip 1", OAKLAND_TRAIN, partial(data.oakland, 1), "oakland 1", source=path))
     if (data.DATA / "kitti").exists():
-        found.append(DataSet("KITTI frame", KITTI, data.kitti, "kitti", True))
+        found.append(DataSet("KITTI frame", KITTI, data.kitti, "kitti", True, data.DATA / "kitti" / "000000.bin"))
+    for kind, group in VIEWS.items():
+        found += [
+            DataSet(path.stem, group, partial(data.view, path), path.stem, source=path)
+            for path in data.view_paths(kind)
+            if kind == "vlp32" or int(path.stem.rsplit("_", 1)[1]) % 2
+        ]
     found += [_simulated(spec, FOREST) for spec in data.TEST_FORESTS]
+    found += [_simulated(spec, FOREST_NOISY) for spec in data.NOISY_FORESTS]
     found += [_simulated(replace(spec, cylinders=True), FOREST_CYLINDERS) for spec in data.TEST_FORESTS]
     return tuple(found)
+
+
+def _slow_drives() -> list[DataSet]:
+    """Return streets driven normally and slowly, of benchmarks.slow."""
+    found = []
+    for spec in data.SLOW_STREETS:
+        for name in SLOW_DRIVES:
+            drive = slow.DRIVES[name]
+            found.append(DataSet(f"{spec.name}, {name}", SLOW, partial(_slowed, spec, drive), f"{spec!r} {name}"))
+    return found
+
+
+def _slowed(spec: Simulated, places: Callable[[int], F64]) -> Scan:
+    scan = data.simulated(spec)
+    return slow.slowed(scan, places(len(scan.range_m)), spec.seed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +124,8 @@ class Run:
     """What was said of the file, doubts and refusals."""
     is_down_told: bool = False
     """Whether straight down had to be told."""
+    things: dict[str, list[float]] = field(default_factory=dict)
+    """Counts of ``contest_judge.judge_things``."""
 
 
 @dataclass(slots=True)
@@ -107,15 +140,18 @@ class Store:
     """Whether scans without runs of all filters of registered clouds are left out."""
 
     def scan(self, item: DataSet) -> Scan:
-        """Return a scan, cached; coordinates only where filters of registered clouds need them."""
+        """Return a scan, cached; coordinates only where filters of registered clouds or curbs need them."""
         if item.how not in self.scans:
             scan = item.make()
-            self.scans[item.how] = scan if item.with_peers else replace(scan, world_m=None)
+            kept = item.with_peers or item.group in STREET_GROUPS
+            self.scans[item.how] = scan if kept else replace(scan, world_m=None)
         return self.scans[item.how]
 
     def content(self, item: DataSet) -> str:
         """Return the hash of the content of a scan, cached by the hash of its parameters."""
-        key = _digest([item.how, source_hash(_MAKERS), _file_hash(FOLDER / "contest_data.py"), _file_hash_of(item)])
+        real = "" if item.source is None else _file_hash(item.source)
+        makers = [_file_hash(FOLDER / name) for name in ("contest_data.py", "slow.py")]
+        key = _digest([item.how, source_hash(_MAKERS), *makers, real])
         path = self.folder / f"scan-{key}.txt"
         if not path.exists():
             scan = self.scan(item)
@@ -134,7 +170,8 @@ class Store:
         config = method.config(scan).config
         table = json.dumps(config.to_table(), sort_keys=True)
         written = [_file_hash(FOLDER / "contest_files.py"), source_hash(_READERS)]
-        key = _digest([content, table, source_hash(sources_of(config.method)), judge_hash(), *written])
+        sources = sources_of(config.method) if config.is_decided else ("",)
+        key = _digest([content, table, source_hash(sources), judge_hash(), *written])
         path = self.folder / f"stream-{key}.json"
         if not path.exists():
             self.told(f"{item.name}: {method.name}")
@@ -143,6 +180,7 @@ class Store:
             verdict = judge(scan, labelled.codes, labelled.extra_codes)
             table_of_run = _table(verdict, scan, labelled.cpu_s, None)
             door = {"said": labelled.said, "is_down_told": labelled.is_down_told}
+            door["things"] = judge_things(scan, labelled.codes)
             self._keep(path, json.dumps({**table_of_run, **door}))
         return _run(path)
 
@@ -264,16 +302,6 @@ def source_hash(names: tuple[str, ...]) -> str:
 def judge_hash() -> str:
     files = [FOLDER / "contest_judge.py", *(path for path in MAPPINGS.values() if isinstance(path, Path))]
     return _digest([_file_hash(file) for file in files])
-
-
-def _file_hash_of(item: DataSet) -> str:
-    """Return the hash of the real file behind a scan, empty for simulated ones."""
-    kind, _, strip = item.how.rpartition(" ")
-    if item.how == "kitti":
-        return _file_hash(data.DATA / "kitti" / "000000.bin")
-    if kind.startswith("oakland"):
-        return _file_hash(data.DATA / "oakland" / f"oakland_{strip}.csv.gz")
-    return ""
 
 
 def _file_hash(path: Path) -> str:

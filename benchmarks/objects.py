@@ -5,7 +5,8 @@
 The list holds the trees of the forest, and the posts and signs of the street, as the scene is built of them.
 One counts as seen where enough of its shots are in the scan, by the simulator's classes. A told object is right where
 one of the list is near to the middle of its registered coordinates; the distance of a stem is to its axis at that
-height, so half its width is part of it.
+height, so half its width is part of it. A car that moves is in no list: it is right where shots of cars are near. A
+curb is right along the lines where the simulator has curb in the same columns.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from scipy.spatial import cKDTree
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.findings import CHECK_NAMES
-from prc_cli.core.types import F64, Mask
+from prc_cli.core.types import F64, I64, Mask
 from prc_cli.jobs.objects import Thing, find_objects
 from prc_cli.jobs.objects.grow import RULES
 from prc_cli.jobs.simulate import Beside, simulate
@@ -33,11 +34,15 @@ from prc_cli.simulation.settings import Kind, load_settings
 from prc_cli.simulation.simulation import open_simulation
 from prc_cli.simulation.world import Material
 
-NEAR_M = {"stem": 0.5, "pole": 0.6}
+NEAR_M = {"stem": 0.5, "pole": 0.6, "car": 2.5}
 """Greatest distance in plan of an object and what it is."""
-LINKED_M = {"pole": 0.5}
+LINKED_M = {"pole": 0.5, "car": 1.5}
 """Bodies this near are of one thing."""
-BODIES = {"pole": (Material.POLE, Material.SIGN)}
+BODIES = {"pole": (Material.POLE, Material.SIGN), "car": (Material.CAR_BODY,)}
+SHOTS_M = 1.0
+"""A told car that is none of the list is right if a shot of a car is this near to its middle: it moves."""
+CURB_COLUMNS = 20
+"""Columns beside a told curb in which the simulator's counts."""
 SCENES = {"forest": ("mixed", "pine-heath", "dense-spruce"), "street": ("residential", "terraces", "boulevard")}
 LENGTH_M = {"forest": 5.0, "street": 60.0}
 RINGS_M = (5.0, 10.0, 20.0)
@@ -104,6 +109,9 @@ def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
     told = np.array([[one.x, one.y, one.z] for one in things if one.kind == listed.kind]).reshape(-1, 3)
     of, distance = listed.nearest(told) if len(told) else (np.empty(0, np.int64), np.empty(0))
     right = distance < NEAR_M[listed.kind]
+    said = right.copy()
+    if listed.kind == "car" and len(told):
+        said |= cKDTree(shots[:, :2]).query(told[:, :2])[0] < SHOTS_M
     tree = cKDTree(way)
     for ring in RINGS_M:
         inside = tree.query(listed.base[:, :2])[0] < ring
@@ -111,7 +119,7 @@ def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
         found = np.isin(np.arange(len(listed.base)), of[right])
         n_seen, n_near = int(np.count_nonzero(seen & inside)), int(np.count_nonzero(near))
         recall = np.count_nonzero(found & seen & inside) / n_seen if n_seen else float("nan")
-        precision = np.count_nonzero(right & near) / n_near if n_near else float("nan")
+        precision = np.count_nonzero(said & near) / n_near if n_near else float("nan")
         n_found = len(np.unique(of[right & near]))
         each = np.count_nonzero(right & near) / n_found if n_found else float("nan")
         middle = float(np.median(distance[right & near])) if n_found else float("nan")
@@ -122,10 +130,29 @@ def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
         )
 
 
+def compare_curbs(line: I64, column: I64, things: list[Thing]) -> None:
+    """Print which share of the simulator's curb is told, and which share of the told lines has one.
+
+    ``line`` and ``column`` are those of the shots on curbs.
+    """
+    is_found = np.zeros(len(line), np.bool_)
+    n_lines = n_right = 0
+    told = [one for one in things if one.kind == "curb"]
+    for one in told:
+        inside = (line >= one.first_line) & (line <= one.last_line)
+        inside &= (column >= one.first_column - CURB_COLUMNS) & (column <= one.last_column + CURB_COLUMNS)
+        is_found |= inside
+        n_lines += one.last_line - one.first_line + 1
+        n_right += len(np.unique(line[inside]))
+    recall = is_found.mean() if len(line) else float("nan")
+    precision = n_right / n_lines if n_lines else float("nan")
+    print(f"| curb, along the lines |  | {len(told)} | {recall:.2f} | {precision:.2f} |  |  |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.objects", description=__doc__)
     parser.add_argument("--seed", type=int, default=921, help="of the first scene")
-    parser.add_argument("--streets", action="store_true", help="posts of streets too")
+    parser.add_argument("--streets", action="store_true", help="posts, cars and curbs of streets too")
     parser.add_argument("--preset", help="default: the method is chosen")
     options = parser.parse_args()
     kinds: tuple[Kind, ...] = ("forest", "street") if options.streets else ("forest",)
@@ -150,10 +177,14 @@ def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
     xyz, codes = np.asarray(las.xyz), np.asarray(las.classification)
     with (folder / "way.csv").open(encoding="utf-8") as handle:
         way = np.array([[float(row["x"]), float(row["y"])] for row in csv.DictReader(handle)])
-    lists = [trees(stems)] if kind == "forest" else [built("pole", settings)]
+    lists = [trees(stems)] if kind == "forest" else [built("pole", settings), built("car", settings)]
+    own = ClassCodes()
     for listed in lists:
-        label = {"stem": Label.STEM, "pole": Label.POLE}[listed.kind]
-        compare(listed, xyz[codes == ClassCodes().code(label)], things, way)
+        compare(listed, xyz[codes == own.code(Label[listed.kind.upper()])], things, way)
+    if kind == "street":
+        is_curb = codes == own.code(Label.CURB)
+        line, column = (np.asarray(las[name])[is_curb].astype(np.int64) for name in ("scan_line", "column"))
+        compare_curbs(line, column, things)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,6 @@ verges are called vegetation.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -43,24 +41,6 @@ SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("leaves", ("fused.rings.leaf_share=0.4", "fused.rings.leaf_share_before_walls=0.2")),
 )
 """Settings that give single parameters the value for profilers."""
-
-
-def views(kind: str, parity: int) -> Iterator[Scan]:
-    """Read the views of a kind with even or odd numbers."""
-    for path in sorted((data.DATA / "rangeviews").glob(f"{kind}_train_*.npz")):
-        if int(path.stem.rsplit("_", 1)[1]) % 2 == parity:
-            yield view(path)
-
-
-def view(path: Path) -> Scan:
-    """Read a view as vertical lines, by the median elevation of its rings."""
-    with np.load(path) as arrays:
-        xyz, ranges, codes = arrays["xyz"].astype(np.float64), arrays["range_m"], arrays["label"]
-    elevation = np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1]))
-    rings = np.nanmedian(np.where(np.isfinite(ranges), elevation, np.nan), axis=1)
-    order = np.argsort(rings)
-    lines = np.ascontiguousarray(ranges[order].T)
-    return Scan(path.stem, lines, np.pi / 2 + rings[order], codes[order].T.astype(np.int64), "kitti")
 
 
 def f1_of(scan: Scan, labels: U8, classes: dict[Label, tuple[int, ...]]) -> list[float]:
@@ -100,7 +80,7 @@ def main() -> None:
     """Print the tables."""
     parity = int("report" in sys.argv[1:])
     frame = data.kitti()
-    scans = {kind: list(views(kind, parity)) for kind in CLASSES}
+    scans = {kind: list(data.views(kind, parity)) for kind in CLASSES}
     print(f"F1, {'odd' if parity else 'even'}-numbered views, means\n")
     print(f"| | {' | '.join(f'{scan} {name}' for scan in ('frame', *CLASSES) for name in NAMES)} |")
     print(f"|---|{'---:|' * 9}")

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.contest_data import Scan
+from benchmarks.contest_data import Scan, views
 from benchmarks.contest_methods import label
 from benchmarks.peak import peak_mib
-from benchmarks.rings import views
+from benchmarks.rings import CLASSES
 from prc_cli.classifiers.sequential_angle.angles import (
     AnglesParams,
     angle_differences,
@@ -461,8 +461,6 @@ KITTI_GROUND: dict[str, tuple[int, ...]] = {
     "terrain": (72,),
 }
 """SemanticKITTI's codes of what is ground."""
-VIEW_GROUND = (9, 10, 11, 12, 17)
-"""The same in its range views, from 1 on without gaps: road, parking, sidewalk, other ground, terrain."""
 
 
 def kitti(folder: Path) -> None:
@@ -478,7 +476,7 @@ def kitti(folder: Path) -> None:
     print("Share that is ground, with and without heights that follow their side:\n")
     print(f"| | {' | '.join(KITTI_GROUND)} | all that is ground |\n|---|" + "---:|" * (len(KITTI_GROUND) + 1))
     truth = np.fromfile(source.with_suffix(".label"), np.uint32) & 0xFFFF
-    code = next(code for code, name in ClassCodes().names().items() if name == "ground")
+    code = ClassCodes().code(Label.GROUND)
     for follow_m in (GroundParams().follow_m, 0):
         options = {"sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}}
         classify(source, labels, load_config(KITTI, preset="street-scan", options=options), overwrite=True)
@@ -501,8 +499,8 @@ def _ground_of(scan: Scan, follow_m: float) -> tuple[float, float]:
     """Return recall and precision of ground in a view."""
     options = {"sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}}
     labels = label(scan, load_config(KITTI, preset="street-scan", options=options)).codes
-    code = next(code for code, name in ClassCodes().names().items() if name == "ground")
-    truth = np.isin(scan.codes, VIEW_GROUND)
+    code = ClassCodes().code(Label.GROUND)
+    truth = np.isin(scan.codes, CLASSES["kitti"][Label.GROUND])
     seen = np.isfinite(scan.range_m) & (scan.codes != 0)
     found = (labels == code) & seen
     return float(np.mean(found[truth & seen])), float(np.mean(truth[found]))

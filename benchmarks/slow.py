@@ -86,14 +86,14 @@ def stop_and_go(n: int) -> F64:
     return kept
 
 
-DRIVES: tuple[tuple[str, Callable[[int], F64]], ...] = (
-    ("normal", every(1.0)),
-    ("1/2 of the speed", every(0.5)),
-    ("1/4", every(0.25)),
-    ("1/8", every(0.125)),
-    ("1/16", every(0.0625)),
-    ("stop and go", stop_and_go),
-)
+DRIVES: dict[str, Callable[[int], F64]] = {
+    "normal": every(1.0),
+    "1/2 of the speed": every(0.5),
+    "1/4": every(0.25),
+    "1/8": every(0.125),
+    "1/16": every(0.0625),
+    "stop and go": stop_and_go,
+}
 SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (("", ()), ("without", ("fused.spacing.enabled=false",)))
 
 
@@ -134,7 +134,7 @@ def main() -> None:
     print(f"F1 on streets of seeds {seeds[0]} to {seeds[-1]}; lowest street, and most lost beside the normal drive\n")
     print(f"| drive | {' | '.join(NAMES)} |\n|---|{'---:|' * 4}")
     normal = None
-    for name, where in DRIVES:
+    for name, where in DRIVES.items():
         drives = [slowed(scan, where(len(scan.range_m)), seed) for scan, seed in zip(scans, seeds, strict=True)]
         for suffix, assignments in SETTINGS:
             rows = np.array([f1_of(drive, assignments) for drive in drives])

@@ -157,6 +157,17 @@ def test_the_mobile_file_is_accepted_sorted_by_time(real_data: Path, tmp_path: P
         assert not found.order.is_chronological
 
 
+def test_trees_four_metres_away_are_no_walls(real_data: Path, tmp_path: Path) -> None:
+    source, shares = real_data / "forest" / "tls_park.npz", []
+    for name, options in (("as is", {}), ("next", {"fused": {"smoothness": {"apart_m": 0}}})):
+        output = tmp_path / f"{name}.npy"
+        classify(source, output, load_config(preset="fused", options=options))
+        codes = np.load(output)
+        shares.append(float((codes == 6).sum() / (codes > 0).sum()))
+    assert shares[0] < 0.15
+    assert shares[1] > 0.4
+
+
 def test_park_with_the_forest_preset(real_data: Path, tmp_path: Path) -> None:
     source = real_data / "forest" / "tls_park.npz"
     summary = classify(source, tmp_path / "park.laz", load_config(preset="forest"))

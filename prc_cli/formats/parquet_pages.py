@@ -1,4 +1,4 @@
-"""Checks the page headers of Parquet files before pyarrow believes them.
+"""Reads columns of numbers of Parquet files, and checks page headers before pyarrow believes them.
 
 pyarrow makes room for what a page says it holds and fills it before it finds that the page is shorter: one changed byte
 in a file of 11 kB costs 2 GB and seconds. A column of numbers cannot need that much.
@@ -7,14 +7,17 @@ in a file of 11 kB costs 2 GB and seconds. A column of numbers cannot need that 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
+import pyarrow
 import pyarrow.parquet
 
 from prc_cli.core.files import open_to_read
 
+BUFFER_BYTES = 1 << 20
+"""Bytes of a column read at a time."""
 MOST_VALUE_BYTES = 16
 """A value of a column of numbers takes fewer, with its levels."""
 SPARE_BYTES = 1 << 16
@@ -26,6 +29,34 @@ _PAGE_SIZE, _STORED_SIZE = 2, 3
 _STOP, _TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = 0, 1, 2, 3, 7, 8, 9, 10, 11, 12
 """Types of the Thrift compact protocol; all others are variable-length integers."""
 _DEEPEST = 8
+
+
+def read_batches(path: Path, columns: Sequence[str], n_rows: int) -> Iterator[pyarrow.RecordBatch]:
+    """Read some columns of numbers in bounded memory.
+
+    Parameters
+    ----------
+    path : Path
+        Parquet file.
+    columns : sequence of str
+        Top-level columns of whole or floating-point numbers.
+    n_rows : int
+        Most rows of a batch.
+
+    Yields
+    ------
+    pyarrow.RecordBatch
+        The next rows.
+
+    Raises
+    ------
+    ValueError, OSError, pyarrow.ArrowException
+        When the file is damaged.
+    """
+    # a row group can be as large as the file: read it through a small buffer
+    with pyarrow.parquet.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
+        check_pages(path, file.metadata, columns)
+        yield from file.iter_batches(batch_size=n_rows, columns=list(columns))
 
 
 def check_pages(path: Path, metadata: pyarrow.parquet.FileMetaData, columns: Sequence[str]) -> None:

@@ -46,7 +46,6 @@ from prc_cli.streams.open import open_input
 from prc_cli.streams.window import grid_of
 
 XYZ = ("x", "y", "z")
-_LAS = (".las", ".laz")
 _TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet", ".ply", ".pcd")
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""
@@ -145,7 +144,7 @@ def convert(
     loaded = with_layout_beside(Path(source), loaded)
     source, output = Path(source), Path(output)
     prepare_output(source, output, loaded, overwrite=overwrite)
-    if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in _LAS:
+    if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
         if loaded.config.input.window is None:
             return _copy(source, output, loaded)
         return _copy_window(source, output, loaded, progress)
@@ -452,7 +451,7 @@ def find_losses(output: Path, opened: OpenedItems, facts: Facts, written: tuple[
 def _losses(suffix: str, opened: OpenedItems, facts: Facts) -> Iterator[str]:
     shape, counts = opened.shape, facts.counts
     n_missing = int(counts.labels[Label.MISSING])
-    if suffix in _LAS:
+    if suffix in LAS_SUFFIXES:
         yield from _las_losses(shape, facts, n_missing)
     if suffix == ".npy":
         for present, what in (
@@ -524,11 +523,11 @@ def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, .
     told = []
     if suffix == ".parquet":
         told.append("prc reads no stream from .parquet; it is for other programs")
-    if shape.scanners and len(facts.scanners) > 1 and suffix in (*_LAS, *_TABLES):
+    if shape.scanners and len(facts.scanners) > 1 and suffix in (*LAS_SUFFIXES, *_TABLES):
         told.append("several scanners: read it with --scanner point_source_id")
     if suffix == ".bin":
         told.append(f"read it with --config {output.name}.toml")
-    directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*_LAS, *_TABLES)
+    directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*LAS_SUFFIXES, *_TABLES)
     directed = directed or suffix == ".e57"
     if shape.down_rad is not None and not directed and suffix != ".bin":
         angle = float(np.rad2deg(shape.down_rad))

@@ -17,7 +17,7 @@ from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32, F64
-from prc_cli.formats import open_source
+from prc_cli.formats import LAS_SUFFIXES, open_source
 from prc_cli.formats.contents import Contents, watched_contents
 from prc_cli.formats.las.lookup import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
@@ -173,7 +173,7 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
         return _describe(path, None, stream, _line_order(stream), refusal, judged=judged)
-    contents = Contents(class_names=names_of_file(path) if suffix_of(path) in (".las", ".laz") else {})
+    contents = Contents(class_names=names_of_file(path) if suffix_of(path) in LAS_SUFFIXES else {})
     order = _time_order(source, contents)
     found = _inspect_records(path, loaded, source, stream, refusal, order)
     return replace(found, contents=contents)

@@ -22,6 +22,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
+from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.stream_files import (
     check_stream_output,
     open_stream_writer,
@@ -41,8 +42,7 @@ from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write
 
 _BESIDE = (".npy", ".bin", ".e57")
 """Formats that cannot hold classes, or not comparably: the classes go to a separate file."""
-_LAS = (".las", ".laz")
-_REGISTERED = (*_LAS, ".csv", ".csv.gz", ".csv.zst", ".parquet")
+_REGISTERED = (*LAS_SUFFIXES, ".csv", ".csv.gz", ".csv.zst", ".parquet")
 """Outputs that hold registered coordinates beside the ranges."""
 _ONE_RETURN = (".npy", ".npz", ".bin")
 _SBET = (".sbet", ".out")
@@ -206,7 +206,7 @@ def _write(
         if suffix == ".bin":
             told.append(f"read it with --config {output.name}.toml")
         if shape.registered and frame.crs:
-            is_lost = suffix in _LAS and find_spec("pyproj") is None
+            is_lost = suffix in LAS_SUFFIXES and find_spec("pyproj") is None
             lost = "; the file does not name it without pyproj: pip install prc-cli[crs]" if is_lost else ""
             told.append(f"registered coordinates are those of {frame.crs}{lost}")
         if suffix == ".parquet":
@@ -237,13 +237,15 @@ def codes_in_order(item: StreamItem, suffix: str) -> U8:
     codes = item.codes.ravel()
     extra = block.extra
     if suffix in _ONE_RETURN or not len(extra):
-        found = codes if suffix not in _LAS else codes[~np.isnan(block.range_m.ravel())]
+        found = codes if suffix not in LAS_SUFFIXES else codes[~np.isnan(block.range_m.ravel())]
         return found.astype(np.uint8)
     # further returns follow the main return of their shot, nearer ones first
     cell = extra.line.astype(np.int64) * block.points_per_line + extra.column
-    own = np.flatnonzero(~np.isnan(block.range_m.ravel())) if suffix in _LAS else np.arange(len(codes))
+    own = np.flatnonzero(~np.isnan(block.range_m.ravel())) if suffix in LAS_SUFFIXES else np.arange(len(codes))
     owner = np.concatenate([own, cell])
-    rank = np.concatenate([np.full(len(own), -np.inf), extra.range_m if suffix in _LAS else np.zeros(len(cell))])
+    rank = np.concatenate(
+        [np.full(len(own), -np.inf), extra.range_m if suffix in LAS_SUFFIXES else np.zeros(len(cell))]
+    )
     order = np.lexsort((np.arange(len(owner)), rank, owner))
     return np.concatenate([codes[own], item.extra_codes])[order].astype(np.uint8)
 

@@ -8,26 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.classifiers.fused.ground import GroundMemory, GroundParams, start_height
 from prc_cli.classifiers.prc.urban import Totals
 from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, _tail
 from prc_cli.classifiers.sequential_angle.lines import to_columns
 from prc_cli.formats.las.contexts import _Run, contexts_of
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_nearest_known_ground_is_that_of_either_side(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    shape = GroundMemory.none().age.shape
-    age = np.where(rng.random(shape) < 0.02, rng.integers(0, 90, shape), 10_000).astype(np.int32)
-    memory = GroundMemory(rng.normal(size=shape).astype(np.float32), age)
-    expected = next(
-        (float(memory.height_m[side, k]) for k in range(shape[1]) for side in (0, 1) if age[side, k] < 60), None
-    )
-    assert memory.nearest_m(60) == expected
-    age[:] = 60
-    assert memory.nearest_m(60) is None
-    assert memory.nearest_m(61) == float(memory.height_m[0, 0])
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])
@@ -92,10 +76,3 @@ def test_contexts_are_channel_and_single_return() -> None:
     assert (found & 3).tolist() == (np.arange(1024) // 256).tolist()
     assert 0x11 in records[found & 4 > 0, 14]
     assert 0x21 not in records[found & 4 > 0, 14]
-
-
-def test_without_shots_below_the_scanner_the_ground_begins_at_its_height() -> None:
-    shape = (3, 5)
-    seen: Any = SimpleNamespace(smooth=np.ones(shape), level=np.ones(shape), upright=np.zeros(shape))
-    found = start_height(np.zeros(shape, np.float32), np.ones(shape, np.float32), seen, GroundParams())
-    assert found == 0.0

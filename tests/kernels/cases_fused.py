@@ -35,13 +35,14 @@ from prc_cli.kernels.fused import (
     strips as fused_strips,
 )
 
-AROUND, INNER, THIN = 4, 2, 12
+AROUND, INNER, THIN = 4, 2, 20
 USUAL = typed(
     DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, pit_near=9, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
-    car_top_m=3.75, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, across_lines=4, crown_slots=5,
-    pole_shots=3, thick_m=0.15, arm_m=3.0, keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5,
+    car_top_m=3.75, lorry_top_m=5.5, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, across_lines=4,
+    crown_slots=5, pole_shots=3, slim_smooth=3, thick_m=0.15, arm_m=3.0, box_m=2.0, box_flat_m=0.25, box_deep_m=0.75,
+    box_lines=16, keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5,
     ghost_near=15, pane_m=1.0, cabin_near=3, roof_m=6.0, storey_m=2.5, car_label=7, pole_label=11,
 )  # fmt: skip
 
@@ -128,6 +129,7 @@ def smooth_case(rng: Generator) -> tuple[Any, ...]:
         tolerance_per_m=rng.choice([0.0, 0.01]),
         gap_m=rng.choice([0.4, 5.0]),
         gap_steps=16.0,
+        apart_m=rng.choice([0.0, 0.5, 1.0, 3.0]),
     )
     return *one.seen, chosen
 
@@ -163,7 +165,8 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         *one.seen, typed(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8)
     )
     smooth = fused_neighbours.smooth_counts(
-        *one.seen, typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16)
+        *one.seen,
+        typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16, apart_m=0.5),
     )
     usual = typed(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
     chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)
@@ -198,11 +201,17 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
         known_m=0.15,
         memory_lines=rng.choice([0, 5, 60]),
         follow=0.4,
+        start_reach_m=rng.choice([0.0, 1.0, 10.0]),
     )
     keep = int(rng.integers(0, len(one.range_m) + 1))
-    start = np.float32(rng.choice([-2.0, 0.0]))
+    start, lost = np.float32(rng.choice([-2.0, 0.0])), int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2]))
+    shots = np.zeros((2, fused_ground.DEPTHS), np.float32)
+    if lost not in (0, -1):
+        shots[:, 12:26] = np.sort(rng.integers(0, 9, (2, 14)), axis=0)
+    sums = (shots * np.float32(-1.9)).astype(np.float32)
     sides = one.left, one.right
-    return one.range_m, one.beams, random_counts(rng, one), sides, memory, age, start, keep, chosen
+    known = memory, age, shots, sums
+    return one.range_m, one.beams, random_counts(rng, one), sides, known, start, lost, keep, chosen
 
 
 def heights(rng: Generator, one: Street) -> F32:
@@ -269,6 +278,7 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
     wall = np.where(rng.random(shape) < rng.choice([0.01, 0.1]), rng.random(shape), 0).astype(np.float32)
     middle = (np.arange(shape[1]) - shape[1] // 2 + rng.random(shape)).astype(np.float32) * np.float32(0.5)
     levels = (rng.random((len(above) - 4, 2 * fused_strips.STRIPS)) < rng.choice([0.0, 0.1])).astype(np.uint8)
+    every = rng.integers(0, 2**63, shape, np.uint64) << np.uint64(rng.choice([0, 3, 6]))
     chosen = typed(
         FlankThresholds,
         least_m=rng.choice([0.0, 0.1]),
@@ -276,12 +286,14 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
         share=rng.choice([0.0, 0.5]),
         low_m=rng.choice([0.1, 0.0]),
         sill_m=rng.choice([0.5, 1.0]),
-        body_m=rng.choice([0.75, 3.0]),
+        body_m=rng.choice([0.75, 3.0, 0.0]),
+        large_m=rng.choice([0.0, 0.5]),
+        high_m=rng.choice([1.5, 3.0, -1.0]),
         soil_m=rng.choice([0.1, 2.0]),
         shots=rng.choice([0, 1, 3]),
     )
     length = wall * rng.choice([1.0, 2.0, 3.0], shape).astype(np.float32)
-    return one.range_m, above, counts[2], one.beams, (length, wall, wall * middle), levels, chosen
+    return one.range_m, above, counts[2], one.beams, (length, wall, wall * middle), every, levels, chosen
 
 
 def texture_case(rng: Generator) -> tuple[Any, ...]:
@@ -302,11 +314,53 @@ def decision(rng: Generator) -> DecisionThresholds:
         keeps_parts=np.float32(rng.choice([0, 1])), takes_long=np.float32(rng.choice([0, 1]))
     )
     top_m = min(thresholds.car_top_m, np.float32(15.0))
-    across = np.float32(rng.choice([4, 4, 8]))
-    return thresholds._replace(car_top_m=top_m, car_label=car, pole_label=pole, across_lines=across)
+    lorry_m = min(thresholds.lorry_top_m, np.float32(15.0))
+    flat_m, deep_m = np.float32(rng.choice([0.25, 0.0])), np.float32(rng.choice([0.75, 5.0]))
+    thresholds = thresholds._replace(box_flat_m=flat_m, box_deep_m=deep_m)
+    thresholds = thresholds._replace(across_lines=np.float32(rng.choice([4, 4, 8])))
+    return thresholds._replace(car_top_m=top_m, lorry_top_m=lorry_m, car_label=car, pole_label=pole)
+
+
+def box_case(rng: Generator) -> tuple[Any, ...]:
+    """A bin or cabinet on level ground beside the scanner, a few lines wide, with some shots that stray."""
+    m, n_lines, first = 60, int(rng.integers(1, 6)), THIN - int(rng.integers(0, 3))
+    angle = np.linspace(0.95, 1.4, m) * rng.choice([-1.0, 1.0])
+    sine, cosine = np.sin(angle), np.cos(angle)
+    lid = rng.choice([0.8, 1.0]) / cosine
+    away = lid * np.abs(sine) - 3.0
+    is_lid = (away > 0) & (away < rng.choice([0.3, 0.5, 1.0]))
+    is_face = (away <= 0) & (3.0 / np.abs(sine) < 2.0 / cosine)
+    box = np.where(is_lid, lid, np.where(is_face, 3.0 / np.abs(sine), 2.0 / cosine))
+    window = np.tile(2.0 / cosine, (2 * THIN + n_lines, 1))
+    window[first : first + int(rng.integers(1, 9))] = box
+    window[rng.random(window.shape) < rng.choice([0.0, 0.02])] = rng.choice([1.5, 8.0, np.nan])
+    window = window.astype(np.float32)
+    own, shape = window[THIN - INNER : INNER - THIN], (n_lines + 2 * INNER, m)
+    sines, cosines = sine.astype(np.float32), cosine.astype(np.float32)
+    above = (np.float32(2) - own * cosines).astype(np.float32)
+    level, odd = is_lid | (np.abs(above) < 0.1), rng.random(shape) < rng.choice([0.0, 0.1])
+    counts = (
+        np.where(odd, 2, 20).astype(np.uint8), np.where(odd, 1, 9).astype(np.uint8),
+        np.where(level, 0, 3).astype(np.uint8), np.where(level, 3, 0).astype(np.uint8),
+    )  # fmt: skip
+    strips = np.zeros((n_lines, fused_strips.STRIPS), np.uint64)
+    walls = np.zeros((3, n_lines, fused_strips.STRIPS), np.float32)
+    usual = DecisionThresholds._make(np.float32(value) for value in USUAL)
+    chosen = usual._replace(
+        far_m=np.float32(rng.choice([0.5, 1.0])),
+        box_deep_m=np.float32(rng.choice([0.4, 0.75])),
+        box_lines=np.float32(rng.choice([2, 16])),
+    )
+    return (
+        window, above, counts, np.zeros(shape, np.bool_), np.ones((n_lines, m), np.float32), (strips, strips),
+        tuple(walls), np.zeros((n_lines, 2 * fused_strips.STRIPS), np.uint8), (sines, cosines), np.float32(0.0076),
+        chosen,
+    )  # fmt: skip
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
+    if rng.random() < 0.3:
+        return box_case(rng)
     one = street(rng)
     counts, above = random_counts(rng, one), heights(rng, one)
     m = one.range_m.shape[1]
@@ -337,10 +391,11 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     more = rng.integers(0, len(one.window), (2, THIN - AROUND))
+    cars = fused_strips.widen_levels(levels)
+    cars |= ((rng.random(cars.shape) < rng.choice([0.0, 0.3])) * np.uint8(17)).astype(np.uint8)
     window = np.concatenate([one.window[more[0]], one.window, one.window[more[1]]])
     return (
-        window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,
-        one.step, decision(rng),
+        window, above, counts, walked, texture, wide, walls, cars, one.beams, one.step, decision(rng),
     )  # fmt: skip
 
 
@@ -399,7 +454,17 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
         label=rng.choice([1, 7]),
     )
     texture = rng.random((n_lines, m)).astype(np.float32)
-    return labels, range_m, above, texture, np.sin(beam).astype(np.float32), sides, before, chosen
+    return (
+        labels,
+        range_m,
+        above,
+        texture,
+        np.sin(beam).astype(np.float32),
+        sides,
+        before,
+        int(rng.integers(1, n_lines + 1)),
+        chosen,
+    )
 
 
 def confidence_case(rng: Generator) -> tuple[Any, ...]:

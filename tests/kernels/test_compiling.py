@@ -82,7 +82,7 @@ def test_what_takes_longest_is_compiled_first() -> None:
     modules = sorted(set(KERNELS.values()))
     ordered = compiling._largest_first(modules)
     assert sorted(ordered) == modules
-    assert ordered[0] == "prc_cli.kernels.sequential_angle.ground"
+    assert set(ordered[:2]) == {"prc_cli.kernels.fused.classes", "prc_cli.kernels.sequential_angle.ground"}
     assert ordered[-1] == "prc_cli.kernels.sequential_angle.verticals"
 
 

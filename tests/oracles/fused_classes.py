@@ -15,7 +15,7 @@ MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR, POLE = 7, 11
 Slots = NDArray[np.uint64]
 
-MARGIN = 12
+MARGIN, BESIDE = 20, 12
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 
 
@@ -193,14 +193,15 @@ class _Shot:
     def is_low_with_level(self, *, rough: bool) -> bool:
         if self.strip is None or not self.above >= 0:
             return False
-        top = int(self.thresholds.car_top_m / SLOT)
+        b, limits = floor(self.side / np.float32(0.25)) + N, self.thresholds
+        around = self.levels[self.line, max(b - 6, 0) : b + 7]
+        is_lorry = int((around // 16).sum()) >= min(limits.car_bins, limits.car_bins_rough)
+        top = int((limits.lorry_top_m if is_lorry else limits.car_top_m) / SLOT)
         filled = self.filled(0)
         closed = [filled[k] or (k > 0 and filled[k - 1]) or (k > 1 and filled[k - 2]) for k in range(64)]
         if all(closed[self.slot : top]):
             return False
-        b = floor(self.side / np.float32(0.25)) + N
-        bins = int(self.levels[self.line, max(b - 6, 0) : b + 7].sum())
-        return bool(bins >= (self.thresholds.car_bins_rough if rough else self.thresholds.car_bins))
+        return bool(int((around % 16).sum()) >= (limits.car_bins_rough if rough else limits.car_bins))
 
     def is_standing(self, *, is_car: bool) -> bool:
         if self.strip is None or not self.above > self.thresholds.foot_m:
@@ -209,7 +210,9 @@ class _Shot:
             return False
         if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
             return False
-        return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
+        is_slim = self.smooth >= self.thresholds.slim_smooth and self._is_free_across()
+        is_even = self.texture >= self.thresholds.leaf_share or is_slim
+        return bool(is_even and self.thresholds.pole_m > 0)
 
     def is_thin(self) -> bool:
         return self._is_short_in_line() or self._is_narrow_across()
@@ -260,12 +263,13 @@ class _Shot:
         column, middle = self.window[:, self.i], self.line + MARGIN
         seen = [column[middle]]
         for way in (-1, 1):
-            for k in range(1, MARGIN + 1):
+            for k in range(1, BESIDE + 1):
                 there, before = column[middle + way * k], column[middle + way * (k - 1)]
                 if not np.abs(there - before) < limits.jump_m:
                     break
                 seen.append(there)
-        return bool(max(seen) - min(seen) >= limits.thick_m)
+        across = np.float32(max(seen) - min(seen)) * (abs(self.side) / self.range_m)
+        return bool(across >= limits.thick_m)
 
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + MARGIN
@@ -295,7 +299,7 @@ class _Shot:
         if self.is_standing(is_car=is_car) and self.is_thin():
             if self.has_crown():
                 return VEGETATION
-            is_long = self.thresholds.takes_long == 0 and not self._is_free_across(MARGIN)
+            is_long = self.thresholds.takes_long == 0 and not self._is_free_across(BESIDE)
             if not is_long and len(self.run()) >= self.thresholds.pole_shots:
                 return VEGETATION if self.is_thick() else int(self.thresholds.pole_label)
         if is_car:
@@ -325,7 +329,100 @@ def fused_labels(
             window_m, points, counts, is_walked, soft, slots, walls, levels, step, thresholds, int(line), int(i)
         )
         labels[line, i] = shot.label()
+    for line, row in enumerate(labels):
+        ranges = window_m[line : line + 2 * MARGIN + 1]
+        own = _Line(
+            ranges, *(image[line + 2] for image in points), *(seen[line + 2] for seen in counts), row, thresholds
+        )
+        own.label_boxes()
     return labels
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line in which boxes are looked for."""
+
+    window: F32
+    side: F32
+    height: F32
+    above: F32
+    near: U8
+    smooth: U8
+    upright: U8
+    level: U8
+    labels: U8
+    limits: DecisionThresholds
+
+    @property
+    def ranges(self) -> F32:
+        return self.window[MARGIN]
+
+    def is_thing(self, j: int) -> bool:
+        return self.labels[j] not in (MISSING, NOISE, GROUND)
+
+    def is_top(self, i: int) -> bool:
+        is_low = self.limits.foot_m < self.above[i] < self.limits.box_m
+        return bool(self.is_thing(i) and is_low and self.level[i] > self.upright[i] and self.smooth[i] >= 3)
+
+    def end(self, i: int, way: int) -> tuple[int, int]:
+        """Return the last shot of a box to one side, and the next shot; -1 = none close by."""
+        last, gap, j = i, 0, i + way
+        while 0 <= j < len(self.labels) and gap <= 3:
+            if self.labels[j] in (MISSING, NOISE) or self.near[j] < self.limits.least_near:
+                gap += 1
+            elif self.labels[j] == GROUND or not abs(self.ranges[j] - self.ranges[last]) < self.limits.jump_m:
+                return last, j
+            elif self.above[j] >= self.limits.box_m:
+                return last, last
+            else:
+                last, gap = j, 0
+            j += way
+        return last, -1
+
+    def lines_beside(self, i: int, way: int) -> int | None:
+        last, seen, others = self.ranges[i], 0, []
+        for k in range(1, MARGIN + 1):
+            there = self.window[MARGIN + way * k, i]
+            if abs(there - last) < self.limits.jump_m:
+                last, seen, others = there, k, []
+                continue
+            others.append(not there <= last + self.limits.far_m)
+            if len(others) == 3:
+                return seen if sum(others) >= 2 else None
+        return None
+
+    def is_small(self, i: int, shots: I64) -> bool:
+        limits, away = self.limits, np.abs(self.side[shots])
+        if len(shots) < limits.pole_shots or not limits.box_flat_m <= np.ptp(away) <= limits.box_deep_m:
+            return False
+        on_top = self.above[shots] > self.above[shots].max() - np.float32(0.12)
+        if np.ptp(away[on_top]) < limits.box_flat_m:
+            return False
+        if np.float32((self.smooth[shots] >= 3).sum()) < np.float32(0.8) * np.float32(len(shots)):
+            return False
+        before, after = self.lines_beside(i, -1), self.lines_beside(i, 1)
+        return before is not None and after is not None and before + after <= limits.box_lines
+
+    def label_boxes(self) -> None:
+        done = -1
+        for i in range(len(self.labels)):
+            if i <= done or not self.is_top(i):
+                continue
+            (first, before), (last, after) = self.end(i, -1), self.end(i, 1)
+            done = last
+            if before == first or after == last:
+                continue
+            ends = [(first, before), (last, after)]
+            if not self.height[last] > self.height[first]:
+                ends.reverse()
+            (foot, below), (top, beyond) = ends
+            if beyond >= 0 and self.ranges[beyond] <= self.ranges[top] + self.limits.far_m:
+                continue
+            if below >= 0 and self.labels[below] != GROUND and self.ranges[below] < self.ranges[foot]:
+                continue
+            shots = np.array([j for j in range(first, last + 1) if self.is_thing(j)])
+            if self.is_small(i, shots):
+                self.labels[shots] = np.uint8(self.limits.pole_label)
 
 
 def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:

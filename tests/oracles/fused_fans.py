@@ -26,6 +26,7 @@ def fan_cars(
     sine: F32,
     sides: tuple[I32, I32],
     before: U8,
+    n_own: int,
     thresholds: FanThresholds,
 ) -> tuple[U8, U8]:
     """Label cars in fans; see :func:`prc_cli.kernels.fused.fans.fan_cars`."""
@@ -49,7 +50,7 @@ def fan_cars(
         things = ((around & THING) > 0).sum(axis=0)[seeds.argmax()]
         if np.float32(seeds.max()) >= thresholds.share * np.float32(seeds.max() + things):
             found[line, [i for i in columns if labels[line, i] != POLE]] = thresholds.label
-    return found, marks[len(marks) - LINES :]
+    return found[:n_own], marks[n_own : n_own + LINES]
 
 
 def runs_of(labels: U8, side: F32, above: F32, texture: F32, outwards: I32, thresholds: FanThresholds) -> Iterator[Run]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.fused import FlankThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from tests.oracles.fused_strips import sum_around
 
-N, BIN, LEVEL_BIN = 320, np.float32(0.125), np.float32(0.25)
+Slots = NDArray[np.uint64]
+N, WIDTH, BIN, LEVEL_BIN = 320, np.float32(0.5), np.float32(0.125), np.float32(0.25)
 
 
 def find_flanks(
@@ -19,6 +21,7 @@ def find_flanks(
     upright: U8,
     beams: tuple[F32, F32],
     sums: tuple[F32, F32, F32],
+    every: Slots,
     levels: U8,
     thresholds: FlankThresholds,
 ) -> tuple[U8, U8]:
@@ -46,12 +49,38 @@ def find_flanks(
                 ground[high[0] if len(high) else 2 * N :] = False
                 beneath += counts[k, way][ground & (passes >= thresholds.low_m) & (passes <= thresholds.sill_m)].sum()
                 beyond += counts[k, way][ground & (passes > thresholds.sill_m)].sum()
-            if beneath >= thresholds.shots and beyond * 4 <= beneath:
+            is_low = beneath >= thresholds.shots and beyond * 4 <= beneath
+            hangs = wall[b] >= thresholds.large_m * np.float32(5)
+            hangs = hangs and _hangs(counts[seen, way], depths[seen, way], every[seen], b, away, thresholds)
+            if is_low or hangs:
                 flanks[line, b] = 1
                 at = int(away / LEVEL_BIN)
                 for j in range(at, min(at + 6, N)):
-                    found[line, N + j if b >= N // 2 else N - 1 - j] = 1
+                    found[line, N + j if b >= N // 2 else N - 1 - j] |= 17 if hangs else 1
     return flanks, found
+
+
+def _hangs(counts: I32, depths: F32, every: Slots, b: int, away: np.float32, thresholds: FlankThresholds) -> bool:
+    """Return whether lines see ground below a body as high as a lorry's, and none through it."""
+    middle = (np.arange(2 * N, dtype=np.float32) + np.float32(0.5)) * BIN
+    at, first = np.arange(2 * N), int(away / BIN)
+    own = min(int(away / WIDTH), N // 2 - 1)
+    strips = [own, max(own - 1, 0)]
+    bottoms, below, through = [], 0, 0
+    for n_shots, depth, slots in zip(counts, depths, every, strict=True):
+        word = 0
+        for j in strips:
+            word |= int(slots[N // 2 + j if b >= N // 2 else N // 2 - 1 - j])
+        bottom = np.float32(next((k for k in range(12) if word >> k & 1), 12)) * np.float32(0.25)
+        if not thresholds.body_m <= bottom <= thresholds.high_m:
+            continue
+        bottoms.append(bottom)
+        ground = (n_shots > 0) & (at >= first) & (at < 2 * first)
+        passes = depth * (np.float32(1) - away / middle)
+        below += n_shots[ground & (passes >= np.float32(0.5) * bottom) & (passes <= bottom)].sum()
+        through += n_shots[ground & (passes > bottom + np.float32(0.25))].sum()
+    is_even = not bottoms or max(bottoms) - min(bottoms) <= 0.25
+    return bool(is_even and below >= thresholds.shots and through * 4 <= below)
 
 
 def ground_of(side_m: F32, depth_m: F32, is_ground: Mask) -> tuple[I32, F32]:

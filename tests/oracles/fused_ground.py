@@ -10,6 +10,8 @@ from prc_cli.core.thresholds.fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 
 QUARTER, HALF, BINS = np.float32(0.25), np.float32(0.5), 320
+TENTH, LOST_LINES, START_FOLLOW = np.float32(0.1), 32, np.float32(0.005)
+Memory = tuple[F32, I32, F32, F32]
 
 
 def walk_ground(
@@ -17,31 +19,39 @@ def walk_ground(
     beams: tuple[F32, F32],
     counts: tuple[U8, U8, U8, U8],
     sides: tuple[I32, I32],
-    memory_m: F32,
-    age: I32,
+    memory: Memory,
     start_m: np.float32,
+    lost: int,
     keep: int,
     thresholds: WalkThresholds,
-) -> tuple[F32, Mask, F32, I32]:
+) -> tuple[F32, Mask, Memory, float, int]:
     """Find the ground; see :func:`prc_cli.kernels.fused.ground.walk_ground`."""
     side_m, height_m = range_m * beams[0], -(range_m * beams[1])
     above, walked = np.full(side_m.shape, np.nan, np.float32), np.zeros(side_m.shape, np.bool_)
-    memories = [_Memory(memory_m[s].copy(), age[s].copy(), thresholds) for s in range(2)]
+    heights, ages, shots, sums = (each.copy() for each in memory)
+    memories = [_Memory(heights[s], ages[s], thresholds) for s in range(2)]
     kept = None
     for line in range(len(side_m)):
         if line == keep:
-            kept = [(one.height.copy(), one.age.copy()) for one in memories]
+            kept = _copied(heights, ages, shots, sums), start_m, lost
+        level = (counts[0][line] >= thresholds.least_near) & (counts[1][line] > 0)
+        level &= counts[3][line] > counts[2][line]
+        known = np.flatnonzero((ages.astype(np.float32) < thresholds.memory_lines).any(axis=0))
+        if len(known):
+            nearest_m = next(one.height[known[0]] for one in memories if one.known()[known[0]])
+            start_m, lost = nearest_m if lost < 0 else start_m + (nearest_m - start_m) * START_FOLLOW, 0
+            shots[:] = sums[:] = 0
+        elif _search(side_m[line][level], height_m[line][level], shots, sums, thresholds):
+            lost += 1 if lost >= 0 else -1
+            start_m = _lowest(shots, sums) if lost < 0 or lost >= LOST_LINES else start_m
         profiles = []
-        for memory, columns, sign in zip(memories, sides, (1, -1), strict=True):
-            on_way = [
-                i for i in columns
-                if counts[0][line, i] >= thresholds.least_near and counts[1][line, i] > 0
-                and counts[3][line, i] > counts[2][line, i]
-            ]  # fmt: skip
-            steps = _steps(on_way, side_m[line] * np.float32(sign), height_m[line], memory, start_m, thresholds)
+        for memory_of_side, columns, sign in zip(memories, sides, (1, -1), strict=True):
+            on_way = [i for i in columns if level[i]]
+            out_m = side_m[line] * np.float32(sign)
+            steps = _steps(on_way, out_m, height_m[line], memory_of_side, start_m, thresholds)
             walked[line, [i for i, _ in steps]] = True
-            memory.learn(_means([(place, height_m[line, i]) for i, place in steps]))
-            profiles.append(memory.profile(start_m))
+            memory_of_side.learn(_means([(place, height_m[line, i]) for i, place in steps]))
+            profiles.append(memory_of_side.profile(start_m))
         for i in np.flatnonzero(~np.isnan(side_m[line])):
             profile = profiles[0] if side_m[line, i] >= 0 else profiles[1]
             place = max(abs(side_m[line, i]) / QUARTER - HALF, np.float32(0))
@@ -49,8 +59,34 @@ def walk_ground(
             share = min(place - np.float32(b), np.float32(1))
             above[line, i] = height_m[line, i] - (profile[b] + (profile[b + 1] - profile[b]) * share)
     if kept is None:
-        kept = [(one.height, one.age) for one in memories]
-    return above, walked, np.stack([height for height, _ in kept]), np.stack([one for _, one in kept])
+        kept = _copied(heights, ages, shots, sums), start_m, lost
+    known_memory, known_start_m, known_lost = kept
+    return above, walked, known_memory, float(known_start_m), known_lost
+
+
+def _copied(heights: F32, ages: I32, shots: F32, sums: F32) -> Memory:
+    return heights.copy(), ages.copy(), shots.copy(), sums.copy()
+
+
+def _search(side_m: F32, height_m: F32, shots: F32, sums: F32, thresholds: WalkThresholds) -> bool:
+    """Count level shots by depth: in the first row those near the scanner, in the second all."""
+    found = False
+    for y, z in zip(side_m, height_m, strict=True):
+        depth = -z / TENTH
+        if z < 0 and depth < shots.shape[1]:
+            found = True
+            for row in (0, 1) if abs(y) < thresholds.start_reach_m else (1,):
+                shots[row, int(depth)] += np.float32(1)
+                sums[row, int(depth)] += z
+    return found
+
+
+def _lowest(shots: F32, sums: F32) -> np.float32:
+    """Return the mean height of the lowest depth with a quarter of the shots of the commonest one."""
+    row = 0 if shots[0].any() else 1
+    place = np.flatnonzero((shots[row] > 0) & (shots[row] >= shots[row].max() * QUARTER))[-1]
+    mean: np.float32 = sums[row, place] / shots[row, place]
+    return mean
 
 
 class _Memory:

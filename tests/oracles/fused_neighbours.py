@@ -54,8 +54,11 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
         r, own = range_m[y, column], points[y, x]
         tolerance = thresholds.tolerance_m + thresholds.tolerance_per_m * r
         gap = max(thresholds.gap_m, thresholds.gap_steps * (r * step))
+        to_edge = min(column, range_m.shape[1] - 1 - column)
+        wanted = min(thresholds.apart_m / (r * step), np.float32(8))
+        stride = max(min(int(wanted), to_edge // 2), 1)
         for b, c in PAIRS_IN_LINE:
-            first, second = points[y, x + b], points[y, x + c]
+            first, second = points[y, x + stride * b], points[y, x + stride * c]
             along, off = second - first, own - first
             square = along[0] * along[0] + along[1] * along[1]
             cross = along[0] * off[1] - along[1] * off[0]

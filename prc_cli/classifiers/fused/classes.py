@@ -22,8 +22,8 @@ NO_BINS = 99
 """More bins than a level surface can have."""
 ROOM_SHARE = 0.01
 """In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
-BESIDE_THIN_LINES = 12
-"""Lines before and after a line in which something is seen past a pole."""
+BESIDE_THIN_LINES = 20
+"""Lines before and after a line in which something is seen past a pole or a box."""
 ACROSS_LINES = 4
 """Lines before and after a line by which a thing is found to be thin; at most :data:`BESIDE_THIN_LINES`."""
 NEVER = 1e9
@@ -85,7 +85,10 @@ class CarParams(Params):
 
     enabled: bool = Field(True, description="whether to separate them from walls and hedges")
     named: bool = Field(True, description="whether they get their class; otherwise they stay unclassified")
-    top_m: float = Field(4.25, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    top_m: float = Field(4.75, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    lorry_top_m: float = Field(
+        5.75, ge=0, le=15, description="the same where a body hangs as high as that of a lorry [m]"
+    )
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
     room_m: float = Field(
@@ -145,12 +148,22 @@ class PoleParams(Params):
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
     shots: int = Field(6, ge=1, le=1000, description="fewest shots of its run; leaves and bars of fences have fewer")
+    slim_smooth: int = Field(
+        3, ge=0, le=11, description="in rough places, fewest smooth pairs of a shot that one of four lines sees past"
+    )
     trunks: bool = Field(True, description="whether what is thick and round is a trunk, crown or not ...")
     thick_m: float = Field(
         0.15, ge=0, le=100, description="... that is, this deep from the middle of its front to its edges [m]"
     )
     arms: bool = Field(True, description="whether thin level things high up are poles too: arms and lamps ...")
     arm_m: float = Field(3.0, ge=0, le=100, description="... that is, above this height [m]")
+    boxes: bool = Field(True, description="whether small things with level tops are poles too: bins and cabinets ...")
+    box_m: float = Field(2.0, ge=0, le=15, description="... that is, lower than this, in the scan plane [m] ...")
+    box_flat_m: float = Field(
+        0.25, ge=0, le=100, description="... with tops as deep as this at least; those of garden walls are less [m] ..."
+    )
+    box_deep_m: float = Field(0.75, ge=0, le=100, description="... themselves as deep as this at most [m] ...")
+    box_lines: int = Field(16, ge=0, le=40, description="... and seen by so many other lines, at most")
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
     across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
@@ -238,6 +251,7 @@ def decision_thresholds(
         roof_m=walls.roof_m if walls.roofs else -NEVER,
         storey_m=walls.storey_m,
         car_top_m=cars.top_m,
+        lorry_top_m=cars.lorry_top_m,
         car_bins=cars.level_bins if cars.enabled else NEVER,
         car_bins_rough=cars.level_bins_rough if cars.enabled else NEVER,
         pole_m=poles.height_m if poles.enabled else 0.0,
@@ -246,8 +260,13 @@ def decision_thresholds(
         across_lines=across_lines,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
+        slim_smooth=poles.slim_smooth,
         thick_m=poles.thick_m if poles.trunks else NEVER,
         arm_m=poles.arm_m if poles.arms else NEVER,
+        box_m=poles.box_m if poles.enabled and poles.boxes else 0.0,
+        box_flat_m=poles.box_flat_m,
+        box_deep_m=poles.box_deep_m,
+        box_lines=poles.box_lines,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
         takes_long=0.0 if poles.across else 1.0,
         foot_m=poles.foot_m,

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.classifiers.fused.neighbours import Neighbours
-from prc_cli.classifiers.fused.plane import ScanPlane, points_of
+from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import WalkThresholds, typed
@@ -19,10 +19,8 @@ BINS = 320
 """Number of 0.25 m bins on either side for which a ground height is kept."""
 NEVER = 1 << 20
 """Age of a bin that was never seen [lines]."""
-DEEPEST_M = 100.0
-"""Greatest height of a scanner above the ground [m]."""
-HEIGHT_STEP_M = 0.1
-"""Bin width of the histogram for the start height [m]."""
+DEPTHS = 1000
+"""Depths below the scanner, 0.1 m apart, at which the ground is searched where none is known."""
 
 
 class GroundParams(Params):
@@ -73,6 +71,7 @@ class GroundParams(Params):
             known_m=self.known_m,
             memory_lines=self.memory_lines,
             follow=self.follow,
+            start_reach_m=self.start_reach_m,
         )
 
 
@@ -84,24 +83,25 @@ class GroundMemory:
     """(2, BINS) float32, ground height by bin, left and right [m]."""
     age: I32
     """(2, BINS) int32, lines since the bin was last seen."""
+    level_shots: F32
+    """(2, DEPTHS) float32, level shots near the scanner and all, of the lines since any bin was known."""
+    level_m: F32
+    """(2, DEPTHS) float32, sums of their heights [m]."""
+    start_m: np.float32
+    """Height of the nearest known bins of earlier lines [m]: a walk starts there where its side is not known.
+
+    Where the ground was hidden for long (by a lorry, or a gap in the stream), a walk from the scanner's height would
+    not reach it in small steps."""
+    lost: int
+    """Lines with level shots since any bin was known; below 0 = none ever was."""
 
     @classmethod
     def none(cls) -> GroundMemory:
         """Return the memory before the first line."""
-        return cls(np.zeros((2, BINS), np.float32), np.full((2, BINS), NEVER, np.int32))
-
-    def nearest_m(self, lines: int) -> float | None:
-        """Return the height of the bin nearest to the scanner that was seen within ``lines`` lines; None = no bin.
-
-        On a side where the ground was hidden for longer (by a lorry, or a gap in the stream) the search starts at
-        this height: starting at the scanner's height, it would not reach the ground in small steps.
-
-        >>> GroundMemory.none().nearest_m(60) is None
-        True
-        """
-        is_known = self.age < lines
-        places, sides = np.nonzero(is_known.T)
-        return float(self.height_m[sides[0], places[0]]) if len(places) else None
+        return cls(
+            np.zeros((2, BINS), np.float32), np.full((2, BINS), NEVER, np.int32),
+            np.zeros((2, DEPTHS), np.float32), np.zeros((2, DEPTHS), np.float32), np.float32(0.0), -1,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,28 +144,9 @@ def follow_ground(
     -------
     Ground, GroundMemory
     """
-    start_m = memory.nearest_m(params.memory_lines)
-    if start_m is None:
-        start_m = start_height(*points_of(range_m, plane), seen, params)
-    above, walked, height_m, age = kernels.walk_ground(
-        range_m, plane.beams, seen.counts, (plane.left, plane.right), memory.height_m, memory.age,
-        np.float32(start_m), keep, params.thresholds(least_near),
+    above, walked, kept, start_m, lost = kernels.walk_ground(
+        range_m, plane.beams, seen.counts, (plane.left, plane.right),
+        (memory.height_m, memory.age, memory.level_shots, memory.level_m), np.float32(memory.start_m), memory.lost,
+        keep, params.thresholds(least_near),
     )  # fmt: skip
-    return Ground(above, walked), GroundMemory(height_m, age)
-
-
-def start_height(side_m: F32, height_m: F32, seen: Neighbours, params: GroundParams) -> float:
-    """Return the ground height around the scanner: the lowest height with many smooth, level shots.
-
-    "Many" is at least a quarter of the largest count at any height. Without smooth shots near and below the scanner,
-    all shots below the scanner count; 0 without any.
-    """
-    low = (seen.smooth > 0) & (seen.level > seen.upright) & (height_m < 0) & (height_m > -DEEPEST_M)
-    near = low & (np.abs(side_m) < params.start_reach_m)
-    heights = height_m[near] if near.any() else height_m[low]
-    if not len(heights):
-        return 0.0
-    counts = np.bincount((-heights / HEIGHT_STEP_M).astype(np.int64))
-    steps = np.flatnonzero(counts >= counts.max() / 4)
-    chosen = (-heights / HEIGHT_STEP_M).astype(np.int64) == steps[-1]
-    return float(np.median(heights[chosen]))
+    return Ground(above, walked), GroundMemory(*kept, np.float32(start_m), lost)

@@ -17,7 +17,7 @@ from prc_cli.classifiers.fused.neighbours import SmoothnessParams
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.types import F32, I64
+from prc_cli.core.types import F32, F64, I64
 
 REACH_LINES = 12
 """Lines before and after a line that it is found from whether columns are interlaced: others may begin with the other
@@ -41,7 +41,7 @@ class InterlaceParams(Params):
 
 @stage("interlace")
 def put_in_step(
-    range_m: F32, plane: ScanPlane, noise_m: float, smoothness: SmoothnessParams, params: InterlaceParams
+    range_m: F32, plane: ScanPlane, noise_m: F64, smoothness: SmoothnessParams, params: InterlaceParams
 ) -> F32:
     """Return ranges as if all columns of a line had been measured together.
 
@@ -53,8 +53,8 @@ def put_in_step(
     range_m : (lines, M) float32, metres
         Consecutive lines; NaN = missing.
     plane : ScanPlane
-    noise_m : float
-        Range noise [m].
+    noise_m : (lines,) float64
+        Range noise at every line [m].
     smoothness : SmoothnessParams
         Its tolerance tells how far a shot may be off the middle of the lines before and after.
     params : InterlaceParams
@@ -71,14 +71,16 @@ def put_in_step(
     >>> plane = ScanPlane.of(np.deg2rad(np.linspace(60, 70, 21)))
     >>> late = np.where(np.arange(21) % 2 == 1, 0.5, 0.0)
     >>> lines = (5 + 0.4 * (np.arange(9)[:, None] + late)).astype(np.float32)
-    >>> put_in_step(lines, plane, 0.005, SmoothnessParams(), InterlaceParams())[4, :4].round(3).tolist()
+    >>> put_in_step(lines, plane, np.full(9, 0.005), SmoothnessParams(), InterlaceParams())[4, :4].round(3).tolist()
     [6.599999904632568, 6.599999904632568, 6.599999904632568, 6.599999904632568]
     """
     if not params.enabled or float(plane.step_rad) < math.radians(params.step_deg) or len(range_m) < 3:
         return range_m
-    limits = smoothness.thresholds(noise_m, float(plane.step_rad))
     before, own, after = range_m[:-2], range_m[1:-1], range_m[2:]
-    tolerance_m = limits.tolerance_m + limits.tolerance_per_m * own
+    values, of_line = np.unique(noise_m[1:-1], return_inverse=True)
+    limits = [smoothness.thresholds(float(value), float(plane.step_rad)) for value in values]
+    least_m = np.array([one.tolerance_m for one in limits], np.float32)[of_line]
+    tolerance_m = least_m[:, None] + limits[0].tolerance_per_m * own
     half = np.float32(0.5)
     with np.errstate(invalid="ignore"):
         is_even = np.abs((before + after) * half - own) < np.float32(2.0) * tolerance_m

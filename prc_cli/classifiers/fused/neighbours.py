@@ -54,6 +54,14 @@ class SmoothnessParams(Params):
     )
     gap_steps: float = Field(16.0, gt=0, le=1000, description="... or this many column spacings, if more")
 
+    apart_m: float = Field(
+        0.012,
+        ge=0,
+        le=1,
+        description="where columns are nearer to each other, every second, third, ... one is compared: "
+        "a single leaf is smooth [m]; 0 = always the next",
+    )
+
     def thresholds(self, noise_m: float, step_rad: float) -> SmoothThresholds:
         """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
         return typed(
@@ -62,6 +70,7 @@ class SmoothnessParams(Params):
             tolerance_per_m=self.per_metre + self.per_step * step_rad,
             gap_m=self.gap_m,
             gap_steps=self.gap_steps,
+            apart_m=self.apart_m,
         )
 
 

@@ -63,11 +63,12 @@ from prc_cli.classifiers.fused.plane import (
     VOTE_LINES,
     WIDE_LINES,
     Noise,
+    NoiseAlong,
     Plane,
     ScanPlane,
     SensorParams,
 )
-from prc_cli.classifiers.fused.profiles import are_wanted, find_cars, no_profiles
+from prc_cli.classifiers.fused.profiles import LINES, are_wanted, find_cars, no_profiles
 from prc_cli.classifiers.fused.returns import label_further_returns
 from prc_cli.classifiers.fused.rings import RingsParams, is_fan
 from prc_cli.classifiers.fused.spacing import (
@@ -85,13 +86,15 @@ from prc_cli.classifiers.fused.strips import FlankParams, Standing, StripsParams
 from prc_cli.classifiers.fused.terrain import heights_over_ground
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
-from prc_cli.core.thresholds.fused import DecisionThresholds
+from prc_cli.core.thresholds.fused import DecisionThresholds, SpacingThresholds
 from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label looks at."""
+FOLLOWING_LINES = SPACED_LINES + LINES
+"""Lines after a block that its labels depend on, where cars are found by profiles."""
 MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
 """Lines of a stream before and after a block that its labels depend on."""
 ROOM_LINES = 4
@@ -154,7 +157,9 @@ class FusedState:
     tail: F32
     """(SPACED_LINES, M) float32, the last lines [m]; NaN = missing, or before the stream."""
     noise: Noise
-    """Range noise measured so far."""
+    """Range noise measured so far, in a forest."""
+    noise_along: NoiseAlong
+    """The same along a street."""
     line: int
     """Number of lines so far."""
     spacing: Spacing
@@ -162,7 +167,7 @@ class FusedState:
     halt: Halt
     """Labels before the platform came to stand."""
     memory: GroundMemory
-    """Ground heights before the last three lines of the tail."""
+    """Ground before the last three lines of the tail."""
     profiles: U8
     """Marks of lines across cars, where shots are far apart."""
 
@@ -170,6 +175,7 @@ class FusedState:
 AnyArray = NDArray[Any]
 
 TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
+NOISE_ALONG = Part[NoiseAlong]("noise_along")
 LINE, SPACING = Part[int]("line"), Part[Spacing]("spacing")
 HALT = Part[Halt]("halt")
 PROFILES = Part[U8]("profiles")
@@ -227,7 +233,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         return Needs(
             kernels,
             self.params.lines_per_block,
-            AROUND_LINES if is_forest else SPACED_LINES,
+            AROUND_LINES if is_forest else FOLLOWING_LINES,
             most_noise_m=most_noise_m,
             nadir_from_ground=True,
             confidence_kernels=CONFIDENCE_KERNELS,
@@ -291,8 +297,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         if self.params.environment == "forest":
             return heights_over_ground(block.range_m, scanner.plane, self.params.forest.terrain)
         ground: Grounds = heard.results[MEMORY.name]
-        before = (len(ground.above_m) - block.n_lines) // 2
-        return ground.above_m[before : before + block.n_lines]
+        return ground.above_m[ground.margin : ground.margin + block.n_lines]
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report that this method has no segments."""
@@ -303,7 +308,14 @@ def initial_state(scanner: FusedScanner) -> FusedState:
     """Return the state before the first block."""
     tail = np.full((SPACED_LINES, scanner.points_per_line), np.nan, np.float32)
     return FusedState(
-        tail, Noise(), 0, Spacing.none(), Halt.none(scanner.points_per_line), GroundMemory.none(), no_profiles()
+        tail,
+        Noise(),
+        NoiseAlong(),
+        0,
+        Spacing.none(),
+        Halt.none(scanner.points_per_line),
+        GroundMemory.none(),
+        no_profiles(),
     )
 
 
@@ -316,7 +328,7 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
         The block, chronological; NaN = missing, all else finite and positive. ``params.lines_per_block`` lines, fewer
         only at the end of the stream.
     next_m : (lines, M) float32, metres
-        The lines that follow: :data:`~prc_cli.classifiers.fused.spacing.SPACED_LINES` are enough, more do no harm;
+        The lines that follow: :data:`FOLLOWING_LINES` are enough, more do no harm;
         fewer or None only at the end of the stream.
     scanner : FusedScanner
     turn : Turn
@@ -351,18 +363,19 @@ def _classify(
     """Label a block; see :func:`classify_block`. Also return what streets were decided by."""
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
-        noise_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, plane, known, params.sensor))
-        return forest(range_m, scanner.plane, noise_m, params.forest), None
+        in_forest_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, known, params.sensor))
+        return forest(range_m, scanner.plane, in_forest_m, params.forest), None
     params = of_scanner(params, scanner)
+    n_lines, ahead = len(range_m), lines_ahead(plane, params)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
-    wide = window_of(tail, range_m, next_m)
-    window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
-    noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
+    wide = window_of(tail, range_m, next_m, ahead)
+    line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
+    noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
     wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
-    strides = _strides(wide, scanner, noise_m, turn, params)
+    strides = _strides(wide, (line, n_lines), scanner, noise_m, turn, params)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, params)
-    grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, plane, memory, params))
+    grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, params))
     found = [
         evidence_of(stream.seen, own.above_m, plane, params) for stream, own in zip(streams, grounds.parts, strict=True)
     ]
@@ -373,12 +386,13 @@ def _classify(
     labels = _woven(decided, streams, apart)
     evidence = _woven_evidence(found, grounds.above_m, streams, apart)
     if are_wanted(plane, params.cars):
-        labels = _with_cars(labels, range_m, grounds, evidence, turn, plane, params)
+        block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
+        labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
         return labels, evidence
-    limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
-    own = strides[BESIDE_LINES:-BESIDE_LINES]
-    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits)), evidence
+    own, own_m = strides[BESIDE_LINES:][:n_lines], noise_m[SPACED_LINES:][:n_lines]
+    limits = _spacing_limits(plane, params)
+    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, own_m, limits)), evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -401,6 +415,8 @@ class Grounds(Ground):
 
     parts: tuple[Ground, ...]
     """That of the lines of every stream."""
+    margin: int
+    """Lines before the block."""
 
 
 def lines_apart(strides: I64) -> I64:
@@ -412,7 +428,12 @@ def lines_apart(strides: I64) -> I64:
     return np.clip(strides[BESIDE_LINES:-BESIDE_LINES], 1, MOST_APART)
 
 
-def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: float, params: FusedParams) -> list[Stream]:
+def lines_ahead(plane: ScanPlane, params: FusedParams) -> int:
+    """Return how many lines after a block are labelled with it: those by which a car in its last line is found."""
+    return LINES if are_wanted(plane, params.cars) else 0
+
+
+def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: FusedParams) -> list[Stream]:
     """Look at the lines of a block; where they lie close together, as if lines between them had not been scanned.
 
     Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide as they usually are.
@@ -425,8 +446,8 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: float, params
     strides : (lines + 6,) int64
         Distance of neighbouring lines.
     plane : ScanPlane
-    noise_m : float
-        Range noise [m].
+    noise_m : (lines + 2 SPACED_LINES,) float64
+        Range noise at every line [m].
     params : FusedParams
     """
     apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
@@ -434,7 +455,8 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: float, params
     across = 2 * ACROSS_LINES if is_slower else ACROSS_LINES
     streams = []
     for every in np.unique(apart).tolist():
-        smooth = spaced_pairs(*_with_beside(wide, strides, every), plane, noise_m, params.smoothness)
+        window, own_strides, own_noise_m = _with_beside(wide, strides, noise_m, every)
+        smooth = spaced_pairs(window, own_strides, plane, own_noise_m, params.smoothness)
         for first in range(min(every, len(apart))):
             own_m, own = wide[OUTSIDE_LINES:-OUTSIDE_LINES], smooth
             if every > 1:
@@ -446,14 +468,23 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: float, params
 
 
 def _follow_all(
-    streams: Sequence[Stream], apart: I64, plane: ScanPlane, memory: GroundMemory, params: FusedParams
+    streams: Sequence[Stream], apart: I64, n_lines: int, plane: ScanPlane, memory: GroundMemory, params: FusedParams
 ) -> tuple[Grounds, GroundMemory]:
     """Follow the ground of every stream from the same memory on; return it, and what the last line remembers."""
-    found = [_follow(stream.seen, plane, memory, params) for stream in streams]
-    after = [left for (_, left), stream in zip(found, streams, strict=True) if stream.every == apart[-1]][-1]
+    found = [
+        _follow(stream.seen, plane, memory, len(range(stream.first, n_lines, stream.every)), params)
+        for stream in streams
+    ]
+    last = int(apart[n_lines - 1])
+    after = [
+        left
+        for (_, left), stream in zip(found, streams, strict=True)
+        if stream.every == last and stream.first < n_lines
+    ][-1]
     parts = tuple(ground for ground, _ in found)
     above = _woven([ground.above_m for ground in parts], streams, apart)
-    return Grounds(above, _woven([ground.walked for ground in parts], streams, apart), parts), after
+    walked = _woven([ground.walked for ground in parts], streams, apart)
+    return Grounds(above, walked, parts, (len(above) - len(apart)) // 2), after
 
 
 def _rows_of(first: int, every: int, n_lines: int) -> I64:
@@ -469,17 +500,19 @@ def _rows_of(first: int, every: int, n_lines: int) -> I64:
     return np.clip(rows, rows[0] % every, last)
 
 
-def _with_beside(wide: F32, strides: I64, every: int) -> tuple[F32, I64]:
-    """Return the wide window with more lines around, and their distances, for streams of every so many lines.
+def _with_beside(wide: F32, strides: I64, noise_m: F64, every: int) -> tuple[F32, I64, F64]:
+    """Return the wide window with more lines around, their distances and noise, for streams of every so many lines.
 
     Lines beside the block have the distance of its outermost ones, as far as their neighbours are known.
     """
     more = BESIDE_LINES * (every - 1)
+    around = SPACED_LINES - BESIDE_LINES - more
+    own_noise_m = noise_m[around : len(noise_m) - around]
     if more == 0:
-        return wide, strides
+        return wide, strides, own_noise_m
     first, last = (np.full(more, min(int(stride), FARTHEST_BESIDE)) for stride in (strides[0], strides[-1]))
     window = np.pad(wide, ((more, more), (0, 0)), constant_values=np.float32(np.nan))
-    return window, np.concatenate([first, strides, last])
+    return window, np.concatenate([first, strides, last]), own_noise_m
 
 
 def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
@@ -535,7 +568,7 @@ def of_place(params: FusedParams, wide: F32) -> FusedParams:
     return params.model_copy(update={"cars": params.cars.in_rooms()})
 
 
-def in_step(wide: F32, scanner: FusedScanner, noise_m: float, params: FusedParams) -> F32:
+def in_step(wide: F32, scanner: FusedScanner, noise_m: F64, params: FusedParams) -> F32:
     """Return a block and the lines around with interlaced columns in step; rings are apart on purpose."""
     if scanner.is_fan:
         return wide
@@ -558,37 +591,45 @@ def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
     return params.model_copy(update=own)
 
 
-def _measure(window: F32, plane: ScanPlane, known: Noise, params: SensorParams) -> tuple[float, Noise]:
-    """Measure the range noise [m]."""
-    noise = known.after(window, plane, params)
-    return noise.noise_m(params), noise
+def _measure(wide: F32, line: int, plane: ScanPlane, known: NoiseAlong, params: SensorParams) -> tuple[F64, NoiseAlong]:
+    """Measure the range noise at every line of the wide window of a block that begins at a line [m]."""
+    noise = known.after(wide[SPACED_LINES:], line, plane, params)
+    return noise.of_lines(line - SPACED_LINES, len(wide), params), noise
 
 
-def _measure_forest(range_m: F32, plane: ScanPlane, known: Noise, params: SensorParams) -> tuple[float, Noise]:
+def _measure_forest(range_m: F32, known: Noise, params: SensorParams) -> tuple[float, Noise]:
     """Measure the range noise in a forest [m], 0 until it is known.
 
     It is rounded to half octaves, so that labels hardly depend on which blocks it was measured in.
     """
-    noise = known.after(range_m, plane, params, forest_noise)
+    noise = known.after(forest_noise(range_m) if known.is_asked(params) else None)
     if params.range_noise_m != "auto":
         return noise.noise_m(params), noise
     is_known = math.isfinite(noise.least_m) and noise.least_m > 0
     return 2.0 ** (round(2.0 * math.log2(noise.least_m)) / 2.0) if is_known else 0.0, noise
 
 
-def _strides(wide: F32, scanner: FusedScanner, noise_m: float, turn: Turn, params: FusedParams) -> I64:
-    """Decide how many lines away the neighbours are, of a block's lines and three before and after it.
+def _strides(
+    wide: F32, lines: tuple[int, int], scanner: FusedScanner, noise_m: F64, turn: Turn, params: FusedParams
+) -> I64:
+    """Decide how many lines away the neighbours are, of the lines that are labelled and three before and after them.
+
+    ``lines`` are the number of a block's first line, and how many it has.
 
     Always one for fans of rings: between rings lies more than between lines, so that a shot unlike those of other rings
     need be no leaf.
     """
-    n_lines = len(wide) - 2 * SPACED_LINES
+    (line, n_lines), n_labelled = lines, len(wide) - 2 * SPACED_LINES
     if scanner.is_fan or not params.spacing.enabled:
-        return np.ones(n_lines + 2 * BESIDE_LINES, np.int64)
-    line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
-    limits = params.spacing.thresholds(params.smoothness, noise_m, float(scanner.scan_plane.step_rad))
-    counts = leaves_again(wide, line, limits)
-    return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, params.spacing))
+        return np.ones(n_labelled + 2 * BESIDE_LINES, np.int64)
+    counts = leaves_again(wide, line, noise_m, _spacing_limits(scanner.scan_plane, params))
+    ahead = n_labelled - n_lines
+    return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, params.spacing, ahead))
+
+
+def _spacing_limits(plane: ScanPlane, params: FusedParams) -> Callable[[float], SpacingThresholds]:
+    """Return what gives the thresholds for the distance of lines at a range noise [m]."""
+    return lambda noise_m: params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
 
 
 def see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> Seen:
@@ -609,9 +650,10 @@ def see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> Seen:
     return Seen(window, range_m, Neighbours(near, smooth, upright, level))
 
 
-def _follow(seen: Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
-    """Follow the ground; return it, and the memory before the last three lines of the block for the next one."""
-    n_lines = len(seen.window) - 2 * AROUND_LINES
+def _follow(
+    seen: Seen, plane: ScanPlane, memory: GroundMemory, n_lines: int, params: FusedParams
+) -> tuple[Ground, GroundMemory]:
+    """Follow the ground; return it, and the memory before the last three of a block's lines for the next one."""
     return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
 
 
@@ -652,13 +694,20 @@ def thresholds_of(stream: Stream, params: FusedParams) -> DecisionThresholds:
 
 
 def _with_cars(
-    labels: U8, range_m: F32, ground: Ground, evidence: Evidence, turn: Turn, plane: ScanPlane, params: FusedParams
+    labels: U8,
+    range_m: F32,
+    n_lines: int,
+    ground: Grounds,
+    evidence: Evidence,
+    turn: Turn,
+    plane: ScanPlane,
+    params: FusedParams,
 ) -> U8:
-    """Label cars in a block by its lines and those before it."""
-    above_m = ground.above_m[evidence.margin : evidence.margin + len(labels)]
+    """Label cars in a block by its lines and those around; ``labels`` and ``range_m`` are of lines after it as well."""
+    above_m = ground.above_m[ground.margin : ground.margin + len(labels)]
     texture, limits = evidence.texture[1 : 1 + len(labels)], params.cars.roof_thresholds()
-    ranges = np.ascontiguousarray(range_m)
-    return turn.hand_on(PROFILES, lambda before: find_cars(labels, ranges, above_m, texture, plane, before, limits))
+    seen = labels, range_m, above_m, texture
+    return turn.hand_on(PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits))
 
 
 def _last_lines(tail: F32, range_m: F32) -> F32:
@@ -667,12 +716,12 @@ def _last_lines(tail: F32, range_m: F32) -> F32:
     return last
 
 
-def window_of(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
-    """Return a block with the lines before and after it, NaN beyond the stream."""
+def window_of(tail: F32, range_m: F32, next_m: F32 | None, ahead: int) -> F32:
+    """Return a block with the lines before and after it, ``ahead`` more after it, NaN beyond the stream."""
     width = range_m.shape[1]
-    following = np.full((SPACED_LINES, width), np.nan, np.float32)
+    following = np.full((SPACED_LINES + ahead, width), np.nan, np.float32)
     if next_m is not None:
-        given = next_m[:SPACED_LINES]
+        given = next_m[: SPACED_LINES + ahead]
         following[: len(given)] = given
     return np.concatenate([tail, range_m, following])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -27,8 +26,12 @@ NORMAL_QUARTILE = 0.6745
 """Half of a normal distribution lies within this many standard deviations."""
 MIDDLE_OF_THREE = 1.5
 """Variance of a range's deviation from the mean of its two neighbours, in variances of one range."""
-EVERY_LINE = 4
-"""The noise is measured on every fourth line."""
+PART_LINES = 32
+"""Lines by which the noise at the begin of a stream is measured; not more than are known after a block."""
+PIECE_PARTS, FIRST_PARTS = 4, 12
+"""Parts of so many lines by which it is measured later, and after how many it is measured ever more seldom."""
+EVERY_LINE, MANY_COLUMNS = 4, 256
+"""With so many columns and more, every fourth line is enough."""
 LEAST_TRIPLES = 100
 """Fewest shots to measure the noise from."""
 _TURN = 2 * np.pi
@@ -127,37 +130,30 @@ def points_of(range_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Range noise measured so far."""
+    """Range noise measured so far, of one piece of the stream after the other.
+
+    Rough surfaces add to the measured noise, so the smallest measurement is the best one: a drive may begin beneath
+    trees. The noise is a property of the scanner, so it is measured on every piece up to the first success (a stream
+    may begin without usable returns), then only on pieces 1, 2, 4, 8 and so on.
+    """
 
     least_m: float = math.inf
     """Smallest measurement [m]."""
-    blocks: int = 0
-    """Blocks so far."""
+    pieces: int = 0
+    """Pieces so far."""
 
-    def after(
-        self,
-        window_m: F32,
-        plane: ScanPlane,
-        params: SensorParams,
-        measure: Callable[[F32], float | None] | None = None,
-    ) -> Noise:
-        """Add a block, given by its ranges, (lines, M) float32 [m]; ``measure`` takes the place of range_noise.
+    def is_asked(self, params: SensorParams) -> bool:
+        """Return whether the next piece is to be measured."""
+        is_new = math.isinf(self.least_m) or (params.again and self.pieces & (self.pieces - 1) == 0)
+        return params.range_noise_m == "auto" and is_new
 
-        Rough surfaces add to the measured noise, so the smallest measurement is the best one: a drive may begin
-        beneath trees. The noise is a property of the scanner, so it is measured on every block up to the first
-        success (a stream may begin without usable returns), then only on blocks 1, 2, 4, 8 and so on.
+    def after(self, measured_m: float | None) -> Noise:
+        """Add a piece, given by what was measured on it [m]; None = nothing.
 
-        >>> Noise(0.003, 3).after(np.empty((0, 0), np.float32), ScanPlane.of(np.zeros(0)), SensorParams())
-        Noise(least_m=0.003, blocks=4)
+        >>> Noise(0.003, 3).after(0.004)
+        Noise(least_m=0.003, pieces=4)
         """
-        is_asked = math.isinf(self.least_m) or (params.again and self.blocks & (self.blocks - 1) == 0)
-        if params.range_noise_m != "auto" or not is_asked:
-            return Noise(self.least_m, self.blocks + 1)
-        if measure is not None:
-            measured = measure(window_m)
-        else:
-            measured = range_noise(*points_of(np.ascontiguousarray(window_m[::EVERY_LINE]), plane))
-        return Noise(self.least_m if measured is None else min(self.least_m, measured), self.blocks + 1)
+        return Noise(self.least_m if measured_m is None else min(self.least_m, measured_m), self.pieces + 1)
 
     def noise_m(self, params: SensorParams) -> float:
         """Return the standard deviation of ranges [m]: as set, measured, or the default.
@@ -170,25 +166,96 @@ class Noise:
         return self.least_m if math.isfinite(self.least_m) else params.default_noise_m
 
 
-@stage("range noise")
-def range_noise(side_m: F32, height_m: F32) -> float | None:
-    """Return the standard deviation of ranges on smooth surfaces [m]; None with too few shots.
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseAlong:
+    """Range noise along a stream, measured at the same lines however the stream is cut.
 
-    Computed from the median distance of a shot from the straight line through its two neighbours. On smooth surfaces
-    this is noise alone, and most surfaces along a road are smooth.
+    The smallest measurement counts, as with :class:`Noise`; the first piece tells something before it is whole.
+    """
+
+    parts: int = 0
+    """Parts of the stream so far, of :data:`PART_LINES` lines each."""
+    off_m: tuple[F32, ...] = ()
+    """Distances from straight lines in the last parts, as far as they are still needed [m]."""
+    steps: tuple[tuple[int, float], ...] = ()
+    """Parts so far whenever the noise changed, and the noise from there on [m]."""
+
+    def after(self, following_m: F32, first_line: int, plane: ScanPlane, params: SensorParams) -> NoiseAlong:
+        """Add the parts of the stream that end in some lines and were not added before.
+
+        Parameters
+        ----------
+        following_m : (lines, M) float32, metres
+            A block and the lines that follow.
+        first_line : int
+            Number of the first of them in the stream.
+        plane : ScanPlane
+        params : SensorParams
+        """
+        known = self
+        while (known.parts + 1) * PART_LINES <= first_line + len(following_m):
+            first = known.parts * PART_LINES - first_line
+            known = known._with_part(following_m[first : first + PART_LINES], plane, params)
+        return known
+
+    def _with_part(self, part_m: F32, plane: ScanPlane, params: SensorParams) -> NoiseAlong:
+        """Add a part; where it is asked, measure the piece that ends with it."""
+        parts = self.parts + 1
+        if not any(self._is_asked(parts + k, params) for k in range(PIECE_PARTS)):
+            return NoiseAlong(parts, (), self.steps)
+        every = EVERY_LINE if part_m.shape[1] >= MANY_COLUMNS else 1
+        off = (*self.off_m, off_lines(*points_of(np.ascontiguousarray(part_m[::every]), plane)))[-PIECE_PARTS:]
+        measured = range_noise(np.concatenate(off)) if self._is_asked(parts, params) else None
+        least = self.steps[-1][1] if self.steps and parts > PIECE_PARTS else math.inf
+        if measured is None or measured >= least:
+            return NoiseAlong(parts, off, self.steps)
+        return NoiseAlong(parts, off, (*self.steps, (parts, measured)))
+
+    def _is_asked(self, parts: int, params: SensorParams) -> bool:
+        """Return whether the piece that ends after so many parts is measured: all at first, then ever fewer."""
+        if params.range_noise_m != "auto" or (self.steps and not params.again and parts > PIECE_PARTS):
+            return False
+        piece, rest = divmod(parts, PIECE_PARTS)
+        is_seldom = rest == 0 and (piece - 1) & (piece - 2) == 0
+        return not self.steps or parts <= FIRST_PARTS or is_seldom
+
+    def of_lines(self, first_line: int, n_lines: int, params: SensorParams) -> F64:
+        """Return what is known of the noise at every line: from the parts before its own, and the first one.
+
+        Lines after a block, and blocks after it, know the same then.
+
+        Parameters
+        ----------
+        first_line : int
+            Number of the first line in the stream.
+        n_lines : int
+        params : SensorParams
+
+        Returns
+        -------
+        (n_lines,) float64
+            Standard deviation of ranges [m]: as set, measured, or the default.
+
+        >>> NoiseAlong(steps=((1, 0.003), (2, 0.002))).of_lines(62, 4, SensorParams()).tolist()
+        [0.003, 0.003, 0.002, 0.002]
+        """
+        if params.range_noise_m != "auto":
+            return np.full(n_lines, float(params.range_noise_m))
+        found = np.full(n_lines, params.default_noise_m)
+        parts = np.arange(first_line, first_line + n_lines) // PART_LINES
+        for after, noise_m in self.steps:
+            found[(parts >= after) | (after == 1)] = noise_m
+        return found
+
+
+@stage("range noise")
+def off_lines(side_m: F32, height_m: F32) -> F32:
+    """Return the distances of shots from the straight lines through their two neighbours, (n,) float32 [m].
 
     Parameters
     ----------
     side_m, height_m : (lines, M) float32, metres
         Points of the scan plane.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> side = np.tile(np.linspace(1, 9, 80, dtype=np.float32), (200, 1))
-    >>> height = rng.normal(-2, 0.01, side.shape).astype(np.float32)
-    >>> round(range_noise(side, height), 3)
-    0.01
     """
     y, z = side_m, height_m
     with np.errstate(all="ignore"):  # ranges may be anything
@@ -196,11 +263,32 @@ def range_noise(side_m: F32, height_m: F32) -> float | None:
         across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
         # squares of any range fit; np.hypot gives the same, one number at a time
         length = np.sqrt(np.square(dy, dtype=np.float64) + np.square(dz, dtype=np.float64)).astype(np.float32)
-        off = np.abs(across) / length
-    off = off[np.isfinite(off)]
-    if len(off) < LEAST_TRIPLES:
+        off: F32 = np.abs(across) / length
+    return off[np.isfinite(off)]
+
+
+def range_noise(off_m: F32) -> float | None:
+    """Return the standard deviation of ranges on smooth surfaces [m]; None with too few shots.
+
+    Computed from the median distance of a shot from the straight line through its two neighbours. On smooth surfaces
+    this is noise alone, and most surfaces along a road are smooth.
+
+    Parameters
+    ----------
+    off_m : (n,) float32, metres
+        Of :func:`off_lines`.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> side = np.tile(np.linspace(1, 9, 80, dtype=np.float32), (200, 1))
+    >>> height = rng.normal(-2, 0.01, side.shape).astype(np.float32)
+    >>> round(range_noise(off_lines(side, height)), 3)
+    0.01
+    """
+    if len(off_m) < LEAST_TRIPLES:
         return None
-    return _middle(off) / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
+    return _middle(off_m.copy()) / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
 
 
 def _middle(values: F32) -> float:

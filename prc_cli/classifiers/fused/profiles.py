@@ -29,10 +29,20 @@ def are_wanted(plane: ScanPlane, params: CarParams) -> bool:
 
 @stage("profiles")
 def find_cars(
-    labels: U8, range_m: F32, above_m: F32, texture: F32, plane: ScanPlane, before: U8, thresholds: FanThresholds
+    seen: tuple[U8, F32, F32, F32], n_lines: int, plane: ScanPlane, before: U8, thresholds: FanThresholds
 ) -> tuple[U8, U8]:
-    """Label cars by lines across their roofs; see :func:`prc_cli.kernels.fused.fans.fan_cars`."""
-    found, after = kernels.fan_cars(
-        labels, range_m, above_m, texture, plane.sine, (plane.left, plane.right), before, thresholds
-    )
-    return found, after
+    """Label cars by lines across their roofs; see :func:`prc_cli.kernels.fused.fans.fan_cars`.
+
+    Parameters
+    ----------
+    seen : tuple of (lines + ahead, M) arrays
+        Labels, ranges, heights above the ground and texture, of a block and of lines after it.
+    n_lines : int
+        Lines of the block.
+    plane : ScanPlane
+    before : (LINES, 2 BINS) uint8
+        Marks of the lines before.
+    thresholds : FanThresholds
+    """
+    found: tuple[U8, U8] = kernels.fan_cars(*seen, plane.sine, (plane.left, plane.right), before, n_lines, thresholds)
+    return found

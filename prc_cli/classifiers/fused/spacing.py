@@ -8,7 +8,10 @@ chance alone. Where even the farthest line agrees, the platform stands, and only
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +98,9 @@ class Spacing:
 
 
 @stage("spacing")
-def leaves_again(window_m: F32, first_line: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
+def leaves_again(
+    window_m: F32, first_line: int, noise_m: F64, thresholds: Callable[[float], SpacingThresholds]
+) -> NDArray[np.int32]:
     """Count leaves that are seen again; see :func:`prc_cli.kernels.fused.spacing.leaf_repeats`.
 
     Parameters
@@ -104,7 +109,10 @@ def leaves_again(window_m: F32, first_line: int, thresholds: SpacingThresholds) 
         A block with the lines before and after it.
     first_line : int
         Number of the first line of the block in the stream.
-    thresholds : SpacingThresholds
+    noise_m : (lines + 2 SPACED_LINES,) float64
+        Range noise at every line [m].
+    thresholds : callable
+        Takes a range noise [m].
 
     Returns
     -------
@@ -113,13 +121,28 @@ def leaves_again(window_m: F32, first_line: int, thresholds: SpacingThresholds) 
     """
     begin = _begin(first_line)
     end = len(window_m) - SPACED_LINES + BESIDE_LINES + AHEAD_LINES
-    lines = window_m[SPACED_LINES + begin - MOST_LAG : end]
-    counts: NDArray[np.int32] = kernels.leaf_repeats(lines, -(first_line + begin) % EVERY_LINE, thresholds)
-    return counts
+    first = SPACED_LINES + begin
+    counts = [
+        kernels.leaf_repeats(
+            window_m[first + a - MOST_LAG : first + b], -(first_line + begin + a) % EVERY_LINE, thresholds(each)
+        )
+        for a, b, each in stretches(noise_m[first:end])
+    ]
+    return np.concatenate(counts) if len(counts) > 1 else counts[0]
+
+
+def stretches(values: F64) -> list[tuple[int, int, float]]:
+    """Return the stretches of equal values: first, end, and value; one if there are no values.
+
+    >>> stretches(np.array([2.0, 2.0, 1.0]))
+    [(0, 2, 2.0), (2, 3, 1.0)]
+    """
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return [(a, b, float(values[a]) if b > a else math.nan) for a, b in pairwise(edges)]
 
 
 def strides_of(
-    counts: NDArray[np.int32], known: Spacing, first_line: int, n_lines: int, params: SpacingParams
+    counts: NDArray[np.int32], known: Spacing, first_line: int, n_lines: int, params: SpacingParams, ahead: int = 0
 ) -> tuple[I64, Spacing]:
     """Decide how many lines away the neighbours of every line are.
 
@@ -134,16 +157,18 @@ def strides_of(
     n_lines : int
         Lines of the block.
     params : SpacingParams
+    ahead : int
+        Lines after the block whose distance is asked for as well, beside the three.
 
     Returns
     -------
-    strides : (lines + 6,) int64
+    strides : (lines + ahead + 6,) int64
         Of the lines of the block and three before and after it; :data:`STANDS` = other lines tell nothing.
     Spacing
         Before the next block.
     """
     sums, stride = known.sums, known.stride
-    strides = np.full(n_lines + 2 * BESIDE_LINES, stride, np.int64)
+    strides = np.full(n_lines + ahead + 2 * BESIDE_LINES, stride, np.int64)
     begin, after = _begin(first_line), known
     is_after = False
     # the distance changes at lines that were compared only
@@ -177,7 +202,7 @@ def _stride(sums: F64, now: int, params: SpacingParams) -> int:
 
 
 @stage("smoothness")
-def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
+def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: SmoothnessParams) -> U8:
     """Count smooth pairs with lines of the right distance.
 
     Parameters
@@ -187,8 +212,8 @@ def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, 
     strides : (lines,) int64
         From :func:`strides_of`.
     plane : ScanPlane
-    noise_m : float
-        Range noise [m].
+    noise_m : (lines,) float64
+        Range noise at every line [m].
     params : SmoothnessParams
 
     Returns
@@ -196,6 +221,16 @@ def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, 
     (lines, M) uint8
         Of 10, as from :func:`prc_cli.classifiers.fused.neighbours.smooth_pairs`.
     """
+    margin = PAIR_LINES * MOST_LAG
+    counts = [
+        _spaced_pairs(window_m[a : b + 2 * margin], strides[a:b], plane, each, params)
+        for a, b, each in stretches(noise_m)
+    ]
+    return np.concatenate(counts) if len(counts) > 1 else counts[0]
+
+
+def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
+    """Count smooth pairs as :func:`spaced_pairs`, of lines with the same range noise [m]."""
     margin = PAIR_LINES * MOST_LAG
     n_lines, m = len(strides), window_m.shape[1]
     chosen = np.unique(strides)
@@ -237,7 +272,14 @@ class Halt:
 
 
 @stage("standing")
-def keep_labels(labels: U8, range_m: F32, strides: I64, halt: Halt, thresholds: SpacingThresholds) -> tuple[U8, Halt]:
+def keep_labels(
+    labels: U8,
+    range_m: F32,
+    strides: I64,
+    halt: Halt,
+    noise_m: F64,
+    thresholds: Callable[[float], SpacingThresholds],
+) -> tuple[U8, Halt]:
     """Let shots keep the labels that they had when the platform came to stand, where they are as far as then.
 
     A standing scanner sees every tree as a strip of one line; only before did it see how wide things are.
@@ -250,7 +292,10 @@ def keep_labels(labels: U8, range_m: F32, strides: I64, halt: Halt, thresholds: 
         From :func:`strides_of`.
     halt : Halt
         Before these lines.
-    thresholds : SpacingThresholds
+    noise_m : (lines,) float64
+        Range noise at every line [m].
+    thresholds : callable
+        Takes a range noise [m].
 
     Returns
     -------
@@ -262,11 +307,14 @@ def keep_labels(labels: U8, range_m: F32, strides: I64, halt: Halt, thresholds: 
     if not stands.any():
         return labels, Halt(range_m[-1].copy(), labels[-1].copy())
     kept = labels.copy()
+    limits = [thresholds(float(each)) for each in noise_m]
+    tolerance_m = np.array([[each.tolerance_m] for each in limits], np.float32)
+    per_m = np.array([[each.tolerance_per_m] for each in limits], np.float32)
     edges = np.flatnonzero(np.diff(stands, prepend=False, append=False))
     for first, end in edges.reshape(-1, 2).tolist():
         if first > 0:
             halt = Halt(range_m[first - 1].copy(), kept[first - 1].copy())
-        limit = thresholds.tolerance_m + thresholds.tolerance_per_m * halt.range_m
+        limit = tolerance_m[first:end] + per_m[first:end] * halt.range_m
         # false where a range is missing
         is_same = (np.abs(range_m[first:end] - halt.range_m) < limit) & (halt.labels > Label.NOISE)
         kept[first:end] = np.where(is_same, halt.labels, kept[first:end])

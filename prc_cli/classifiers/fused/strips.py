@@ -108,6 +108,9 @@ class FlankParams(Params):
         le=10,
         description="up to this [m] ground is seen through it, as through a fence, and it is no vehicle",
     )
+    lorries: bool = Field(True, description="whether bodies may hang higher, where nothing at all is below them ...")
+    large_m: float = Field(1.5, ge=0, le=100, description="... if they are this high themselves [m] ...")
+    high_m: float = Field(1.5, ge=0, le=10, description="... up to this height of their bottom [m]")
     soil_m: float = Field(0.1, gt=0, le=10, description="shots this near to the ground are ground beneath [m]")
     shots: int = Field(3, ge=1, le=1000, description="least number of such shots in five lines")
 
@@ -121,6 +124,8 @@ class FlankParams(Params):
             low_m=self.low_m,
             sill_m=self.sill_m,
             body_m=self.body_m,
+            large_m=self.large_m,
+            high_m=self.high_m if self.lorries else -1.0,
             soil_m=self.soil_m,
             shots=self.shots,
         )
@@ -167,7 +172,7 @@ def stand(
     vehicles = np.zeros((len(wide), every.shape[1]), np.uint8)
     if flanks.enabled:
         vehicles, wide = kernels.find_flanks(
-            range_m, above_m, seen.upright, plane.beams, (length, wall, place), wide, flanks.thresholds()
+            range_m, above_m, seen.upright, plane.beams, (length, wall, place), every, wide, flanks.thresholds()
         )
     found = kernels.find_walls((length, wall, place, top), vehicles, walls.thresholds())
     return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, wide)

@@ -66,6 +66,8 @@ class SmoothThresholds(NamedTuple):
     """Greatest distance between the two of a pair within a line [m] ..."""
     gap_steps: np.float32
     """... or so many distances between adjacent columns, if that is more."""
+    apart_m: np.float32
+    """Shots of a line are compared at least so far from each other, where columns allow it [m]."""
 
 
 class SpacingThresholds(NamedTuple):
@@ -111,6 +113,8 @@ class WalkThresholds(NamedTuple):
     """Lines that a place is remembered for."""
     follow: np.float32
     """Share of a new height in the memory of its place."""
+    start_reach_m: np.float32
+    """Where no place is known, the ground is searched up to this far to the side, if anything is level there [m]."""
 
 
 class StripThresholds(NamedTuple):
@@ -159,6 +163,10 @@ class FlankThresholds(NamedTuple):
     """Ground is seen beneath it where the line of sight passes it between these heights [m] ..."""
     body_m: np.float32
     """... and through it where above, up to this height [m]."""
+    large_m: np.float32
+    """Least height of the smooth upright surface of bodies that hang higher than that [m]."""
+    high_m: np.float32
+    """Bodies may hang as high as this, if nothing is below them [m]."""
     soil_m: np.float32
     """Shots this near to the ground are ground [m]."""
     shots: np.float32
@@ -203,7 +211,9 @@ class DecisionThresholds(NamedTuple):
     storey_m: np.float32
     """... if the wall is this high above the ground [m]."""
     car_top_m: np.float32
-    """Things that reach above this are no cars [m]."""
+    """Things that reach above this are no cars [m] ..."""
+    lorry_top_m: np.float32
+    """... nor, above this, lorries [m]."""
     car_bins: np.float32
     """Bins with a level surface around a smooth shot that make it part of a car."""
     car_bins_rough: np.float32
@@ -220,10 +230,20 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32
     """Fewest shots of its run."""
+    slim_smooth: np.float32
+    """Smooth pairs of a thin shot that may be on a pole though the place is rough, at least."""
     thick_m: np.float32
     """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
     arm_m: np.float32
     """Above this height thin level things may be poles: arms and lamps [m]."""
+    box_m: np.float32
+    """Bins and cabinets are lower than this [m]; 0 = there are none."""
+    box_flat_m: np.float32
+    """They are as deep as this at least, and so are their level tops [m] ..."""
+    box_deep_m: np.float32
+    """... and as this at most [m]."""
+    box_lines: np.float32
+    """So many other lines see them, at most."""
     keeps_parts: np.float32
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
     takes_long: np.float32

@@ -20,8 +20,6 @@ NO_CODE = -1
 """Code of a record without one (an empty cell)."""
 CHUNK_RECORDS = 1 << 20
 """Codes read at a time."""
-BUFFER_BYTES = 1 << 20
-"""Bytes of a Parquet column read at a time."""
 MAX_POINTS_PER_LINE = 10_000_000
 """Longest row of a label image."""
 
@@ -240,7 +238,7 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
     import pyarrow as pa
     from pyarrow import parquet
 
-    from prc_cli.formats.parquet_pages import check_pages
+    from prc_cli.formats.parquet_pages import read_batches
 
     damaged = "copy it from the archive again"
     try:
@@ -259,16 +257,13 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
     def read() -> Iterator[NDArray[Any]]:
         first = 0
         try:
-            # a row group can be as large as the file: read it through a small buffer
-            with parquet.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
-                check_pages(path, file.metadata, [name])
-                for batch in file.iter_batches(batch_size=CHUNK_RECORDS, columns=[name]):
-                    column = batch.column(0)
-                    if column.null_count:
-                        wide = pa.float64() if pa.types.is_floating(kind) else pa.int64()
-                        column = column.cast(wide).fill_null(NO_CODE)
-                    first += len(column)
-                    yield column.to_numpy(zero_copy_only=False)
+            for batch in read_batches(path, [name], CHUNK_RECORDS):
+                column = batch.column(0)
+                if column.null_count:
+                    wide = pa.float64() if pa.types.is_floating(kind) else pa.int64()
+                    column = column.cast(wide).fill_null(NO_CODE)
+                first += len(column)
+                yield column.to_numpy(zero_copy_only=False)
         except (pa.ArrowException, *_DAMAGED) as error:
             problem = f"record {first} and on cannot be read ({_one_line(error)})"
             raise InputError(str(path), problem, damaged) from error

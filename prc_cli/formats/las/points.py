@@ -29,6 +29,8 @@ SCAN_ANGLE_STEP_DEG = 0.006
 VLR_LIMIT = 65_535
 """Largest content of a VLR [bytes]."""
 _EXTRA_TEXT = "Extra Bytes Record"
+DESCRIPTOR_BYTES = 192
+"""Length of the descriptor of a dimension in an Extra Bytes VLR (LAS 1.4 R15, table 23)."""
 _LAST_DATA_TYPE = 30
 _RENAMED = {"gps_time": "time", "scan_angle": "angle", "scan_angle_rank": "angle"}
 _ANGLE_RAD = {"scan_angle": math.radians(SCAN_ANGLE_STEP_DEG), "scan_angle_rank": math.radians(1.0)}
@@ -187,9 +189,8 @@ def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:
     """Yield the descriptors of Extra Bytes VLRs in order, checked."""
     from laspy.vlrs.known import ExtraBytesStruct
 
-    size = ExtraBytesStruct.size()
     for data in contents:
-        for start in range(0, len(data) - size + 1, size):
+        for start in range(0, len(data) - DESCRIPTOR_BYTES + 1, DESCRIPTOR_BYTES):
             yield _extra_bytes(f"{where}: extra bytes VLR", ExtraBytesStruct.from_buffer_copy(data, start))
 
 
@@ -266,10 +267,10 @@ _LAYER = {
 
 
 def descriptor(dimension: ExtraDimension) -> bytes:
-    """Return the 192-byte descriptor of a dimension, without minimum and maximum."""
+    """Return the descriptor of a dimension, without minimum and maximum."""
     from laspy.vlrs.known import ExtraBytesStruct
 
-    said = ExtraBytesStruct.from_buffer_copy(bytes(ExtraBytesStruct.size()))
+    said = ExtraBytesStruct.from_buffer_copy(bytes(DESCRIPTOR_BYTES))
     said.data_type = data_type_of(dimension)
     said.name, said.description = dimension.name.encode("ascii"), dimension.description.encode("ascii")
     return bytes(said)
@@ -323,9 +324,9 @@ def with_extra_dimensions(
     if last.n_bytes + len(new) > VLR_LIMIT:
         problem = f"the Extra Bytes VLR is full ({last.n_bytes} of {VLR_LIMIT} bytes)"
         raise OutputError(where, problem, hint)
-    said, size = last.data or b"", len(descriptor(dimensions[0]))
+    said = last.data or b""
     # readers take what is behind the last whole descriptor for one and understand none of them
-    grown = last.with_data(said[: len(said) // size * size] + new)
+    grown = last.with_data(said[: len(said) // DESCRIPTOR_BYTES * DESCRIPTOR_BYTES] + new)
     return [*vlrs[: places[-1]], grown, *vlrs[places[-1] + 1 :]]
 
 

@@ -14,7 +14,6 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import READERS
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.labels.read import BUFFER_BYTES
 from prc_cli.formats.records import RecordChunk, RecordSource
 
 CHUNK_RECORDS = 1 << 19
@@ -183,20 +182,17 @@ class ParquetTable:
             When the file is damaged.
         """
         import pyarrow as pa
-        from pyarrow import parquet
 
-        from prc_cli.formats.parquet_pages import check_pages
+        from prc_cli.formats.parquet_pages import read_batches
 
         _check_names(self, names)
         stored = tuple(dict.fromkeys(self._columns[name] for name in names))
         first = 0
         try:
-            with parquet.ParquetFile(self._path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
-                check_pages(self._path, file.metadata, stored)
-                for batch in file.iter_batches(batch_size=CHUNK_RECORDS, columns=list(stored)):
-                    read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
-                    yield RecordChunk(first, {name: read[self._columns[name]] for name in names}, batch.num_rows)
-                    first += batch.num_rows
+            for batch in read_batches(self._path, stored, CHUNK_RECORDS):
+                read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
+                yield RecordChunk(first, {name: read[self._columns[name]] for name in names}, batch.num_rows)
+                first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _damaged(self._path, error) from error
 

@@ -20,6 +20,7 @@ from prc_cli.evaluation.gates import Gate, GateResult, check_gates, parse_gate
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict as scores_as_dict
 from prc_cli.evaluation.scores import Scores, scores
+from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels.read import code_suffix_of
 from prc_cli.jobs.batch.judges import Judges, Pair
 from prc_cli.jobs.batch.types import Problem
@@ -216,7 +217,7 @@ def _compare(
         return Compared(output.name, None, None, Problem(NO_REFERENCE, output.name, problem))
     shown = reference.relative_to(settings.tree).as_posix()
     options = EvaluateOptions(match=settings.match)
-    if settings.match != "order" and output.path.suffix.lower() not in (".las", ".laz"):
+    if settings.match != "order" and output.path.suffix.lower() not in LAS_SUFFIXES:
         options = replace(options, predicted_points=output.source)  # labels alone have neither time nor place
     found = judges.compare(Pair(output.path, reference, mapping, options))
     if isinstance(found, Problem):

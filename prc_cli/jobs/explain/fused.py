@@ -14,12 +14,14 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.pipeline import (
     MEMORY,
     NOISE,
+    NOISE_ALONG,
     SPACING,
     TAIL,
     FusedParams,
     FusedScanner,
     evidence_of,
     in_step,
+    lines_ahead,
     lines_apart,
     of_place,
     of_scanner,
@@ -29,7 +31,7 @@ from prc_cli.classifiers.fused.pipeline import (
 )
 from prc_cli.classifiers.fused.plane import INNER_LINES, WIDE_LINES, points_of
 from prc_cli.classifiers.fused.profiles import are_wanted
-from prc_cli.classifiers.fused.spacing import BESIDE_LINES
+from prc_cli.classifiers.fused.spacing import BESIDE_LINES, SPACED_LINES
 from prc_cli.classifiers.fused.stems import find_stems
 from prc_cli.classifiers.fused.strips import Standing
 from prc_cli.classifiers.fused.terrain import heights_over_ground
@@ -86,14 +88,15 @@ def fused_answers(
         Line and column of the shot, within the block.
     """
     scanner, heard = run
-    noise_m = float(heard[NOISE.name])
+    is_forest = params.environment == "forest"
+    noise_m = float(heard[NOISE.name] if is_forest else heard[NOISE_ALONG.name][SPACED_LINES + at[0]])
     yield Answer(
         "range noise",
         metres(noise_m, 4) if noise_m else "not known yet",
         "measured up to this block" if params.sensor.range_noise_m == "auto" else "as given",
         (("fused.sensor.range_noise_m", params.sensor.range_noise_m),),
     )
-    if params.environment == "forest":
+    if is_forest:
         yield from _forest(block, scanner, noise_m, params, at)
         yield _forest_reason(Label(int(item.labels[at])), params)
         return
@@ -109,12 +112,12 @@ def _street(
 ) -> Iterator[Answer]:
     plane, (at, final) = scanner.scan_plane, shot
     line, column = at
-    noise_m = float(heard[NOISE.name])
-    wide = window_of(heard[TAIL.name], block.range_m, block.next_m)
+    ahead, noise_m = lines_ahead(plane, params), heard[NOISE_ALONG.name]
+    wide = window_of(heard[TAIL.name], block.range_m, block.next_m, ahead)
     wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
     strides = heard.get(SPACING.name)
     if strides is None:
-        strides = np.ones(block.n_lines + 2 * BESIDE_LINES, np.int64)
+        strides = np.ones(block.n_lines + ahead + 2 * BESIDE_LINES, np.int64)
     streams = streams_of(wide, strides, plane, noise_m, params)
     apart, grounds = int(lines_apart(strides)[line]), heard[MEMORY.name].parts
     k = next(k for k, each in enumerate(streams) if each.every == apart and each.first == line % apart)

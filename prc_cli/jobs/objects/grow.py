@@ -35,7 +35,7 @@ RULES: dict[str, Rule] = {
     # branches hide a stem or a post for a metre or two
     "stem": Rule(0.3, 2.0, 4, 30, 1.0),
     "pole": Rule(0.3, 2.0, 2, 8, 1.0),
-    "car": Rule(0.6, 0.8, 3, 60, 0.4),
+    "car": Rule(0.6, 0.8, 1, 60, 0.4),
     "curb": Rule(0.3, 0.25, 3, 20, most_lines=256),
 }
 """By the name of the class."""

@@ -9,14 +9,25 @@ from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.fused.flanks import HANGS
 
 Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
 
 LINES = 2
 """Lines before and after a line that its texture is computed from."""
-MARGIN = 12
+MARGIN = 20
 """Lines of the window before and after the block."""
+BESIDE = 12
+"""Lines before and after in which something is seen past a pole."""
+BOX_ODD = 3
+"""Consecutive lines that see something else than a box where it ends; all of them but one see past it."""
+BOX_EVEN_M = np.float32(0.12)
+"""Shots this much below the highest one of a box are on its top [m]."""
+BOX_SMOOTH = 3
+"""Smooth pairs of a smooth shot of a box."""
+BOX_SHARE = np.float32(0.8)
+"""Least share of such shots."""
 MOST_SMOOTH = 8
 """Greatest number of smooth pairs that counts."""
 MOST_COLUMNS = 60
@@ -388,7 +399,7 @@ def _is_passed(window_m: F32, line: int, i: int, far: np.float32) -> bool:
     end = window_m[line, i] + far
     sides = 0
     for way in (-1, 1):
-        for k in range(1, MARGIN + 1):
+        for k in range(1, BESIDE + 1):
             if not (window_m[line + way * k, i] <= end):
                 sides += 1
                 break
@@ -408,11 +419,11 @@ def _is_round(deep: np.float32, tall: np.float32, thresholds: DecisionThresholds
 
 @inlined
 def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.float32:
-    """Return how deep the thing is that lines before and after see in the direction of a shot."""
+    """Return how deep the thing is that lines before and after see in the direction of a shot, along its beam."""
     least = most = window_m[line, i]
     for way in (-1, 1):
         last = window_m[line, i]
-        for k in range(1, MARGIN + 1):
+        for k in range(1, BESIDE + 1):
             there = window_m[line + way * k, i]
             if not (abs(there - last) < jump):
                 break
@@ -516,23 +527,25 @@ def _count_bins(levels: U8, counts: U8) -> None:
 def _find_cars(every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]) -> None:
     """Write up to which height a smooth shot and a rough shot in every bin are of a car; 0 = no car.
 
-    There is a car where enough bins around are level. It ends below what reaches above cars without a gap.
+    There is a car where enough bins around are level. It ends below what reaches above cars without a gap; where they
+    are those of a body that hangs high, lorries.
     """
     smooth_bins, rough_bins = thresholds.car_bins, thresholds.car_bins_rough
-    car_slot = int(thresholds.car_top_m / SLOT_M)
+    car_slot, lorry_slot = int(thresholds.car_top_m / SLOT_M), int(thresholds.lorry_top_m / SLOT_M)
     least = min(smooth_bins, rough_bins)
     _count_bins(levels, counts)
     last, below = -1, np.float32(0.0)
     for q in range(2 * STRIPS):
-        n = np.float32(counts[q])
+        n, hanging = np.float32(counts[q] & (HANGS - 1)), np.float32(counts[q] // HANGS)
         if n < least:
             cars[0][q] = cars[1][q] = np.float32(0.0)
             continue
-        b = q // 2
-        if b != last:
-            word, last = every[b], b
+        b, high = q // 2, hanging >= least
+        place = 2 * b + 1 if high else 2 * b
+        if place != last:
+            word, last = every[b], place
             filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
-            slot = car_slot
+            slot = lorry_slot if high else car_slot
             while slot > 0 and (filled >> np.uint64(slot - 1)) & np.uint64(1) != np.uint64(0):
                 slot -= 1
             below = np.float32(slot) * SLOT_M
@@ -644,7 +657,7 @@ def _label_things(
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
     car = np.uint8(thresholds.car_label)
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
-    nothing, arm_m = np.float32(0.0), thresholds.arm_m
+    nothing, arm_m, slim = np.float32(0.0), thresholds.arm_m, thresholds.slim_smooth
     front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
     storey_m = thresholds.storey_m
     pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
@@ -671,7 +684,9 @@ def _label_things(
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
-        may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
+        # nothing beside a post in other lines makes its place smooth
+        is_even = (texture >= leaf_share) | ((np.float32(smooth[i]) >= slim) & (thin[i] != 0))
+        may_be_pole = is_open & is_here & is_up & (h > foot) & is_even & (not is_ghost)
         is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
         poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
 
@@ -709,8 +724,145 @@ def _label_poles(
                 takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
-                is_thick = is_thick or bool(_depth_across(window_m, line, i, thresholds.jump_m) >= thresholds.thick_m)
+                across = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
+                is_thick = is_thick or bool(across >= thresholds.thick_m)
                 labels[i] = np.uint8(_VEGETATION) if is_thick else pole
+
+
+@inlined
+def _is_thing(label: np.uint8) -> bool:
+    """Return whether a label is that of a thing above the ground."""
+    return bool((label != _MISSING) & (label != _NOISE) & (label != _GROUND))
+
+
+@helper
+def _mark_tops(
+    above: F32, counts: tuple[U8, U8, U8, U8], labels: U8, thresholds: DecisionThresholds, marks: U8
+) -> None:
+    """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
+    _, smooth, upright, level = counts
+    foot, top = thresholds.foot_m, thresholds.box_m
+    for i in range(len(labels)):
+        is_low = (above[i] > foot) & (above[i] < top)
+        is_level = (level[i] > upright[i]) & (smooth[i] >= BOX_SMOOTH)
+        marks[i] = np.uint8(is_low & is_level & _is_thing(labels[i]))
+
+
+@inlined
+def _lines_beside(window_m: F32, line: int, i: int, way: int, thresholds: DecisionThresholds) -> int:
+    """Return how many lines to one side see a thing in the direction of a shot, if those beyond see past it.
+
+    Otherwise :data:`MARGIN`. Single lines do not count: they see background light, or look through a pane.
+    """
+    last = window_m[line, i]
+    n = odd = past = 0
+    for k in range(1, MARGIN + 1):
+        there = window_m[line + way * k, i]
+        if abs(there - last) < thresholds.jump_m:
+            last, n, odd, past = there, k, 0, 0
+            continue
+        odd += 1
+        past += not (there <= last + thresholds.far_m)
+        if odd == BOX_ODD:
+            return n if past >= BOX_ODD - 1 else MARGIN
+    return MARGIN
+
+
+@helper
+def _end_of_box(
+    ranges: F32, near: U8, points: tuple[F32, F32, F32], labels: U8, i: int, way: int, thresholds: DecisionThresholds
+) -> tuple[int, int]:
+    """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by."""
+    _, _, above = points
+    last, j, gap = i, i + way, 0
+    while 0 <= j < len(ranges):
+        is_other = not _is_thing(labels[j]) and labels[j] != _GROUND
+        if is_other or np.float32(near[j]) < thresholds.least_near:
+            gap += 1
+            if gap > GAP_SHOTS:
+                return last, -1
+        elif labels[j] == _GROUND or not abs(ranges[j] - ranges[last]) < thresholds.jump_m:
+            return last, j
+        elif above[j] >= thresholds.box_m:
+            return last, last
+        else:
+            last, gap = j, 0
+        j += way
+    return last, -1
+
+
+@helper
+def _is_box(
+    window_m: F32,
+    line: int,
+    i: int,
+    ends: tuple[int, int],
+    points: tuple[F32, F32, F32],
+    smooth: U8,
+    labels: U8,
+    thresholds: DecisionThresholds,
+) -> bool:
+    """Return whether the shots from one to another are a bin or a cabinet: small to all sides, with a level top."""
+    side, _, above = points
+    first, last = ends
+    high = inner_top = inner = np.float32(np.inf)
+    high, outer, outer_top = -high, -high, -high
+    n = n_smooth = 0
+    for j in range(first, last + 1):
+        if _is_thing(labels[j]):
+            high = max(high, above[j])
+            inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
+            n += 1
+            n_smooth += smooth[j] >= BOX_SMOOTH
+    deep = outer - inner
+    if np.float32(n) < thresholds.pole_shots or deep > thresholds.box_deep_m or deep < thresholds.box_flat_m:
+        return False
+    for j in range(first, last + 1):
+        if _is_thing(labels[j]) and above[j] > high - BOX_EVEN_M:
+            inner_top, outer_top = min(inner_top, abs(side[j])), max(outer_top, abs(side[j]))
+    if outer_top - inner_top < thresholds.box_flat_m or np.float32(n_smooth) < BOX_SHARE * np.float32(n):
+        return False
+    before = _lines_beside(window_m, line, i, -1, thresholds)
+    if before == MARGIN or np.float32(before) > thresholds.box_lines:
+        return False
+    after = _lines_beside(window_m, line, i, 1, thresholds)
+    return bool(after < MARGIN and np.float32(before + after) <= thresholds.box_lines)
+
+
+@helper
+def _label_boxes(
+    shots: I32,
+    window_m: F32,
+    line: int,
+    counts: tuple[U8, U8, U8, U8],
+    points: tuple[F32, F32, F32],
+    thresholds: DecisionThresholds,
+    labels: U8,
+) -> None:
+    """Label the boxes whose tops are in a list: bins and cabinets.
+
+    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is ground.
+    """
+    ranges, height = window_m[line], points[1]
+    done = -1
+    for k in range(len(shots)):
+        i = shots[k]
+        if i <= done:
+            continue
+        first, before = _end_of_box(ranges, counts[0], points, labels, i, -1, thresholds)
+        last, after = _end_of_box(ranges, counts[0], points, labels, i, 1, thresholds)
+        done = last
+        if before == first or after == last:
+            continue
+        is_up = height[last] > height[first]
+        top, beyond, foot, below = (last, after, first, before) if is_up else (first, before, last, after)
+        if beyond >= 0 and ranges[beyond] <= ranges[top] + thresholds.far_m:
+            continue
+        if below >= 0 and labels[below] != _GROUND and ranges[below] < ranges[foot]:
+            continue
+        if _is_box(window_m, line, i, (first, last), points, counts[1], labels, thresholds):
+            for j in range(first, last + 1):
+                labels[j] = np.uint8(thresholds.pole_label) if _is_thing(labels[j]) else labels[j]
 
 
 @kernel(
@@ -736,8 +888,8 @@ def fused_labels(
 
     Parameters
     ----------
-    window_m : (lines + 24, M) float32, metres
-        Ranges of these lines and of twelve before and after; NaN = missing.
+    window_m : (lines + 40, M) float32, metres
+        Ranges of these lines and of twenty before and after; NaN = missing.
     above_m : (lines + 4, M) float32, metres
         Height above the ground, of these lines and two before and after.
     counts : tuple of (lines + 4, M) uint8
@@ -805,6 +957,9 @@ def fused_labels(
         _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)
+        _mark_tops(place[2], own, row, thresholds, marks)
+        n = _list_marked(marks, 1, 1, shots)
+        _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)
     return labels
 
 

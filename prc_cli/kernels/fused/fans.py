@@ -82,10 +82,14 @@ def _bins_of(near: np.float32, far: np.float32) -> tuple[int, int]:
 
 @helper
 def _mark_side(
-    shots: I32, labels: U8, side: F32, above: F32, texture: F32, thresholds: FanThresholds, marks: U8
-) -> None:
-    """Mark the bins of the things of a line and side, and of those that are profiles across a roof."""
-    k = 0
+    shots: I32, labels: U8, side: F32, above: F32, texture: F32, thresholds: FanThresholds, marks: U8, low_things: I32
+) -> int:
+    """Mark the bins of the things of a line and side, and of those that are profiles across a roof.
+
+    Write the first and last shot and bin of those that are low enough for a car, each last one exclusive; return how
+    many there are.
+    """
+    k = n = 0
     while k < len(shots):
         if not _is_thing(labels[shots[k]]):
             k += 1
@@ -107,7 +111,11 @@ def _mark_side(
         first, last = _bins_of(near, far)
         for q in range(first, last):
             marks[q] |= _SEED if is_roof else _THING
+        if not (high > LOW_M or low >= HIGH_FOOT_M):
+            low_things[n, 0], low_things[n, 1], low_things[n, 2], low_things[n, 3] = k, end, first, last
+            n += 1
         k = end
+    return n
 
 
 @helper
@@ -137,7 +145,7 @@ def _is_car(seeds: I32, things: I32, first: int, last: int, line: int, threshold
 
 @kernel(
     "Tuple((uint8[:, ::1], uint8[:, ::1]))(uint8[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
-    "float32[::1], UniTuple(int32[::1], 2), uint8[:, ::1], FanThresholds)",
+    "float32[::1], UniTuple(int32[::1], 2), uint8[:, ::1], int64, FanThresholds)",
     tuples=[FanThresholds],
 )
 def fan_cars(
@@ -148,6 +156,7 @@ def fan_cars(
     sine: F32,
     sides: tuple[I32, I32],
     before: U8,
+    n_own: int,
     thresholds: FanThresholds,
 ) -> tuple[U8, U8]:
     """Label cars where shots are far apart, as in fans of rings.
@@ -170,60 +179,55 @@ def fan_cars(
         Columns of both sides, from straight down to straight up.
     before : (LINES, 2 BINS) uint8
         Marks of the lines before.
+    n_own : int
+        Lines whose cars are asked for, 1 to lines; those after them are only looked at.
     thresholds : FanThresholds of float32
 
     Returns
     -------
-    labels : (lines, M) uint8
+    labels : (n_own, M) uint8
         With cars.
     marks : (LINES, 2 BINS) uint8
-        For the lines that follow.
+        For the lines that follow these.
     """
     n_lines, m = labels.shape
-    found = np.empty((n_lines, m), np.uint8)
+    found = np.empty((n_own, m), np.uint8)
     n = n_lines + LINES
     marks = np.zeros((2 * BINS, n), np.uint8)
-    side, shots = np.empty(m, np.float32), np.empty(m, np.int32)
-    for line in range(n):
-        if line < LINES:
-            for q in range(2 * BINS):
-                marks[q, line] = before[line, q]
-            continue
-        k = line - LINES
+    side = np.empty(m, np.float32)
+    # shots of both sides of every line, and the low things among them
+    shots, n_things = np.empty((2 * n_lines, m), np.int32), np.empty(2 * n_lines, np.int32)
+    low_things = np.empty((2 * n_lines, m, 4), np.int32)
+    for line in range(LINES):
+        for q in range(2 * BINS):
+            marks[q, line] = before[line, q]
+    for k in range(n_lines):
         for i in range(m):
-            found[k, i] = labels[k, i]
             side[i] = range_m[k, i] * sine[i]
         for way in range(2):
-            there = shots[: _list_present(range_m[k], sides[way], shots)]
-            own = marks[way * BINS : (way + 1) * BINS, line]
-            _mark_side(there, labels[k], side, above_m[k], texture[k], thresholds, own)
+            row = 2 * k + way
+            there = shots[row, : _list_present(range_m[k], sides[way], shots[row])]
+            own = marks[way * BINS : (way + 1) * BINS, k + LINES]
+            n_things[row] = _mark_side(there, labels[k], side, above_m[k], texture[k], thresholds, own, low_things[row])
     seeds, things = np.empty((2 * BINS, n + 1), np.int32), np.empty((2 * BINS, n + 1), np.int32)
     for q in range(2 * BINS):
         _sum_up(marks[q], _SEED, seeds[q])
         _sum_up(marks[q], _THING, things[q])
     car, pole = np.uint8(thresholds.label), np.uint8(_POLE)
-    for k in range(n_lines):
+    for k in range(n_own):
         for i in range(m):
-            side[i] = range_m[k, i] * sine[i]
+            found[k, i] = labels[k, i]
         for way in range(2):
-            there = shots[: _list_present(range_m[k], sides[way], shots)]
-            end = 0
-            while end < len(there):
-                first = end
-                if not _is_thing(labels[k, there[first]]):
-                    end += 1
-                    continue
-                end = _end_of(there, first, labels[k], side)
-                low, high, near, far, _ = _extent(there[first:end], side, above_m[k], texture[k])
-                if high > LOW_M or low >= HIGH_FOOT_M:
-                    continue
-                low_bin, high_bin = _bins_of(near, far)
-                offset = way * BINS
-                if _is_car(seeds, things, offset + low_bin, offset + high_bin, k + LINES, thresholds):
+            row = 2 * k + way
+            for one in range(n_things[row]):
+                first, end = low_things[row, one, 0], low_things[row, one, 1]
+                low_bin, high_bin = way * BINS + low_things[row, one, 2], way * BINS + low_things[row, one, 3]
+                if _is_car(seeds, things, low_bin, high_bin, k + LINES, thresholds):
                     for j in range(first, end):
-                        found[k, there[j]] = pole if labels[k, there[j]] == pole else car
+                        i = shots[row, j]
+                        found[k, i] = pole if labels[k, i] == pole else car
     after = np.empty((LINES, 2 * BINS), np.uint8)
     for line in range(LINES):
         for q in range(2 * BINS):
-            after[line, q] = marks[q, n - LINES + line]
+            after[line, q] = marks[q, n_own + line]
     return found, after

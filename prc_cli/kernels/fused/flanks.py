@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.fused import FlankThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, kernel
-from prc_cli.kernels.fused.strips import LINES, STRIPS
+from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.fused.strips import LINES, SLOT_M, STRIP_M, STRIPS
+
+Slots = NDArray[np.uint64]
 
 BIN_M = np.float32(0.125)
 """Width of a bin of ground, a quarter of a strip [m]."""
@@ -17,6 +20,10 @@ LEVEL_BIN_M = np.float32(0.25)
 """Width of a bin of level surfaces [m]."""
 BODY_BINS = 6
 """Bins of level surfaces that are marked as the vehicle, from its flank on."""
+HANGS = 16
+"""Mark of the bins of bodies that hang higher: as many can be added up as are counted around a shot."""
+MOST_SLOTS = 12
+"""Slots in which the bottom of a body is looked for."""
 FEWER = 4
 """Ground seen through the body is less than that beneath, divided by this."""
 _FAR = np.float32(1e6)
@@ -79,9 +86,39 @@ def _ground_behind(bins: I32, depths: F32, side: int, away: np.float32, threshol
     return beneath, beyond
 
 
+@inlined
+def _bottom(every: Slots, b: int, away: np.float32) -> np.float32:
+    """Return how high above the ground a line sees anything at a flank, lower things at its foot included [m]."""
+    half = STRIPS // 2
+    own = min(int(away / STRIP_M), half - 1)
+    nearer = max(own - 1, 0)
+    word = every[half + own] | every[half + nearer] if b >= half else every[half - 1 - own] | every[half - 1 - nearer]
+    slot = 0
+    while slot < MOST_SLOTS and (word >> np.uint64(slot)) & np.uint64(1) == np.uint64(0):
+        slot += 1
+    return np.float32(slot) * SLOT_M
+
+
+@helper
+def _ground_below(bins: I32, depths: F32, side: int, away: np.float32, bottom: np.float32) -> tuple[int, int]:
+    """Count the ground that is seen below the bottom of a body at a distance, and that seen through the body."""
+    beneath = beyond = 0
+    first = min(int(min(away / BIN_M, _FAR)), BINS)
+    for j in range(first, min(2 * first, BINS)):
+        q = BINS + j if side == 0 else BINS - 1 - j
+        if bins[q] == 0:
+            continue
+        passes = depths[q] * (np.float32(1.0) - away / ((np.float32(j) + np.float32(0.5)) * BIN_M))
+        if np.float32(0.5) * bottom <= passes <= bottom:
+            beneath += bins[q]
+        elif passes > bottom + SLOT_M:
+            beyond += bins[q]
+    return beneath, beyond
+
+
 @kernel(
     "Tuple((uint8[:, ::1], uint8[:, ::1]))(float32[:, ::1], float32[:, ::1], uint8[:, ::1], UniTuple(float32[::1], 2), "
-    "UniTuple(float32[:, ::1], 3), uint8[:, ::1], FlankThresholds)",
+    "UniTuple(float32[:, ::1], 3), uint64[:, ::1], uint8[:, ::1], FlankThresholds)",
     tuples=[FlankThresholds],
 )
 def find_flanks(
@@ -90,6 +127,7 @@ def find_flanks(
     upright: U8,
     beams: tuple[F32, F32],
     sums: tuple[F32, F32, F32],
+    every: Slots,
     levels: U8,
     thresholds: FlankThresholds,
 ) -> tuple[U8, U8]:
@@ -106,6 +144,8 @@ def find_flanks(
     sums : tuple of (lines + 4, STRIPS) float32
         Height extents of the shots of a strip, of the smooth upright ones, and those times their side
         (:func:`prc_cli.kernels.fused.strips.fill_strips`).
+    every : (lines + 4, STRIPS) uint64
+        Slots with a shot (:func:`prc_cli.kernels.fused.strips.fill_strips`).
     levels : (lines, 2 STRIPS) uint8
         Bins with a level surface, widened.
     thresholds : FlankThresholds of float32
@@ -115,7 +155,7 @@ def find_flanks(
     flanks : (lines, STRIPS) uint8
         1 = a flank, which is no wall.
     levels : (lines, 2 STRIPS) uint8
-        With the bins of the vehicles behind flanks.
+        With the bins of the vehicles behind flanks; those of hanging ones have :data:`HANGS` too.
     """
     length, wall, place = sums
     n_lines = levels.shape[0]
@@ -142,16 +182,29 @@ def find_flanks(
                 continue
             away = abs(places[b] / walls[b])
             side = 0 if b >= STRIPS // 2 else 1
-            beneath = beyond = 0
+            beneath = beyond = below = through = 0
+            lowest, highest = _FAR, np.float32(0.0)
             for c in range(line, line + room):
                 # lines beside a post see the ground behind it
-                if _is_upright(wall[c], b):
-                    low, high = _ground_behind(bins[c % room], depths[c % room], side, away, thresholds)
-                    beneath += low
-                    beyond += high
-            if np.float32(beneath) >= thresholds.shots and beyond * FEWER <= beneath:
+                if not _is_upright(wall[c], b):
+                    continue
+                low, high = _ground_behind(bins[c % room], depths[c % room], side, away, thresholds)
+                beneath += low
+                beyond += high
+                bottom = _bottom(every[c], b, away)
+                if thresholds.body_m <= bottom <= thresholds.high_m:
+                    low, high = _ground_below(bins[c % room], depths[c % room], side, away, bottom)
+                    below += low
+                    through += high
+                    lowest, highest = min(lowest, bottom), max(highest, bottom)
+            big = walls[b] >= thresholds.large_m * np.float32(room)
+            is_low = np.float32(beneath) >= thresholds.shots and beyond * FEWER <= beneath
+            # a slanted plane meets the edge of a house higher from line to line
+            is_even = highest - lowest <= SLOT_M
+            hangs = big and is_even and np.float32(below) >= thresholds.shots and through * FEWER <= below
+            if is_low or hangs:
                 flanks[line, b] = 1
                 at = int(min(away / LEVEL_BIN_M, _FAR))
                 for j in range(at, min(at + BODY_BINS, STRIPS)):
-                    found[line, STRIPS + j if side == 0 else STRIPS - 1 - j] = 1
+                    found[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= np.uint8(HANGS | 1 if hangs else 1)
     return flanks, found

@@ -8,12 +8,22 @@ from prc_cli.core.thresholds.fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 
+Memory = tuple[F32, I32, F32, F32]
+
 BINS, BIN_M = 320, np.float32(0.25)
 """Number of places on either side at which the ground is remembered, and their width [m]."""
 BACK_M = np.float32(0.05)
 """The walk may go back this far on its way out, because of range noise [m]."""
 MOST_AGE = np.iinfo(np.int32).max
 """Ages stop here [lines]."""
+DEPTHS, DEPTH_M = 1000, np.float32(0.1)
+"""Depths below the scanner at which the ground is searched, and the distance from one to the next [m]."""
+LOST_LINES = 32
+"""Where no ground was known for so many lines with level shots, it is searched anew."""
+START_FOLLOW = np.float32(0.005)
+"""Share of a new height in the start: that of a single line may be a car's."""
+MANY = np.float32(0.25)
+"""The ground is the lowest depth with this share of the level shots of the commonest depth."""
 
 
 @helper
@@ -24,6 +34,54 @@ def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.
             start_m = memory[b]
             break
     return start_m
+
+
+@helper
+def _nearest(heights: F32, ages: I32, lines: np.float32) -> tuple[bool, np.float32]:
+    """Return whether any place is remembered, and the height of the nearest one of both sides."""
+    for b in range(BINS):
+        for s in range(2):
+            if np.float32(ages[s, b]) < lines:
+                return True, heights[s, b]
+    return False, np.float32(0.0)
+
+
+@helper
+def _search(points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: F32, sums: F32) -> bool:
+    """Count the level shots of a line at every depth below the scanner, near ones and all; return whether any."""
+    side, height = points
+    is_any = False
+    for i in range(len(side)):
+        if (is_level[i] != 0) & (height[i] < np.float32(0.0)):
+            depth = -height[i] / DEPTH_M
+            if depth < np.float32(DEPTHS):
+                d = int(depth)
+                counts[1, d] += np.float32(1.0)
+                sums[1, d] += height[i]
+                is_any = True
+                if abs(side[i]) < reach_m:
+                    counts[0, d] += np.float32(1.0)
+                    sums[0, d] += height[i]
+    return is_any
+
+
+@helper
+def _lowest(counts: F32, sums: F32) -> np.float32:
+    """Return the mean height of the lowest depth with many level shots; there is at least one shot."""
+    row = 1
+    most = np.float32(0.0)
+    for d in range(DEPTHS):
+        most = max(most, counts[0, d])
+    if most > np.float32(0.0):
+        row = 0
+    else:
+        for d in range(DEPTHS):
+            most = max(most, counts[1, d])
+    found = np.float32(0.0)
+    for d in range(DEPTHS):
+        if (counts[row, d] > np.float32(0.0)) & (counts[row, d] >= MANY * most):
+            found = sums[row, d] / counts[row, d]
+    return found
 
 
 @inlined
@@ -164,18 +222,64 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 
 @helper
-def _copy(heights: F32, ages: I32, to_heights: F32, to_ages: I32) -> None:
+def _copy(memory: Memory, to: Memory) -> None:
     """Copy a memory of the ground; element by element, because array copies take seconds to compile."""
+    heights, ages, counts, sums = memory
+    to_heights, to_ages, to_counts, to_sums = to
     for s in range(2):
         for b in range(BINS):
             to_heights[s, b] = heights[s, b]
             to_ages[s, b] = ages[s, b]
+        for d in range(DEPTHS):
+            to_counts[s, d] = counts[s, d]
+            to_sums[s, d] = sums[s, d]
+
+
+@helper
+def _empty() -> Memory:
+    """Return room for a memory of the ground."""
+    return (
+        np.empty((2, BINS), np.float32), np.empty((2, BINS), np.int32),
+        np.empty((2, DEPTHS), np.float32), np.empty((2, DEPTHS), np.float32),
+    )  # fmt: skip
+
+
+@helper
+def _start_of_line(
+    memory: Memory,
+    start: tuple[np.float32, int],
+    points: tuple[F32, F32],
+    is_level: U8,
+    thresholds: WalkThresholds,
+) -> tuple[np.float32, int]:
+    """Return where the walk of a line starts if its side is not known, and for how many lines no side has been.
+
+    That is the height of the nearest known place in the lines before, and where the ground is lost for long or was
+    never known, a depth with many level shots of the lines since then. The number is negative if it was never known.
+    """
+    heights, ages, counts, sums = memory
+    start_m, lost = start
+    is_known, nearest_m = _nearest(heights, ages, thresholds.memory_lines)
+    if is_known:
+        start_m = start_m + (nearest_m - start_m) * START_FOLLOW if lost >= 0 else nearest_m
+        # counts of earlier lines go when the ground is known again
+        if lost != 0:
+            for s in range(2):
+                for d in range(DEPTHS):
+                    counts[s, d] = sums[s, d] = np.float32(0.0)
+        return start_m, 0
+    if _search(points, is_level, thresholds.start_reach_m, counts, sums):
+        lost = lost - 1 if lost < 0 else lost + 1
+        if lost < 0 or lost >= LOST_LINES:
+            start_m = _lowest(counts, sums)
+    return start_m, lost
 
 
 @kernel(
-    "Tuple((float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[:, ::1]))(float32[:, ::1], "
-    "UniTuple(float32[::1], 2), UniTuple(uint8[:, ::1], 4), UniTuple(int32[::1], 2), float32[:, ::1], int32[:, ::1], "
-    "float32, int64, WalkThresholds)",
+    "Tuple((float32[:, ::1], boolean[:, ::1], Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], "
+    "float32[:, ::1])), float64, int64))(float32[:, ::1], UniTuple(float32[::1], 2), UniTuple(uint8[:, ::1], 4), "
+    "UniTuple(int32[::1], 2), Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])), float32, "
+    "int64, int64, WalkThresholds)",
     tuples=[WalkThresholds],
 )
 def walk_ground(
@@ -183,12 +287,12 @@ def walk_ground(
     beams: tuple[F32, F32],
     counts: tuple[U8, U8, U8, U8],
     sides: tuple[I32, I32],
-    memory_m: F32,
-    age: I32,
+    memory: Memory,
     start_m: np.float32,
+    lost: int,
     keep: int,
     thresholds: WalkThresholds,
-) -> tuple[F32, Mask, F32, I32]:
+) -> tuple[F32, Mask, Memory, float, int]:
     """Find the ground of consecutive lines, and the height of every shot above it.
 
     Parameters
@@ -201,12 +305,14 @@ def walk_ground(
         Near neighbours, smooth pairs, upright and level chords of every shot.
     sides : tuple of (n,) int32
         Columns of positive and negative side, from straight down to straight up.
-    memory_m : (2, BINS) float32, metres
-        Height of the ground at every place beside the scanner, left and right, as last seen.
-    age : (2, BINS) int32
-        Lines since then.
+    memory : tuple of arrays
+        (2, BINS) float32, height of the ground at every place beside the scanner, left and right, as last seen [m];
+        (2, BINS) int32, lines since then; and of the lines since any ground was known, twice (2, DEPTHS) float32,
+        number of level shots at every depth, near ones and all, and the sum of their heights.
     start_m : float32
-        Height of the ground where nothing is remembered [m].
+        Height of the ground at the nearest known places of earlier lines [m].
+    lost : int
+        Lines with level shots since it was known; below 0 where it never was, from -1 on.
     keep : int
         The memory that is given back is that before this line; 0 to lines.
     thresholds : WalkThresholds of float32
@@ -217,15 +323,16 @@ def walk_ground(
         NaN = missing.
     walked : (lines, M) bool
         Shots that the walk went over.
-    memory_m, age
+    memory, start_m, lost
         As given, for the lines from ``keep`` on.
     """
     n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)
     walked = np.empty((n_lines, m), np.bool_)
-    memory, ages = np.empty((2, BINS), np.float32), np.empty((2, BINS), np.int32)
-    kept_memory, kept_ages = np.empty((2, BINS), np.float32), np.empty((2, BINS), np.int32)
-    _copy(memory_m, age, memory, ages)
+    own_memory, kept = _empty(), _empty()
+    kept_start, kept_lost = start_m, lost
+    _copy(memory, own_memory)
+    heights, ages, _, _ = own_memory
     profiles, seen = np.empty(2 * BINS, np.float32), np.empty(BINS, np.uint8)
     level_shots, places = np.empty(m + 1, np.int32), np.empty(m, np.int32)
     shares, grounds = np.empty(m, np.float32), np.empty(m, np.float32)
@@ -233,25 +340,28 @@ def walk_ground(
     near, smooth, upright, level = counts
     for line in range(n_lines):
         if line == keep:
-            _copy(memory, ages, kept_memory, kept_ages)
+            _copy(own_memory, kept)
+            kept_start, kept_lost = start_m, lost
         _lay_out(range_m[line], beams, side, height)
         _mark_level(near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level)
+        start_m, lost = _start_of_line(own_memory, (start_m, lost), (side, height), is_level, thresholds)
         own = walked[line]
         for i in range(m):
             own[i] = False
         for s in range(2):
             columns = sides[0] if s == 0 else sides[1]
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
-            profile, known = profiles[s * BINS : (s + 1) * BINS], (memory[s], ages[s])
+            profile, known = profiles[s * BINS : (s + 1) * BINS], (heights[s], ages[s])
             for b in range(BINS):
                 seen[b] = 0
                 profile[b] = np.float32(0.0)
             _walk(columns, sign, (side, height), is_level, level_shots, known, start_m, thresholds, profile, seen, own)
-            _remember(profile, seen, memory[s], ages[s], thresholds)
+            _remember(profile, seen, heights[s], ages[s], thresholds)
             _fill(profile, seen, start_m)
         _places(side, places, shares)
         _grounds(places, shares, profiles, grounds)
         _heights(side, height, grounds, above[line])
     if keep >= n_lines:
-        _copy(memory, ages, kept_memory, kept_ages)
-    return above, walked, kept_memory, kept_ages
+        _copy(own_memory, kept)
+        kept_start, kept_lost = start_m, lost
+    return above, walked, kept, float(kept_start), kept_lost

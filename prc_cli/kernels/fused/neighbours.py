@@ -15,6 +15,10 @@ from prc_cli.kernels.cache import helper, inlined, kernel
 
 LINES, COLUMNS = 2, 4
 """Greatest distance of neighbours, in lines and columns."""
+MOST_STRIDE = 8
+"""Every so many columns are compared at most."""
+PIECE = 128
+"""Columns that are looked at together for such a stride."""
 MOST_COLUMNS = 60
 """Greatest half length of a chord, in columns."""
 PAD = MOST_COLUMNS + 2
@@ -230,6 +234,65 @@ def _pairs_in_line(
 
 
 @helper
+def _strides(ranges: F32, step: np.float32, apart: np.float32, strides: I32) -> None:
+    """Write with every how many columns the shots of a line are compared: fewer at its ends, one for missing shots."""
+    m = len(ranges)
+    most = np.float32(MOST_STRIDE)
+    for i in range(m):
+        # NaN stays NaN, which no comparison holds for
+        columns = apart / (ranges[i] * step)
+        strides[i] = np.int32(min(columns, most)) if columns >= np.float32(2.0) else np.int32(1)
+    for i in range(min(2 * MOST_STRIDE, m)):
+        inside = np.int32(max(i // 2, 1))
+        strides[i] = min(strides[i], inside)
+        strides[m - 1 - i] = min(strides[m - 1 - i], inside)
+
+
+@helper
+def _pairs_farther(
+    ranges: F32, points: tuple[F32, F32], step: np.float32, thresholds: SmoothThresholds, strides: I32, row: U8
+) -> None:
+    """Count the pairs in a line anew for shots that are compared with every second column or fewer."""
+    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
+    gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
+    side, height = points
+    m = len(row)
+    first = 0
+    while first < m:
+        end = min(first - first % PIECE + PIECE, m)
+        most = np.int32(1)
+        for i in range(first, end):
+            most = max(most, strides[i])
+        if most == 1:
+            first = end
+            continue
+        n = strides[first]
+        last = first + 1
+        while last < end and strides[last] == n:
+            last += 1
+        if n > 1:
+            # one piece of the line has one stride: its pairs are shifted arrays
+            start, size = first + COLUMNS, last - first
+            y1, y2, y3, y4 = side[start - 2 * n :], side[start - n :], side[start + n :], side[start + 2 * n :]
+            z1, z2, z3, z4 = height[start - 2 * n :], height[start - n :], height[start + n :], height[start + 2 * n :]
+            for k in range(size):
+                r, y, z = ranges[first + k], side[start + k], height[start + k]
+                tolerance = base + per_m * r
+                tolerance = tolerance * tolerance
+                gap = max(gap_m, gap_steps * (r * step))
+                gap = gap * gap
+                row[first + k] = (
+                    _on_line(y2[k], z2[k], y3[k], z3[k], y, z, tolerance, gap)
+                    + _on_line(y1[k], z1[k], y4[k], z4[k], y, z, tolerance, gap)
+                    + _on_line(y1[k], z1[k], y2[k], z2[k], y, z, tolerance, gap)
+                    + _on_line(y3[k], z3[k], y4[k], z4[k], y, z, tolerance, gap)
+                    + _on_line(y2[k], z2[k], y4[k], z4[k], y, z, tolerance, gap)
+                    + _on_line(y1[k], z1[k], y3[k], z3[k], y, z, tolerance, gap)
+                )
+        first = last
+
+
+@helper
 def _pairs_across(
     ranges: F32,
     lines: tuple[F32, F32, F32, F32, F32],
@@ -259,8 +322,10 @@ def _pairs_across(
 def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
     """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
 
-    In the line, a shot must lie on the straight line through the pair; across lines, whose distance is not known, in
-    the middle between the pair, within twice the tolerance.
+    In the line, a shot must lie on the straight line through the pair. Where columns are nearer to each other than
+    ``apart_m``, every second, third, ... column is compared, up to :data:`MOST_STRIDE`: two shots on one leaf are as
+    smooth as two on a wall. Across lines, whose distance is not known, in the middle between the pair, within twice the
+    tolerance.
 
     Parameters
     ----------
@@ -278,6 +343,7 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
     counts = np.empty((n_lines, m), np.uint8)
+    strides = np.empty(m, np.int32)
     side, height = _margins(m), _margins(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
@@ -287,6 +353,8 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
         ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
         a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
         _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
+        _strides(ranges, step, thresholds.apart_m, strides)
+        _pairs_farther(ranges, (side[c], height[c]), step, thresholds, strides, row)
         lines = side[a], side[b], side[c], side[d], side[e]
         heights = height[a], height[b], height[c], height[d], height[e]
         _pairs_across(ranges, lines, heights, thresholds, row)

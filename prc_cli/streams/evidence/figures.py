@@ -144,6 +144,16 @@ def _shot_likeness(rows: F32, lag: int) -> float:
     return likeness(flat[:-lag], flat[lag:])
 
 
+def lag_likeness(windows: tuple[Window, ...], lag: int) -> float:
+    """Return how alike shots are that are so many shots apart in the stream, NaN with too few pairs.
+
+    >>> saw = np.tile(np.linspace(5, 50, 100, dtype=np.float32), 64).reshape(64, 100)
+    >>> lag_likeness((Window(0, saw),), 100) < lag_likeness((Window(0, saw),), 99)
+    True
+    """
+    return middle(_shot_likeness(np.log(rows), lag) for rows in spread(windows))
+
+
 def _random_likeness(rows: F32) -> float:
     known = rows[np.isfinite(rows)]
     if len(known) < LEAST_PAIRS:

@@ -26,7 +26,8 @@ def wall(late: F64, *, lines: int = 40, per_line_m: float = 0.3) -> F32:
 
 def in_step(range_m: F32, **params: object) -> F32:
     chosen = InterlaceParams.model_validate(params)
-    return put_in_step(range_m, ScanPlane.of(BEAM), NOISE_M, SmoothnessParams(), chosen)
+    noise_m = np.full(len(range_m), NOISE_M)
+    return put_in_step(range_m, ScanPlane.of(BEAM), noise_m, SmoothnessParams(), chosen)
 
 
 @pytest.mark.parametrize("late", [0.5, -0.5])

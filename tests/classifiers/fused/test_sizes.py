@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from prc_cli.classifiers.fused import classes, ground, plane
+from prc_cli.classifiers.fused import classes, ground, pipeline, plane, profiles
 from prc_cli.kernels.fused import (
     classes as fused_classes,
+)
+from prc_cli.kernels.fused import (
+    fans as fused_fans,
 )
 from prc_cli.kernels.fused import (
     ground as fused_ground,
@@ -21,11 +24,13 @@ def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
     assert plane.INNER_LINES == fused_neighbours.LINES
     assert plane.WIDE_LINES == fused_strips.LINES == fused_classes.LINES
     assert classes.BESIDE_THIN_LINES == fused_classes.MARGIN
+    assert plane.PART_LINES <= pipeline.SPACED_LINES
     assert plane.INNER_LINES + plane.WIDE_LINES + plane.VOTE_LINES == plane.AROUND_LINES
 
 
 def test_stages_and_loops_agree_on_places_beside_the_scanner() -> None:
-    assert ground.BINS == fused_ground.BINS
+    assert (ground.BINS, ground.DEPTHS) == (fused_ground.BINS, fused_ground.DEPTHS)
+    assert (profiles.LINES, profiles.BINS) == (fused_fans.LINES, fused_fans.BINS)
     strips = (fused_strips.STRIPS, fused_strips.STRIP_M, fused_strips.SLOT_M, fused_strips.SLOTS)
     assert strips == (fused_classes.STRIPS, fused_classes.STRIP_M, fused_classes.SLOT_M, fused_classes.SLOTS)
     assert 2 * fused_classes.HALF_STRIP_M == fused_strips.STRIP_M

@@ -11,7 +11,7 @@ import pytest
 from prc_cli.classifiers.base import LABELS_ALONE, OneByOne
 from prc_cli.classifiers.fused import pipeline
 from prc_cli.classifiers.fused.pipeline import Fused, FusedParams, FusedScanner, FusedState, initial_state
-from prc_cli.classifiers.fused.plane import Noise, ScanPlane, SensorParams
+from prc_cli.classifiers.fused.plane import NoiseAlong, ScanPlane, SensorParams
 from prc_cli.classifiers.run import run_blocks
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
@@ -87,24 +87,47 @@ def test_a_scanner_of_a_centimetre_of_noise_sees_the_same_street() -> None:
     assert found[VEGETATION] > 0.75
 
 
+def noise_along(ranges: F32, params: SensorParams, k: int = 128) -> list[float]:
+    """Return what is known of the noise at every line, of a stream in blocks of k lines."""
+    noise, found = NoiseAlong(), []
+    following = np.concatenate([ranges, np.full((47, len(BEAM)), np.nan, np.float32)])
+    for first in range(0, len(ranges), k):
+        n_lines = min(k, len(ranges) - first)
+        noise = noise.after(following[first : first + n_lines + 47], first, PLANE, params)
+        found += noise.of_lines(first, n_lines + 47, params)[:n_lines].tolist()
+    return found
+
+
 def test_the_noise_of_ranges_is_measured() -> None:
     for noise_m in (0.002, 0.005, 0.01):
         ranges, _ = street_lines(40, noise_m=noise_m)
-        assert Noise().after(ranges, PLANE, SensorParams()).noise_m(SensorParams()) == pytest.approx(noise_m, rel=0.25)
-    given = SensorParams(range_noise_m=0.004)
-    assert Noise().after(ranges, PLANE, given).noise_m(given) == 0.004
+        assert noise_along(ranges, SensorParams()) == pytest.approx([noise_m] * 40, rel=0.25)
+    assert noise_along(ranges, SensorParams(range_noise_m=0.004)) == [0.004] * 40
     nothing = np.full((8, len(BEAM)), np.nan, np.float32)
-    assert Noise().after(nothing, PLANE, SensorParams()).noise_m(SensorParams()) == SensorParams().default_noise_m
+    assert noise_along(nothing, SensorParams()) == [SensorParams().default_noise_m] * 8
+
+
+def test_the_noise_is_measured_on_the_same_lines_however_a_stream_is_cut() -> None:
+    ranges, _ = street_lines(300)
+    ranges += (
+        np.random.default_rng(9).exponential(0.03, ranges.shape).astype(np.float32)
+        * (300 - np.arange(300))[:, None].astype(np.float32)
+        / np.float32(300)
+    )
+    whole = noise_along(ranges, SensorParams(), 300)
+    assert len(set(whole)) > 5
+    for k in (1, 50, 128):
+        assert noise_along(ranges, SensorParams(), k) == whole
 
 
 @pytest.mark.parametrize("again", [True, False])
-def test_a_drive_that_begins_beneath_trees_sees_better_later(street: tuple[F32, U8], again: bool) -> None:
-    leaves = street[0] + np.random.default_rng(8).exponential(0.1, street[0].shape).astype(np.float32)
-    noise, params = Noise(), SensorParams(again=again)
-    for block in (leaves, leaves, leaves, leaves, street[0], leaves):
-        noise = noise.after(block, PLANE, params)
-    assert (noise.noise_m(params) < 0.003) == again
-    assert noise.blocks == 6
+def test_a_drive_that_begins_beneath_trees_sees_better_later(again: bool) -> None:
+    ranges = np.tile(street_lines(64)[0], (8, 1))
+    leaves = np.random.default_rng(8).exponential(0.1, ranges.shape).astype(np.float32)
+    leaves[256:384] = 0
+    found = noise_along(ranges + leaves, SensorParams(again=again))
+    assert (found[-1] < 0.003) == again
+    assert min(found[:288]) > 0.003
 
 
 @pytest.mark.parametrize(
@@ -202,13 +225,13 @@ def test_the_ground_is_found_again_after_more_lines_without_it_than_are_remember
     assert (labels[kind[138:, left] == GROUND] == Label.GROUND).mean() > 0.98
 
 
-def test_the_noise_is_measured_in_the_first_block_that_tells_it(street: tuple[F32, U8]) -> None:
-    nothing = np.full((8, len(BEAM)), np.nan, np.float32)
+def test_the_noise_is_measured_in_the_first_lines_that_tell_it() -> None:
+    ranges = np.tile(street_lines(64)[0], (4, 1))
+    ranges[:224] = np.nan
     for params in (SensorParams(), SensorParams(again=False)):
-        noise = Noise()
-        for block in (nothing, nothing, nothing, street[0]):
-            noise = noise.after(block, PLANE, params)
-        assert noise.noise_m(params) == pytest.approx(0.002, rel=0.25)
+        assert noise_along(ranges, params) == [params.default_noise_m] * 256
+        later = np.concatenate([ranges, ranges[224:]])
+        assert noise_along(later, params)[256:] == pytest.approx([0.002] * 32, rel=0.25)
 
 
 def test_any_lines_are_labelled() -> None:

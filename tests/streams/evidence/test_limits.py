@@ -36,7 +36,7 @@ LENGTHS = range(M - 4, M + 5)
 
 
 def seen(n_lines: int = 24, m: int = M, n_rows: int = 2, **more: float) -> Seen:
-    windows = (Window(0, np.zeros((n_rows, m), np.float32)),)
+    windows = (Window(0, np.ones((n_rows, m), np.float32)),)
     return Seen(StreamInfo("a.npy", "array", m, None, None), 0, windows, n_lines=n_lines, **more)  # type: ignore[arg-type]
 
 
@@ -237,7 +237,7 @@ def test_the_ranges_tell_another_length(
         return PeriodEstimate(period, strength, 0, "")
 
     monkeypatch.setattr(lines, "estimate_points_per_line", estimate)
-    one = replace(seen(), windows=tuple(Window(0, np.zeros((n, M), np.float32)) for n in (2, 5, 3)))
+    one = replace(seen(), windows=tuple(Window(0, np.ones((n, M), np.float32)) for n in (2, 5, 3)))
     found = told(check_line_length(one, replace(USUAL, line=(line,) * 4), None))
     assert (found == (
         AGAINST,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -244,3 +245,16 @@ def test_of_several_scanners_the_worst_is_told() -> None:
     assert found["shot-order"].verdict is Verdict.AGAINST
     assert found["shot-order"].found.startswith("scanner 2: ")
     assert found["line-length"].verdict is Verdict.FINE
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["kitti_train_3", "kitti_train_5", "nuscenes_train_18", "nuscenes_train_23"])
+def test_a_frame_that_looks_another_way_at_every_line_has_its_length(real_data: Path, name: str) -> None:
+    with np.load(real_data / "rangeviews" / f"{name}.npz") as arrays:
+        ranges = np.ascontiguousarray(arrays["range_m"].T)
+    found = asked(ranges)["line-length"]
+    assert found.verdict is Verdict.FINE, found
+    m = ranges.shape[1]
+    for off in (-3, -1, 1, 2):
+        wrong = asked(cut(ranges, m + off))["line-length"]
+        assert (wrong.verdict, wrong.option) == (Verdict.AGAINST, f"-M {m}")
