@@ -57,6 +57,31 @@ class NoiseParams(Params):
         True,
         description="whether shots with few neighbours and no smooth pair are noise behind a wall, and alone in a car",
     )
+    spike_m: float = Field(
+        0.05, ge=0, le=100, description="spikes nearer than this to the surface around are part of it [m]; 0 = none"
+    )
+    sparse: bool = Field(
+        True, description="whether an isolated shot with more of its kind in a wider window is part of something ..."
+    )
+    sparse_shots: int = Field(3, ge=1, le=118, description="... with at least this many, of 118 shots, ...")
+    sparse_share: float = Field(0.65, ge=0, le=1, description="... where a smaller share of the pairs is smooth ...")
+    through_share: float = Field(
+        0.25, ge=0, le=1, description="... and a smaller share of the window is on surfaces before it"
+    )
+    low_m: float = Field(
+        0.2, ge=0, le=10, description="... or it is this near to the ground, and shots around are ground [m]; 0 = never"
+    )
+    mirrors: bool = Field(True, description="whether rough shots amid a car and farther than it are noise ...")
+    mirror_m: float = Field(0.3, ge=0, le=100, description="... that is, by this much [m] ...")
+    mirror_share: float = Field(
+        0.7, ge=0, le=1, description="... with at least this share of car among the 24 shots on either side"
+    )
+    alone: bool = Field(
+        True, description="whether a rough shot is noise that no other of 118 around is as far as, and none beyond ..."
+    )
+    alone_m: float = Field(0.1, ge=0, le=100, description="... as far: within this in range [m] ...")
+    alone_gap_m: float = Field(0.75, ge=0, le=1000, description="... none beyond, or none before, within this [m] ...")
+    alone_share: float = Field(0.25, ge=0, le=1, description="... where a greater share of the pairs is smooth")
 
 
 class LeavesParams(Params):

@@ -57,6 +57,7 @@ from prc_cli.classifiers.fused.neighbours import (
     near_neighbours,
     smooth_pairs,
 )
+from prc_cli.classifiers.fused.noise import again_limits, ask_again
 from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
@@ -106,8 +107,8 @@ FARTHEST_BESIDE = 4
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
-        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.spacing",
-        "fused.strips",
+        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.noise",
+        "fused.spacing", "fused.strips",
     }
 )  # fmt: skip
 FOREST_KERNELS = frozenset({"fused.stems"})
@@ -681,8 +682,10 @@ def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane
     seen, thresholds = stream.seen, thresholds_of(stream, params)
     labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
+    limits = again_limits(params.company, params.noise, params.strips, params.cars)
+    asked = ask_again((labels, voted), seen.range_m, seen.neighbours, ground.above_m, evidence.texture, plane, limits)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)
+    return find_curbs(asked, seen.range_m[own], ground.above_m[own], plane, params.curbs)
 
 
 def thresholds_of(stream: Stream, params: FusedParams) -> DecisionThresholds:

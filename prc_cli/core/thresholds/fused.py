@@ -266,6 +266,37 @@ class DecisionThresholds(NamedTuple):
     """Label of poles."""
 
 
+class AgainThresholds(NamedTuple):
+    """Limits of the questions that are asked again of noise, and of what may be noise."""
+
+    least_near: np.float32
+    """A shot with fewer near neighbours is lonely."""
+    spike_m: np.float32
+    """Spikes that are nearer than this to a surface are part of it [m]."""
+    sparse_texture: np.float32
+    """Lonely shots are part of something sparse where the share of smooth pairs around is smaller ..."""
+    sparse_shots: np.float32
+    """... with this many near shots in a wider window ..."""
+    through_share: np.float32
+    """... and a smaller share of the window on surfaces before them."""
+    low_m: np.float32
+    """So are those this near to the ground, with ground around [m]."""
+    mirror_m: np.float32
+    """A mirror image in a car is farther than the car by more than this [m] ..."""
+    mirror_share: np.float32
+    """... and this share of the shots on either side are of the car."""
+    alone_texture: np.float32
+    """Rough shots may be alone where the share of smooth pairs around is greater ..."""
+    foot_m: np.float32
+    """... higher than this above the ground [m] ..."""
+    alone_m: np.float32
+    """... with no other within this in range [m] ..."""
+    alone_gap_m: np.float32
+    """... and none within this before, or behind [m]."""
+    car_label: np.float32
+    """Label of cars."""
+
+
 class CurbThresholds(NamedTuple):
     """What a curb is."""
 
