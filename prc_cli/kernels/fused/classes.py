@@ -705,7 +705,7 @@ def _label_poles(
     ranges = window_m[line]
     side, height, above = points
     least, pole, takes_long = thresholds.least_near, np.uint8(thresholds.pole_label), thresholds.takes_long > 0
-    across = int(thresholds.across_lines)
+    lines = int(thresholds.across_lines)
     end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -714,7 +714,7 @@ def _label_poles(
         elif i >= end:
             end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
         is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
-        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m, across)):
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m, lines)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = np.uint8(_VEGETATION)

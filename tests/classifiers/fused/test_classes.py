@@ -133,6 +133,39 @@ def test_a_thick_trunk_without_a_crown_is_no_pole(street: tuple[F32, U8]) -> Non
     assert (classified(ranges, poles={"trunks": False})[high] == Label.POLE).mean() > 0.5
 
 
+def test_a_facade_between_twigs_is_as_smooth_as_the_facade(street: tuple[F32, U8]) -> None:
+    """Where every other place of 20 cm is hidden by twigs, and in lines in between none."""
+    ranges, kind, rng = street[0].copy(), street[1], np.random.default_rng(5)
+    twigs = (np.arange(len(BEAM)) // 12 % 5 < 3) & (np.arange(len(ranges))[:, None] % 4 > 0) & (kind == BUILDING)
+    ranges[twigs] -= rng.uniform(1.5, 3.0, int(twigs.sum())).astype(np.float32)
+    left = (kind == BUILDING) & ~twigs
+    apart = {"walls": {"enabled": False}, "votes": {"enabled": False}}
+    found, before = classified(ranges, **apart), classified(ranges, leaves={"at_depth": False}, **apart)
+    lost, was_lost = ((labels[left] == Label.VEGETATION).mean() for labels in (found, before))
+    assert was_lost > 0.15
+    assert lost < 0.5 * was_lost
+
+
+def test_the_side_of_a_pit_is_no_mirror_image(street: tuple[F32, U8]) -> None:
+    ranges, rng = street[0].copy(), np.random.default_rng(5)
+    # a rough wall below the street, behind 1.5 m of nothing
+    pit = surface(-5.6, -1.2, -0.35)
+    hit = np.broadcast_to(np.isfinite(pit), ranges.shape)
+    ranges[hit] = (np.broadcast_to(pit, ranges.shape)[hit] + rng.uniform(0, 0.04, int(hit.sum()))).astype(np.float32)
+    noise, before = (
+        (classified(ranges, noise={"pits": pits, "sparse": False})[hit] == Label.NOISE).mean() for pits in (True, False)
+    )
+    assert before > 0.04
+    assert noise < 0.01
+
+
+def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:
+    ranges, hit = van(street[0])
+    near = np.where(ranges < 5.8, ranges, np.float32(np.nan))
+    assert not (classified(near) == Label.CAR).any()
+    assert (classified(near, cars={"room_m": 0.0})[hit & ~np.isnan(near)] == Label.CAR).mean() > 0.3
+
+
 def test_the_arm_of_a_lamp_is_a_pole(street: tuple[F32, U8]) -> None:
     ranges = street[0].copy()
     above = DOWN < -0.1
