@@ -6,7 +6,7 @@
 
 Seeds 1 to 5 are for tuning, as were 1001 to 1030, 21 to 50 and 81 to 100 later; 901 to 920 and 1101 to 1110 are spent.
 1201 to 1210 decided nothing and were looked at once; ``--seed`` takes other ones. A curb is right if a shot of the
-other side's curbs is within 10 cm; in all else curbs are ground. Reads ../shared/data or $PRC_DATA for the Oakland strips.
+other side's curbs is within 10 cm; in all else curbs are ground. Reads ../shared/data or $PRC_DATA for the strips.
 """
 
 from __future__ import annotations
