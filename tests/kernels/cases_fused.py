@@ -42,7 +42,7 @@ USUAL = typed(
     least_near=3, spike_share=0.7, below_m=0.3, pit_near=9, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
     car_top_m=3.75, lorry_top_m=5.5, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, across_lines=4,
-    crown_slots=5, pole_shots=3, slim_smooth=3, thick_m=0.15, arm_m=3.0, box_m=2.0, box_flat_m=0.25, box_deep_m=0.75,
+    crown_slots=5, pole_shots=3, thick_m=0.15, arm_m=3.0, box_m=2.0, box_flat_m=0.25, box_deep_m=0.75,
     box_lines=16, keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5,
     ghost_near=15, pane_m=1.0, cabin_near=3, roof_m=6.0, storey_m=2.5, car_label=7, pole_label=11,
 )  # fmt: skip

@@ -210,9 +210,7 @@ class _Shot:
             return False
         if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
             return False
-        is_slim = self.smooth >= self.thresholds.slim_smooth and self._is_free_across()
-        is_even = self.texture >= self.thresholds.leaf_share or is_slim
-        return bool(is_even and self.thresholds.pole_m > 0)
+        return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
 
     def is_thin(self) -> bool:
         return self._is_short_in_line() or self._is_narrow_across()

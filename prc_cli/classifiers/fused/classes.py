@@ -173,9 +173,6 @@ class PoleParams(Params):
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
     shots: int = Field(6, ge=1, le=1000, description="fewest shots of its run; leaves and bars of fences have fewer")
-    slim_smooth: int = Field(
-        3, ge=0, le=11, description="in rough places, fewest smooth pairs of a shot that one of four lines sees past"
-    )
     trunks: bool = Field(True, description="whether what is thick and round is a trunk, crown or not ...")
     thick_m: float = Field(
         0.15, ge=0, le=100, description="... that is, this deep from the middle of its front to its edges [m]"
@@ -285,7 +282,6 @@ def decision_thresholds(
         across_lines=across_lines,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
-        slim_smooth=poles.slim_smooth,
         thick_m=poles.thick_m if poles.trunks else NEVER,
         arm_m=poles.arm_m if poles.arms else NEVER,
         box_m=poles.box_m if poles.enabled and poles.boxes else 0.0,

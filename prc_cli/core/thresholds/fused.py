@@ -230,8 +230,6 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32
     """Fewest shots of its run."""
-    slim_smooth: np.float32
-    """Smooth pairs of a thin shot that may be on a pole though the place is rough, at least."""
     thick_m: np.float32
     """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
     arm_m: np.float32

@@ -657,7 +657,7 @@ def _label_things(
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
     car = np.uint8(thresholds.car_label)
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
-    nothing, arm_m, slim = np.float32(0.0), thresholds.arm_m, thresholds.slim_smooth
+    nothing, arm_m = np.float32(0.0), thresholds.arm_m
     front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
     storey_m = thresholds.storey_m
     pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
@@ -684,9 +684,7 @@ def _label_things(
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
-        # nothing beside a post in other lines makes its place smooth
-        is_even = (texture >= leaf_share) | ((np.float32(smooth[i]) >= slim) & (thin[i] != 0))
-        may_be_pole = is_open & is_here & is_up & (h > foot) & is_even & (not is_ghost)
+        may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
         is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
         poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
 
@@ -724,8 +722,8 @@ def _label_poles(
                 takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
-                across = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
-                is_thick = is_thick or bool(across >= thresholds.thick_m)
+                beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
+                is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
                 labels[i] = np.uint8(_VEGETATION) if is_thick else pole
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import AgainThresholds, NearThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 Words = NDArray[np.uint64]
 
@@ -73,7 +73,7 @@ def _list(words: Words, marks: U8, shots: I32) -> int:
     return n
 
 
-@helper
+@inlined
 def _is_on_surface(range_m: F32, line: int, i: int, beams: tuple[F32, F32], off_m: np.float32) -> bool:
     """Return whether the surface through most pairs of opposite shots meets the beam near a shot."""
     sine, cosine = beams
@@ -105,7 +105,7 @@ def _is_amid_ground(labels: U8, line: int, i: int) -> bool:
     return ground >= GROUND_SHOTS
 
 
-@helper
+@inlined
 def _is_sparse(
     range_m: F32,
     smooth: U8,
@@ -125,21 +125,21 @@ def _is_sparse(
     along = max(max(limits.along_m, limits.along_steps * apart), near)
     present = close = before = np.int32(0)
     first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])
-    sines, cosines = sine[first:last], cosine[first:last]
     for k in range(line - LINES, line + LINES + 1):
-        there, pairs = range_m[k, first:last], smooth[k, first:last]
-        for j in range(last - first):
-            a, b = abs(there[j] * sines[j] - y), abs(-(there[j] * cosines[j]) - z)
+        for j in range(first, last):
+            place = np.uint64(j)
+            there, pairs = range_m[k, place], smooth[k, place]
+            a, b = abs(there * sine[place] - y), abs(-(there * cosine[place]) - z)
             is_close = max(a, b) < (along if min(a, b) < limits.thin_m else near)
-            present += np.int32(there[j] == there[j])
+            present += np.int32(there == there)
             close += np.int32(is_close)
-            before += np.int32((not is_close) & (there[j] < own) & (pairs[j] >= SMOOTH))
+            before += np.int32((not is_close) & (there < own) & (pairs >= SMOOTH))
     # the shot is near to itself
     is_one = np.float32(close - 1) >= thresholds.sparse_shots
     return bool(is_one & (np.float32(before) < thresholds.through_share * np.float32(present - 1)))
 
 
-@helper
+@inlined
 def _is_mirrored(
     range_m: F32, smooth: U8, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds
 ) -> bool:
@@ -155,18 +155,18 @@ def _is_mirrored(
     first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, m)
     left = right = fellows = np.int32(0)
     for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
-        there, pairs, names = range_m[k, first:last], smooth[k, first:last], labels[k - before, first:last]
-        for j in range(last - first):
-            off = there[j] - own
-            is_before = (off < -gap) & (names[j] == car)
-            left += np.int32(is_before & (j < i - first))
-            right += np.int32(is_before & (j > i - first))
-            fellows += np.int32((abs(off) <= gap) & (pairs[j] >= SMOOTH))
+        for j in range(first, last):
+            place = np.uint64(j)
+            off = range_m[k, place] - own
+            is_before = (off < -gap) & (labels[k - before, place] == car)
+            left += np.int32(is_before & (j < i))
+            right += np.int32(is_before & (j > i))
+            fellows += np.int32((abs(off) <= gap) & (smooth[k, place] >= SMOOTH))
     least = thresholds.mirror_share * np.float32((2 * BESIDE_LINES + 1) * COLUMNS)
     return bool((np.float32(min(left, right)) >= least) & (fellows <= MOST_FELLOWS))
 
 
-@helper
+@inlined
 def _is_as_far(range_m: F32, line: int, i: int, same: np.float32) -> bool:
     """Return whether another shot of the window is about as far as one."""
     own, found = range_m[line, i], np.int32(-1)  # the shot is as far as itself
@@ -174,8 +174,8 @@ def _is_as_far(range_m: F32, line: int, i: int, same: np.float32) -> bool:
     for n in range(2 * LINES + 1):
         # from its own line outwards
         k = line + (n + 1) // 2 * (1 if n % 2 else -1)
-        for there in range_m[k, first:last]:
-            found += np.int32(abs(there - own) < same)
+        for j in range(first, last):
+            found += np.int32(abs(range_m[k, np.uint64(j)] - own) < same)
         if found > 0:
             return True
     return False
@@ -190,8 +190,8 @@ def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> b
     before = after = _FAR
     missing = cells = 0
     for k in range(line - LINES, line + LINES + 1):
-        for there in range_m[k, max(i - COLUMNS, 0) : min(i + COLUMNS + 1, range_m.shape[1])]:
-            off = there - own
+        for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])):
+            off = range_m[k, j] - own
             cells += 1
             missing += off != off
             before = min(before, -off if off < 0 else _FAR)
