@@ -95,7 +95,7 @@ class LeavesParams(Params):
     )
     depth_m: float = Field(1.0, gt=0, le=100, description="... by more than this [m] ...")
     depth_pairs: int = Field(
-        2, ge=0, le=11, description="... around shots with this many smooth pairs; around all where columns are"
+        3, ge=0, le=11, description="... around shots with this many smooth pairs; around all where columns are"
     )
     depth_step_deg: float = Field(0.2, ge=0, le=180, description="at least this far apart [deg]")
 
