@@ -55,6 +55,8 @@ STEPS: tuple[tuple[str, ...], ...] = (
     ("fused.poles.shots=1",),
     ("fused.poles.trunks=false",),
     ("fused.poles.arms=false",),
+    ("fused.poles.boxes=false",),
+    ("fused.flanks.lorries=false",),
     ("fused.walls.lines=0",),
     ("fused.walls.roofs=false",),
     ("fused.walls.storey_m=0",),
@@ -63,6 +65,10 @@ STEPS: tuple[tuple[str, ...], ...] = (
     ("fused.interlace.enabled=false",),
     ("fused.noise.panes=false",),
     ("fused.noise.lone_leaves=false",),
+    ("fused.noise.mirrors=false",),
+    ("fused.noise.sparse=false",),
+    ("fused.noise.alone=false",),
+    ("fused.noise.spike_m=0",),
     ("fused.curbs.steep=0",),
 )
 """Settings that undo each step."""

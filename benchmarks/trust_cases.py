@@ -675,8 +675,6 @@ class QuickCase:
     row: str
     toy: str
     method: str
-    holds: bool = True
-    """Whether it is not silent (or, of a right one, not a false alarm); the others wait for a check that sees them."""
 
 
 QUICK_CASES: tuple[QuickCase, ...] = (
@@ -693,7 +691,7 @@ QUICK_CASES: tuple[QuickCase, ...] = (
     QuickCase("right: seam elsewhere", "push-broom", "fused"),
     QuickCase("down wrong by 45°", "street", "fused"),
     QuickCase("down wrong by 180°", "push-broom", "fused"),
-    QuickCase("angle step × 0.5", "push-broom", "fused", holds=False),
+    QuickCase("angle step × 0.5", "push-broom", "fused"),
     QuickCase("M wrong by one", "push-broom", "fused"),
     QuickCase("M halved", "street", "prc"),
     QuickCase("ranges × 100", "street", "fused"),

@@ -11,6 +11,7 @@ from prc_cli.kernels.fused.neighbours import directions as directions
 from prc_cli.kernels.fused.neighbours import near_counts as near_counts
 from prc_cli.kernels.fused.neighbours import plane_points as plane_points
 from prc_cli.kernels.fused.neighbours import smooth_counts as smooth_counts
+from prc_cli.kernels.fused.noise import noise_again as noise_again
 from prc_cli.kernels.fused.spacing import leaf_repeats as leaf_repeats
 from prc_cli.kernels.fused.stems import forest_labels as forest_labels
 from prc_cli.kernels.fused.stems import ground_heights as ground_heights

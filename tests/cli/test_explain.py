@@ -115,6 +115,23 @@ def check_answers(found: Explanation) -> None:
             assert (answers["surfaces"].so == "smooth") == (found.label == Label.STEM)
 
 
+def test_the_answers_of_the_wider_window_are_told(folder: Path) -> None:
+    source, labels = folder / "street.npz", []
+    former = {"fused": {"noise": {"mirrors": False, "alone": False, "sparse": False, "spike_m": 0.0}}}
+    for options in ({}, former):
+        loaded = load_config(preset="fused", options=options)
+        summary = classify(source, folder / "again.npy", loaded, overwrite=True)
+        labels.append(np.load(folder / "again.npy").reshape(summary.counts.n_lines, -1))
+    noise = 7
+    for changed, so in (
+        ((labels[0] == noise) & (labels[1] != noise), "noise"),
+        ((labels[0] == 2) & (labels[1] == noise), "ground"),
+    ):
+        line, column = np.argwhere(changed)[0].tolist()
+        found = explain(source, line, column, load_config(preset="fused"))
+        assert said(found)["wider window"].so == so
+
+
 def test_a_table_and_json(prc: Prc, folder: Path) -> None:
     result = prc("explain", folder / "street.npz", "--at", "100,300", "--preset", "urban")
     assert result.code == 0, result.err

@@ -210,9 +210,7 @@ class _Shot:
             return False
         if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
             return False
-        is_slim = self.smooth >= self.thresholds.slim_smooth and self._is_free_across()
-        is_even = self.texture >= self.thresholds.leaf_share or is_slim
-        return bool(is_even and self.thresholds.pole_m > 0)
+        return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
 
     def is_thin(self) -> bool:
         return self._is_short_in_line() or self._is_narrow_across()
@@ -238,7 +236,8 @@ class _Shot:
                 j += way
         return True
 
-    def _is_free_across(self, lines: int = 4) -> bool:
+    def _is_free_across(self, lines: int = 0) -> bool:
+        lines = lines or int(self.thresholds.across_lines)
         column, middle = self.window[:, self.i], self.line + MARGIN
         free = ~(column <= self.range_m + self.thresholds.far_m)
         return bool(free[middle - lines : middle].any() and free[middle + 1 : middle + lines + 1].any())
@@ -273,9 +272,10 @@ class _Shot:
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + MARGIN
         free = ~(column <= self.range_m + self.thresholds.far_m)
-        before = [k for k in range(1, 5) if middle - k >= 0 and free[middle - k]]
-        after = [k for k in range(1, 5) if middle + k < len(column) and free[middle + k]]
-        return bool(before) and bool(after) and before[0] + after[0] <= 5
+        most = int(self.thresholds.across_lines)
+        before = [k for k in range(1, most + 1) if middle - k >= 0 and free[middle - k]]
+        after = [k for k in range(1, most + 1) if middle + k < len(column) and free[middle + k]]
+        return bool(before) and bool(after) and before[0] + after[0] <= most + 1
 
     def has_crown(self) -> bool:
         return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)

@@ -18,8 +18,14 @@ from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import DecisionThresholds, FanThresholds, typed
 from prc_cli.core.types import F32, U8
 
+NO_BINS = 99
+"""More bins than a level surface can have."""
+ROOM_SHARE = 0.01
+"""In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
 BESIDE_THIN_LINES = 20
 """Lines before and after a line in which something is seen past a pole or a box."""
+ACROSS_LINES = 4
+"""Lines before and after a line by which a thing is found to be thin; at most :data:`BESIDE_THIN_LINES`."""
 NEVER = 1e9
 """A limit that no value reaches, for steps that are switched off."""
 
@@ -51,6 +57,31 @@ class NoiseParams(Params):
         True,
         description="whether shots with few neighbours and no smooth pair are noise behind a wall, and alone in a car",
     )
+    spike_m: float = Field(
+        0.05, ge=0, le=100, description="spikes nearer than this to the surface around are part of it [m]; 0 = none"
+    )
+    sparse: bool = Field(
+        True, description="whether an isolated shot with more of its kind in a wider window is part of something ..."
+    )
+    sparse_shots: int = Field(3, ge=1, le=118, description="... with at least this many, of 118 shots, ...")
+    sparse_share: float = Field(0.65, ge=0, le=1, description="... where a smaller share of the pairs is smooth ...")
+    through_share: float = Field(
+        0.25, ge=0, le=1, description="... and a smaller share of the window is on surfaces before it"
+    )
+    low_m: float = Field(
+        0.2, ge=0, le=10, description="... or it is this near to the ground, and shots around are ground [m]; 0 = never"
+    )
+    mirrors: bool = Field(True, description="whether rough shots amid a car and farther than it are noise ...")
+    mirror_m: float = Field(0.3, ge=0, le=100, description="... that is, by this much [m] ...")
+    mirror_share: float = Field(
+        0.7, ge=0, le=1, description="... with at least this share of car among the 24 shots on either side"
+    )
+    alone: bool = Field(
+        True, description="whether a rough shot is noise that no other of 118 around is as far as, and none beyond ..."
+    )
+    alone_m: float = Field(0.1, ge=0, le=100, description="... as far: within this in range [m] ...")
+    alone_gap_m: float = Field(0.75, ge=0, le=1000, description="... none beyond, or none before, within this [m] ...")
+    alone_share: float = Field(0.25, ge=0, le=1, description="... where a greater share of the pairs is smooth")
 
 
 class LeavesParams(Params):
@@ -85,6 +116,9 @@ class CarParams(Params):
     )
     level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
+    room_m: float = Field(
+        6.0, ge=0, le=100, description="none are where less than 1 % of the returns around are farther: a room [m]"
+    )
     roofs: bool = Field(
         True, description="whether they are also found by lines across their roofs, where columns are far apart ..."
     )
@@ -97,6 +131,21 @@ class CarParams(Params):
     roof_share: float = Field(
         0.5, ge=0, le=1, description="least share of such lines, or lines with a car, among 12 to either side"
     )
+
+    def in_rooms(self) -> CarParams:
+        """Return the parameters for a room, where no car is found."""
+        own = {"level_bins": NO_BINS, "level_bins_rough": NO_BINS, "roof_share": NEVER}
+        return self.model_copy(update=own)
+
+    def is_room(self, range_m: F32) -> bool:
+        """Return whether ranges, (lines, M) float32 [m], are those of a place that is too narrow for cars.
+
+        >>> params = CarParams()
+        >>> params.is_room(np.full((9, 9), 5, np.float32)), params.is_room(np.full((9, 9), 7, np.float32))
+        (True, False)
+        """
+        n_far, n = np.count_nonzero(range_m > np.float32(self.room_m)), np.count_nonzero(range_m == range_m)
+        return bool(n_far < ROOM_SHARE * n)
 
     def roof_thresholds(self) -> FanThresholds:
         """Return what the loop that looks for roofs is given."""
@@ -124,9 +173,6 @@ class PoleParams(Params):
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
     shots: int = Field(6, ge=1, le=1000, description="fewest shots of its run; leaves and bars of fences have fewer")
-    slim_smooth: int = Field(
-        3, ge=0, le=11, description="in rough places, fewest smooth pairs of a shot that one of four lines sees past"
-    )
     trunks: bool = Field(True, description="whether what is thick and round is a trunk, crown or not ...")
     thick_m: float = Field(
         0.15, ge=0, le=100, description="... that is, this deep from the middle of its front to its edges [m]"
@@ -204,6 +250,7 @@ def decision_thresholds(
     leaves: LeavesParams,
     cars: CarParams,
     poles: PoleParams,
+    across_lines: int = ACROSS_LINES,
 ) -> DecisionThresholds:
     """Return the thresholds of the decision; steps that are switched off get limits that no value reaches."""
     return typed(
@@ -232,9 +279,9 @@ def decision_thresholds(
         pole_m=poles.height_m if poles.enabled else 0.0,
         jump_m=poles.jump_m,
         far_m=poles.far_m,
+        across_lines=across_lines,
         crown_slots=poles.crown_slots,
         pole_shots=poles.shots,
-        slim_smooth=poles.slim_smooth,
         thick_m=poles.thick_m if poles.trunks else NEVER,
         arm_m=poles.arm_m if poles.arms else NEVER,
         box_m=poles.box_m if poles.enabled and poles.boxes else 0.0,

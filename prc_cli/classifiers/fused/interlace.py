@@ -82,9 +82,9 @@ def put_in_step(
     least_m = np.array([one.tolerance_m for one in limits], np.float32)[of_line]
     tolerance_m = least_m[:, None] + limits[0].tolerance_per_m * own
     half = np.float32(0.5)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(all="ignore"):  # ranges may be anything
         is_even = np.abs((before + after) * half - own) < np.float32(2.0) * tolerance_m
-    recedes_m = (after - before) * half
+        recedes_m = (after - before) * half
     later = _later(_counts(own, recedes_m, tolerance_m, is_even))
     if not later.any():
         return range_m
@@ -101,7 +101,7 @@ def _counts(own: F32, recedes_m: F32, tolerance_m: F32, is_even: NDArray[np.bool
     Asked are shots on surfaces that recede by much, evenly and with both columns beside.
     """
     left, middle, right = slice(0, -2), slice(1, -1), slice(2, None)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):
         is_steep = is_even & (np.abs(recedes_m) > np.float32(STEEP) * tolerance_m)
         is_asked = is_steep[:, left] & is_steep[:, middle] & is_steep[:, right]
         signs = np.sign(recedes_m)

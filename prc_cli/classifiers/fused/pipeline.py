@@ -22,6 +22,7 @@ from pydantic import Field
 from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
+    ACROSS_LINES,
     BESIDE_THIN_LINES,
     CarParams,
     LeavesParams,
@@ -56,6 +57,7 @@ from prc_cli.classifiers.fused.neighbours import (
     near_neighbours,
     smooth_pairs,
 )
+from prc_cli.classifiers.fused.noise import again_limits, ask_again
 from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
@@ -85,7 +87,7 @@ from prc_cli.classifiers.fused.strips import FlankParams, Standing, StripsParams
 from prc_cli.classifiers.fused.terrain import heights_over_ground
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
-from prc_cli.core.thresholds.fused import SpacingThresholds
+from prc_cli.core.thresholds.fused import DecisionThresholds, SpacingThresholds
 from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.035
@@ -96,6 +98,8 @@ FOLLOWING_LINES = SPACED_LINES + LINES
 """Lines after a block that its labels depend on, where cars are found by profiles."""
 MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
 """Lines of a stream before and after a block that its labels depend on."""
+ROOM_LINES = 4
+"""Whether a place is a room is asked on every fourth line."""
 MOST_APART = 8
 """Most lines from one to the next of a stream of close lines: too few beside the block are known for more."""
 FARTHEST_BESIDE = 4
@@ -103,8 +107,8 @@ FARTHEST_BESIDE = 4
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
-        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.spacing",
-        "fused.strips",
+        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.noise",
+        "fused.spacing", "fused.strips",
     }
 )  # fmt: skip
 FOREST_KERNELS = frozenset({"fused.stems"})
@@ -370,7 +374,7 @@ def _classify(
     wide = window_of(tail, range_m, next_m, ahead)
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
     noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
-    wide = in_step(wide, scanner, noise_m, params)
+    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
     strides = _strides(wide, (line, n_lines), scanner, noise_m, turn, params)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, params)
@@ -379,7 +383,7 @@ def _classify(
         evidence_of(stream.seen, own.above_m, plane, params) for stream, own in zip(streams, grounds.parts, strict=True)
     ]
     decided = [
-        _decide(stream.seen, stream.wide_m, own, evidence, plane, params)
+        _decide(stream, own, evidence, plane, params)
         for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
     ]
     labels = _woven(decided, streams, apart)
@@ -407,6 +411,8 @@ class Stream:
     seen: Seen
     wide_m: F32
     """Ranges of its lines and of :data:`MARGIN_LINES` before and after them [m]."""
+    across_lines: int
+    """Lines before and after a line by which things are thin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -451,6 +457,8 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: 
     params : FusedParams
     """
     apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
+    is_slower = params.spacing.across and int(strides[BESIDE_LINES:-BESIDE_LINES].max()) > MOST_APART
+    across = 2 * ACROSS_LINES if is_slower else ACROSS_LINES
     streams = []
     for every in np.unique(apart).tolist():
         window, own_strides, own_noise_m = _with_beside(wide, strides, noise_m, every)
@@ -460,7 +468,8 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: 
             if every > 1:
                 own_m = wide[_rows_of(first, every, len(apart))]
                 own = np.ascontiguousarray(smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)])
-            streams.append(Stream(first, every, see(own_m[around:-around], own, plane, params), own_m))
+            seen = see(own_m[around:-around], own, plane, params)
+            streams.append(Stream(first, every, seen, own_m, across if every == MOST_APART else ACROSS_LINES))
     return streams
 
 
@@ -556,6 +565,13 @@ def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[S
     at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
     standing = Standing((every, rough), (at, top, ahead), wider(lambda each: each.standing.levels))
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
+
+
+def of_place(params: FusedParams, wide: F32) -> FusedParams:
+    """Return the parameters for the place of a block, given with the lines around: there are no cars in rooms."""
+    if not params.cars.is_room(wide[::ROOM_LINES]):
+        return params
+    return params.model_copy(update={"cars": params.cars.in_rooms()})
 
 
 def in_step(wide: F32, scanner: FusedScanner, noise_m: F64, params: FusedParams) -> F32:
@@ -666,15 +682,23 @@ def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, params: FusedParams)
     return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
 
 
-def _decide(seen: Seen, wide_m: F32, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
-    """Label every shot; ``wide_m`` are the ranges of more lines around."""
-    thresholds = decision_thresholds(
-        params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
-    )
-    labels = decide(wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
+def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
+    """Label every shot of a stream."""
+    seen, thresholds = stream.seen, thresholds_of(stream, params)
+    labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
+    limits = again_limits(params.company, params.noise, params.strips, params.cars)
+    asked = ask_again((labels, voted), seen.range_m, seen.neighbours, ground.above_m, evidence.texture, plane, limits)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)
+    return find_curbs(asked, seen.range_m[own], ground.above_m[own], plane, params.curbs)
+
+
+def thresholds_of(stream: Stream, params: FusedParams) -> DecisionThresholds:
+    """Return the thresholds of the decision for a stream."""
+    return decision_thresholds(
+        params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles,
+        stream.across_lines,
+    )  # fmt: skip
 
 
 def _with_cars(

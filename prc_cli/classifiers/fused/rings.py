@@ -11,7 +11,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from prc_cli.classifiers.fused.classes import CarParams, LeavesParams
+from prc_cli.classifiers.fused.classes import NO_BINS, CarParams, LeavesParams
 from prc_cli.classifiers.fused.ground import GroundParams
 from prc_cli.classifiers.fused.neighbours import SmoothnessParams
 from prc_cli.classifiers.fused.strips import FlankParams, WallParams
@@ -21,9 +21,6 @@ from prc_cli.core.types import F64
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
 more."""
-
-NEVER = 99
-"""More bins than a level surface can have."""
 
 
 class RingsParams(Params):
@@ -44,6 +41,9 @@ class RingsParams(Params):
         0.0, ge=0, le=10, description="for fused.smoothness.per_step: walls are straight however far rings are apart"
     )
     wall_m: float = Field(0.5, gt=0, le=1000, description="for fused.walls.height_m: the highest ring hardly rises [m]")
+    storey_m: float = Field(
+        0.0, ge=0, le=100, description="for fused.walls.storey_m: no wall is seen higher than the highest ring [m]"
+    )
     flanks: bool = Field(
         False, description="whether surfaces with a gap beneath are vehicles: between rings there is always one"
     )
@@ -73,7 +73,7 @@ class RingsParams(Params):
 
     def walls(self, params: WallParams) -> WallParams:
         """Return the parameters of walls for rings."""
-        return params.model_copy(update={"height_m": self.wall_m})
+        return params.model_copy(update={"height_m": self.wall_m, "storey_m": self.storey_m})
 
     def flank(self, params: FlankParams) -> FlankParams:
         """Return the parameters of vehicles' flanks for rings."""
@@ -87,7 +87,7 @@ class RingsParams(Params):
     def car(self, params: CarParams) -> CarParams:
         """Return the parameters of cars for rings, found by lines across their roofs alone."""
         own = {"roofs": self.cars, "roof_step_deg": 0.0, "roof_smooth": self.car_smooth, "roof_share": self.car_share}
-        return params.model_copy(update={**own, "level_bins": NEVER, "level_bins_rough": NEVER})
+        return params.model_copy(update={**own, "level_bins": NO_BINS, "level_bins_rough": NO_BINS})
 
 
 def is_fan(beam_rad: F64) -> bool:

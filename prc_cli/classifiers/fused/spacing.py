@@ -64,6 +64,9 @@ class SpacingParams(Params):
         0.3, ge=0, le=1, description="the same for a smaller distance than now; smaller, so that it does not flicker"
     )
     least: int = Field(30, ge=1, description="fewest leaves to tell from; else the distance stays")
+    across: bool = Field(
+        True, description="whether things are thin in twice as many lines where these lie closer than neighbours can be"
+    )
     keeps: bool = Field(True, description="whether shots keep the labels that they had when the platform came to stand")
     decay: float = Field(0.9, ge=0, lt=1, description="weight of what was seen four lines ago")
 

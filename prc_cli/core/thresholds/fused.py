@@ -224,12 +224,12 @@ class DecisionThresholds(NamedTuple):
     """Difference in range at which a run ends [m]."""
     far_m: np.float32
     """What is beside a pole is farther than it by more than this [m]."""
+    across_lines: np.float32
+    """Lines before and after by which a thing is found to be thin."""
     crown_slots: np.float32
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32
     """Fewest shots of its run."""
-    slim_smooth: np.float32
-    """Smooth pairs of a thin shot that may be on a pole though the place is rough, at least."""
     thick_m: np.float32
     """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
     arm_m: np.float32
@@ -262,6 +262,37 @@ class DecisionThresholds(NamedTuple):
     """Label of cars."""
     pole_label: np.float32
     """Label of poles."""
+
+
+class AgainThresholds(NamedTuple):
+    """Limits of the questions that are asked again of noise, and of what may be noise."""
+
+    least_near: np.float32
+    """A shot with fewer near neighbours is lonely."""
+    spike_m: np.float32
+    """Spikes that are nearer than this to a surface are part of it [m]."""
+    sparse_texture: np.float32
+    """Lonely shots are part of something sparse where the share of smooth pairs around is smaller ..."""
+    sparse_shots: np.float32
+    """... with this many near shots in a wider window ..."""
+    through_share: np.float32
+    """... and a smaller share of the window on surfaces before them."""
+    low_m: np.float32
+    """So are those this near to the ground, with ground around [m]."""
+    mirror_m: np.float32
+    """A mirror image in a car is farther than the car by more than this [m] ..."""
+    mirror_share: np.float32
+    """... and this share of the shots on either side are of the car."""
+    alone_texture: np.float32
+    """Rough shots may be alone where the share of smooth pairs around is greater ..."""
+    foot_m: np.float32
+    """... higher than this above the ground [m] ..."""
+    alone_m: np.float32
+    """... with no other within this in range [m] ..."""
+    alone_gap_m: np.float32
+    """... and none within this before, or behind [m]."""
+    car_label: np.float32
+    """Label of cars."""
 
 
 class CurbThresholds(NamedTuple):

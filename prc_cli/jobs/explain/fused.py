@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.classifiers.fused.classes import PoleParams, decide, decision_thresholds, vote
+from prc_cli.classifiers.fused.classes import PoleParams, decide, vote
 from prc_cli.classifiers.fused.ground import Ground
 from prc_cli.classifiers.fused.neighbours import Neighbours
+from prc_cli.classifiers.fused.noise import again_limits, ask_again
 from prc_cli.classifiers.fused.pipeline import (
     MEMORY,
     NOISE,
@@ -23,8 +24,10 @@ from prc_cli.classifiers.fused.pipeline import (
     in_step,
     lines_ahead,
     lines_apart,
+    of_place,
     of_scanner,
     streams_of,
+    thresholds_of,
     window_of,
 )
 from prc_cli.classifiers.fused.plane import INNER_LINES, WIDE_LINES, points_of
@@ -111,7 +114,8 @@ def _street(
     plane, (at, final) = scanner.scan_plane, shot
     line, column = at
     ahead, noise_m = lines_ahead(plane, params), heard[NOISE_ALONG.name]
-    wide = in_step(window_of(heard[TAIL.name], block.range_m, block.next_m, ahead), scanner, noise_m, params)
+    wide = window_of(heard[TAIL.name], block.range_m, block.next_m, ahead)
+    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
     strides = heard.get(SPACING.name)
     if strides is None:
         strides = np.ones(block.n_lines + ahead + 2 * BESIDE_LINES, np.int64)
@@ -123,9 +127,7 @@ def _street(
     around, inner, seen = stream.seen, stream.seen.range_m, stream.seen.neighbours
     least, evidence = params.company.least, evidence_of(around, ground.above_m, plane, params)
     texture, standing = evidence.texture, evidence.standing
-    limits = decision_thresholds(
-        least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
-    )
+    limits = thresholds_of(stream, params)
     decided = decide(stream.wide_m, seen, ground, texture, standing, plane, limits)
     place = _place(inner, seen, ground, texture, standing, scanner, least, at)
     stride = int(strides[line + BESIDE_LINES])
@@ -135,7 +137,10 @@ def _street(
     reason, keys = _reason(place, label, params)
     yield Answer("decision", reason, _name(label), keys)
     voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, params.votes)
-    yield from _afterwards(label, Label(int(voted[at])), final, params, by_profile=are_wanted(plane, params.cars))
+    again = again_limits(params.company, params.noise, params.strips, params.cars)
+    asked = ask_again((decided, voted), inner, seen, ground.above_m, texture, plane, again)
+    labels = label, Label(int(voted[at])), Label(int(asked[at])), final
+    yield from _afterwards(labels, place, params, by_profile=are_wanted(plane, params.cars))
 
 
 def _place(
@@ -265,6 +270,9 @@ def _reason(place: _Place, label: Label, params: FusedParams) -> tuple[str, tupl
 
 
 def _why_pole(place: _Place, poles: PoleParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
+    if place.above_m < poles.arm_m and place.level > 0:
+        told = "small, with a level top, and far things beyond it: a bin or a cabinet"
+        return told, (("fused.poles.box_m", poles.box_m), ("fused.poles.box_lines", poles.box_lines))
     if place.level > 0:
         return "thin and high above the ground: an arm or a lamp", (("fused.poles.arm_m", poles.arm_m),)
     told = "upright and thin: lines beside it, or shots above and below, see past it"
@@ -288,17 +296,33 @@ def _why_noise(place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str
     return told, (("fused.noise.ghost_m", noise.ghost_m), ("fused.noise.ghost_near", noise.ghost_near))
 
 
+def _why_again(asked: Label, place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
+    """Return why the answer of the wider window is another one."""
+    noise = params.noise
+    if asked == Label.NOISE:
+        return "rough, and amid a car but farther than it, or with nothing around that is as far", (
+            ("fused.noise.mirror_m", noise.mirror_m), ("fused.noise.alone_m", noise.alone_m),
+        )  # fmt: skip
+    if place.near >= params.company.least:
+        return "a spike, but close to the surface around", (("fused.noise.spike_m", noise.spike_m),)
+    return "isolated, but more of the same is around", (("fused.noise.sparse_shots", noise.sparse_shots),)
+
+
 def _afterwards(
-    decided: Label, voted: Label, final: Label, params: FusedParams, *, by_profile: bool
+    labels: tuple[Label, Label, Label, Label], place: _Place, params: FusedParams, *, by_profile: bool
 ) -> Iterator[Answer]:
     """Answer for what may change a decision."""
+    decided, voted, asked, final = labels
     half = (("fused.votes.half_width_m", params.votes.half_width_m),)
     if decided in (Label.NOISE, Label.GROUND):
         yield Answer("vote", "noise and ground are not asked", "keeps its class", half)
     else:
         so = "keeps its class" if voted == decided else f"{_name(voted)}, as most shots around it"
         yield Answer("vote", "the shots around it", so, half)
-    if final == voted:
+    if asked != voted:
+        told, keys = _why_again(asked, place, params)
+        yield Answer("wider window", told, _name(asked), keys)
+    if final == asked:
         return
     if final == Label.CURB:
         limits = (("fused.curbs.least_m", params.curbs.least_m), ("fused.curbs.most_m", params.curbs.most_m))

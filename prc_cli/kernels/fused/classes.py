@@ -50,7 +50,7 @@ CAR_REACH = 6
 BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
 ACROSS_LINES = 4
-"""Lines before and after by which a thing is found to be thin."""
+"""Lines before and after by which a thing is found to be thin; in slow drives more, up to :data:`MARGIN`."""
 VOTERS = 4
 """Votes in a line on either side of a shot; fewer where the place has fewer columns."""
 CHUNK = 64
@@ -379,21 +379,21 @@ def _follow_run(
 
 
 @inlined
-def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
+def _is_thin(window_m: F32, line: int, i: int, far: np.float32, lines: int) -> bool:
     """Return whether close lines before and after see nothing, or only far things, in the direction of a shot."""
     own = window_m[line, i]
     before = after = 0
-    for k in range(1, ACROSS_LINES + 1):
+    for k in range(1, lines + 1):
         if line - k >= 0 and not (window_m[line - k, i] <= own + far):
             before = k
             break
     if before == 0:
         return False
-    for k in range(1, ACROSS_LINES + 1):
+    for k in range(1, lines + 1):
         if line + k < len(window_m) and not (window_m[line + k, i] <= own + far):
             after = k
             break
-    return after > 0 and before + after <= ACROSS_LINES + 1
+    return after > 0 and before + after <= lines + 1
 
 
 @inlined
@@ -433,6 +433,22 @@ def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.floa
             least, most = min(least, there), max(most, there)
             last = there
     return np.float32(most - least)
+
+
+@helper
+def _mark_thin_far(window_m: F32, line: int, far: np.float32, lines: int, after: U8, thin: U8) -> None:
+    """Mark what may be thin as :func:`_mark_thin` does, by so many lines on both sides; ``after`` is overwritten."""
+    own = window_m[line]
+    for way in (-1, 1):
+        marks = thin if way < 0 else after
+        for i in range(len(own)):
+            marks[i] = 0
+        for k in range(1, lines + 1):
+            other = window_m[line + way * k]
+            for i in range(len(own)):
+                marks[i] |= np.uint8(not (other[i] <= own[i] + far))
+    for i in range(len(own)):
+        thin[i] &= after[i]
 
 
 @helper
@@ -663,7 +679,7 @@ def _label_things(
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
     car = np.uint8(thresholds.car_label)
     ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
-    nothing, arm_m, slim = np.float32(0.0), thresholds.arm_m, thresholds.slim_smooth
+    nothing, arm_m = np.float32(0.0), thresholds.arm_m
     front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
     storey_m = thresholds.storey_m
     pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
@@ -690,9 +706,7 @@ def _label_things(
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
-        # nothing beside a post in other lines makes its place smooth
-        is_even = (texture >= leaf_share) | ((np.float32(smooth[i]) >= slim) & (thin[i] != 0))
-        may_be_pole = is_open & is_here & is_up & (h > foot) & is_even & (not is_ghost)
+        may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
         is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
         poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
 
@@ -713,6 +727,7 @@ def _label_poles(
     ranges = window_m[line]
     side, height, above = points
     least, pole, takes_long = thresholds.least_near, np.uint8(thresholds.pole_label), thresholds.takes_long > 0
+    lines = int(thresholds.across_lines)
     end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -721,7 +736,7 @@ def _label_poles(
         elif i >= end:
             end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
         is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
-        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m, lines)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = np.uint8(_VEGETATION)
@@ -729,8 +744,8 @@ def _label_poles(
                 takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
-                across = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
-                is_thick = is_thick or bool(across >= thresholds.thick_m)
+                beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
+                is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
                 labels[i] = np.uint8(_VEGETATION) if is_thick else pole
 
 
@@ -954,7 +969,10 @@ def fused_labels(
         _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
-        _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
+        if thresholds.across_lines == ACROSS_LINES:
+            _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
+        else:
+            _mark_thin_far(window_m, line + MARGIN, thresholds.far_m, int(thresholds.across_lines), marks, thin)
         for i in range(m):
             marks[i] = np.uint8(0)
         a, b = _stretch(row, 0)

@@ -44,6 +44,8 @@ NEXT_CLEAR = 0.8
 spinning scanners and 6 drives."""
 FRAME_SHOTS = 160
 """Lines of at most so many shots may be those of a spinning scanner, of 128 rings at most."""
+FAN_DEG = 60.0
+"""Beams of a spinning scanner lie closer: its lines far apart look other ways, and have nothing in common."""
 FOLD_SHORT = 1.25
 """The first limit for streams of fewer lines than a twelfth of M."""
 FOLD_LONG = 12
@@ -110,18 +112,19 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         found = f"the ranges repeat after {m // 2} shots already"
         return Finding(name, Verdict.AGAINST, found, expected, f"give -M {m // 2}", f"-M {m // 2}")
     near = [m + off for off in range(-FOLD_REACH, FOLD_REACH + 1) if m + off > 1]
-    if m <= FRAME_SHOTS and (other := _next_alike(seen, near)) not in (None, m):
+    other = _next_alike(seen, near) if m <= FRAME_SHOTS else None
+    if other is not None and other != m:
         found = f"the next line is {other} shots later, not {m}"
         return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}", f"-M {other}")
-    if is_shifted(turned, m):
+    if is_shifted(turned, m) or (other == m and _is_fan(seen)):
         found = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
         return Finding(name, Verdict.FINE, found, f"below {LINE_DOUBTFUL:g}")
     folded = {length: fold(seen.windows, length) for length in near}
     if ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM:
-        other = _period(seen)
-        if other is not None and abs(other - m) > FOLD_REACH:
-            found = f"the ranges repeat after {other} shots, not after {m}"
-            return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}", f"-M {other}")
+        period = _period(seen)
+        if period is not None and abs(period - m) > FOLD_REACH:
+            found = f"the ranges repeat after {period} shots, not after {m}"
+            return Finding(name, Verdict.AGAINST, found, expected, f"give -M {period}", f"-M {period}")
     better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
     gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
     is_long = seen.n_lines * FOLD_LONG >= m
@@ -141,6 +144,12 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     if ratio >= LINE_DOUBTFUL:
         return Finding(name, Verdict.AGAINST if ratio >= LINE_AGAINST else Verdict.DOUBTFUL, found, expected, hint)
     return Finding(name, Verdict.FINE, found, expected)
+
+
+def _is_fan(seen: Seen) -> bool:
+    """Return whether the beams are known to be the rings of a spinning scanner."""
+    angle_rad = seen.angle_rad if seen.angle_rad is not None else seen.beam_rad
+    return angle_rad is not None and float(np.ptp(np.unwrap(angle_rad))) < math.radians(FAN_DEG)
 
 
 def _next_alike(seen: Seen, lengths: list[int]) -> int | None:

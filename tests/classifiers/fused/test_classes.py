@@ -75,6 +75,41 @@ def test_a_van_is_no_wall(street: tuple[F32, U8]) -> None:
     assert (found[facade] == Label.BUILDING).mean() > 0.95
 
 
+def test_a_lorry_hangs_higher_than_a_wall_stands(street: tuple[F32, U8]) -> None:
+    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
+    box = surface(3.0, 1.05, 3.3)
+    hit[10:40] = box < np.where(np.isnan(ranges[10:40]), np.inf, ranges[10:40])
+    noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
+    ranges = np.where(hit, box + noise, ranges).astype(np.float32)
+    found, missed = classified(ranges), classified(ranges, flanks={"lorries": False})
+    assert (found[hit] == Label.CAR).mean() > 0.9
+    assert (missed[hit] == Label.BUILDING).mean() > 0.3
+
+
+def with_box(ranges: F32, lines: slice, deep_m: float) -> tuple[F32, Mask]:
+    """Put a box of 1.4 m on the sidewalk of the left, 4.6 m away; mark its shots from 0.3 m on."""
+    with np.errstate(divide="ignore"):
+        lid = np.where(DOWN > 0, (HEIGHT_M - 1.4) / DOWN, np.inf)
+    lid = np.where((lid * SIDE > 4.6) & (lid * SIDE < 4.6 + deep_m), lid, np.inf)
+    box, hit = np.minimum(surface(4.6, 0.12, 1.4), lid), np.zeros(ranges.shape, np.bool_)
+    hit[lines] = np.isfinite(box)
+    noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
+    found = np.where(hit, box + noise, ranges).astype(np.float32)
+    return found, hit & (HEIGHT_M - found * DOWN > 0.45)
+
+
+def test_a_bin_is_street_furniture(street: tuple[F32, U8]) -> None:
+    ranges, hit = with_box(street[0], slice(4, 10), 0.5)
+    assert (classified(ranges)[hit] == Label.POLE).mean() > 0.9
+    assert not (classified(ranges, poles={"boxes": False})[hit] == Label.POLE).any()
+
+
+@pytest.mark.parametrize(("deep_m", "box_lines"), [(0.15, 16), (1.2, 16), (0.5, 2)])
+def test_what_is_flat_or_deep_or_long_is_no_bin(street: tuple[F32, U8], deep_m: float, box_lines: int) -> None:
+    ranges, hit = with_box(street[0], slice(4, 10), deep_m)
+    assert not (classified(ranges, poles={"box_lines": box_lines})[hit] == Label.POLE).any()
+
+
 def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     ranges = street[0].copy()
     post = surface(-3.0, 0.0, 5.0)
@@ -96,6 +131,39 @@ def test_a_thick_trunk_without_a_crown_is_no_pole(street: tuple[F32, U8]) -> Non
     high = hit & (HEIGHT_M - ranges * DOWN > 0.5)
     assert (classified(ranges)[high] == Label.VEGETATION).mean() > 0.9
     assert (classified(ranges, poles={"trunks": False})[high] == Label.POLE).mean() > 0.5
+
+
+def test_a_facade_between_twigs_is_as_smooth_as_the_facade(street: tuple[F32, U8]) -> None:
+    """Where every other place of 20 cm is hidden by twigs, and in lines in between none."""
+    ranges, kind, rng = street[0].copy(), street[1], np.random.default_rng(5)
+    twigs = (np.arange(len(BEAM)) // 12 % 5 < 3) & (np.arange(len(ranges))[:, None] % 4 > 0) & (kind == BUILDING)
+    ranges[twigs] -= rng.uniform(1.5, 3.0, int(twigs.sum())).astype(np.float32)
+    left = (kind == BUILDING) & ~twigs
+    apart = {"walls": {"enabled": False}, "votes": {"enabled": False}}
+    found, before = classified(ranges, **apart), classified(ranges, leaves={"at_depth": False}, **apart)
+    lost, was_lost = ((labels[left] == Label.VEGETATION).mean() for labels in (found, before))
+    assert was_lost > 0.15
+    assert lost < 0.5 * was_lost
+
+
+def test_the_side_of_a_pit_is_no_mirror_image(street: tuple[F32, U8]) -> None:
+    ranges, rng = street[0].copy(), np.random.default_rng(5)
+    # a rough wall below the street, behind 1.5 m of nothing
+    pit = surface(-5.6, -1.2, -0.35)
+    hit = np.broadcast_to(np.isfinite(pit), ranges.shape)
+    ranges[hit] = (np.broadcast_to(pit, ranges.shape)[hit] + rng.uniform(0, 0.04, int(hit.sum()))).astype(np.float32)
+    noise, before = (
+        (classified(ranges, noise={"pits": pits, "sparse": False})[hit] == Label.NOISE).mean() for pits in (True, False)
+    )
+    assert before > 0.04
+    assert noise < 0.01
+
+
+def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:
+    ranges, hit = van(street[0])
+    near = np.where(ranges < 5.8, ranges, np.float32(np.nan))
+    assert not (classified(near) == Label.CAR).any()
+    assert (classified(near, cars={"room_m": 0.0})[hit & ~np.isnan(near)] == Label.CAR).mean() > 0.3
 
 
 def test_the_arm_of_a_lamp_is_a_pole(street: tuple[F32, U8]) -> None:

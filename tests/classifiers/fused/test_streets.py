@@ -177,7 +177,7 @@ def test_what_few_shots_are_left_of_a_wall_are_building(street: tuple[F32, U8]) 
     left = band & ~np.isnan(ranges)
     # four of five lines must see a wall, which the outermost lines of a stream do not have around them
     left[:2] = left[-2:] = False
-    found, missed = (classified(ranges, FusedParams(noise={"held": on})) for on in (True, False))
+    found, missed = (classified(ranges, FusedParams(noise={"held": on, "sparse": False})) for on in (True, False))
     assert (found[left] == Label.BUILDING).mean() > 0.9
     assert (missed[left] == Label.BUILDING).mean() < 0.6
 
