@@ -53,8 +53,6 @@ ACROSS_LINES = 4
 """Lines before and after by which a thing is found to be thin; in slow drives more, up to :data:`MARGIN`."""
 VOTERS = 4
 """Votes in a line on either side of a shot; fewer where the place has fewer columns."""
-CHUNK = 64
-"""Columns that are left out together where nothing is undecided."""
 GAP_SHOTS = 3
 """Lonely shots within a run, beside as many as the run is long."""
 _LONG, _SHORT, _UNKNOWN = 0, 1, 2
@@ -123,9 +121,9 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 
 @helper
-def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, columns: I32) -> None:
+def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
     """Write the half width of every shot's place in columns; any number where the shot is missing."""
-    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(MOST_COLUMNS)
+    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
     for i in range(len(ranges)):
         r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
         columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
@@ -168,12 +166,11 @@ def _share_at_depth(
     while place < last:
         # every word is read, near or not, to avoid a branch
         j = np.uint64(place)
-        first, second, third, fourth, fifth = one[j], two[j], three[j], four[j], five[j]
-        total += first if abs(a[j] - own) < depth_m else nothing
-        total += second if abs(b[j] - own) < depth_m else nothing
-        total += third if abs(c[j] - own) < depth_m else nothing
-        total += fourth if abs(d[j] - own) < depth_m else nothing
-        total += fifth if abs(e[j] - own) < depth_m else nothing
+        total += one[j] if abs(a[j] - own) < depth_m else nothing
+        total += two[j] if abs(b[j] - own) < depth_m else nothing
+        total += three[j] if abs(c[j] - own) < depth_m else nothing
+        total += four[j] if abs(d[j] - own) < depth_m else nothing
+        total += five[j] if abs(e[j] - own) < depth_m else nothing
         place += stride
     n_shots, n_pairs = np.int32(total >> np.uint32(16)), np.int32(total & np.uint32(0xFFFF))
     return np.float32(n_pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))))
@@ -253,7 +250,7 @@ def mean_smoothness(
         line = k - 2 * LINES
         _add_lines((places[0], places[1], places[2], places[3], places[4]), together)
         _sum_up(together, so_far)
-        _half_widths(range_m[line + LINES], step, half_m, columns)
+        _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
         _sums_of_places(columns, so_far, together)
         _shares(range_m[line + LINES], together, mean[line])
         lines = range_m[line], range_m[line + 1], range_m[line + 2], range_m[line + 3], range_m[line + 4]
@@ -567,31 +564,13 @@ def _list_marked(labels: U8, least: int, most: int, shots: I32) -> int:
 
 
 @helper
-def _stretch(labels: U8, first: int) -> tuple[int, int]:
-    """Return the next stretch of a line with undecided shots, in whole chunks; sky and ground are left out."""
-    m = len(labels)
-    begin = m
-    while first < m:
-        end = min(first + CHUNK, m)
-        most = np.uint8(0)
-        for i in range(first, end):
-            most = max(most, labels[i])
-        if most >= np.uint8(_ODD):
-            begin = min(begin, first)
-        elif begin < m:
-            break
-        first = end
-    return begin, first
-
-
-@helper
 def _label_odd(
     shots: I32,
     points: tuple[F32, F32, F32],
     counts: tuple[U8, U8, U8, U8],
     walked: Mask,
     rows: tuple[Slots, F32, F32],
-    spikes: tuple[F32, np.float32, Pairs],
+    spikes: tuple[I32, Pairs],
     thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
@@ -599,8 +578,7 @@ def _label_odd(
     side, height, above = points
     near, smooth, upright, level = counts
     rough, at, top = rows
-    ranges, step, so_far = spikes
-    fewest, most = np.float32(LEAST_COLUMNS), np.float32(SPIKE_COLUMNS)
+    columns, so_far = spikes
     least, below, share = thresholds.least_near, thresholds.below_m, thresholds.spike_share
     foot, leaf_slots, holds = thresholds.foot_m, thresholds.leaf_slots, thresholds.keeps_held > 0
     for k in range(len(shots)):
@@ -620,7 +598,7 @@ def _label_odd(
                 labels[i] = _NOISE
                 continue
         # spikes: the adjacent shots are smooth, in the line and in the lines before and after
-        half = int(min(max(SPIKE_PLACE_M / (ranges[i] * step), fewest), most))
+        half = int(columns[i])
         place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
         shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
         is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
@@ -943,7 +921,7 @@ def fused_labels(
         np.empty(2 * STRIPS, np.uint8),
         (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32)),
     )
-    bins, so_far = np.empty(m, np.int32), np.empty(m + 1, np.uint32)
+    columns, bins, so_far = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m + 1, np.uint32)
     found = (
         np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32),
         np.zeros(m, np.float32),
@@ -964,7 +942,8 @@ def fused_labels(
         n = _list_marked(row, _ODD, _ODD, shots)
         _count_pairs(near[k + 1], smooth[k + 1], thresholds.least_near, pairs[(line + 2) % 3])
         _sum_up_three(pairs[0], pairs[1], pairs[2], so_far)
-        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (ranges, step, so_far), thresholds, row)
+        _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
+        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (columns, so_far), thresholds, row)
         n = _list_marked(row, _ODD, _OPEN, shots)
         _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
@@ -973,22 +952,7 @@ def fused_labels(
             _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
         else:
             _mark_thin_far(window_m, line + MARGIN, thresholds.far_m, int(thresholds.across_lines), marks, thin)
-        for i in range(m):
-            marks[i] = np.uint8(0)
-        a, b = _stretch(row, 0)
-        while a < b:
-            _label_things(
-                (side[a:b], height[a:b], place[2][a:b]),
-                (own[0][a:b], own[1][a:b], own[2][a:b], own[3][a:b]),
-                texture[line][a:b],
-                bins[a:b],
-                (found[0][a:b], found[1][a:b], found[2][a:b], found[3][a:b], found[4][a:b]),
-                thin[a:b],
-                thresholds,
-                row[a:b],
-                marks[a:b],
-            )
-            a, b = _stretch(row, b)
+        _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)
         _mark_tops(place[2], own, row, thresholds, marks)

@@ -17,7 +17,7 @@ LINES, COLUMNS = 2, 4
 """Greatest distance of neighbours, in lines and columns."""
 MOST_STRIDE = 8
 """Every so many columns are compared at most."""
-PIECE = 256
+PIECE = 128
 """Columns that are looked at together for such a stride."""
 MOST_COLUMNS = 60
 """Greatest half length of a chord, in columns."""
@@ -210,6 +210,30 @@ def _between(
 
 
 @helper
+def _pairs_in_line(
+    ranges: F32, side: F32, height: F32, step: np.float32, thresholds: SmoothThresholds, row: U8
+) -> None:
+    """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
+    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
+    gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
+    for i in range(len(row)):
+        tolerance = base + per_m * ranges[i]
+        tolerance = tolerance * tolerance
+        gap = max(gap_m, gap_steps * (ranges[i] * step))
+        gap = gap * gap
+        y1, y2, y, y3, y4 = side[i + 2], side[i + 3], side[i + 4], side[i + 5], side[i + 6]
+        z1, z2, z, z3, z4 = height[i + 2], height[i + 3], height[i + 4], height[i + 5], height[i + 6]
+        row[i] = (
+            _on_line(y2, z2, y3, z3, y, z, tolerance, gap)
+            + _on_line(y1, z1, y4, z4, y, z, tolerance, gap)
+            + _on_line(y1, z1, y2, z2, y, z, tolerance, gap)
+            + _on_line(y3, z3, y4, z4, y, z, tolerance, gap)
+            + _on_line(y2, z2, y4, z4, y, z, tolerance, gap)
+            + _on_line(y1, z1, y3, z3, y, z, tolerance, gap)
+        )
+
+
+@helper
 def _strides(ranges: F32, step: np.float32, apart: np.float32, strides: I32) -> None:
     """Write with every how many columns the shots of a line are compared: fewer at its ends, one for missing shots."""
     m = len(ranges)
@@ -225,10 +249,10 @@ def _strides(ranges: F32, step: np.float32, apart: np.float32, strides: I32) -> 
 
 
 @helper
-def _pairs_in_line(
+def _pairs_farther(
     ranges: F32, points: tuple[F32, F32], step: np.float32, thresholds: SmoothThresholds, strides: I32, row: U8
 ) -> None:
-    """Count the pairs of a line, which has margins, that its shots lie on a straight line with.
+    """Count the pairs in a line anew for shots that are compared with every second column or fewer.
 
     Piece by piece, once for every stride there: with one stride the pairs are shifted arrays.
     """
@@ -241,12 +265,11 @@ def _pairs_in_line(
         there = np.int32(0)
         for i in range(first, end):
             there |= np.int32(1) << strides[i]
-        for n in range(1, MOST_STRIDE + 1):
+        for n in range(2, MOST_STRIDE + 1):
             if there & np.int32(1 << n) == 0:
                 continue
-            # no shot nearer to the ends of the line has this stride, but for one, which margins are for
-            low = first if n == 1 else max(first, 2 * n)
-            high = end if n == 1 else min(end, m - 2 * n)
+            # no shot nearer to the ends of the line has this stride
+            low, high = max(first, 2 * n), min(end, m - 2 * n)
             start, size = low + COLUMNS, high - low
             own, asked, counts = ranges[low:high], strides[low:high], row[low:high]
             y0, y1, y2 = side[start : start + size], side[start - 2 * n :], side[start - n :]
@@ -330,8 +353,9 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
             continue
         ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
         a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
+        _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
         _strides(ranges, step, thresholds.apart_m, strides)
-        _pairs_in_line(ranges, (side[c], height[c]), step, thresholds, strides, row)
+        _pairs_farther(ranges, (side[c], height[c]), step, thresholds, strides, row)
         lines = side[a], side[b], side[c], side[d], side[e]
         heights = height[a], height[b], height[c], height[d], height[e]
         _pairs_across(ranges, lines, heights, thresholds, row)
