@@ -268,7 +268,9 @@ class Fused(Classifier[FusedScanner, FusedState]):
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
         heard = Overhearing(turn) if wanted.stages or wanted.confidence else None
-        labels, evidence = _classify(block.range_m, block.next_m, scanner, heard or turn, self.params)
+        labels, evidence = _classify(
+            block.range_m, block.next_m, scanner, heard or turn, self.params, is_asked=wanted.confidence
+        )
         further, limit_m = block.extra, self.params.extra_return_m
         extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
         found = LabelledBlock(block, labels, extra)
@@ -359,9 +361,9 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
 
 
 def _classify(
-    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams
+    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams, *, is_asked: bool = False
 ) -> tuple[U8, Evidence | None]:
-    """Label a block; see :func:`classify_block`. Also return what streets were decided by."""
+    """Label a block; see :func:`classify_block`. Also return what streets were decided by, where that is asked."""
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         in_forest_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, known, params.sensor))
@@ -385,8 +387,11 @@ def _classify(
         for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
     ]
     labels = _woven(decided, streams, apart)
-    evidence = _woven_evidence(found, grounds.above_m, streams, apart)
-    if are_wanted(plane, params.cars):
+    has_profiles = are_wanted(plane, params.cars)
+    evidence = None
+    if is_asked or has_profiles:
+        evidence = _woven_evidence(found, grounds.above_m, streams, apart)
+    if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
         labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):

@@ -252,36 +252,37 @@ def _strides(ranges: F32, step: np.float32, apart: np.float32, strides: I32) -> 
 def _pairs_farther(
     ranges: F32, points: tuple[F32, F32], step: np.float32, thresholds: SmoothThresholds, strides: I32, row: U8
 ) -> None:
-    """Count the pairs in a line anew for shots that are compared with every second column or fewer."""
+    """Count the pairs in a line anew for shots that are compared with every second column or fewer.
+
+    Piece by piece, once for every stride there: with one stride the pairs are shifted arrays.
+    """
     base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
     gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
     side, height = points
     m = len(row)
-    first = 0
-    while first < m:
-        end = min(first - first % PIECE + PIECE, m)
-        most = np.int32(1)
+    for first in range(0, m, PIECE):
+        end = min(first + PIECE, m)
+        there = np.int32(0)
         for i in range(first, end):
-            most = max(most, strides[i])
-        if most == 1:
-            first = end
-            continue
-        n = strides[first]
-        last = first + 1
-        while last < end and strides[last] == n:
-            last += 1
-        if n > 1:
-            # one piece of the line has one stride: its pairs are shifted arrays
-            start, size = first + COLUMNS, last - first
-            y1, y2, y3, y4 = side[start - 2 * n :], side[start - n :], side[start + n :], side[start + 2 * n :]
-            z1, z2, z3, z4 = height[start - 2 * n :], height[start - n :], height[start + n :], height[start + 2 * n :]
+            there |= np.int32(1) << strides[i]
+        for n in range(2, MOST_STRIDE + 1):
+            if there & np.int32(1 << n) == 0:
+                continue
+            # no shot nearer to the ends of the line has this stride
+            low, high = max(first, 2 * n), min(end, m - 2 * n)
+            start, size = low + COLUMNS, high - low
+            own, asked, counts = ranges[low:high], strides[low:high], row[low:high]
+            y0, y1, y2 = side[start : start + size], side[start - 2 * n :], side[start - n :]
+            y3, y4 = side[start + n :], side[start + 2 * n :]
+            z0, z1, z2 = height[start : start + size], height[start - 2 * n :], height[start - n :]
+            z3, z4 = height[start + n :], height[start + 2 * n :]
             for k in range(size):
-                r, y, z = ranges[first + k], side[start + k], height[start + k]
-                tolerance = base + per_m * r
+                y, z = y0[k], z0[k]
+                tolerance = base + per_m * own[k]
                 tolerance = tolerance * tolerance
-                gap = max(gap_m, gap_steps * (r * step))
+                gap = max(gap_m, gap_steps * (own[k] * step))
                 gap = gap * gap
-                row[first + k] = (
+                count = (
                     _on_line(y2[k], z2[k], y3[k], z3[k], y, z, tolerance, gap)
                     + _on_line(y1[k], z1[k], y4[k], z4[k], y, z, tolerance, gap)
                     + _on_line(y1[k], z1[k], y2[k], z2[k], y, z, tolerance, gap)
@@ -289,7 +290,7 @@ def _pairs_farther(
                     + _on_line(y2[k], z2[k], y4[k], z4[k], y, z, tolerance, gap)
                     + _on_line(y1[k], z1[k], y3[k], z3[k], y, z, tolerance, gap)
                 )
-        first = last
+                counts[k] = np.uint8(count) if asked[k] == n else counts[k]
 
 
 @helper
