@@ -189,7 +189,7 @@ def confidence_cells(
     range_m, above_m : (lines, M) float32, metres
         Range and height above the ground; NaN = missing.
     texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.classes.mean_smoothness`.
+        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
     counts : tuple of (lines, M) uint8
         Near neighbours, smooth pairs, upright and level chords.
     slots : tuple of (lines, STRIPS) uint64

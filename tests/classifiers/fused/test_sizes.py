@@ -18,11 +18,14 @@ from prc_cli.kernels.fused import (
 from prc_cli.kernels.fused import (
     strips as fused_strips,
 )
+from prc_cli.kernels.fused import (
+    texture as fused_texture,
+)
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
     assert plane.INNER_LINES == fused_neighbours.LINES
-    assert plane.WIDE_LINES == fused_strips.LINES == fused_classes.LINES
+    assert plane.WIDE_LINES == fused_strips.LINES == fused_texture.LINES == fused_classes.LINES
     assert classes.BESIDE_THIN_LINES == fused_classes.MARGIN
     assert plane.PART_LINES <= pipeline.SPACED_LINES
     assert plane.INNER_LINES + plane.WIDE_LINES + plane.VOTE_LINES == plane.AROUND_LINES
