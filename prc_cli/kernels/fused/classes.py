@@ -9,7 +9,6 @@ from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.fused.flanks import HANGS
 
 Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
@@ -34,6 +33,8 @@ LEAST_COLUMNS = 2
 """Least half width of a place, in columns."""
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`prc_cli.kernels.fused.strips`."""
+HANGS = 16
+"""As in :mod:`prc_cli.kernels.fused.flanks`."""
 HALF_STRIP_M = np.float32(0.25)
 """Width of a bin of level surfaces [m]."""
 SPIKE_PLACE_M = np.float32(0.1)
