@@ -1,7 +1,5 @@
 # The table of kernels: type checkers read their types here, and prc_cli.kernels.loading reads where they are.
 from prc_cli.kernels.fused.classes import fused_labels as fused_labels
-from prc_cli.kernels.fused.classes import mean_smoothness as mean_smoothness
-from prc_cli.kernels.fused.classes import vote_labels as vote_labels
 from prc_cli.kernels.fused.confidence import confidence_cells as confidence_cells
 from prc_cli.kernels.fused.curbs import curb_labels as curb_labels
 from prc_cli.kernels.fused.fans import fan_cars as fan_cars
@@ -22,6 +20,8 @@ from prc_cli.kernels.fused.strips import fill_strips as fill_strips
 from prc_cli.kernels.fused.strips import find_walls as find_walls
 from prc_cli.kernels.fused.strips import widen_levels as widen_levels
 from prc_cli.kernels.fused.strips import widen_slots as widen_slots
+from prc_cli.kernels.fused.texture import mean_smoothness as mean_smoothness
+from prc_cli.kernels.fused.votes import vote_labels as vote_labels
 from prc_cli.kernels.loading import ENGINES as ENGINES
 from prc_cli.kernels.loading import KERNELS as KERNELS
 from prc_cli.kernels.loading import Engine as Engine

@@ -131,8 +131,9 @@ def helper(function: FunctionT) -> FunctionT:
     """Let kernels call a private function of their module; it is compiled with, and as, the kernel that calls it.
 
     It has no signature and no cache file: its types are those of the call, and its code is part of the compiled
-    kernels, which are compiled again when their module changes. So never share one between modules. The compiler
-    inlines functions that are small or called once. Python and C cannot call it, which saves compiling wrappers.
+    kernels, which are compiled again when their module changes. So never share one between modules, nor a constant; and
+    to import another module of kernels is to compile it, in two processes at once. The compiler inlines functions that
+    are small or called once. Python and C cannot call it, which saves compiling wrappers.
     """
     jit: Any = numba.njit  # typed by some versions of numba and not by others
     compiled: FunctionT = jit(**_HELPER)(function)

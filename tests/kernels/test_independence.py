@@ -45,6 +45,13 @@ def test_the_twin_of_every_kernel_is_looked_at() -> None:
     assert {Path(str(twin_module(name).__file__)) for name in KERNELS} <= set(TWINS)
 
 
+@pytest.mark.parametrize("module", sorted(set(KERNELS.values())))
+def test_a_module_of_kernels_imports_no_other(module: str) -> None:
+    """Two processes would compile the other at the same time, and its constants would go stale in the cache."""
+    path = ROOT / f"{module.replace('.', '/')}.py"
+    assert not [name for name in imported(path) if name.startswith(tuple(f"{other}." for other in KERNELS.values()))]
+
+
 @pytest.mark.parametrize(
     ("line", "name"),
     [

@@ -11,42 +11,12 @@ from numpy.typing import NDArray
 from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I64, U8, Mask
 
-MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
+MISSING, _, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR, POLE = 7, 11
 Slots = NDArray[np.uint64]
 
 MARGIN, BESIDE = 20, 12
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
-
-
-def mean_smoothness(
-    range_m: F32,
-    near: U8,
-    smooth: U8,
-    step: np.float32,
-    least_near: np.float32,
-    half_m: np.float32,
-    limits: tuple[np.float32, np.float32, np.float32],
-) -> F32:
-    """Average smoothness; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
-    rough, depth_m, least_pairs = limits
-    mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
-    pairs = np.minimum(smooth, 8).astype(int)
-    for line, i in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
-        columns = int(min(max(int(half_m / (range_m[line + 2, i] * step)), 2), 60))
-        place = slice(line, line + 5), slice(max(i - columns, 0), i + columns + 1)
-        counts = near[place] >= least_near
-        if counts.any():
-            mean[line, i] = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
-        if mean[line, i] < rough and smooth[line + 2, i] >= least_pairs:
-            stride = max(-(-columns // 4), 1)
-            beside = [j for j in range(range_m.shape[1]) if abs(j - i) <= columns and (j - i) % stride == 0]
-            place = np.ix_(range(line, line + 5), beside)
-            counts = (near[place] >= least_near) & (np.abs(range_m[place] - range_m[line + 2, i]) < depth_m)
-            if counts.any():
-                share = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
-                mean[line, i] = max(mean[line, i], share)
-    return mean
 
 
 @dataclass(frozen=True)
@@ -426,27 +396,3 @@ class _Line:
 def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
     """Turn ranges into points of the scan plane."""
     return range_m * beams[0], -(range_m * beams[1])
-
-
-def vote_labels(
-    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
-) -> U8:
-    """Let the shots around vote; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
-    voted = labels[1:-1].copy()
-    m = labels.shape[1]
-    for row, i in zip(*np.nonzero((voted != MISSING) & (voted != NOISE) & (voted != GROUND)), strict=True):
-        line, own = row + 1, labels[row + 1, i]
-        asked = (line - 1, i), (line + 1, i), (line, max(i - 4, 0)), (line, min(i + 4, m - 1))
-        if all(labels[place] in (own, MISSING, NOISE) for place in asked):
-            continue
-        columns = min(max(int(half_m / (range_m[line, i] * step)), 2), 60)
-        place = slice(line - 1, line + 2), slice(max(i - columns, 0), i + columns + 1, max(columns // 4, 1))
-        close = np.ones(labels[place].shape, bool)
-        for image in _points(range_m, beams):
-            close &= np.abs(image[place] - image[line, i]) < near_m
-        votes = {
-            label: int((labels[place][close] == label).sum()) for label in (OTHER, CAR, POLE, BUILDING, VEGETATION)
-        }
-        if votes[own] < max(votes.values()):
-            voted[row, i] = max(votes, key=lambda label: votes[label])
-    return voted

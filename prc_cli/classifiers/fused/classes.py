@@ -201,7 +201,7 @@ class VoteParams(Params):
 
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
-    """Return the mean smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    """Return the mean smoothness around every shot; see :func:`prc_cli.kernels.fused.texture.mean_smoothness`."""
     again = params.again(float(plane.step_rad))
     texture: F32 = kernels.mean_smoothness(
         range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m), again
@@ -303,7 +303,7 @@ def decision_thresholds(
 
 @stage("votes")
 def vote(labels: U8, range_m: F32, plane: ScanPlane, params: VoteParams) -> U8:
-    """Give every shot the majority label of its surroundings; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
+    """Give every shot the majority label of its surroundings; see :func:`prc_cli.kernels.fused.votes.vote_labels`."""
     if not params.enabled:
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(

@@ -108,12 +108,12 @@ FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label
 KERNELS = frozenset(
     {
         "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.noise",
-        "fused.spacing", "fused.strips",
+        "fused.spacing", "fused.strips", "fused.texture", "fused.votes",
     }
 )  # fmt: skip
 FOREST_KERNELS = frozenset({"fused.stems"})
 CONFIDENCE_KERNELS = frozenset(
-    {"fused.confidence", "fused.classes", "fused.flanks", "fused.neighbours", "fused.strips"}
+    {"fused.confidence", "fused.flanks", "fused.neighbours", "fused.strips", "fused.texture"}
 )
 
 

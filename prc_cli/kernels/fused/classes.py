@@ -9,7 +9,6 @@ from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.fused.flanks import HANGS
 
 Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
@@ -30,13 +29,12 @@ BOX_SHARE = np.float32(0.8)
 """Least share of such shots."""
 MOST_SMOOTH = 8
 """Greatest number of smooth pairs that counts."""
-MOST_COLUMNS = 60
 LEAST_COLUMNS = 2
-"""Limits of the half width of a place, in columns."""
-DEPTH_SHOTS = 4
-"""Shots of a line on either side that are read where a place is looked at again."""
+"""Least half width of a place, in columns."""
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`prc_cli.kernels.fused.strips`."""
+HANGS = 16
+"""As in :mod:`prc_cli.kernels.fused.flanks`."""
 HALF_STRIP_M = np.float32(0.25)
 """Width of a bin of level surfaces [m]."""
 SPIKE_PLACE_M = np.float32(0.1)
@@ -51,8 +49,6 @@ BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
 ACROSS_LINES = 4
 """Lines before and after by which a thing is found to be thin; in slow drives more, up to :data:`MARGIN`."""
-VOTERS = 4
-"""Votes in a line on either side of a shot; fewer where the place has fewer columns."""
 GAP_SHOTS = 3
 """Lonely shots within a run, beside as many as the run is long."""
 _LONG, _SHORT, _UNKNOWN = 0, 1, 2
@@ -60,12 +56,7 @@ _LONG, _SHORT, _UNKNOWN = 0, 1, 2
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
 _OPEN, _LEAF, _ODD = 255, 254, 253
 """Marks of undecided shots, of lonely leaves, and of shots that may be noise."""
-_BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
-_CAR, _POLE = int(Label.CAR), int(Label.POLE)
-_CAR_BIT, _POLE_BIT, _BUILDING_BIT, _VEGETATION_BIT = 6, 12, 18, 24
-"""First bit of the votes for a label in a word; votes for no class begin at bit 0.
-
-A place has at most 15 shots in each of three lines, so that six bits hold their votes."""
+_BUILDING, _VEGETATION = int(Label.BUILDING), int(Label.VEGETATION)
 
 
 @helper
@@ -77,24 +68,6 @@ def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None
     for i in range(len(near)):
         pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
         places[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
-
-
-@helper
-def _add_lines(lines: tuple[Pairs, Pairs, Pairs, Pairs, Pairs], sums: Pairs) -> None:
-    """Add up five lines, column by column."""
-    one, two, three, four, five = lines
-    for i in range(len(sums)):
-        sums[i] = one[i] + two[i] + three[i] + four[i] + five[i]
-
-
-@helper
-def _sum_up(values: Pairs, so_far: Pairs) -> None:
-    """Write the sums of the first 0, 1, ... columns; they may overflow, their differences are still right."""
-    total = np.uint32(0)
-    so_far[0] = total
-    for i in range(len(values)):
-        total = np.uint32(total + values[i])
-        so_far[i + 1] = total
 
 
 @helper
@@ -127,137 +100,6 @@ def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, c
     for i in range(len(ranges)):
         r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
         columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
-
-
-@helper
-def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
-    """Write the sums of the places of a line's shots; a loop of its own, as all others read memory in order."""
-    m = len(columns)
-    for i in range(m):
-        half = columns[i]
-        first, last = max(i - int(half), 0), min(i + int(half) + 1, m)
-        sums[i] = so_far[np.uint64(last)] - so_far[np.uint64(first)]
-
-
-@helper
-def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
-    """Write the share of smooth pairs of every shot's place."""
-    for i in range(len(ranges)):
-        shots, pairs = np.int32(sums[i] >> np.uint32(16)), np.int32(sums[i] & np.uint32(0xFFFF))
-        share = np.float32(pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(shots, np.int32(1))))
-        shares[i] = share if (ranges[i] == ranges[i]) & (shots > 0) else np.float32(0.0)
-
-
-@helper
-def _share_at_depth(
-    lines: tuple[F32, F32, F32, F32, F32],
-    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
-    i: int,
-    half: int,
-    depth_m: np.float32,
-) -> np.float32:
-    """Return the share of smooth pairs of those shots of a place that are about as far away as its middle one."""
-    own, m = lines[2][i], len(lines[2])
-    stride = max((half + DEPTH_SHOTS - 1) // DEPTH_SHOTS, 1)
-    place, last = max(i - half // stride * stride, i % stride), min(i + half + 1, m)
-    one, two, three, four, five = pairs
-    a, b, c, d, e = lines
-    total, nothing = np.uint32(0), np.uint32(0)
-    while place < last:
-        # every word is read, near or not, to avoid a branch
-        j = np.uint64(place)
-        total += one[j] if abs(a[j] - own) < depth_m else nothing
-        total += two[j] if abs(b[j] - own) < depth_m else nothing
-        total += three[j] if abs(c[j] - own) < depth_m else nothing
-        total += four[j] if abs(d[j] - own) < depth_m else nothing
-        total += five[j] if abs(e[j] - own) < depth_m else nothing
-        place += stride
-    n_shots, n_pairs = np.int32(total >> np.uint32(16)), np.int32(total & np.uint32(0xFFFF))
-    return np.float32(n_pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))))
-
-
-@helper
-def _look_at_depth(
-    lines: tuple[F32, F32, F32, F32, F32],
-    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
-    columns: I32,
-    smooth: U8,
-    limits: tuple[np.float32, np.float32, np.float32],
-    shares: F32,
-    shots: I32,
-) -> None:
-    """Raise the share of rough places around smooth shots to that of what is about as far away, if it is more."""
-    rough, depth_m, least = limits
-    ranges = lines[2]
-    n = 0
-    for i in range(len(shares)):
-        shots[n] = i
-        n += (shares[i] < rough) & (np.float32(smooth[i]) >= least) & (ranges[i] == ranges[i])
-    for k in range(n):
-        i = shots[k]
-        shares[i] = max(shares[i], _share_at_depth(lines, pairs, int(i), int(columns[i]), depth_m))
-
-
-@kernel(
-    "float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32, UniTuple(float32, 3))"
-)
-def mean_smoothness(
-    range_m: F32,
-    near: U8,
-    smooth: U8,
-    step: np.float32,
-    least_near: np.float32,
-    half_m: np.float32,
-    limits: tuple[np.float32, np.float32, np.float32],
-) -> F32:
-    """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
-
-    A place with few is looked at again without what is nearer or farther: leaves before a wall do not make it rough.
-    Then at most nine columns of it are read.
-
-    Parameters
-    ----------
-    range_m : (lines + 4, M) float32, metres
-        NaN = missing.
-    near, smooth : (lines + 4, M) uint8
-        Near neighbours and smooth pairs.
-    step : float32, radians
-        Angle from column to column.
-    least_near : float32
-        Shots with fewer near neighbours do not count.
-    half_m : float32
-        Half of the width [m]; 2 columns at least, 60 at most.
-    limits : tuple of three float32
-        Places with a smaller share than the first are looked at again, at the shots that differ by less than the
-        second in range [m]; but only around shots with as many smooth pairs as the third.
-
-    Returns
-    -------
-    (lines, M) float32
-        0 = all rough, 1 = all smooth; 0 where there is no return.
-    """
-    n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
-    mean = np.empty((n_lines, m), np.float32)
-    room = 2 * LINES + 1
-    # ring buffer of lines
-    places = np.empty((room, m), np.uint32)
-    together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
-    shots = np.empty(m + 1, np.int32)
-    for k in range(n_lines + 2 * LINES):
-        _count_pairs(near[k], smooth[k], least_near, places[k % room])
-        if k < 2 * LINES:
-            continue
-        line = k - 2 * LINES
-        _add_lines((places[0], places[1], places[2], places[3], places[4]), together)
-        _sum_up(together, so_far)
-        _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
-        _sums_of_places(columns, so_far, together)
-        _shares(range_m[line + LINES], together, mean[line])
-        lines = range_m[line], range_m[line + 1], range_m[line + 2], range_m[line + 3], range_m[line + 4]
-        a, b, c, d, e = line % room, (line + 1) % room, (line + 2) % room, (line + 3) % room, (line + 4) % room
-        pairs = places[a], places[b], places[c], places[d], places[e]
-        _look_at_depth(lines, pairs, columns, smooth[line + LINES], limits, mean[line], shots)
-    return mean
 
 
 @inlined
@@ -895,7 +737,7 @@ def fused_labels(
     walked : (lines + 4, M) bool
         Shots that the walk along the ground went over.
     texture : (lines, M) float32
-        Of :func:`mean_smoothness`.
+        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
     slots : tuple of (lines, STRIPS) uint64
         Of all and of rough shots, widened.
     walls : tuple of (lines, STRIPS) float32, metres
@@ -959,159 +801,3 @@ def fused_labels(
         n = _list_marked(marks, 1, 1, shots)
         _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)
     return labels
-
-
-@inlined
-def _differs(label: np.uint8, own: np.uint8) -> bool:
-    """Return whether a label differs; missing and noise do not count as labels."""
-    return bool((label != own) & (label != _MISSING) & (label != _NOISE))
-
-
-@helper
-def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
-    """Mark the shots whose label differs from that of a shot a few columns away, or of an adjacent line."""
-    m = len(own)
-    for i in range(m):
-        label = own[i]
-        votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-        unsettled[i] = votes & (_differs(before[i], label) | _differs(after[i], label))
-    if m <= VOTERS:
-        first, last = own[0], own[m - 1]
-        for i in range(m):
-            label = own[i]
-            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-            unsettled[i] |= votes & (_differs(first, label) | _differs(last, label))
-        return
-    for way in range(2):
-        # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost shot
-        asker = own[: m - VOTERS] if way == 0 else own[VOTERS:]
-        asked = own[VOTERS:] if way == 0 else own[: m - VOTERS]
-        marks = unsettled[: m - VOTERS] if way == 0 else unsettled[VOTERS:]
-        for i in range(m - VOTERS):
-            label = asker[i]
-            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-            marks[i] |= votes & _differs(asked[i], label)
-        end = own[m - 1] if way == 0 else own[0]
-        for k in range(VOTERS):
-            i = m - VOTERS + k if way == 0 else k
-            label = own[i]
-            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-            unsettled[i] |= votes & _differs(end, label)
-
-
-@helper
-def _weigh(labels: U8, weights: Pairs) -> None:
-    """Write the vote of every shot: each of the five labels has its own part of the word."""
-    for i in range(len(labels)):
-        label = labels[i]
-        building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
-        vegetation = np.uint32(1 << _VEGETATION_BIT) if label == _VEGETATION else np.uint32(0)
-        car = np.uint32(1 << _CAR_BIT) if label == _CAR else np.uint32(0)
-        pole = np.uint32(1 << _POLE_BIT) if label == _POLE else np.uint32(0)
-        weights[i] = building | vegetation | car | pole | np.uint32(label == _OTHER)
-
-
-@inlined
-def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
-    """Return the label with most votes; of several, the shot's own if it is among them."""
-    part = np.uint32((1 << _CAR_BIT) - 1)
-    other, car = votes & part, (votes >> np.uint32(_CAR_BIT)) & part
-    pole, building = (votes >> np.uint32(_POLE_BIT)) & part, (votes >> np.uint32(_BUILDING_BIT)) & part
-    vegetation = votes >> np.uint32(_VEGETATION_BIT)
-    most = max(max(max(other, car), max(pole, building)), vegetation)
-    mine = building if own == _BUILDING else (vegetation if own == _VEGETATION else other)
-    mine = car if own == _CAR else (pole if own == _POLE else mine)
-    if mine == most:
-        return own
-    if other == most:
-        return np.uint8(_OTHER)
-    if car == most:
-        return np.uint8(_CAR)
-    if pole == most:
-        return np.uint8(_POLE)
-    return np.uint8(_BUILDING) if building == most else np.uint8(_VEGETATION)
-
-
-@helper
-def _vote_line(
-    labels: U8,
-    ranges: F32,
-    lines: tuple[tuple[F32, F32, Pairs], tuple[F32, F32, Pairs], tuple[F32, F32, Pairs]],
-    unsettled: U8,
-    asking: I32,
-    step: np.float32,
-    half_m: np.float32,
-    near_m: np.float32,
-    voted: U8,
-) -> None:
-    """Count the votes around the unsettled shots of a line; shots vote that are near in space."""
-    m = len(ranges)
-    (y0, z0, w0), (y1, z1, w1), (y2, z2, w2) = lines
-    n = 0
-    for i in range(m):
-        asking[n] = i
-        n += unsettled[i]
-    for k in range(n):
-        i = asking[k]
-        y, z = y1[i], z1[i]
-        columns = int(min(max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)), np.float32(MOST_COLUMNS)))
-        votes, nothing = np.uint32(0), np.uint32(0)
-        place, last, stride = np.int64(max(i - columns, 0)), min(i + columns + 1, m), max(columns // VOTERS, 1)
-        while place < last:
-            # every vote is read, near or not, to avoid a branch
-            j = np.uint64(place)
-            one, two, three = w0[j], w1[j], w2[j]
-            votes += one if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
-            votes += two if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
-            votes += three if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
-            place += stride
-        voted[i] = _vote(votes, labels[i])
-
-
-@kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, float32, float32)")
-def vote_labels(
-    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
-) -> U8:
-    """Let every shot that is neither ground nor noise take the label of most of the shots around it.
-
-    A shot keeps its label where the shots four columns to both sides and in the adjacent lines have the same one. Noise
-    does not vote.
-
-    Parameters
-    ----------
-    labels : (lines + 2, M) uint8
-        :class:`prc_cli.core.classes.Label` of the block and a line before and after.
-    range_m : (lines + 2, M) float32, metres
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    half_m : float32
-        Half width of the place [m]; 2 columns at least, 60 at most.
-    near_m : float32
-        Shots of the place count if they are this near to the side and in height, each [m].
-
-    Returns
-    -------
-    (lines, M) uint8
-    """
-    n_lines, m = labels.shape[0] - 2, labels.shape[1]
-    voted = np.empty((n_lines, m), np.uint8)
-    unsettled, asking = np.empty(m, np.uint8), np.empty(m + 1, np.int32)
-    # ring buffers of lines
-    weights = np.empty((3, m), np.uint32)
-    side, height = np.empty((3, m), np.float32), np.empty((3, m), np.float32)
-    for line in range(n_lines + 2):
-        c = line % 3
-        _weigh(labels[line], weights[c])
-        _lay_out(range_m[line], beams, side[c], height[c])
-        if line < 2:
-            continue
-        own, row = labels[line - 1], voted[line - 2]
-        for i in range(m):
-            row[i] = own[i]
-        _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
-        a, b = (line - 2) % 3, (line - 1) % 3
-        lines = (side[a], height[a], weights[a]), (side[b], height[b], weights[b]), (side[c], height[c], weights[c])
-        _vote_line(own, range_m[line - 1], lines, unsettled, asking, step, half_m, near_m, row)
-    return voted

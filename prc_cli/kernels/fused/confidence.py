@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, I32, I64, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.fused.classes import LINES, SLOT_M, STRIP_M, STRIPS
 
 Words = NDArray[np.uint64]
 
+LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
+"""As in :mod:`prc_cli.kernels.fused.strips`."""
 (
     AGREE, SMOOTH, TEXTURE, NEAR, UPRIGHT, LEVEL, OFF, STEEP, RANGE, ROUGH, TOP, FILLED, AHEAD, BEHIND, JUMP,
 ) = range(15)  # fmt: skip
@@ -189,7 +190,7 @@ def confidence_cells(
     range_m, above_m : (lines, M) float32, metres
         Range and height above the ground; NaN = missing.
     texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.classes.mean_smoothness`.
+        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
     counts : tuple of (lines, M) uint8
         Near neighbours, smooth pairs, upright and level chords.
     slots : tuple of (lines, STRIPS) uint64

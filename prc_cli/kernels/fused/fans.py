@@ -172,7 +172,7 @@ def fan_cars(
     range_m, above_m : (lines, M) float32, metres
         Range and height above the ground; NaN = missing.
     texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.classes.mean_smoothness`.
+        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
     sine : (M,) float32
         Metres to the side per metre of range.
     sides : tuple of (n,) int32

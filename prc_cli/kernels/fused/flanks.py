@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from prc_cli.core.thresholds.fused import FlankThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.fused.strips import LINES, SLOT_M, STRIP_M, STRIPS
 
 Slots = NDArray[np.uint64]
 
 BIN_M = np.float32(0.125)
 """Width of a bin of ground, a quarter of a strip [m]."""
+LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
+"""As in :mod:`prc_cli.kernels.fused.strips`."""
 BINS = 2 * STRIPS
 """Bins on either side."""
 LEVEL_BIN_M = np.float32(0.25)

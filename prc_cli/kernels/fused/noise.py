@@ -243,7 +243,7 @@ def noise_again(
     above_m : (lines, M) float32, metres
         Height above the ground.
     texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.classes.mean_smoothness`.
+        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
     beams : tuple of (M,) float32
         Sine and cosine of every column's beam from straight down.
     step : float32, radians

@@ -1,0 +1,190 @@
+"""Loops of the fused classifier that compute how smooth the surroundings of every shot are."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import helper, kernel
+
+Pairs = NDArray[np.uint32]
+
+LINES = 2
+"""Lines before and after a line that its texture is computed from."""
+MOST_SMOOTH = 8
+"""Greatest number of smooth pairs that counts."""
+MOST_COLUMNS = 60
+LEAST_COLUMNS = 2
+"""Limits of the half width of a place, in columns."""
+DEPTH_SHOTS = 4
+"""Shots of a line on either side that are read where a place is looked at again."""
+
+
+@helper
+def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
+    """Write the counts of a line's shots: one shot in the upper half of a word, its smooth pairs in the lower half.
+
+    A place has at most 605 shots and 4840 pairs, so neither half overflows.
+    """
+    for i in range(len(near)):
+        pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
+        places[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
+
+
+@helper
+def _add_lines(lines: tuple[Pairs, Pairs, Pairs, Pairs, Pairs], sums: Pairs) -> None:
+    """Add up five lines, column by column."""
+    one, two, three, four, five = lines
+    for i in range(len(sums)):
+        sums[i] = one[i] + two[i] + three[i] + four[i] + five[i]
+
+
+@helper
+def _sum_up(values: Pairs, so_far: Pairs) -> None:
+    """Write the sums of the first 0, 1, ... columns; they may overflow, their differences are still right."""
+    total = np.uint32(0)
+    so_far[0] = total
+    for i in range(len(values)):
+        total = np.uint32(total + values[i])
+        so_far[i + 1] = total
+
+
+@helper
+def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
+    """Write the half width of every shot's place in columns; any number where the shot is missing."""
+    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
+    for i in range(len(ranges)):
+        r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
+        columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
+
+
+@helper
+def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
+    """Write the sums of the places of a line's shots; a loop of its own, as all others read memory in order."""
+    m = len(columns)
+    for i in range(m):
+        half = columns[i]
+        first, last = max(i - int(half), 0), min(i + int(half) + 1, m)
+        sums[i] = so_far[np.uint64(last)] - so_far[np.uint64(first)]
+
+
+@helper
+def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
+    """Write the share of smooth pairs of every shot's place."""
+    for i in range(len(ranges)):
+        shots, pairs = np.int32(sums[i] >> np.uint32(16)), np.int32(sums[i] & np.uint32(0xFFFF))
+        share = np.float32(pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(shots, np.int32(1))))
+        shares[i] = share if (ranges[i] == ranges[i]) & (shots > 0) else np.float32(0.0)
+
+
+@helper
+def _share_at_depth(
+    lines: tuple[F32, F32, F32, F32, F32],
+    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
+    i: int,
+    half: int,
+    depth_m: np.float32,
+) -> np.float32:
+    """Return the share of smooth pairs of those shots of a place that are about as far away as its middle one."""
+    own, m = lines[2][i], len(lines[2])
+    stride = max((half + DEPTH_SHOTS - 1) // DEPTH_SHOTS, 1)
+    place, last = max(i - half // stride * stride, i % stride), min(i + half + 1, m)
+    one, two, three, four, five = pairs
+    a, b, c, d, e = lines
+    total, nothing = np.uint32(0), np.uint32(0)
+    while place < last:
+        # every word is read, near or not, to avoid a branch
+        j = np.uint64(place)
+        total += one[j] if abs(a[j] - own) < depth_m else nothing
+        total += two[j] if abs(b[j] - own) < depth_m else nothing
+        total += three[j] if abs(c[j] - own) < depth_m else nothing
+        total += four[j] if abs(d[j] - own) < depth_m else nothing
+        total += five[j] if abs(e[j] - own) < depth_m else nothing
+        place += stride
+    n_shots, n_pairs = np.int32(total >> np.uint32(16)), np.int32(total & np.uint32(0xFFFF))
+    return np.float32(n_pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))))
+
+
+@helper
+def _look_at_depth(
+    lines: tuple[F32, F32, F32, F32, F32],
+    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
+    columns: I32,
+    smooth: U8,
+    limits: tuple[np.float32, np.float32, np.float32],
+    shares: F32,
+    shots: I32,
+) -> None:
+    """Raise the share of rough places around smooth shots to that of what is about as far away, if it is more."""
+    rough, depth_m, least = limits
+    ranges = lines[2]
+    n = 0
+    for i in range(len(shares)):
+        shots[n] = i
+        n += (shares[i] < rough) & (np.float32(smooth[i]) >= least) & (ranges[i] == ranges[i])
+    for k in range(n):
+        i = shots[k]
+        shares[i] = max(shares[i], _share_at_depth(lines, pairs, int(i), int(columns[i]), depth_m))
+
+
+@kernel(
+    "float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32, UniTuple(float32, 3))"
+)
+def mean_smoothness(
+    range_m: F32,
+    near: U8,
+    smooth: U8,
+    step: np.float32,
+    least_near: np.float32,
+    half_m: np.float32,
+    limits: tuple[np.float32, np.float32, np.float32],
+) -> F32:
+    """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
+
+    A place with few is looked at again without what is nearer or farther: leaves before a wall do not make it rough.
+    Then at most nine columns of it are read.
+
+    Parameters
+    ----------
+    range_m : (lines + 4, M) float32, metres
+        NaN = missing.
+    near, smooth : (lines + 4, M) uint8
+        Near neighbours and smooth pairs.
+    step : float32, radians
+        Angle from column to column.
+    least_near : float32
+        Shots with fewer near neighbours do not count.
+    half_m : float32
+        Half of the width [m]; 2 columns at least, 60 at most.
+    limits : tuple of three float32
+        Places with a smaller share than the first are looked at again, at the shots that differ by less than the
+        second in range [m]; but only around shots with as many smooth pairs as the third.
+
+    Returns
+    -------
+    (lines, M) float32
+        0 = all rough, 1 = all smooth; 0 where there is no return.
+    """
+    n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
+    mean = np.empty((n_lines, m), np.float32)
+    room = 2 * LINES + 1
+    # ring buffer of lines
+    places = np.empty((room, m), np.uint32)
+    together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
+    shots = np.empty(m + 1, np.int32)
+    for k in range(n_lines + 2 * LINES):
+        _count_pairs(near[k], smooth[k], least_near, places[k % room])
+        if k < 2 * LINES:
+            continue
+        line = k - 2 * LINES
+        _add_lines((places[0], places[1], places[2], places[3], places[4]), together)
+        _sum_up(together, so_far)
+        _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
+        _sums_of_places(columns, so_far, together)
+        _shares(range_m[line + LINES], together, mean[line])
+        lines = range_m[line], range_m[line + 1], range_m[line + 2], range_m[line + 3], range_m[line + 4]
+        a, b, c, d, e = line % room, (line + 1) % room, (line + 2) % room, (line + 3) % room, (line + 4) % room
+        pairs = places[a], places[b], places[c], places[d], places[e]
+        _look_at_depth(lines, pairs, columns, smooth[line + LINES], limits, mean[line], shots)
+    return mean

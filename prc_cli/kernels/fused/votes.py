@@ -1,0 +1,191 @@
+"""Loops of the fused classifier that let the shots around vote on every label."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import helper, inlined, kernel
+
+Pairs = NDArray[np.uint32]
+
+MOST_COLUMNS = 60
+LEAST_COLUMNS = 2
+"""Limits of the half width of a place, in columns."""
+VOTERS = 4
+"""Votes in a line on either side of a shot; fewer where the place has fewer columns."""
+_MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
+_BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
+_CAR, _POLE = int(Label.CAR), int(Label.POLE)
+_CAR_BIT, _POLE_BIT, _BUILDING_BIT, _VEGETATION_BIT = 6, 12, 18, 24
+"""First bit of the votes for a label in a word; votes for no class begin at bit 0.
+
+A place has at most 15 shots in each of three lines, so that six bits hold their votes."""
+
+
+@helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line in the scan plane."""
+    sine, cosine = beams
+    for i in range(len(ranges)):
+        side[i] = ranges[i] * sine[i]
+    for i in range(len(ranges)):
+        height[i] = -(ranges[i] * cosine[i])
+
+
+@inlined
+def _differs(label: np.uint8, own: np.uint8) -> bool:
+    """Return whether a label differs; missing and noise do not count as labels."""
+    return bool((label != own) & (label != _MISSING) & (label != _NOISE))
+
+
+@helper
+def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
+    """Mark the shots whose label differs from that of a shot a few columns away, or of an adjacent line."""
+    m = len(own)
+    for i in range(m):
+        label = own[i]
+        votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+        unsettled[i] = votes & (_differs(before[i], label) | _differs(after[i], label))
+    if m <= VOTERS:
+        first, last = own[0], own[m - 1]
+        for i in range(m):
+            label = own[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            unsettled[i] |= votes & (_differs(first, label) | _differs(last, label))
+        return
+    for way in range(2):
+        # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost shot
+        asker = own[: m - VOTERS] if way == 0 else own[VOTERS:]
+        asked = own[VOTERS:] if way == 0 else own[: m - VOTERS]
+        marks = unsettled[: m - VOTERS] if way == 0 else unsettled[VOTERS:]
+        for i in range(m - VOTERS):
+            label = asker[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            marks[i] |= votes & _differs(asked[i], label)
+        end = own[m - 1] if way == 0 else own[0]
+        for k in range(VOTERS):
+            i = m - VOTERS + k if way == 0 else k
+            label = own[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            unsettled[i] |= votes & _differs(end, label)
+
+
+@helper
+def _weigh(labels: U8, weights: Pairs) -> None:
+    """Write the vote of every shot: each of the five labels has its own part of the word."""
+    for i in range(len(labels)):
+        label = labels[i]
+        building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
+        vegetation = np.uint32(1 << _VEGETATION_BIT) if label == _VEGETATION else np.uint32(0)
+        car = np.uint32(1 << _CAR_BIT) if label == _CAR else np.uint32(0)
+        pole = np.uint32(1 << _POLE_BIT) if label == _POLE else np.uint32(0)
+        weights[i] = building | vegetation | car | pole | np.uint32(label == _OTHER)
+
+
+@inlined
+def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
+    """Return the label with most votes; of several, the shot's own if it is among them."""
+    part = np.uint32((1 << _CAR_BIT) - 1)
+    other, car = votes & part, (votes >> np.uint32(_CAR_BIT)) & part
+    pole, building = (votes >> np.uint32(_POLE_BIT)) & part, (votes >> np.uint32(_BUILDING_BIT)) & part
+    vegetation = votes >> np.uint32(_VEGETATION_BIT)
+    most = max(max(max(other, car), max(pole, building)), vegetation)
+    mine = building if own == _BUILDING else (vegetation if own == _VEGETATION else other)
+    mine = car if own == _CAR else (pole if own == _POLE else mine)
+    if mine == most:
+        return own
+    if other == most:
+        return np.uint8(_OTHER)
+    if car == most:
+        return np.uint8(_CAR)
+    if pole == most:
+        return np.uint8(_POLE)
+    return np.uint8(_BUILDING) if building == most else np.uint8(_VEGETATION)
+
+
+@helper
+def _vote_line(
+    labels: U8,
+    ranges: F32,
+    lines: tuple[tuple[F32, F32, Pairs], tuple[F32, F32, Pairs], tuple[F32, F32, Pairs]],
+    unsettled: U8,
+    asking: I32,
+    step: np.float32,
+    half_m: np.float32,
+    near_m: np.float32,
+    voted: U8,
+) -> None:
+    """Count the votes around the unsettled shots of a line; shots vote that are near in space."""
+    m = len(ranges)
+    (y0, z0, w0), (y1, z1, w1), (y2, z2, w2) = lines
+    n = 0
+    for i in range(m):
+        asking[n] = i
+        n += unsettled[i]
+    for k in range(n):
+        i = asking[k]
+        y, z = y1[i], z1[i]
+        columns = int(min(max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)), np.float32(MOST_COLUMNS)))
+        votes, nothing = np.uint32(0), np.uint32(0)
+        place, last, stride = np.int64(max(i - columns, 0)), min(i + columns + 1, m), max(columns // VOTERS, 1)
+        while place < last:
+            # every vote is read, near or not, to avoid a branch
+            j = np.uint64(place)
+            one, two, three = w0[j], w1[j], w2[j]
+            votes += one if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
+            votes += two if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
+            votes += three if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
+            place += stride
+        voted[i] = _vote(votes, labels[i])
+
+
+@kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, float32, float32)")
+def vote_labels(
+    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
+) -> U8:
+    """Let every shot that is neither ground nor noise take the label of most of the shots around it.
+
+    A shot keeps its label where the shots four columns to both sides and in the adjacent lines have the same one. Noise
+    does not vote.
+
+    Parameters
+    ----------
+    labels : (lines + 2, M) uint8
+        :class:`prc_cli.core.classes.Label` of the block and a line before and after.
+    range_m : (lines + 2, M) float32, metres
+    beams : tuple of (M,) float32
+        Sine and cosine of every column's beam from straight down.
+    step : float32, radians
+        Angle from column to column.
+    half_m : float32
+        Half width of the place [m]; 2 columns at least, 60 at most.
+    near_m : float32
+        Shots of the place count if they are this near to the side and in height, each [m].
+
+    Returns
+    -------
+    (lines, M) uint8
+    """
+    n_lines, m = labels.shape[0] - 2, labels.shape[1]
+    voted = np.empty((n_lines, m), np.uint8)
+    unsettled, asking = np.empty(m, np.uint8), np.empty(m + 1, np.int32)
+    # ring buffers of lines
+    weights = np.empty((3, m), np.uint32)
+    side, height = np.empty((3, m), np.float32), np.empty((3, m), np.float32)
+    for line in range(n_lines + 2):
+        c = line % 3
+        _weigh(labels[line], weights[c])
+        _lay_out(range_m[line], beams, side[c], height[c])
+        if line < 2:
+            continue
+        own, row = labels[line - 1], voted[line - 2]
+        for i in range(m):
+            row[i] = own[i]
+        _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
+        a, b = (line - 2) % 3, (line - 1) % 3
+        lines = (side[a], height[a], weights[a]), (side[b], height[b], weights[b]), (side[c], height[c], weights[c])
+        _vote_line(own, range_m[line - 1], lines, unsettled, asking, step, half_m, near_m, row)
+    return voted
