@@ -345,7 +345,7 @@ class _Line:
             else:
                 last, gap = j, 0
             j += way
-        return last, -1
+        return last, last
 
     def lines_beside(self, i: int, way: int) -> int | None:
         last, seen, others = self.ranges[i], 0, []

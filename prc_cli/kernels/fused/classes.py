@@ -612,7 +612,10 @@ def _lines_beside(window_m: F32, line: int, i: int, way: int, thresholds: Decisi
 def _end_of_box(
     ranges: F32, near: U8, points: tuple[F32, F32, F32], labels: U8, i: int, way: int, thresholds: DecisionThresholds
 ) -> tuple[int, int]:
-    """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by."""
+    """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by.
+
+    The next one is the last itself where it is no box: too high, or cut off by the end of the line.
+    """
     _, _, above = points
     last, j, gap = i, i + way, 0
     while 0 <= j < len(ranges):
@@ -628,7 +631,7 @@ def _end_of_box(
         else:
             last, gap = j, 0
         j += way
-    return last, -1
+    return last, last
 
 
 @helper
