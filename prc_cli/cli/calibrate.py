@@ -124,10 +124,13 @@ def calibrate(
     are searched on a part of the lines and judged on the others. A stream that is doubted gives parameters that may be
     wrong: exit code 4.
 
+    It is PRC that needs this. Where no method is named and the angles of the beams are known, prc classify takes fused,
+    which measures the sensor itself: nothing is calibrated then, and the configuration changes nothing.
+
     \b
     Examples:
-      prc calibrate drive.laz -o drive.toml --plot drive.svg
-      prc calibrate strip.csv.gz --reference strip.csv.gz --mapping oakland -o strip.toml
+      prc calibrate drive.laz --method prc -o drive.toml --plot drive.svg
+      prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland -o strip.toml
       prc classify drive.laz out.laz --config drive.toml
     """
     if as_json_flag and form not in (None, "json"):
@@ -200,8 +203,9 @@ def _trials(*, quiet: bool) -> Iterator[Tried | None]:
 
 def _print(found: Calibration) -> None:
     _table("measured on the stream", ("", ""), list(sensor_rows(found.sensor)))
-    _table("share of the returns", CURVE_HEADER, list(curve_rows(found)))
-    _table("parameters", ("key", "before", "value", "reason"), list(advice_rows(found)))
+    if found.advice:
+        _table("share of the returns", CURVE_HEADER, list(curve_rows(found)))
+        _table("parameters", ("key", "before", "value", "reason"), list(advice_rows(found)))
     header, rows = judged_rows(found)
     if found.search is not None:
         title = f"{found.search.n_trials} trials; figures on training and on held-out lines"

@@ -16,7 +16,9 @@ __all__ = ["prc"]
 
 def test_without_a_reference(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
-    result = prc("calibrate", source, "-o", tmp_path / "street.toml", "--plot", tmp_path / "street.svg")
+    result = prc(
+        "calibrate", source, "--method", "prc", "-o", tmp_path / "street.toml", "--plot", tmp_path / "street.svg"
+    )
     assert result.code == 0, result.err
     assert "standard deviation about a plane" in result.out
     assert "prc.background.d_c" in result.out
@@ -29,7 +31,16 @@ def test_without_a_reference(prc: Prc, tmp_path: Path) -> None:
 def test_with_a_reference(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     prc("classify", source, tmp_path / "reference.npy", "--preset", "urban", "--set", "prc.surfaces.area=4.0")
-    options = ["--reference", tmp_path / "reference.npy", "--set", "prc.lines_per_block=20", "--budget", 6]
+    options = [
+        "--method",
+        "prc",
+        "--reference",
+        tmp_path / "reference.npy",
+        "--set",
+        "prc.lines_per_block=20",
+        "--budget",
+        6,
+    ]
     result = prc("calibrate", source, *options, "--json", "-q")
     assert (result.code, result.err) == (0, "")
     assert json.loads(result.out)["search"]["n_trials"] == 6
@@ -82,7 +93,9 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
     assert load_config(tmp_path / "old.toml").sources
     np.save(tmp_path / "short.npy", np.ones(7, np.uint8))
     files = sorted(tmp_path.iterdir())
-    result = prc("calibrate", source, "--reference", tmp_path / "short.npy", "-o", tmp_path / "new.toml")
+    result = prc(
+        "calibrate", source, "--method", "prc", "--reference", tmp_path / "short.npy", "-o", tmp_path / "new.toml"
+    )
     assert (result.code, result.out) == (1, "")
     assert result.err.startswith("error: ")
     assert result.err.count("\n") == 1

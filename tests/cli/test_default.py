@@ -147,10 +147,20 @@ def test_a_printed_configuration_stays_undecided(prc: Prc, tmp_path: Path) -> No
     assert load_config(tmp_path / "all.toml").config == RunConfig()
 
 
-def test_calibration_is_of_prc(prc: Prc, scans: Path) -> None:
-    result = prc("calibrate", scans / "street.bin", "-M", M, "-o", scans / "c.toml", "-q")
-    assert result.code == 0, result.err
-    assert load_config(scans / "c.toml").config.method == "prc"
+def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scans: Path) -> None:
+    """Where fused is taken, the configuration changes nothing; PRC's parameters are for files without angles."""
+    told = prc("calibrate", scans / "street.npz", "-o", scans / "c.toml")
+    assert (told.code, "there is nothing to calibrate" in told.out) == (0, True), told.err
+    assert load_config(scans / "c.toml").config == RunConfig()
+    for name, options in (("plain.npy", []), ("with.npy", ["--config", scans / "c.toml"])):
+        assert prc("classify", scans / "street.npz", scans / name, *options, "-q").code == 0
+    assert (scans / "plain.npy").read_bytes() == (scans / "with.npy").read_bytes()
+    result = prc("calibrate", scans / "street.npz", "--method", "prc", "-o", scans / "c.toml", "--overwrite", "-q")
+    assert (result.code, load_config(scans / "c.toml").config.method) == (0, "prc")
+    result = prc("calibrate", scans / "street.bin", "-M", M, "-o", scans / "c.toml", "--overwrite")
+    config = load_config(scans / "c.toml").config
+    assert (result.code, config.method, config.prc == RunConfig().prc) == (0, "auto", False)
+    assert "the configuration leaves the method open" in result.out
 
 
 @pytest.mark.data

@@ -311,7 +311,7 @@ def test_written_configuration_is_read_and_says_why(tmp_path: Path) -> None:
 
 def test_reports(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "st|reet.npz", street())
-    found = calibrate(source)
+    found = calibrate(source, load_config(preset="urban"))
     table = json.loads(as_json(found))
     assert len(table["curves"]["over_zeta_p"]["zeta_p"]) == 51
     assert table["sensor"]["points_per_line"] == POINTS_PER_LINE

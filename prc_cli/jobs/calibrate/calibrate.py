@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.classifiers.prc.surfaces import area_threshold
-from prc_cli.config import LoadedConfig, MethodChoice, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import output_errors
@@ -38,7 +38,7 @@ from prc_cli.jobs.calibrate.search import (
     with_values,
 )
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
-from prc_cli.jobs.choice import decided_by
+from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Progress, open_stream
 from prc_cli.jobs.progress import advance
 from prc_cli.streams.evidence.watch import watched
@@ -49,6 +49,10 @@ LEAST_LINES = 3
 """Scan lines that a support decision needs: the shot's own and both neighbours."""
 GROUPS = 40
 """Number of line groups for training and held-out lines, unless they become too large."""
+NOTHING = "fused measures the sensor in every run: there is nothing to calibrate, and the configuration changes nothing"
+STAYS_OPEN = (
+    "the configuration leaves the method open: where the angles of the beams are known, fused is taken all the same"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +142,8 @@ def calibrate(
     source : path
         Any readable input.
     config : LoadedConfig, optional
-        How the stream is read, and the initial parameters. Default: the published urban ones; where no method is named,
-        it is PRC's parameters that are calibrated.
+        How the stream is read, and the initial parameters. Where no method is named it stays open, and what is
+        calibrated is the method that would be chosen: PRC's parameters, or nothing for ``fused``.
     search : SearchOptions, optional
         Reference and options of the search; without it, parameters are those implied by the sensor.
     progress : callable, optional
@@ -162,16 +166,17 @@ def calibrate(
         When the objective or an option of the search is invalid.
     """
     loaded = config if config is not None else LoadedConfig(RunConfig())
-    if not loaded.config.is_decided:
-        loaded = decided_by(MethodChoice("urban", "its parameters follow from the sensor; fused measures it"), loaded)
-    run = loaded.config
-    prepared = None if search is None else _prepare(search, run)
-    stream = open_stream(source, loaded)
+    prepared = None if search is None else _prepare(search, loaded.config)
+    decided = decide(Path(source), loaded)
+    run = decided.config
+    stream = open_stream(source, decided)
     watch = watched(stream, run.input)
     sensor, curves, lines, n_records = _measure(watch, run, progress)
-    advice = imply(sensor, curves, run.prc, run.sequential_angle.angles.range_noise_m)
-    found, notes = None, _notes(sensor)
-    if prepared is not None and search is not None:
+    advice, notes = _implied(sensor, curves, decided)
+    found = None
+    if not advice and search is not None:
+        notes = (*notes, f"{search.reference.name} was not used")
+    elif prepared is not None and search is not None:
         mapping, codes = prepared
         n_records = stream.info.n_records or n_records
         training, held_out = _groups(stream, run, (codes, mapping), search, lines, n_records, progress)
@@ -180,8 +185,20 @@ def calibrate(
         notes = (*notes, *_blind(found), *_doubts(found))
     values = {item.key: item.value for item in advice}
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
-    calibrated = replace(loaded, config=with_values(run, values), sources=sources)
+    calibrated = replace(loaded, config=with_values(loaded.config, values), sources=sources)
     return Calibration(str(source), sensor, curves, advice, calibrated, found, notes, watch.findings())
+
+
+def _implied(
+    sensor: SensorEstimate, curves: Curves, decided: LoadedConfig
+) -> tuple[tuple[Advice, ...], tuple[str, ...]]:
+    """Return what the sensor implies for the method, nothing for fused, and what the user has to know."""
+    run, choice = decided.config, decided.choice
+    if run.method == "fused":
+        why = "" if choice is None else f" (taken because {choice.why})"
+        return (), (f"{NOTHING}{why}; for PRC's parameters give --method prc", *_notes(sensor))
+    notes = _notes(sensor) if choice is None else (f"{choice.why}: PRC is calibrated; {STAYS_OPEN}", *_notes(sensor))
+    return imply(sensor, curves, run.prc, run.sequential_angle.angles.range_noise_m), notes
 
 
 def _prepare(search: SearchOptions, config: RunConfig) -> tuple[ClassMapping, CodeSource]:
