@@ -22,7 +22,8 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.samples import samples_folder
 from prc_cli.core.stream import Assumption
-from prc_cli.formats.options import DUMP_SUFFIXES, LAYOUT_SUFFIXES, InputConfig, Layout
+from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.registry import has_layout, is_dump
 from prc_cli.formats.writing.options import OutputConfig
 
 
@@ -353,10 +354,10 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
         When the file is no valid configuration.
     """
     layout = loaded.config.layout
-    if layout is not None and layout.fields and suffix_of(path) not in LAYOUT_SUFFIXES:
+    if layout is not None and layout.fields and not has_layout(path):
         note = f"the layout is not used: {suffix_of(path) or 'these'} files describe their records themselves"
         return loaded if note in loaded.notes else replace(loaded, notes=(*loaded.notes, note))
-    if layout is not None or suffix_of(path) not in LAYOUT_SUFFIXES:
+    if layout is not None or not has_layout(path):
         return loaded
     for beside in dict.fromkeys((path.with_name(f"{path.name}.toml"), path.with_suffix(".toml"))):
         if beside in loaded.files or not beside.is_file():
@@ -370,7 +371,7 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
         return replace(told, files=(*loaded.files, beside))
     inputs = loaded.config.input
     is_told = inputs.points_per_line is not None or (inputs.lines, inputs.columns, inputs.range) != ("auto",) * 3
-    if is_told or suffix_of(path) not in DUMP_SUFFIXES or not path.is_file():
+    if is_told or not is_dump(path) or not path.is_file():
         return loaded
     # imported here: only dumps need it
     from prc_cli.formats.guessing import is_frame

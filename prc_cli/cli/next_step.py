@@ -9,7 +9,7 @@ from typing import Any
 
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import LAS_SUFFIXES
-from prc_cli.formats.options import DUMP_SUFFIXES
+from prc_cli.formats.registry import is_dump
 
 _CLOUDS = (".ply", ".pcd")
 FLAGS = {
@@ -95,7 +95,7 @@ def after_classify(source: Path, output: Path, method: str, options: dict[str, A
     draw = [*draw[:4], "--labels", str(output), *given_words(options, ("--method", "--preset"))]
     reference = source.with_suffix(".label")
     compare = ["prc", "evaluate", str(output)]
-    if suffix_of(source) in DUMP_SUFFIXES and reference.is_file():
+    if is_dump(source) and reference.is_file():
         mapping = "street_scan_kitti" if method == "sequential-angle" else "semantic_kitti"
         compare += [str(reference), "--mapping", mapping]
     else:

@@ -1,128 +1,16 @@
-"""File formats, one package each for reading and writing; the tables here choose the reader by suffix."""
+"""File formats, one room each for reading and writing; :mod:`prc_cli.formats.registry` finds the one of a file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import ScanStream
-from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout
+from prc_cli.formats.las import SUFFIXES as LAS_SUFFIXES
+from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import RecordSource
-
-
-def _raw_binary(path: Path, layout: Layout | None) -> RecordSource:
-    if path.name.startswith("pulse-"):
-        from prc_cli.formats.echopulse.read import EchoPulseSource, is_count_file
-
-        if is_count_file(path):
-            return EchoPulseSource(path)
-    from prc_cli.formats.raw_binary.read import RawBinarySource
-
-    return RawBinarySource(path, layout if layout is not None and layout.fields else _ranges_only(layout))
-
-
-def _ranges_only(layout: Layout | None) -> Layout:
-    """Return a layout of ranges alone, with the header, byte order and line length of a layout without fields."""
-    return RANGES_ONLY if layout is None else layout.model_copy(update={"fields": RANGES_ONLY.fields})
-
-
-def _text(path: Path, layout: Layout | None) -> RecordSource:
-    from prc_cli.formats.text.read import TextSource
-
-    return TextSource(path, layout)
-
-
-def _uos(path: Path, layout: Layout | None) -> RecordSource:
-    from prc_cli.formats.text.read import TextSource
-    from prc_cli.formats.uos import uos_layout
-
-    return TextSource(path, uos_layout(layout))
-
-
-def _las(path: Path, layout: Layout | None) -> RecordSource:
-    from prc_cli.formats.las.read import LasSource
-
-    return LasSource(path)
-
-
-def _ply(path: Path, layout: Layout | None) -> RecordSource:
-    from prc_cli.formats.ply.read import open_ply
-
-    return open_ply(path, layout)
-
-
-def _pcd(path: Path, layout: Layout | None) -> RecordSource:
-    from prc_cli.formats.pcd.read import open_pcd
-
-    return open_pcd(path, layout)
-
-
-READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
-    ".bin": _raw_binary,
-    ".raw": _raw_binary,
-    ".dat": _raw_binary,
-    ".csv": _text,
-    ".csv.gz": _text,
-    ".csv.zst": _text,
-    ".txt": _text,
-    ".txt.gz": _text,
-    ".txt.zst": _text,
-    ".3d": _uos,
-    ".ply": _ply,
-    ".pcd": _pcd,
-    ".xyz": _text,
-    ".asc": _text,
-    ".pts": _text,
-    ".las": _las,
-    ".laz": _las,
-}
-"""Readers of record lists by suffix."""
-
-
-def _array(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
-    from prc_cli.formats.arrays.read import ArrayStream
-
-    return ArrayStream(path, config, lines_at_once=lines_at_once)
-
-
-def _ptx(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
-    from prc_cli.formats.ptx import PtxStream
-
-    return PtxStream(path, config)
-
-
-def _e57(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
-    from prc_cli.formats.e57.read import E57Stream
-
-    return E57Stream(path, config)
-
-
-def _bag(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
-    from prc_cli.formats.bags.read import BagStream
-
-    return BagStream(path, config)
-
-
-def _packets(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
-    from prc_cli.formats.packets.read import PacketStream
-
-    return PacketStream(path, config)
-
-
-IMAGE_READERS: dict[str, Callable[[Path, InputConfig, int], ScanStream]] = {
-    ".npy": _array,
-    ".npz": _array,
-    ".ptx": _ptx,
-    ".e57": _e57,
-    **dict.fromkeys((".bag", ".db3", ".mcap"), _bag),
-    **dict.fromkeys((".pcap", ".pcapng"), _packets),
-}
-"""Readers of range images and organised scans by suffix; these files hold lines and columns."""
-
-LAS_SUFFIXES = (".las", ".laz")
-
+from prc_cli.formats.registry import by_suffix
 
 _BAG_PARTS = (".db3", ".mcap")
 """Files of a ROS 2 bag, which is a folder."""
@@ -136,7 +24,7 @@ def check_input(path: Path) -> str:
     InputError
         When it is absent, not a file, empty, or has an unknown suffix.
     """
-    known = (*READERS, *IMAGE_READERS)
+    known = tuple(by_suffix("scans"))
     suffix = suffix_of(path)
     if path.is_dir():
         raise InputError(str(path), "is a folder, expected a file", _file_of_folder(path, known))
@@ -198,8 +86,8 @@ def _not_a_scan(path: Path) -> str:
 
 def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:
     """Open an input as a list of records; None for range images and organised scans."""
-    suffix = check_input(path)
-    return READERS[suffix](path, layout) if suffix in READERS else None
+    found = by_suffix("scans")[check_input(path)]
+    return found.open_records(path, layout) if found.records else None
 
 
 def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
@@ -214,13 +102,11 @@ def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> S
     lines_at_once : int
         Preferred number of lines per read: a multiple of it.
     """
-    return IMAGE_READERS[suffix_of(path)](path, config, lines_at_once)
+    return by_suffix("scans")[suffix_of(path)].open_images(path, config, lines_at_once)
 
 
 __all__ = [
-    "IMAGE_READERS",
     "LAS_SUFFIXES",
-    "READERS",
     "check_input",
     "open_images",
     "open_source",

@@ -17,9 +17,9 @@ from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.clouds import CHUNK_RECORDS, NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.tables.write import stream_rows
-from prc_cli.formats.writing.base import ScatterWriter, StagedWriter, close_quietly
+from prc_cli.formats.writing.base import LabelWriter, ScatterWriter, StagedWriter, close_quietly
 from prc_cli.formats.writing.columns import RANGE, ExtraDimension, OptionalColumn, Values, asked_columns
-from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.options import LabelOutput, OutputConfig
 from prc_cli.formats.writing.record import RunRecord
 from prc_cli.formats.writing.stream_writer import NO_CODE, StagedStreamWriter, StreamItem, StreamShape
 
@@ -318,15 +318,13 @@ class CloudRewriter(ScatterWriter):
         return kind
 
 
-def open_rewriter(
-    path: Path, codes: ClassCodes, options: OutputConfig, source: Path, points_per_line: int, *, is_part: bool = False
-) -> CloudRewriter | None:
-    """Return the writer that keeps the properties of a PLY or PCD input; None for inputs of other formats."""
-    if source.suffix.lower() not in CLOUD_SUFFIXES:
-        return None
-    from prc_cli.formats import open_source
+def open_label_writer(output: LabelOutput) -> LabelWriter:
+    """Return the writer that keeps the properties of a PLY or PCD input, or makes a new cloud of another input."""
+    if output.source.suffix.lower() in CLOUD_SUFFIXES:
+        from prc_cli.formats import open_source
 
-    cloud = open_source(source)
-    if not isinstance(cloud, CloudSource):
-        return None
-    return CloudRewriter(path, codes, options, cloud, points_per_line, is_part=is_part)
+        cloud = open_source(output.source)
+        if isinstance(cloud, CloudSource):
+            what = output.path, output.codes, output.options, cloud, output.points_per_line
+            return CloudRewriter(*what, is_part=output.is_part)
+    return CloudBuilder(output.path, output.codes, output.options)

@@ -17,13 +17,6 @@ MAX_RECORD_BYTES = 1 << 20
 """Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
 
 
-DUMP_SUFFIXES = (".bin", ".raw", ".dat")
-"""Raw dumps: nothing describes their bytes but a layout."""
-LAYOUT_SUFFIXES = (
-    *DUMP_SUFFIXES, ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst", ".xyz", ".asc", ".pts",
-    ".ply", ".pcd",
-)  # fmt: skip
-"""Files whose records a layout describes."""
 LEAST_RATE_HZ, MOST_RATE_HZ = 1e-6, 1e12
 """Allowed line frequencies and shot rates, well beyond those of real scanners [Hz]."""
 

@@ -35,6 +35,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.writing.base import LabelWriter
 from prc_cli.formats.writing.columns import asked_columns
+from prc_cli.formats.writing.options import LabelOutput
 from prc_cli.formats.writing.record import (
     Fingerprint,
     FingerprintBeside,
@@ -352,17 +353,18 @@ def _classify(
     with (
         FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
         open_writer(
-            output,
-            source=source,
-            source_is_las=suffix_of(source) in LAS_SUFFIXES,
-            n_records=stream.info.n_records,
-            points_per_line=stream.info.points_per_line,
-            codes=loaded.config.classes,
-            options=loaded.config.output,
+            LabelOutput(
+                path=output,
+                source=source,
+                n_records=stream.info.n_records,
+                points_per_line=stream.info.points_per_line,
+                codes=loaded.config.classes,
+                options=loaded.config.output,
+                laz_contexts=stream.info.facts.laz_contexts,
+                user_names=user_names(loaded.config),
+                is_part=loaded.config.input.window is not None,
+            ),
             overwrite=overwrite,
-            laz_contexts=stream.info.facts.laz_contexts,
-            user_names=user_names(loaded.config),
-            is_part=loaded.config.input.window is not None,
         ) as writer,
     ):
         result = ResultWatch(usual_labels(loaded.config, stream.info))

@@ -9,11 +9,12 @@ from pydantic import ValidationError
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_output, check_output, suffix_of
+from prc_cli.core.files import atomic_output, check_output
 from prc_cli.formats import open_source
 from prc_cli.formats.clouds import CloudSource
 from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
-from prc_cli.formats.options import DUMP_SUFFIXES, InputConfig, Layout
+from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.registry import is_dump
 from prc_cli.formats.text.read import TextSource
 from prc_cli.jobs.info import Inspection, inspect
 
@@ -66,7 +67,7 @@ def _empty_header(path: Path, layout: Layout, found: Inspection) -> int | None:
     """Return the bytes of a header of zeros, which look like missing shots: as many as are too many for whole lines."""
     m = None if found.period is None else found.period.points_per_line
     each = sum(np.dtype(field.type).itemsize for field in layout.fields)
-    if suffix_of(path) not in DUMP_SUFFIXES or not m or not each:
+    if not is_dump(path) or not m or not each:
         return None
     surplus = (path.stat().st_size - layout.header_bytes) // each % m
     header = layout.header_bytes + surplus * each
@@ -123,7 +124,7 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
     if loaded.config.layout is not None and loaded.config.layout.fields:
         return [], None
     source = open_source(path, loaded.config.layout)
-    if suffix_of(path) in DUMP_SUFFIXES and not path.name.startswith("pulse-"):
+    if is_dump(path) and not path.name.startswith("pulse-"):
         return _dump_lines(path)
     if isinstance(source, TextSource):
         return _text_lines(source)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
-from prc_cli.formats.bags import SUFFIXES as BAGS
+from prc_cli.formats.bags import FORMATS as BAGS
 from prc_cli.formats.trajectory.poses import is_tum, read_poses, read_tum, turned
 from prc_cli.formats.trajectory.sbet import project, read_sbet
 from prc_cli.formats.trajectory.text import read_text
@@ -227,7 +227,7 @@ def load_trajectory(
         if path.suffix.lower() in (".sbet", ".out"):
             time_s, position = read_sbet(path, size)
             xyz_m = project(path, position, crs or source_crs_wkt)
-        elif path.suffix.lower() in BAGS:
+        elif path.suffix.lower() in BAGS[0].scans:
             time_s, xyz_m, quaternion = read_poses(path, topic)
         elif is_tum(path):
             time_s, xyz_m, quaternion = read_tum(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ReadTal
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.formats.label_files import open_writer
 from prc_cli.formats.writing.base import LabelWriter
-from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.options import LabelOutput
 from prc_cli.formats.writing.record import Fingerprint, RunRecord
 
 URBAN = (Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION)
@@ -69,17 +70,9 @@ def record_blocks(labels: U8, m: int = 20, *, order: I64 | None = None, **fields
     return blocks
 
 
-def writer(path: Path, source: Path, **changes: Any) -> LabelWriter:
-    values: dict[str, Any] = {
-        "source": source,
-        "source_is_las": source.suffix in (".las", ".laz"),
-        "n_records": None,
-        "points_per_line": 20,
-        "codes": ClassCodes(),
-        "options": OutputConfig(),
-        "overwrite": False,
-    }
-    return open_writer(path, **(values | changes))
+def writer(path: Path, source: Path, *, overwrite: bool = False, **changes: Any) -> LabelWriter:
+    output = LabelOutput(path=path, source=source, n_records=None, points_per_line=20, codes=ClassCodes())
+    return open_writer(replace(output, **changes), overwrite=overwrite)
 
 
 def write(

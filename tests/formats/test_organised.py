@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.formats import ptx
 from prc_cli.formats.e57 import file as e57_file
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import Pose, is_rotation
+from prc_cli.formats.ptx import read as ptx
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
     Scan,

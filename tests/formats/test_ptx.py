@@ -11,9 +11,9 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
-from prc_cli.formats import ptx
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ptx import PtxStream
+from prc_cli.formats.ptx import read as ptx
+from prc_cli.formats.ptx.read import PtxStream
 from prc_cli.jobs.classify import classify
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (

@@ -24,7 +24,7 @@ from prc_cli.formats import open_source
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.clouds import turn_of_times
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ptx import PtxStream
+from prc_cli.formats.ptx.read import PtxStream
 from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import to_number
 from prc_cli.formats.text.read import TextSource

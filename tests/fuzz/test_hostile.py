@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import PrcError
 from prc_cli.formats import check_input, open_images, open_source
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.labels.read import OPENERS, open_codes
+from prc_cli.formats.labels.read import open_codes
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.registry import by_suffix
 from tests import patience
 from tests.fuzz.campaign import attempt
 from tests.fuzz.found import FOUND, Found, all_found
@@ -149,7 +150,7 @@ def test_names_inside_an_archive_are_no_paths(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*.npy")] == []
 
 
-@pytest.mark.parametrize("name", [name for name in SEEDS if f".{name.split('.', 1)[1]}" in OPENERS])
+@pytest.mark.parametrize("name", [name for name in SEEDS if f".{name.split('.', 1)[1]}" in by_suffix("codes")])
 def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
     """At every power of two, around every structure of a LAS file, and one byte early."""
     data = seed(name)

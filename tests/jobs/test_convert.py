@@ -327,7 +327,7 @@ def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, su
 
 
 def test_bad_outputs_are_refused_before_anything_is_read(drive: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="found suffix '.ptx', expected one of .las"):
+    with pytest.raises(ConfigError, match="found suffix '.ptx', expected one of .bin"):
         convert(drive, tmp_path / "out.ptx")
     with pytest.raises(OutputExistsError, match="the output is the input itself"):
         convert(drive, drive, overwrite=True)

@@ -319,3 +319,8 @@ def _to_float32(stored: NDArray[Any]) -> F32:
         values: F32 = np.array(stored, dtype=np.float32)
     values[~np.isfinite(values)] = np.nan
     return values
+
+
+def open_array(path: Path, config: InputConfig, lines_at_once: int) -> ArrayStream:
+    """Open a range image."""
+    return ArrayStream(path, config, lines_at_once=lines_at_once)

@@ -63,9 +63,9 @@ class NpzStream(_ArrayStream):
     ``class`` holds class codes, (lines, M) int32; -1 = none.
     """
 
-    def __init__(self, path: Path, shape: StreamShape, *, compress: bool = False) -> None:
+    def __init__(self, path: Path, shape: StreamShape) -> None:
         super().__init__(path, shape)
-        self._method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
+        self._method = zipfile.ZIP_DEFLATED if shape.compress else zipfile.ZIP_STORED
         self._angle_deg: F64 | None = None
         self._parts: dict[str, tuple[BinaryIO, str, tuple[int, ...]]] = {}
 

@@ -370,3 +370,8 @@ class _PacketReader(_TopicReader):
         if self._n_other:
             found.append(f"{self._where.rpartition(': ')[2]}: {self._n_other:,} packets of another kind left out")
         return found
+
+
+def open_bag(path: Path, config: InputConfig, lines_at_once: int) -> BagStream:
+    """Open a bag, whose blocks are as long as its scans."""
+    return BagStream(path, config)

@@ -490,3 +490,8 @@ def _disk_errors() -> Iterator[None]:
         raise OutputError(
             tempfile.gettempdir(), problem, "free space there or point TMPDIR to a larger disk"
         ) from error
+
+
+def open_e57(path: Path, config: InputConfig, lines_at_once: int) -> E57Stream:
+    """Open a E57 file, whose blocks are as long as its scans."""
+    return E57Stream(path, config)

@@ -13,6 +13,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import open_to_read, suffix_of
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.registry import by_suffix
 
 NAMES = ("class", "label", "classification", "class_code")
 """Names that codes have where none is given; the first one present is taken, whatever its case."""
@@ -128,14 +129,13 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     InputError
         When the file cannot be read, or its suffix is none of these.
     """
-    suffix = suffix_of(path)
-    opener = OPENERS.get(suffix)
-    if opener is None:
+    suffix, known = suffix_of(path), by_suffix("codes")
+    if suffix not in known:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
-        raise InputError(str(path), f"{found}, expected one of: {' '.join(OPENERS)}", "rename the file or convert it")
+        raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", "rename the file or convert it")
     if not path.is_file():
         raise InputError(str(path), "no such file, expected class codes", "check the name")
-    return opener(path, dimension)
+    return known[suffix].code_source(path, dimension)
 
 
 def code_suffix_of(path: Path) -> str:
@@ -147,7 +147,7 @@ def code_suffix_of(path: Path) -> str:
     ''
     """
     suffix = suffix_of(path)
-    return suffix if suffix in OPENERS else ""
+    return suffix if suffix in by_suffix("codes") else ""
 
 
 def _choose(path: Path, names: list[str], dimension: str | None) -> str:
@@ -167,7 +167,8 @@ def _choose(path: Path, names: list[str], dimension: str | None) -> str:
     raise InputError(str(path), problem, "name the dimension that holds the class codes")
 
 
-def _open_arrays(path: Path, dimension: str | None) -> CodeSource:
+def open_array_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open an array of codes, 1-D or 2-D, or that of an archive."""
     file = ArrayFile(path)
     if file.is_archive:
         name = _choose(path, list(file.headers), dimension)
@@ -193,7 +194,8 @@ def _open_arrays(path: Path, dimension: str | None) -> CodeSource:
     return CodeSource(path, shape[0] * row, read, name=name)
 
 
-def _open_text(path: Path, dimension: str | None) -> CodeSource:
+def open_text_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open a column of a text file."""
     from prc_cli.formats.text.read import TextSource
 
     source = TextSource(path)
@@ -219,7 +221,8 @@ def _check_numbers(path: Path, record: F64, first: int) -> None:
         raise InputError(str(path), problem, "sort the rows by record, all of them")
 
 
-def _open_las(path: Path, dimension: str | None) -> CodeSource:
+def open_las_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open a dimension of a LAS or LAZ file, ``classification`` by default."""
     from prc_cli.formats.las.read import LasSource
 
     source = LasSource(path)
@@ -234,7 +237,8 @@ def _open_las(path: Path, dimension: str | None) -> CodeSource:
     return CodeSource(path, source.n_records, read, name=name)
 
 
-def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
+def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open a column of a Parquet file."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -271,7 +275,7 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
     return CodeSource(path, n, read, name=name)
 
 
-def _open_semantic(path: Path, dimension: str | None) -> CodeSource:
+def open_semantic_codes(path: Path, dimension: str | None) -> CodeSource:
     """Open the labels of SemanticKITTI: little-endian uint32, class in the low 16 bits, instance in the high ones."""
     if dimension is not None:
         raise ConfigError(str(path), f"no dimension {dimension!r} in a .label file", "leave it out")
@@ -299,7 +303,8 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:160]
 
 
-def _open_cloud(path: Path, dimension: str | None) -> CodeSource:
+def open_cloud_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open a property of a PLY or PCD cloud."""
     from prc_cli.formats.pcd.read import open_pcd
     from prc_cli.formats.ply.read import open_ply
 
@@ -311,17 +316,3 @@ def _open_cloud(path: Path, dimension: str | None) -> CodeSource:
             yield chunk.values[name]
 
     return CodeSource(path, source.n_records, read, missing=True, name=name)
-
-
-OPENERS: dict[str, Callable[[Path, str | None], CodeSource]] = {
-    ".npy": _open_arrays,
-    ".npz": _open_arrays,
-    **{f"{text}{packed}": _open_text for text in (".csv", ".txt") for packed in ("", ".gz", ".zst")},
-    ".parquet": _open_parquet,
-    ".label": _open_semantic,
-    ".ply": _open_cloud,
-    ".pcd": _open_cloud,
-    ".las": _open_las,
-    ".laz": _open_las,
-}
-"""Readers of class codes by suffix."""

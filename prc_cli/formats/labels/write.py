@@ -21,7 +21,7 @@ from prc_cli.formats.writing.base import (
     close_quietly,
 )
 from prc_cli.formats.writing.columns import Values, asked_columns
-from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.options import LabelOutput, OutputConfig
 from prc_cli.formats.writing.record import RunRecord
 from prc_cli.formats.writing.straight import StraightCodes, npy_header
 
@@ -170,3 +170,8 @@ def _cell(text: str) -> str:
     line = io.StringIO()
     csv.writer(line, lineterminator="").writerow([text])
     return line.getvalue()
+
+
+def open_label_writer(output: LabelOutput) -> LabelFileWriter:
+    """Return the writer of labels alone."""
+    return LabelFileWriter(output.path, output.codes, output.options, output.n_records, is_part=output.is_part)

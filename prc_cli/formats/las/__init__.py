@@ -1,1 +1,19 @@
 """LAS and LAZ: headers, points, compression, new files, and rewriting with changed classes."""
+
+from prc_cli.formats.registry import Format
+
+SUFFIXES = (".las", ".laz")
+
+FORMATS = (
+    Format(
+        name="LAS",
+        scans=SUFFIXES,
+        records="prc_cli.formats.las.read:open_las",
+        streams={".las": "point cloud", ".laz": "point cloud, compressed"},
+        write_stream="prc_cli.formats.las.build:LasStream",
+        labels=SUFFIXES,
+        write_labels="prc_cli.formats.las.rewrite:open_label_writer",
+        codes=SUFFIXES,
+        open_codes="prc_cli.formats.labels.read:open_las_codes",
+    ),
+)

@@ -19,6 +19,7 @@ from prc_cli.formats.las.crs import find_crs
 from prc_cli.formats.las.header import LasHeader, check_decodable, find_points_per_line, open_source, read_header
 from prc_cli.formats.las.laz import LazRecords, read_batches
 from prc_cli.formats.las.points import layers_of, read_layout
+from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordChunk, standard_first
 
 CHUNK_RECORDS = 1 << 16
@@ -245,3 +246,8 @@ class LasSource:
             ],
             "notes": list(self.notes),
         }  # fmt: skip
+
+
+def open_las(path: Path, layout: Layout | None) -> LasSource:
+    """Open a LAS or LAZ file, which no layout describes."""
+    return LasSource(path)

@@ -16,6 +16,8 @@ from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.facts import ClassContexts
 from prc_cli.core.files import output_errors
 from prc_cli.core.types import I64, U8
+from prc_cli.formats.las import SUFFIXES
+from prc_cli.formats.las.build import LasBuilder
 from prc_cli.formats.las.copc import Copc, find_copc, move_index, splice_copc
 from prc_cli.formats.las.copy import (
     COPC_USER,
@@ -45,9 +47,9 @@ from prc_cli.formats.las.points import (
 )
 from prc_cli.formats.las.sinks import PointSink, Target, batch_records, crc
 from prc_cli.formats.las.splice import find_chunks, splice_classes, splice_records
-from prc_cli.formats.writing.base import Columns, ScatterWriter
+from prc_cli.formats.writing.base import Columns, LabelWriter, ScatterWriter
 from prc_cli.formats.writing.columns import OPTIONAL_COLUMNS, asked_columns
-from prc_cli.formats.writing.options import FIVE_BIT_LIMIT, OutputConfig
+from prc_cli.formats.writing.options import FIVE_BIT_LIMIT, LabelOutput, OutputConfig
 from prc_cli.formats.writing.record import RunRecord
 
 
@@ -317,3 +319,12 @@ class LasRecoder(LasRewriter):
         with output_errors(self.path):
             for column in self._optional:
                 self._spools[column.name].put(record, values[column.name].astype(column.dtype))
+
+
+def open_label_writer(output: LabelOutput) -> LabelWriter:
+    """Return the writer that keeps all of a LAS or LAZ input but the class, or makes a new file of another input."""
+    if output.source.suffix.lower() not in SUFFIXES:
+        return LasBuilder(output.path, output.codes, output.options, output.points_per_line, output.user_names)
+    contexts = None if output.is_part else output.laz_contexts
+    what = output.path, output.codes, output.options, output.source, contexts, output.user_names
+    return LasRewriter(*what, is_part=output.is_part)

@@ -225,3 +225,8 @@ def find_metadata(path: Path, config: InputConfig) -> Metadata | None:
         return read_metadata(Path(config.metadata).expanduser())
     beside = path.with_suffix(".json")
     return read_metadata(beside) if beside.is_file() else None
+
+
+def open_capture(path: Path, config: InputConfig, lines_at_once: int) -> PacketStream:
+    """Open a capture, whose blocks are as long as its scans."""
+    return PacketStream(path, config)

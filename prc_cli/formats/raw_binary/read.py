@@ -13,8 +13,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.formats.layout import decode, record_dtype
-from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordChunk, standard_first
+from prc_cli.formats.options import RANGES_ONLY, Layout
+from prc_cli.formats.records import RecordChunk, RecordSource, standard_first
 
 CHUNK_RECORDS = 1 << 18
 """Records decoded at a time."""
@@ -170,3 +170,15 @@ class RawBinarySource(LayoutRecords):
             "records": self._n_records,
             "fields": {name: self._dtype[name].str for name in self._fields},
         }
+
+
+def open_dump(path: Path, layout: Layout | None) -> RecordSource:
+    """Open a dump by its layout, as ranges alone where the layout has no fields, or a folder of pulses by its file."""
+    if path.name.startswith("pulse-"):
+        from prc_cli.formats.echopulse.read import EchoPulseSource, is_count_file
+
+        if is_count_file(path):
+            return EchoPulseSource(path)
+    if layout is None or not layout.fields:
+        layout = RANGES_ONLY if layout is None else layout.model_copy(update={"fields": RANGES_ONLY.fields})
+    return RawBinarySource(path, layout)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
-from prc_cli.formats import READERS
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.registry import by_suffix
 
 CHUNK_RECORDS = 1 << 19
 """Records read at a time."""
@@ -33,11 +33,8 @@ def open_table(path: Path) -> RecordSource | None:
         When the file is damaged.
     """
     suffix = suffix_of(path)
-    if suffix in READERS:
-        return READERS[suffix](path, None)
-    if suffix in (".npy", ".npz"):
-        return ArrayTable(path)
-    return ParquetTable(path) if suffix == ".parquet" else None
+    found = by_suffix("scans").get(suffix) or by_suffix("codes").get(suffix)
+    return None if found is None else found.column_source(path)
 
 
 class ArrayTable:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
@@ -9,6 +12,7 @@ from pydantic import Field
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import Params
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.facts import ClassContexts
 
 HIGH_NOISE_CODE = 18
 """LAS 1.4 table 17: high noise."""
@@ -50,6 +54,28 @@ class OutputConfig(Params):
     high_noise_beyond: float | None = Field(
         None, gt=0.0, description="noise farther than this gets code 18 (high noise) [m]; default: never"
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelOutput:
+    """A classified file that is to be written."""
+
+    path: Path
+    """Its suffix decides the format."""
+    source: Path
+    """Input; LAS, PLY and PCD outputs of an input of the same kind read it again."""
+    n_records: int | None
+    """Records of the input; None if unknown before reading."""
+    points_per_line: int
+    """M, shots in a scan line."""
+    codes: ClassCodes
+    options: OutputConfig = field(default_factory=OutputConfig)
+    laz_contexts: ClassContexts | None = None
+    """Kept from reading a LAZ input, to rewrite it faster; the output is the same without."""
+    user_names: Mapping[int, str] = field(default_factory=dict)
+    """Name of every user code that may be written; LAS and LAZ hold them."""
+    is_part: bool = False
+    """Only a window of the input is classified: the output holds its records alone."""
 
 
 def check_codes(codes: ClassCodes, options: OutputConfig) -> None:

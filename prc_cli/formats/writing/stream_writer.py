@@ -63,6 +63,8 @@ class StreamShape:
     """Scan angle that points straight down [rad], None = unknown."""
     crs: str = ""
     """Coordinate system of registered coordinates, as pyproj takes it; empty = none."""
+    compress: bool = False
+    """Deflate the arrays of an archive (as ``numpy.savez_compressed``)."""
 
     @classmethod
     def of(cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool) -> StreamShape:

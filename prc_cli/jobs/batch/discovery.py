@@ -21,23 +21,20 @@ from typing import TypeAlias, TypeVar
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import (
-    IMAGE_READERS,
     LAS_SUFFIXES,
-    READERS,
 )
-from prc_cli.formats.label_files import SUFFIXES
+from prc_cli.formats.registry import by_suffix
 from prc_cli.jobs.batch.settings import BatchSettings
 from prc_cli.jobs.batch.summary import LeftOut
 from prc_cli.jobs.batch.types import OWN_FOLDER
 
 SAME = "same"
-FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(SUFFIXES)))
+FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(by_suffix("labels"))))
 """Output formats: ``same`` writes LAS for LAS, LAZ for LAZ, and a label file for every other format."""
 LABELS = ".labels"
 """Put between the name of an input and the suffix of its label file."""
 PATIENCE_S = 60.0
 """Time limit for one answer of the file system [s]."""
-_READABLE = frozenset((*READERS, *IMAGE_READERS))
 _UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 
 
@@ -207,7 +204,7 @@ def _look(entry: os.DirEntry[str], name: str, archive: Path) -> _Item | str | No
         is_link = entry.is_symlink()
         if entry.is_dir(follow_symlinks=False):
             return f"{name}/"
-        readable = suffix_of(Path(entry.name)) in _READABLE
+        readable = suffix_of(Path(entry.name)) in by_suffix("scans")
         if is_link:
             reason = _why_not_followed(entry, archive, readable=readable)
             if reason is not None:

@@ -232,7 +232,7 @@ class _Run:
         """Write the stream anew without the dropped shots."""
         with self._open(xyz=True) as (opened, items):
             shape = replace(opened.shape, codes=True)
-            with open_stream_writer(self.output, shape, compress=True) as writer:
+            with open_stream_writer(self.output, replace(shape, compress=True)) as writer:
                 for item, codes, extra_codes in items:
                     kept, kept_extra = self._choose(item, codes, extra_codes)
                     writer.add_item(without(replace(item, codes=codes, extra_codes=extra_codes), kept, kept_extra))

@@ -13,14 +13,14 @@ from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import Assumption
 from prc_cli.formats import (
     LAS_SUFFIXES,
-    READERS,
     check_input,
     open_source,
 )
-from prc_cli.formats.labels.read import OPENERS, open_codes
+from prc_cli.formats.labels.read import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
+from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.matching.key_rule import KeyRule
 from prc_cli.matching.keyed_source import (
@@ -68,8 +68,9 @@ def check_paths(labels: Path, registered: Path, output: Path, points: Path | Non
             problem = "has keys of its own, expected no --points with it"
             raise ConfigError(str(labels), problem, "leave out --points, or give the labels as .npy, .csv or .parquet")
         return
-    if suffix not in OPENERS:
-        others = " ".join(known for known in OPENERS if known not in LAS_SUFFIXES)
+    known = by_suffix("codes")
+    if suffix not in known:
+        others = " ".join(other for other in known if other not in LAS_SUFFIXES)
         problem = f"found suffix {suffix!r}, expected classes: .las .laz {others}"
         raise InputError(str(labels), problem, "classify the raw input first: prc classify RAW LABELS")
 
@@ -121,7 +122,8 @@ def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, opt
     if options.match == "record" or options.match.startswith("record:"):
         # the order is the key, which the labels have themselves
         return CodesAlone(open_codes(labels, options.dimension))
-    if suffix_of(labels) in READERS:
+    form = format_of(labels)
+    if form is not None and form.records:
         table = open_source(labels, layout)
         if table is not None and set(_rules(options, ())[0].names) <= set(table.dimensions):
             return table

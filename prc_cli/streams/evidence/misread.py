@@ -16,7 +16,7 @@ import numpy as np
 from prc_cli.core.files import open_to_read
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.types import F32
-from prc_cli.formats.options import DUMP_SUFFIXES
+from prc_cli.formats.registry import is_dump
 from prc_cli.streams.evidence.figures import SMOOTH, likeness
 
 MISREAD_CHECKS = ("ranges", "shot-order")
@@ -133,7 +133,7 @@ def with_other_reading(finding: Finding, path: str, points_per_line: int | None)
     dump = Path(path)
     if finding.verdict is not Verdict.AGAINST or finding.check not in MISREAD_CHECKS:
         return finding
-    if dump.suffix.lower() not in DUMP_SUFFIXES or not dump.is_file():
+    if not is_dump(dump) or not dump.is_file():
         return finding
     reading = other_reading(dump, points_per_line)
     if reading is None or not reading.options():

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from prc_cli.formats.options import Layout, LayoutField
+from prc_cli.formats.text.read import TextSource
 
 _CENTIMETRE = 0.01
 
@@ -16,6 +19,11 @@ UOS = Layout(
     ),
 )
 """Points relative to the scanner in metres, z up."""
+
+
+def open_uos(path: Path, layout: Layout | None) -> TextSource:
+    """Open a ``.3d`` file."""
+    return TextSource(path, uos_layout(layout))
 
 
 def uos_layout(layout: Layout | None) -> Layout:

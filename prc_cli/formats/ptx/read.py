@@ -481,3 +481,8 @@ class _Survey:
         passed += not at_end and passed < n
         self._line += passed
         return passed
+
+
+def open_ptx(path: Path, config: InputConfig, lines_at_once: int) -> PtxStream:
+    """Open a PTX file, whose blocks are as long as its scans."""
+    return PtxStream(path, config)

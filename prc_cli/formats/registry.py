@@ -1,0 +1,136 @@
+"""The formats: one record each, in the ``__init__`` of its room, or in another package.
+
+Suffixes, readers and writers are looked up here. Another package adds a format by an entry point of the group
+``prc_cli.formats`` that names a :class:`Format`; nothing of this package has to be touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from prc_cli.core.files import suffix_of
+
+if TYPE_CHECKING:
+    from prc_cli.core.stream import ScanStream
+    from prc_cli.formats.labels.read import CodeSource
+    from prc_cli.formats.options import InputConfig, Layout
+    from prc_cli.formats.records import RecordSource
+    from prc_cli.formats.writing.base import LabelWriter
+    from prc_cli.formats.writing.options import LabelOutput
+    from prc_cli.formats.writing.stream_writer import StreamShape, StreamWriter
+
+ENTRY_POINTS = "prc_cli.formats"
+"""Group of the entry points of other packages."""
+_ROOMS = ("raw_binary", "text", "ply", "pcd", "las", "arrays", "ptx", "e57", "bags", "packets", "labels", "tables")
+"""Rooms of this package, in the order in which messages list their suffixes."""
+
+Held: TypeAlias = Literal["codes", "registered", "relative", "angles", "times", "intensity", "returns"]
+"""What a stream may hold beside ranges: class codes, coordinates of the input, coordinates relative to the scanner."""
+EVERYTHING: frozenset[Held] = frozenset(
+    ("codes", "registered", "relative", "angles", "times", "intensity", "returns")
+)  # fmt: skip
+Role: TypeAlias = Literal["scans", "streams", "labels", "codes"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """What a format reads and writes. Functions are named ``"module:function"`` and imported when they are needed."""
+
+    name: str
+    scans: tuple[str, ...] = ()
+    """Suffixes of scans that can be read."""
+    records: str = ""
+    """Opens a scan as a list of records: ``(path, layout) -> RecordSource``."""
+    images: str = ""
+    """Opens a scan that holds lines and columns: ``(path, input configuration, lines at once) -> ScanStream``."""
+    has_layout: bool = False
+    """Whether a layout describes the records of its scans."""
+    is_dump: bool = False
+    """Whether nothing but a layout describes them."""
+    streams: Mapping[str, str] = field(default_factory=dict)
+    """Suffixes of streams that are written, each with what such a file is."""
+    write_stream: str = ""
+    """Writes a stream: ``(path, shape) -> StreamWriter``."""
+    holds: frozenset[Held] = EVERYTHING
+    """What a written stream can hold."""
+    labels: tuple[str, ...] = ()
+    """Suffixes of outputs of ``prc classify``."""
+    write_labels: str = ""
+    """Writes them: ``(output) -> LabelWriter``."""
+    codes: tuple[str, ...] = ()
+    """Suffixes of files that class codes are read from."""
+    open_codes: str = ""
+    """Opens them: ``(path, dimension) -> CodeSource``."""
+    columns: str = ""
+    """Opens the columns of a file that is no list of records: ``(path) -> RecordSource``."""
+
+    def open_records(self, path: Path, layout: Layout | None) -> RecordSource:
+        """Open a scan as a list of records."""
+        return _call(self.records, path, layout)  # type: ignore[no-any-return]
+
+    def open_images(self, path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
+        """Open a range image or an organised scan."""
+        return _call(self.images, path, config, lines_at_once)  # type: ignore[no-any-return]
+
+    def stream_writer(self, path: Path, shape: StreamShape) -> StreamWriter:
+        """Return the writer of a stream."""
+        return _call(self.write_stream, path, shape)  # type: ignore[no-any-return]
+
+    def label_writer(self, output: LabelOutput) -> LabelWriter:
+        """Return the writer of a classified input."""
+        return _call(self.write_labels, output)  # type: ignore[no-any-return]
+
+    def code_source(self, path: Path, dimension: str | None) -> CodeSource:
+        """Open the class codes of a file."""
+        return _call(self.open_codes, path, dimension)  # type: ignore[no-any-return]
+
+    def column_source(self, path: Path) -> RecordSource | None:
+        """Open the columns of a file as records; None where it has none."""
+        if self.records:
+            return self.open_records(path, None)
+        return _call(self.columns, path) if self.columns else None
+
+
+@lru_cache(maxsize=1)
+def formats() -> tuple[Format, ...]:
+    """Return all formats, those of other packages last."""
+    own = [each for room in _ROOMS for each in import_module(f"prc_cli.formats.{room}").FORMATS]
+    return (*own, *(entry.load() for entry in entry_points(group=ENTRY_POINTS)))
+
+
+@lru_cache(maxsize=4)
+def by_suffix(role: Role) -> dict[str, Format]:
+    """Return the formats that can do something, by suffix; the first one counts."""
+    found: dict[str, Format] = {}
+    for each in formats():
+        for suffix in getattr(each, role):
+            found.setdefault(suffix, each)
+    return found
+
+
+def format_of(path: Path, role: Role = "scans") -> Format | None:
+    """Return the format of a file that can do something, by its suffix."""
+    return by_suffix(role).get(suffix_of(path))
+
+
+def has_layout(path: Path) -> bool:
+    """Whether a layout describes the records of a scan."""
+    form = format_of(path)
+    return form is not None and form.has_layout
+
+
+def is_dump(path: Path) -> bool:
+    """Whether nothing but a layout describes the bytes of a scan."""
+    form = format_of(path)
+    return form is not None and form.is_dump
+
+
+def _call(name: str, *arguments: Any) -> Any:
+    return resolve_name(name)(*arguments)
