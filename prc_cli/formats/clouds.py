@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
-from prc_cli.core.types import F64, I64, Mask
+from prc_cli.core.types import I64, Mask
 from prc_cli.formats.layout import check_fields, decode
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import STANDARD_NAMES, RecordChunk, standard_first
@@ -30,9 +29,6 @@ NO_CELL = 0xFFFFFFFF
 """Line and column of a point without a cell, in files of this program."""
 OWN_COMMENT = "prc points_per_line "
 """Comment of files of this program, with M behind it."""
-TURN_OFF = 0.02
-"""Tolerance for whole turns."""
-_LEAST_WRAPS = 4
 
 ALIASES: dict[str, tuple[str, ...]] = {
     "range": ("range", "range_m", "distance"),
@@ -183,7 +179,6 @@ class CloudSource:
         if renamed and not given:
             notes.append(f"properties taken under another name: {', '.join(renamed)}")
         rules += _usual_rules(found, head, is_own=own_m is not None)
-        rules += _turn_rules(found, first)
         self.facts = SourceFacts(
             points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
             rules=tuple(rules),
@@ -454,64 +449,11 @@ def _own_points_per_line(comments: tuple[str, ...]) -> int | None:
 def _usual_rules(found: Mapping[str, Any], head: CloudHead, *, is_own: bool) -> list[KnownRule]:
     """Return what the properties say of lines, columns and ranges, for ``auto``."""
     rules: list[KnownRule] = []
-    known = {rule.key for rule in head.rules}
     has_lines = "scan_line" in found
     if "ring" in found and set(XYZ) <= set(found) and (is_own or not has_lines) and "angle" not in found:
         rules.append(KnownRule("lines", "rings", "the points have a ring, and x, y, z from the scanner"))
         rules.append(KnownRule("range", "sensor-xyz", "rings turn around the origin of x, y, z"))
-    elif "angle" in found and "range" in found and not has_lines and "column" not in found and "lines" not in known:
-        why = "scan angles of the shots are there, shots without return are left out"
-        rules.append(KnownRule("columns", "angle", why))
-    return [rule for rule in rules if rule.key not in known]
-
-
-def _turn_rules(found: Mapping[str, tuple[str, LayoutField]], first: Columns) -> list[KnownRule]:
-    """Tell whether lines are whole turns of which a part never returns: by angle and time of the first rows."""
-    if not {"time", "angle", "range"} <= set(found):
-        return []
-    time_s, angle = (
-        np.asarray(decode(first[found[name][0]], found[name][1]), np.float64) for name in ("time", "angle")
-    )
-    turn = turn_of_times(time_s, angle)
-    if turn is None or abs(turn / (2 * math.pi) - 1) > TURN_OFF:
-        return []
-    why = f"by its times the scanner turns {math.degrees(turn):.1f} deg a line"
-    return [KnownRule("turn", "whole", why)]
-
-
-def turn_of_times(time_s: F64, angle: F64) -> float | None:
-    """Return the angle that the scanner turns in a line, also where no shot returns [rad]; None if unknown.
-
-    Parameters
-    ----------
-    time_s, angle : (n,) float64
-        Times [s] and scan angles [rad] of the first records.
-
-    Examples
-    --------
-    Half of the shots of a turn return:
-
-    >>> shot = np.arange(90)
-    >>> turn_of_times(shot % 10 + shot // 10 * 20.0, shot % 10 * math.pi / 10) / math.pi
-    2.0
-    """
-    use = np.isfinite(time_s) & np.isfinite(angle)
-    time_s, angle = time_s[use], angle[use]
-    if len(angle) < 2:
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):  # of what no scanner measured
-        dt, turned, span = np.diff(time_s), np.diff(angle), float(np.ptp(angle))
-        ahead = (dt > 0) & (np.abs(turned) < 0.12 * span)
-        wraps = np.flatnonzero(np.abs(turned) > 0.5 * span)
-        if len(wraps) < _LEAST_WRAPS or not ahead.any():
-            return None
-        rate = float(np.median(turned[ahead] / dt[ahead]))
-        if not rate or not math.isfinite(rate):
-            return None
-        # from an angle in one line to the same angle in the next
-        start = time_s[wraps + 1] - angle[wraps + 1] / rate
-        turn = abs(rate * float(np.median(np.diff(start))))
-    return turn if math.isfinite(turn) else None
+    return [rule for rule in rules if rule.key not in {one.key for one in head.rules}]
 
 
 def _shown(names: Mapping[str, Any]) -> str:

@@ -12,9 +12,9 @@ from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.returns import ReturnRule
-from prc_cli.streams.angles import find_sweep
 from prc_cli.streams.order import Policy
 from prc_cli.streams.ranges import XYZ, is_sensor_xyz
+from prc_cli.streams.record_angles import columns_of_angles, has_sweeps, turns_round
 
 _NO_RANGE = "no slant range"
 
@@ -116,7 +116,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
     taken: list[Assumption] = []
     lines, columns, range_ = _auto_rules(source, config, taken)
-    scanner = None if config.scanner == "none" else config.scanner
+    scanner = _scanner(config)
     for key, rule in (("lines", lines), ("columns", columns), ("range", range_)):
         if rule.startswith("dimension:"):
             _check_dimension(f"input.{key}", rule.partition(":")[2], source)
@@ -130,6 +130,9 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         # no source for the start of lines
         why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
         taken.append(Assumption("input.columns", "column 0 is the first return of each line", why))
+    if config.columns == "order" and lines != "fixed":
+        why = "given; where shots are left out, the rest of the line moves up"
+        taken.append(Assumption("input.columns", "order", why))
     if lines.startswith("time:") and config.time_origin is None:
         why = "line 0, column 0 is taken to be fired then: the phase of the mirror is not in the input"
         taken.append(Assumption("input.time_origin", "time of the first record", why))
@@ -162,7 +165,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         pads_last_line=config.partial_line == "pad",
         chosen_return=config.return_,
         order=config.order,
-        whole_turn=columns == "angle" and source.facts.rule("turn") is not None,
+        whole_turn=columns == "angle" and turns_round(source, scanner),
     )
 
 
@@ -176,7 +179,7 @@ def _auto_rules(source: RecordSource, config: InputConfig, taken: list[Assumptio
     if columns == "auto":
         # without lines, those by time are the ones that need columns
         of_lines = lines or ("time:" if "time" in has else "fixed")
-        columns = _or_missing(lambda: _auto_columns(source, of_lines, taken), missing)
+        columns = _or_missing(lambda: _auto_columns(source, of_lines, config, taken), missing)
     if range_ == "auto":
         range_ = _or_missing(lambda: _auto_range(source, taken), missing)
     if missing:
@@ -221,6 +224,10 @@ def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tup
     return (range_.partition(":")[2], "z") if is_there and config.nadir is None else ()
 
 
+def _scanner(config: InputConfig) -> str | None:
+    return None if config.scanner == "none" else config.scanner
+
+
 def _argument(rule: str) -> str | None:
     return rule.partition(":")[2] if rule.startswith("dimension:") else None
 
@@ -244,7 +251,7 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
         why = f"points_per_line = {config.points_per_line} is given and the input has no dimension scan_line"
         taken.append(Assumption("input.lines", "fixed", why))
         return "fixed"
-    if "angle" in source.dimensions and _has_sweeps(source):
+    if "angle" in source.dimensions and has_sweeps(source, _scanner(config)):
         why = "no dimension scan_line, no points_per_line, but the scan angle runs in sweeps"
         taken.append(Assumption("input.lines", "angle-wrap", why))
         return "angle-wrap"
@@ -262,19 +269,7 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 
-def _has_sweeps(source: RecordSource) -> bool:
-    """Whether the scan angles of the first records jump back between sweeps."""
-    first = next(iter(source.chunks(("angle",))), None)
-    if first is None:
-        return False
-    try:
-        find_sweep(first.values["angle"], source.path)
-    except InputError:
-        return False
-    return True
-
-
-def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> str:
+def _auto_columns(source: RecordSource, lines: str, config: InputConfig, taken: list[Assumption]) -> str:
     if lines == "fixed":
         taken.append(Assumption("input.columns", "order", "lines are fixed: every shot has its record"))
         return "order"
@@ -283,13 +278,17 @@ def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> 
     if "column" in source.dimensions:
         taken.append(Assumption("input.columns", "dimension:column", "the input has a dimension of this name"))
         return "dimension:column"
+    why = "the input has no dimension column"
+    if "angle" in source.dimensions and _argument(lines) in (None, *source.dimensions):
+        gives, why = columns_of_angles(source, _argument(lines), _scanner(config))
+        if gives:
+            taken.append(Assumption("input.columns", "angle", why))
+            return "angle"
     if lines.startswith("time:"):
-        ways = ["--columns time:HZ (shots a second)"]
-        ways += ["--columns angle"] if "angle" in source.dimensions else []
-        ways += ["--columns order if no shot is left out"]
+        ways = ["--columns time:HZ (shots a second)", "--columns order if no shot is left out"]
         problem = "no columns: the file has no dimension column, and lines found by time say nothing of them"
         raise InputError(source.path, problem, f"give {_either(ways)}")
-    why = "the input has no dimension column; where shots are left out, the rest of the line moves up"
+    why = f"{why}; where shots are left out, the rest of the line moves up"
     taken.append(Assumption("input.columns", "order", why))
     return "order"
 

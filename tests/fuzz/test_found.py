@@ -22,7 +22,6 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats import open_source
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.clouds import turn_of_times
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ptx.read import PtxStream
 from prc_cli.formats.text import lines as text_lines
@@ -32,6 +31,7 @@ from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.adopt import outcome_of_record
 from prc_cli.jobs.batch.types import InputPrint, Task
 from prc_cli.jobs.classify import classify
+from prc_cli.streams.record_angles import turn_of_times
 from tests.fuzz.guard import unprintable
 from tests.fuzz.seeds import N_LINES, las_vlrs, seed
 

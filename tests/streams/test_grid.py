@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError, OrderError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally
+from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams import (
@@ -547,13 +548,37 @@ def test_missing_ranges_say_what_would_do() -> None:
         open_records(only(records, "x", "y", "z", "scan_line"), range="trajectory:drive.csv")
 
 
+@pytest.mark.parametrize("names", [("range", "angle"), ("range", "angle", "scan_line"), ("range", "angle", "time")])
+def test_angles_of_the_records_give_columns_without_being_told(names: tuple[str, ...]) -> None:
+    image, records = scene()
+    found = read(open_records(only(records, *names)))
+    # without line numbers, the line without a single return is not there
+    expected = image if "scan_line" in names else np.delete(image, 9, axis=0)
+    assert np.array_equal(found.range_m, expected, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("angle", "why"),
+    [
+        (lambda angle: np.round(angle / 0.6) * 0.6, "of neighbouring shots have equal scan angles"),
+        (lambda angle: np.round(angle / 0.25) * 0.25, "have the same scan angle within a step of"),
+        (lambda angle: np.abs(angle - np.pi), "expected sweeps of one direction"),
+        (lambda angle: np.full_like(angle, np.nan), "the scan angles are not known"),
+    ],
+)
+def test_angles_that_give_no_columns_leave_them_to_the_order(angle: Callable[[F64], F64], why: str) -> None:
+    _, records = scene()
+    stream = open_records({**only(records, "range", "scan_line"), "angle": angle(records["angle"])})
+    told = next(one for one in stream.info.assumptions if one.key == "input.columns")
+    assert told.value == "order"
+    assert why in told.why
+
+
 def test_time_lines_need_a_column_rule() -> None:
     _, records = scene()
     with pytest.raises(InputError, match="no columns: the file has no dimension column") as caught:
-        open_records(only(records, "range", "time", "angle"), lines="time:50")
-    assert caught.value.hint == (
-        "give --columns time:HZ (shots a second), --columns angle or --columns order if no shot is left out"
-    )
+        open_records(only(records, "range", "time"), lines="time:50")
+    assert caught.value.hint == "give --columns time:HZ (shots a second) or --columns order if no shot is left out"
 
 
 def test_unknown_dimensions_name_the_nearest_first() -> None:

@@ -53,6 +53,23 @@ def check_unplaced(seen: Seen) -> Finding | None:
     return Finding("unplaced", _by_share(share), found, f"at most {MANY:.0%}", hint)
 
 
+def check_left_out(seen: Seen) -> Finding | None:
+    """Ask, where columns are by order, whether lines hold all their shots."""
+    by_order = any(one.key == "input.columns" and one.value == "order" for one in seen.info.assumptions)
+    tally = seen.tally
+    # the first and the last line may be cut
+    n_lacking = seen.n_shots - tally.n_records + tally.n_extra_returns - 2 * seen.points_per_line
+    share = _share(seen, max(n_lacking, 0))
+    if share is None or not by_order or not tally.n_records:
+        return None
+    found = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
+    hint = (
+        "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
+    )
+    verdict = Verdict.DOUBTFUL if share > MANY else Verdict.FINE
+    return Finding("left-out", verdict, found, f"at most {MANY:.0%}", hint)
+
+
 def _share(seen: Seen, count: int) -> float | None:
     n_records = seen.tally.n_records or seen.n_shots
     return count / n_records if n_records >= LEAST_RECORDS else None

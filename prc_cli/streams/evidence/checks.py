@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.streams.evidence.cells import (
     check_collisions,
+    check_left_out,
     check_missing_code,
     check_ranges,
     check_returns,
@@ -39,7 +40,7 @@ CHECKS: tuple[Check, ...] = tuple(
 def ask_all(seen: Seen) -> Iterator[Finding]:
     """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
     yield from _known(*_of_ranges(seen))
-    yield from _known(check_collisions(seen), check_unplaced(seen), check_returns(seen))
+    yield from _known(check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen))
 
 
 def _of_ranges(seen: Seen) -> Iterator[Finding | None]:

@@ -119,6 +119,13 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "Records in the wrong cell.",
     ),
     Check(
+        "left-out",
+        "Where columns are by order: do lines hold all their shots?",
+        "Doubtful where lines lack more than 1 % of the shots of the longest",
+        "A shot that is left out moves the rest of its line up, so that neighbouring lines no longer match",
+        "Lines that all lack as many shots.",
+    ),
+    Check(
         "returns",
         "Have shots a range?",
         "Doubtful below 2 % of the shots",

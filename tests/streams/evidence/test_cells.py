@@ -9,11 +9,12 @@ import pytest
 from numpy.typing import ArrayLike
 
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.stream import ReadTally, StreamInfo
+from prc_cli.core.stream import Assumption, ReadTally, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.streams.evidence.cells import (
     _known_ranges,
     check_collisions,
+    check_left_out,
     check_missing_code,
     check_ranges,
     check_returns,
@@ -60,6 +61,16 @@ def test_of_images_the_shots_count_as_records() -> None:
     for few in (seen(n_shots=99), seen(n_shots=1000, tally=ReadTally(n_records=99))):
         assert check_unplaced(few) is check_collisions(few) is None
     assert check_collisions(seen(tally=ReadTally(n_records=100))) is not None
+
+
+@pytest.mark.parametrize(
+    ("n_records", "columns", "verdict"),
+    [(980, "order", FINE), (971, "order", FINE), (969, "order", DOUBTFUL), (500, "angle", None)],
+)
+def test_shots_left_out_of_lines_by_order(n_records: int, columns: str, verdict: Verdict | None) -> None:
+    info = StreamInfo("a.csv", "text", 10, None, None, assumptions=(Assumption("input.columns", columns, ""),))
+    found = check_left_out(Seen(info, 0, (), n_shots=1000, tally=ReadTally(n_records=n_records)))
+    assert (None if found is None else found.verdict) is verdict
 
 
 @pytest.mark.parametrize(
