@@ -41,7 +41,8 @@ class KnownRule:
     """A rule for lines, columns or ranges that follows from the format, for ``auto``."""
 
     key: str
-    """``lines``, ``columns`` or ``range``; ``turn`` = ``whole`` where lines are whole turns with a gap."""
+    """``lines``, ``columns`` or ``range``; ``turn`` = ``whole`` where lines are whole turns with a gap; ``nadir`` = the
+    angle of straight down [deg]."""
     value: str
     """As in ``[input]``."""
     why: str

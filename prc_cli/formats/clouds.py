@@ -15,6 +15,7 @@ from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64, Mask
 from prc_cli.formats.layout import check_fields, decode
+from prc_cli.formats.names import NAMES, angle_rules, usual_names
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import STANDARD_NAMES, RecordChunk, standard_first
 
@@ -29,20 +30,6 @@ NO_CELL = 0xFFFFFFFF
 """Line and column of a point without a cell, in files of this program."""
 OWN_COMMENT = "prc points_per_line "
 """Comment of files of this program, with M behind it."""
-
-ALIASES: dict[str, tuple[str, ...]] = {
-    "range": ("range", "range_m", "distance"),
-    "scan_line": ("scan_line", "scanline", "line"),
-    "column": ("column", "col"),
-    "angle": ("angle", "scan_angle", "angle_rad", "angle_deg", "theta"),
-    "time": ("gps_time", "gpstime", "time", "time_s", "timestamp", "t"),
-    "intensity": ("intensity", "amplitude"),
-    "return_number": ("return_number", "num_echo"),
-    "number_of_returns": ("number_of_returns", "num_returns", "nb_of_echo"),
-    "ring": ("ring", "laser_id"),
-}
-"""Property names of the standard dimensions, in any case and with or without ``scalar_``; the first one is used."""
-_RADIANS = ("theta", "angle_rad")
 
 Columns = dict[str, NDArray[Any]]
 
@@ -175,10 +162,11 @@ class CloudSource:
                 )
             # other programs list every return once
             self._has_pulses = n_copies > 0 or found["return_number"][0].lower() == "num_echo"
-        renamed = [f"{own} as {name}" for name, (own, _) in found.items() if own != name and name in _RENAMED]
+        renamed = [f"{own} as {name}" for name, (own, _) in found.items() if own != name and name in NAMES]
         if renamed and not given:
             notes.append(f"properties taken under another name: {', '.join(renamed)}")
         rules += _usual_rules(found, head, is_own=own_m is not None)
+        rules += angle_rules(found["angle"][0] if "angle" in found else None)
         self.facts = SourceFacts(
             points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
             rules=tuple(rules),
@@ -341,25 +329,16 @@ def find_runs(same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArr
     return _Runs(position - begin + 1, size[of_shot].astype(np.int64), is_copy)
 
 
-_RENAMED = frozenset(ALIASES)
-
-
 def _plain_name(name: str) -> str:
     return name.lower().removeprefix("scalar_")
 
 
 def _known_fields(names: tuple[str, ...]) -> dict[str, tuple[str, LayoutField]]:
     """Map standard names to properties by their usual names; all other properties keep theirs."""
-    plain = {_plain_name(name): name for name in reversed(names)}
-    found: dict[str, tuple[str, LayoutField]] = {}
-    for standard in (*STANDARD_NAMES, "ring"):
-        for alias in ALIASES.get(standard, (standard,)):
-            if alias == "theta" and "range" not in found:
-                continue
-            if alias in plain:
-                unit = "rad" if standard == "angle" and alias in _RADIANS else ""
-                found[standard] = (plain[alias], LayoutField.model_validate({"name": standard, "unit": unit}))
-                break
+    found: dict[str, tuple[str, LayoutField]] = {
+        standard: (one.name, LayoutField.model_validate({"name": standard, "unit": one.unit}))
+        for standard, one in usual_names(names).items()
+    }
     taken = {own for own, _ in found.values()}
     for own in names:
         # properties keep their own name beside the standard one
@@ -378,9 +357,9 @@ def _given_fields(head: CloudHead, layout: Layout) -> dict[str, tuple[str, Layou
         if isinstance(source, int):
             own = head.names[source] if 0 <= source < len(head.names) else None
         else:
-            tried = (source,) if source is not None else ALIASES.get(item.name, (item.name,))
-            own = next((name for name in tried if name in head.names), None)
-            own = own or next((plain[name.lower()] for name in tried if name.lower() in plain), None)
+            usual = usual_names(head.names).get(item.name) if source is None else None
+            name = item.name if source is None else source
+            own = name if name in head.names else plain.get(name.lower(), None if usual is None else usual.name)
         if own is None:
             problem = f"no property {item.source if item.source is not None else item.name!r} for field {item.name!r}"
             raise InputError(str(head.path), problem, f"it has: {_shown(dict.fromkeys(head.names))}")

@@ -7,6 +7,7 @@ and the open lines of every scanner.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -101,6 +102,9 @@ def open_grid(
     if m is not None:
         default = ScannerSetup(m, Estimates(timing=given_timing(rules, m)), given_angles(rules, m))
     alone = next(iter(setups.values())) if len(setups) == 1 else None
+    down_rad = None if alone is None else alone.down_rad
+    if (told := facts.rule("nadir")) is not None and alone is not None and down_rad is None:
+        down_rad = math.radians(float(told.value))
     info = StreamInfo(
         path=source.path,
         format=source.format,
@@ -109,7 +113,7 @@ def open_grid(
         n_lines=n_lines,
         angle_rad=None if alone is None else alone.angle_rad,
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
-        down_rad=None if alone is None else alone.down_rad,
+        down_rad=down_rad,
         cos_tilt=1.0 if alone is None else alone.cos_tilt,
         downs={one: (setup.down_rad, setup.cos_tilt) for one, setup in setups.items() if setup.down_rad is not None},
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),

@@ -16,6 +16,8 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.arrays.rows import ArrayFile, NpyHeader, Rows
+from prc_cli.formats.layout import FACTORS
+from prc_cli.formats.names import ZENITH, angle_rules, split_unit, usual_names
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
 
@@ -32,10 +34,6 @@ MANY_LINES = 100_000
 RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
 CLASS = "class"
 """Name of the array of class codes: not part of the stream, but conversion and evaluation read it."""
-ZENITH = "zenith_deg"
-ANGLES = {"angle_deg": ("degrees", math.pi / 180), ZENITH: ("degrees", math.pi / 180), "angle_rad": ("radians", 1.0),
-          "angle_gon": ("gon", math.pi / 200)}  # fmt: skip
-"""Names of the array of scan angles, with their unit and its size [rad]; the first one present is used."""
 XYZ_DIMENSIONS = 3
 """Lines, columns and axes."""
 _RECORD_LISTS = ("line", "scan_line", "column", "record")
@@ -100,7 +98,7 @@ class ArrayStream:
             n_lines=self._n_lines,
             angle_rad=angle_rad,
             line_hz=self._find_line_hz(),
-            down_rad=math.pi if self._angles == ZENITH else None,
+            down_rad=math.pi if angle_rules(self._angles) else None,
             assumptions=tuple(assumed),
             facts=SourceFacts(time_name=TIME, has_line_times=self._has_line_times),
         )
@@ -144,9 +142,13 @@ class ArrayStream:
             raise ConfigError(f"input.{missing}", "not given, expected angle_start and angle_step together")
         if start is not None and step is not None:
             return np.deg2rad(start + step * np.arange(self._m, dtype=np.float64)), []
-        name = next((name for name in ANGLES if name in self._file.headers), None)
-        if name is None:
+        # other directions may be those of lines, or of every shot
+        headers = self._file.headers.items()
+        names = [name for name, one in headers if one.shape == (self._m,) or split_unit(name)[0] in ("angle", ZENITH)]
+        usual = usual_names((RANGE, *names)).get("angle")
+        if usual is None:
             return None, []
+        name, unit = usual.name, usual.unit or "deg"
         header = self._file.headers[name]
         header.check_numbers()
         if header.shape != (self._m,):
@@ -155,7 +157,6 @@ class ArrayStream:
         with self._file.open(name) as (rows,):
             given = rows.read(self._m).astype(np.float64)
             rows.finish()
-        unit, size = ANGLES[name]
         if not np.isfinite(given).all():
             column = int(np.flatnonzero(~np.isfinite(given))[0])
             problem = f"column {column}: found {given[column]}, expected an angle in {unit}"
@@ -163,7 +164,7 @@ class ArrayStream:
         self._angles = name
         why = f"the array {name!r} is in the file, in {unit}"
         # degrees as numpy converts them, bit for bit
-        angle_rad: F64 = np.deg2rad(given) if unit == "degrees" else given * size
+        angle_rad: F64 = np.deg2rad(given) if unit == "deg" else given * FACTORS[unit]
         return angle_rad, [Assumption("input.angle_start", f"{np.rad2deg(angle_rad[0]):g} deg", why)]
 
     def _find_line_hz(self) -> float | None:

@@ -7,6 +7,7 @@ laid out as in the file (ASPRS LAS 1.4 R15, tables 7-17).
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.las.header import DAMAGED, EXTRA_BYTES_KEY, LasHeader, Vlr, make_vlr, standard_bytes, text_of
+from prc_cli.formats.layout import FACTORS
+from prc_cli.formats.names import usual_names
 from prc_cli.formats.writing.columns import ExtraDimension
 
 FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
@@ -35,6 +38,8 @@ _LAST_DATA_TYPE = 30
 _RENAMED = {"gps_time": "time", "scan_angle": "angle", "scan_angle_rank": "angle"}
 _ANGLE_RAD = {"scan_angle": math.radians(SCAN_ANGLE_STEP_DEG), "scan_angle_rank": math.radians(1.0)}
 _AS_FLOAT = frozenset(("range", "time", "angle"))
+_TAKEN = ("range", "scan_line", "column", "angle")
+"""Standard dimensions that extra bytes hold under their usual names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +121,9 @@ class RecordLayout:
     extra: tuple[ExtraBytes, ...]
     """Described extra bytes that fit into the record, with unique names."""
     notes: tuple[str, ...]
-    """Notices about descriptors that do not fit the record."""
+    """Notices about extra bytes."""
+    angle_name: str | None = None
+    """Extra dimension that holds the scan angles; None = a field of the point format, if any."""
 
     def describe_extra(self) -> list[dict[str, Any]]:
         """Return name, type, description and scaling of all extra bytes, ready for JSON."""
@@ -156,6 +163,7 @@ def read_layout(header: LasHeader) -> RecordLayout:
             name = _RENAMED.get(column, column)
             fields[name] = Field(column, scale=_ANGLE_RAD.get(column), as_float=name in _AS_FLOAT, layer=column)
     found: list[ExtraBytes] = []
+    described: dict[str, ExtraBytes] = {}
     notes: list[str] = []
     left = header.n_extra_bytes
     # a file may hold several of these VLRs, for consecutive extra bytes
@@ -179,10 +187,44 @@ def read_layout(header: LasHeader) -> RecordLayout:
             factor = (1.0 if extra.scale is None else extra.scale) if extra.is_scaled else None
             as_float = name in _AS_FLOAT
             fields[name] = Field(column, None, factor, extra.offset or 0.0, extra.no_data, as_float=as_float)
+            described[name] = extra
+    taken = _take_usual(fields, described)
+    if renamed := [f"{own} as {name}" for name, own in taken.items() if own != name]:
+        notes.append(f"extra dimensions taken under another name: {', '.join(renamed)}")
     if left:
         columns.append(("undescribed bytes", f"V{left}"))
         notes.append(f"{left} bytes of every record are described nowhere and not read")
-    return RecordLayout(np.dtype(columns), fields, tuple(found), tuple(notes))
+    return RecordLayout(np.dtype(columns), fields, tuple(found), tuple(notes), taken.get("angle"))
+
+
+def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> dict[str, str]:
+    """Give extra dimensions of usual names their standard one and its unit; return what was taken by that name."""
+    usual = usual_names([extra.name for extra in described.values()])
+    names = list(described)
+    taken: dict[str, str] = {}
+    for standard in _TAKEN:
+        found = usual.get(standard)
+        if found is None or (standard in fields and standard not in ("angle", found.name)):
+            continue
+        field = fields.pop(names[found.index])
+        unit = found.unit
+        if standard == "angle":
+            unit = unit or _unit_said(described[names[found.index]].description) or "deg"
+            if "angle" in fields:
+                fields["scan_angle"] = fields.pop("angle")
+        if unit:
+            factor = FACTORS[unit]
+            field = replace(field, scale=(1.0 if field.scale is None else field.scale) * factor)
+            field = replace(field, offset=field.offset * factor)
+        fields[standard] = replace(field, as_float=standard in _AS_FLOAT)
+        taken[standard] = found.name
+    return taken
+
+
+def _unit_said(description: str) -> str:
+    """Return the unit of angles that a description names, as ``scan angle [rad]``; empty where none."""
+    found = re.search(r"\b(rad|deg|gon)(?:ians?|rees?|s)?\b", description.lower())
+    return "" if found is None else found[1]
 
 
 def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:

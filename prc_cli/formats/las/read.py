@@ -19,6 +19,7 @@ from prc_cli.formats.las.crs import find_crs
 from prc_cli.formats.las.header import LasHeader, check_decodable, find_points_per_line, open_source, read_header
 from prc_cli.formats.las.laz import LazRecords, read_batches
 from prc_cli.formats.las.points import layers_of, read_layout
+from prc_cli.formats.names import angle_rules
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordChunk, standard_first
 
@@ -33,8 +34,8 @@ class LasSource:
 
     The content decides whether it is compressed, not the suffix. Units: ``x``, ``y``, ``z`` float64 in the file's
     coordinate system, ``time`` float64 [s] (gps_time as stored), ``angle`` float64 [rad]; scaled extra bytes are
-    scaled, their no-data values become NaN. An extra-bytes dimension with the name of a field of the point format is
-    called ``extra_NAME``.
+    scaled, their no-data values become NaN. Extra bytes of usual names are ranges, lines, columns and angles; the scan
+    angle of the point format is then ``scan_angle``. Other extra bytes with the name of a field are ``extra_NAME``.
 
     Parameters
     ----------
@@ -153,6 +154,7 @@ class LasSource:
             points_per_line=self.points_per_line_hint,
             crs_wkt=self.crs_wkt,
             time_name="gps_time",
+            rules=angle_rules(self._layout.angle_name),
             notes=self.notes,
             laz_contexts=self.laz_contexts,
             describe=self.describe,

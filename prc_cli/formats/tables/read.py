@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,14 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
 from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.layout import decode
+from prc_cli.formats.names import usual_names
+from prc_cli.formats.options import LayoutField
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.registry import by_suffix
 
 CHUNK_RECORDS = 1 << 19
 """Records read at a time."""
-ARRAY_NAMES = {"range_m": "range", "time_s": "time", "gps_time": "time", "line": "scan_line"}
-"""Standard name for other names of arrays and Parquet columns."""
 AXES = ("x", "y", "z")
 XYZ = "xyz"
 
@@ -71,9 +72,10 @@ class ArrayTable:
             if header.dtype.kind not in "iuf":
                 continue
             if header.shape == self._image:
-                self._columns.setdefault(ARRAY_NAMES.get(name, name), (name, 0))
+                self._columns[name] = (name, 0)
             elif name == XYZ and header.shape == (*self._image, 3):
                 self._columns.update({axis: (name, k) for k, axis in enumerate(AXES)})
+        self._columns, self._units = _by_standard(self._columns)
 
     @property
     def path(self) -> str:
@@ -116,7 +118,8 @@ class ArrayTable:
                         continue
                     array, axis = self._columns[name]
                     found = read[array]
-                    values[name] = found.reshape(n * row, 3)[:, axis] if found.size == 3 * n * row else found.ravel()
+                    found = found.reshape(n * row, 3)[:, axis] if found.size == 3 * n * row else found.ravel()
+                    values[name] = _decoded(found, self._units.get(name))
                 yield RecordChunk(first * row, values, n * row)
             for rows in readers:
                 rows.finish()
@@ -156,7 +159,7 @@ class ParquetTable:
             for name, kind in zip(schema.names, schema.types, strict=True)
             if pa.types.is_integer(kind) or pa.types.is_floating(kind)
         ]
-        self._columns = {ARRAY_NAMES.get(name, name): name for name in reversed(numbers)}
+        self._columns, self._units = _by_standard({name: name for name in numbers})
 
     @property
     def path(self) -> str:
@@ -166,7 +169,7 @@ class ParquetTable:
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver."""
-        return tuple(reversed(self._columns))
+        return tuple(self._columns)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Read from the start, in bounded memory; an empty cell is NaN.
@@ -188,10 +191,30 @@ class ParquetTable:
         try:
             for batch in read_batches(self._path, stored, CHUNK_RECORDS):
                 read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
-                yield RecordChunk(first, {name: read[self._columns[name]] for name in names}, batch.num_rows)
+                values = {name: _decoded(read[self._columns[name]], self._units.get(name)) for name in names}
+                yield RecordChunk(first, values, batch.num_rows)
                 first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _damaged(self._path, error) from error
+
+
+_Place = TypeVar("_Place")
+
+
+def _by_standard(columns: dict[str, _Place]) -> tuple[dict[str, _Place], dict[str, LayoutField]]:
+    """Return columns by standard names where their own are usual ones, and how those in other units are decoded."""
+    usual = usual_names(list(columns))
+    standard = {one.name: name for name, one in usual.items()}
+    units = {
+        name: LayoutField.model_validate({"name": name, "unit": one.unit})
+        for name, one in usual.items()
+        if one.unit or name == "angle"
+    }
+    return {standard.get(name, name): place for name, place in columns.items()}, units
+
+
+def _decoded(stored: NDArray[Any], item: LayoutField | None) -> NDArray[Any]:
+    return stored if item is None else decode(stored, item)
 
 
 def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:

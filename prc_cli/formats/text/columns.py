@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats.layout import FACTORS, UNITS
+from prc_cli.formats.names import unit_of, usual_names
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import STANDARD_NAMES, standard_first
 from prc_cli.formats.text.dialect import TextFormat, shorten
 
 _XYZ = ("x", "y", "z")
-ALIASES: dict[str, tuple[str, ...]] = {
-    "range": ("range", "range_m", "distance", "r"),
-    "scan_line": ("scan_line", "scanline", "line"),
-    "column": ("column", "col"),
-    "angle": ("angle", "angle_deg", "angle_rad"),
-    "time": ("time", "time_s", "gps_time", "t"),
-}
-"""Header names of the standard dimensions, in any case; the first one present is used."""
 CLOUD_SUFFIXES = (".xyz", ".asc", ".pts")
 """Files whose first columns are x, y, z where they have no names."""
-_UNIT = re.compile(r"(?P<name>.+?) ?(?:_|\(|\[| ) ?(?P<unit>mm|cm|m|ft|s|ms|us|ns|rad|deg|gon) ?[)\]]?")
-"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``; runs of blanks are one blank by then, as
-many of them would take hours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +45,7 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
         index, name = _find_source(path, text, item, position)
         found[item.name] = TextColumn(index, _label(text, index), _with_unit(item, name))
     if not fields:
-        found.update(_by_alias(path, text))
+        found.update(_by_usual_name(path, text))
     if not fields and not any(text.names) and path.suffix.lower() in CLOUD_SUFFIXES and text.n_columns >= len(_XYZ):
         known = (*_XYZ, *(("intensity",) if path.suffix.lower() == ".pts" and text.n_columns > len(_XYZ) else ()))
         found.update({name: TextColumn(at, _label(text, at), LayoutField(name=name)) for at, name in enumerate(known)})
@@ -73,42 +61,17 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
 
 def _with_unit(item: LayoutField, name: str) -> LayoutField:
     """Return a field with the unit from the name of its column, if the layout gives none."""
-    found = _UNIT.fullmatch(" ".join(name.lower().split()))
-    unit = None if found is None else found["unit"]
-    if item.unit or item.scale != 1.0 or unit is None or unit not in UNITS.get(item.name, ()):
-        return item
-    # the usual units need not be named
-    return (
-        item
-        if (FACTORS[unit] == 1.0 and item.name != "angle") or unit == "deg"
-        else item.model_copy(update={"unit": unit})
-    )
+    unit = "" if item.unit or item.scale != 1.0 else unit_of(item.name, name)
+    return item.model_copy(update={"unit": unit}) if unit else item
 
 
-def _plain_name(name: str) -> str:
-    """Return a name in lower case without the unit behind it.
-
-    >>> _plain_name("Range [mm]"), _plain_name("angle_gon"), _plain_name("scan_line")
-    ('range', 'angle', 'scan_line')
-    """
-    found = _UNIT.fullmatch(" ".join(name.lower().split()))
-    return name.strip().lower() if found is None else found["name"]
-
-
-def _by_alias(path: Path, text: TextFormat) -> dict[str, TextColumn]:
-    lowered = [name.lower() for name in text.names]
-    plain = [_plain_name(name) for name in text.names]
+def _by_usual_name(path: Path, text: TextFormat) -> dict[str, TextColumn]:
     found = {}
-    for standard in STANDARD_NAMES:
-        known = standard in UNITS
-        for alias in ALIASES.get(standard, (standard,)):
-            names = lowered if alias in lowered or not known else plain
-            if alias in names and not (alias == "r" and {"g", "b"} <= set(lowered)):
-                index = names.index(alias)
-                _check_once(path, text, text.names[index])
-                item = _with_unit(LayoutField(name=standard), text.names[index])
-                found[standard] = TextColumn(index, _label(text, index), item)
-                break
+    for standard, usual in usual_names(text.names).items():
+        if standard in STANDARD_NAMES:
+            _check_once(path, text, usual.name)
+            item = _with_unit(LayoutField(name=standard), usual.name)
+            found[standard] = TextColumn(usual.index, _label(text, usual.index), item)
     return found
 
 
@@ -127,15 +90,17 @@ def _find_source(path: Path, text: TextFormat, item: LayoutField, position: int)
             problem = f"no column {source} for field {item.name!r}, expected 0 to {text.n_columns - 1}"
             raise InputError(str(path), problem, f"line {text.first_row} has {text.n_columns} cells{_other(text)}")
         return source, text.names[source]
-    wanted = (source,) if source is not None else ALIASES.get(item.name, (item.name,))
-    lowered = [name.lower() for name in text.names]
-    for name in wanted:
-        if name in text.names or name.lower() in lowered:
-            index = text.names.index(name) if name in text.names else lowered.index(name.lower())
-            _check_once(path, text, text.names[index])
-            return index, text.names[index]
+    name = item.name if source is None else source
+    lowered = [one.lower() for one in text.names]
+    usual = usual_names(text.names).get(item.name) if source is None else None
+    index = None if usual is None else usual.index
+    if name in text.names or name.lower() in lowered:
+        index = text.names.index(name) if name in text.names else lowered.index(name.lower())
+    if index is not None:
+        _check_once(path, text, text.names[index])
+        return index, text.names[index]
     shown = ", ".join(shorten(name) for name in text.names[:20]) + (" ..." if text.n_columns > 20 else "")
-    problem = f"no column {wanted[0]!r} for field {item.name!r}, the header in line {text.header_line} has: {shown}"
+    problem = f"no column {name!r} for field {item.name!r}, the header in line {text.header_line} has: {shown}"
     raise InputError(str(path), problem, f"name the column as its source in [[layout.fields]]{_other(text)}")
 
 

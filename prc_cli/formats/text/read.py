@@ -20,6 +20,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F64
 from prc_cli.formats.layout import check_fields, decode
+from prc_cli.formats.names import angle_rules
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
 from prc_cli.formats.text.columns import CLOUD_SUFFIXES, TextColumn, find_columns
@@ -100,7 +101,9 @@ class TextSource:
     @property
     def facts(self) -> SourceFacts:
         """Metadata of the file."""
-        return SourceFacts(notes=self.notes, describe=self.describe)
+        angle = self._columns.get("angle")
+        rules = angle_rules(None if angle is None else self._text.names[angle.index])
+        return SourceFacts(notes=self.notes, rules=rules, describe=self.describe)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -63,9 +63,7 @@ def check_left_out(seen: Seen) -> Finding | None:
     if share is None or not by_order or not tally.n_records:
         return None
     found = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
-    hint = (
-        "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
-    )
+    hint = "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
     verdict = Verdict.DOUBTFUL if share > MANY else Verdict.FINE
     return Finding("left-out", verdict, found, f"at most {MANY:.0%}", hint)
 

@@ -175,8 +175,35 @@ def test_extra_bytes_named_as_the_point_format_are_renamed(tmp_path: Path) -> No
     raw = path.read_bytes().replace(b"Intensity", b"intensity").replace(b"angl\0", b"angle")
     path.write_bytes(raw)
     source = LasSource(path)
-    assert {"intensity", "extra_intensity", "angle", "extra_angle"} <= set(source.dimensions)
+    assert {"intensity", "extra_intensity", "angle", "scan_angle"} <= set(source.dimensions)
     assert not np.array_equal(read(source, "intensity"), read(source, "extra_intensity"))
+
+
+@pytest.mark.parametrize(
+    ("name", "description", "radians"),
+    [
+        ("angle", "", np.pi / 180),
+        ("angle_deg", "", np.pi / 180),
+        ("angle", "scan angle [rad]", 1.0),
+        ("scan_angle_deg", "", np.pi / 180),
+        ("theta", "", 1.0),
+        ("theta_deg", "", np.pi / 180),
+        ("Azimuth", "in degrees", np.pi / 180),
+        ("zenith_rad", "", 1.0),
+        ("angle_gon", "", np.pi / 200),
+    ],
+)
+def test_extra_bytes_of_usual_names(tmp_path: Path, name: str, description: str, radians: float) -> None:
+    """An angle beside range, line and column was renamed and ignored: PRC, exit 0, ground F1 .50 for .99."""
+    said = [laspy.ExtraBytesParams(name, "f4", description), laspy.ExtraBytesParams("line", "i4")]
+    data = make(tmp_path / "a.las", 6, n=9, extra=[*said, laspy.ExtraBytesParams("range_mm", "i4")])
+    source = LasSource(tmp_path / "a.las")
+    assert {"angle", "scan_line", "range", "scan_angle"} <= set(source.dimensions)
+    np.testing.assert_allclose(read(source, "angle"), np.asarray(data[name], np.float64) * radians)
+    np.testing.assert_array_equal(read(source, "scan_line"), data["line"])
+    np.testing.assert_allclose(read(source, "range"), np.asarray(data["range_mm"]) * 0.001)
+    rule = source.facts.rule("nadir")
+    assert (rule is not None) == name.startswith("zenith")
 
 
 def test_time_of_zeros_is_no_time(tmp_path: Path) -> None:

@@ -77,9 +77,11 @@ def test_delimiter_and_header_are_found(tmp_path: Path, delimiter: str) -> None:
         ("distance,scanline,column", ("range", "scan_line", "column")),
         ("r,t,x,y,z,intensity", ("range", "time", "x", "y", "z", "intensity")),
         ("range,range_m,r", ("range", "range_m", "r")),
-        ("gps_time,time_s,label", ("time", "gps_time", "label")),
+        ("gps_time,time_s,label", ("time", "time_s", "label")),
         ("return_number,number_of_returns,range", ("range", "return_number", "number_of_returns")),
         ('"range","a b"', ("range", "a b")),
+        ("theta,x", ("x", "theta")),
+        ("Range [m],azimuth_gon,zenith", ("range", "angle", "azimuth_gon")),
         ("range,,x", ("range", "x", "1")),
     ],
 )
