@@ -49,6 +49,17 @@ def has_sweeps(source: RecordSource, scanner: str | None) -> bool:
     return True
 
 
+def lacks_shots(source: RecordSource, scanner: str | None, points_per_line: int) -> bool:
+    """Whether sweeps of the scan angle hold fewer shots than a line of fixed length."""
+    angle = np.asarray(first_shots(source, ("angle",), scanner)["angle"], np.float64)
+    try:
+        line, _, _ = lines_by_wrap(angle, find_sweep(angle, source.path), LineState())
+    except InputError:
+        return False
+    sizes = np.bincount(line)[1:-1]
+    return len(sizes) > 0 and bool(sizes.max() <= points_per_line) and bool(np.mean(sizes) < 0.99 * points_per_line)
+
+
 def columns_of_angles(source: RecordSource, line_dimension: str | None, scanner: str | None) -> tuple[bool, str]:
     """Tell whether the scan angles of the records give their columns, and why or why not.
 

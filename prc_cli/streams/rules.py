@@ -14,7 +14,7 @@ from prc_cli.formats.records import RecordSource
 from prc_cli.formats.returns import ReturnRule
 from prc_cli.streams.order import Policy
 from prc_cli.streams.ranges import XYZ, is_sensor_xyz
-from prc_cli.streams.record_angles import columns_of_angles, has_sweeps, turns_round
+from prc_cli.streams.record_angles import columns_of_angles, has_sweeps, lacks_shots, turns_round
 
 _NO_RANGE = "no slant range"
 
@@ -247,12 +247,14 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
         return "dimension:scan_line"
     if (implied := _implied(source, "lines", taken)) is not None:
         return implied
-    if config.points_per_line is not None:
-        why = f"points_per_line = {config.points_per_line} is given and the input has no dimension scan_line"
+    m = config.points_per_line
+    if m is not None and not ("angle" in source.dimensions and lacks_shots(source, _scanner(config), m)):
+        why = f"points_per_line = {m} is given and the input has no dimension scan_line"
         taken.append(Assumption("input.lines", "fixed", why))
         return "fixed"
     if "angle" in source.dimensions and has_sweeps(source, _scanner(config)):
-        why = "no dimension scan_line, no points_per_line, but the scan angle runs in sweeps"
+        why = "no dimension scan_line, but the scan angle runs in sweeps"
+        why += "" if m is None else f", and they lack some of their {m} shots"
         taken.append(Assumption("input.lines", "angle-wrap", why))
         return "angle-wrap"
     ways = ["-M NUMBER if no shot is left out", "--lines dimension:NAME"]

@@ -555,6 +555,8 @@ def test_angles_of_the_records_give_columns_without_being_told(names: tuple[str,
     # without line numbers, the line without a single return is not there
     expected = image if "scan_line" in names else np.delete(image, 9, axis=0)
     assert np.array_equal(found.range_m, expected, equal_nan=True)
+    told = read(open_records(only(records, *names), points_per_line=M))
+    assert np.array_equal(told.range_m, expected, equal_nan=True)
 
 
 @pytest.mark.parametrize(

@@ -157,12 +157,13 @@ class ArrayStream:
         with self._file.open(name) as (rows,):
             given = rows.read(self._m).astype(np.float64)
             rows.finish()
+        word = {"deg": "degrees", "rad": "radians"}.get(unit, unit)
         if not np.isfinite(given).all():
             column = int(np.flatnonzero(~np.isfinite(given))[0])
-            problem = f"column {column}: found {given[column]}, expected an angle in {unit}"
+            problem = f"column {column}: found {given[column]}, expected an angle in {word}"
             raise InputError(header.where, problem, "give every column its angle or leave the array out")
         self._angles = name
-        why = f"the array {name!r} is in the file, in {unit}"
+        why = f"the array {name!r} is in the file, in {word}"
         # degrees as numpy converts them, bit for bit
         angle_rad: F64 = np.deg2rad(given) if unit == "deg" else given * FACTORS[unit]
         return angle_rad, [Assumption("input.angle_start", f"{np.rad2deg(angle_rad[0]):g} deg", why)]

@@ -247,7 +247,7 @@ def test_points_per_line_must_fit(tmp_path: Path) -> None:
     ("beside", "found"),
     [
         ({"angle_deg": np.zeros(4)}, "angle_deg: found shape (4,), expected (5,), one angle a column"),
-        ({"angle_deg": np.array([0, 1, np.nan, 3, 4])}, "angle_deg: column 2: found nan, expected an angle in deg"),
+        ({"angle_deg": np.array([0, 1, np.nan, 3, 4])}, "angle_deg: column 2: found nan, expected an angle in degrees"),
         ({"angle_deg": np.array(["a"] * 5)}, "angle_deg: found an array of text"),
         ({"time_s": np.zeros(6)}, "time_s: found shape (6,), expected (7,) or (7, 5), as the ranges have it"),
         ({"xyz": np.zeros((7, 5, 2))}, "xyz: found shape (7, 5, 2), expected (7, 5, 3), as the ranges have it"),
