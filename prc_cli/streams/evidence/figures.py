@@ -43,8 +43,6 @@ class Figures:
     """Of a shot and the next, and of a shot and the one after that."""
     line: tuple[float, ...]
     """Of a line and the 1st to 4th line after it, in the same column."""
-    half_line: float
-    """Of a shot and the one half a line later; NaN where M is odd."""
     reversed_line: float
     """Of a line and the next one, turned round."""
     far_line: float
@@ -104,7 +102,6 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
         random=middle(_random_likeness(rows) for rows in logs),
         shot=(middle(_shot_likeness(rows, 1) for rows in logs), middle(_shot_likeness(rows, 2) for rows in logs)),
         line=tuple(by_lag),
-        half_line=middle(_shot_likeness(rows, rows.shape[1] // 2) for rows in logs if rows.shape[1] % 2 == 0),
         reversed_line=middle(likeness(rows[:-1], rows[1:, ::-1]) for rows in logs),
         far_line=middle(likeness(a, b) for a, b in pairs),
         moved=(

@@ -11,8 +11,9 @@ import math
 import numpy as np
 
 from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.types import F32
 from prc_cli.streams.evidence.estimates import estimate_points_per_line
-from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold, lag_likeness
+from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold, lag_likeness, likeness
 from prc_cli.streams.evidence.seen import Seen
 
 LEAST_LINES = 24
@@ -29,7 +30,16 @@ ALIKE = 0.005
 """Neighbouring lines this much alike are no lines of different scanners: where a turn has a number of shots and a half,
 every second line has the same angles, and differs by less than the others even while standing (0.001)."""
 HALF = 2.0
-"""Half a line later as alike as the next line, within this factor: a line is two turns."""
+"""The next line turned round is as alike as the line after it, within this factor: every second line runs back."""
+FAR_OFF = 1.5
+"""A period so many times longer or shorter than M makes lines of several turns, or of a part of one."""
+AS_ALIKE = 1.25
+"""Shots a period apart must be as alike as those M apart within this factor: at most 1.05 in 32 scans read with 2 to
+100 times their M, or a half to a tenth of it; in a room half a turn is a period, and not as alike."""
+MOST_UNLIKE = 0.06
+"""Likeness of the lines of a period where M cannot be compared: at most 0.02 in the same scans."""
+PERIOD_SHOTS = 1 << 17
+"""Shots in which a period is looked for."""
 FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
 """How much better another line length must agree along the stream: at most 0.9 in all scans at hand, with M off by one
 1.16 to 7."""
@@ -101,16 +111,18 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     shots were lost there, and M is right.
     """
     m, first = seen.points_per_line, figures.line[0]
-    ratio = _share_of_random(first, figures)
-    if not np.isfinite(ratio) or seen.n_lines < LEAST_LINES:
+    if figures.random < SMOOTH:
+        return None
+    ratio = _share_of_random(first, figures) if seen.n_lines >= LEAST_LINES else math.nan
+    if ratio >= ALIKE and (step := _step_alike(figures)):
+        return _alternating(figures, m, step)
+    period = _period(seen)
+    true = _exact(seen, period) if period is not None and max(m / period, period / m) > FAR_OFF else m
+    if true != m and _is_as_alike(seen, true):
+        return _repeating(true, m)
+    if not np.isfinite(ratio):
         return None
     name, expected = "line-length", f"lines of M = {m} shots that are alike"
-    steps = [step for step in range(2, len(figures.line) + 1) if figures.line[step - 1] < SECOND * first]
-    if steps and ratio >= ALIKE:
-        return _alternating(figures, m, steps[0])
-    if 0 < figures.half_line <= min(HALF * first, LINE_DOUBTFUL * figures.random):
-        found = f"the ranges repeat after {m // 2} shots already"
-        return Finding(name, Verdict.AGAINST, found, expected, f"give -M {m // 2}", f"-M {m // 2}")
     near = [m + off for off in range(-FOLD_REACH, FOLD_REACH + 1) if m + off > 1]
     other = _next_alike(seen, near) if m <= FRAME_SHOTS else None
     if other is not None and other != m:
@@ -120,11 +132,9 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         found = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
         return Finding(name, Verdict.FINE, found, f"below {LINE_DOUBTFUL:g}")
     folded = {length: fold(seen.windows, length) for length in near}
-    if ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM:
-        period = _period(seen)
-        if period is not None and abs(period - m) > FOLD_REACH:
-            found = f"the ranges repeat after {period} shots, not after {m}"
-            return Finding(name, Verdict.AGAINST, found, expected, f"give -M {period}", f"-M {period}")
+    is_unlike = ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM
+    if is_unlike and period is not None and abs(period - m) > FOLD_REACH:
+        return _repeating(period, m)
     better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
     gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
     is_long = seen.n_lines * FOLD_LONG >= m
@@ -196,6 +206,17 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
     return Finding("range-noise", verdict, found, f"at most {seen.most_noise_m:g} m", hint)
 
 
+def _repeating(period: int, m: int) -> Finding:
+    found, expected = f"the ranges repeat after {period} shots, not after {m}", f"lines of M = {m} shots that are alike"
+    return Finding("line-length", Verdict.AGAINST, found, expected, f"give -M {period}", f"-M {period}")
+
+
+def _step_alike(figures: Figures) -> int:
+    """Return how many lines later comes one that is far more alike than the next; 0 where none is."""
+    steps = (step for step in range(2, len(figures.line) + 1) if figures.line[step - 1] < SECOND * figures.line[0])
+    return next(steps, 0)
+
+
 def _alternating(figures: Figures, m: int, step: int) -> Finding:
     """Tell lines that alternate: scanned to and fro, of several scanners, or M too small."""
     if step == 2 and figures.reversed_line <= HALF * figures.line[1]:
@@ -215,9 +236,36 @@ def _period(seen: Seen) -> int | None:
     """Return the period of the ranges in the longest window, None if it is weak."""
     if not seen.windows:
         return None
-    longest = max(seen.windows, key=lambda one: len(one.range_m))
-    estimate = estimate_points_per_line(longest.range_m)
+    estimate = estimate_points_per_line(_longest(seen))
     return estimate.points_per_line if estimate.strength >= WEAK_PERIOD else None
+
+
+def _longest(seen: Seen) -> F32:
+    """Return shots of the longest window, (n,) float32 [m]."""
+    rows = max(seen.windows, key=lambda one: len(one.range_m)).range_m
+    return rows[: -(-PERIOD_SHOTS // rows.shape[1])].ravel()[:PERIOD_SHOTS]
+
+
+def _is_as_alike(seen: Seen, period: int) -> bool:
+    """Return whether shots a period apart are as alike as those M apart; where these are too few, alike at all."""
+    logs, m = np.log(_longest(seen)), seen.points_per_line
+    of_period, of_m = (likeness(logs[:-lag], logs[lag:]) for lag in (period, m))
+    return of_period <= (AS_ALIKE * of_m if np.isfinite(of_m) else MOST_UNLIKE)
+
+
+def _exact(seen: Seen, period: int) -> int:
+    """Return the multiple or part of M that a period is, else the length near it that agrees best along the stream.
+
+    A scene that shifts from line to line moves the period by a few shots.
+    """
+    m = seen.points_per_line
+    times = round(max(m / period, period / m))
+    for length in (m // times, m * times):
+        if abs(length - period) <= FOLD_REACH and max(length, m) % min(length, m) == 0:
+            return length
+    near = range(max(period - FOLD_REACH, 2), period + FOLD_REACH + 1)
+    off = {length: period if period <= FRAME_SHOTS else _or_inf(fold(seen.windows, length)) for length in near}
+    return min(near, key=lambda length: (off[length], abs(length - period)))
 
 
 def check_line_order(seen: Seen, figures: Figures) -> Finding | None:

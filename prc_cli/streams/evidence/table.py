@@ -58,13 +58,13 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "line-length",
         "Do lines repeat after M shots, and not after another number?",
-        "Refused where the line after next is twice as alike as the next, where half a line later the same comes, "
-        "where the ranges repeat after another number, or where M less or more by up to four agrees 1.2 times better "
-        "along the stream; doubtful from 1.05",
+        "Refused where the ranges repeat after another number (a part of M, a multiple, or any other), where the line "
+        "after next is twice as alike as the next, or where M less or more by up to four agrees 1.2 times better along "
+        "the stream; doubtful from 1.05",
         "Rightly told at most 0.9, with M off by one 1.16 to 7: what moves with the scanner, its dead angle and the "
         "ground, keeps its columns only with the right M",
-        "Streams of fewer than 24 lines; in fewer lines than a twelfth of M, M off by one that agrees less than 1.25 "
-        "times better.",
+        "Streams of fewer than 16 true lines; M off by a few in fewer than 24 lines, or in fewer lines than a twelfth "
+        "of M where it agrees less than 1.25 times better.",
     ),
     Check(
         "columns-along",

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats import check_input
+from prc_cli.formats.registry import by_suffix
 from prc_cli.jobs.batch import discovery
 from prc_cli.jobs.batch.discovery import (
     Patterns,
@@ -59,10 +60,10 @@ def test_only_what_a_reader_takes_in_the_order_of_bytes(archive: Path) -> None:
 
 
 def test_every_suffix_found_is_one_that_a_reader_takes(tmp_path: Path) -> None:
-    for suffix in sorted(discovery._READABLE):
+    for suffix in sorted(by_suffix("scans")):
         put(tmp_path / "in" / f"x{suffix}")
         assert check_input(tmp_path / "in" / f"x{suffix}") == suffix
-    assert len(names(tmp_path / "in")) == len(discovery._READABLE)
+    assert len(names(tmp_path / "in")) == len(by_suffix("scans"))
 
 
 def test_size_and_time_come_along(archive: Path) -> None:
