@@ -182,7 +182,7 @@ def _contents_rows(contents: Contents) -> Iterator[tuple[str, str]]:
     names = ASPRS | contents.class_names
     for name, counts in (
         ("classes", {f"{code} {names.get(code, '')}".strip(): n for code, n in sorted(contents.classes.items())}),
-        ("returns", dict(sorted(contents.returns.items(), key=lambda item: [int(n) for n in item[0].split(" of ")]))),
+        ("returns", dict(sorted(contents.returns.items(), key=lambda item: [float(n) for n in item[0].split(" of ")]))),
         ("point sources", {str(code): n for code, n in sorted(contents.sources.items())}),
     ):
         if counts:

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
+from prc_cli.core.types import F64
 from prc_cli.formats.clouds import CHUNK_RECORDS, NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import LabelWriter, ScatterWriter, StagedWriter, close_quietly
 from prc_cli.formats.writing.columns import RANGE, ExtraDimension, OptionalColumn, Values, asked_columns
+from prc_cli.formats.writing.coordinates import LinesApart, Placement, coordinates
 from prc_cli.formats.writing.options import LabelOutput, OutputConfig
 from prc_cli.formats.writing.record import RunRecord
 from prc_cli.formats.writing.stream_writer import NO_CODE, StagedStreamWriter, StreamItem, StreamShape
@@ -87,7 +89,7 @@ def cloud_header(
 def stream_dtype(shape: StreamShape, *, codes: bool) -> np.dtype[np.void]:
     """Return the record of a stream."""
     xyz = "<f8" if shape.registered else "<f4"
-    has_xyz = shape.xyz or shape.registered or shape.angles
+    has_xyz = shape.xyz or shape.registered
     wanted = [
         *((axis, xyz, has_xyz) for axis in "xyz"),
         ("range", "<f4", True),
@@ -111,15 +113,6 @@ def stream_records(item: StreamItem, rows: slice, dtype: np.dtype[np.void]) -> N
     """Return the records of some lines of a block, missing shots included; a class of none is 0."""
     values = stream_rows(item, rows)
     names = dtype.names or ()
-    if "x" in names and "x" not in values:
-        # scan-plane coordinates, as in LAS
-        angle = np.deg2rad(values["angle_deg"])
-        range_m = values["range_m"]
-        values |= {
-            "x": range_m * np.cos(angle),
-            "y": range_m * np.sin(angle),
-            "z": np.where(np.isnan(range_m), np.nan, 0),
-        }
     found = np.zeros(len(values["line"]), dtype)
     for name in names:
         column = values.get(_ROW_NAMES.get(name, name))
@@ -183,8 +176,9 @@ class CloudStream(StagedStreamWriter):
 class CloudBuilder(StagedWriter):
     """Writer of the returns of a classified input of another format; missing shots have no point."""
 
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig) -> None:
+    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, place: Placement | None = None) -> None:
         super().__init__(path, codes, options, ())
+        self._place = place
         for column in asked_columns(options):
             if column.dimension is not RANGE:
                 self._notice(f"{self.path.suffix} outputs hold no {column.what}s; they need .las, .laz or .csv")
@@ -205,17 +199,21 @@ class CloudBuilder(StagedWriter):
         if self._dtype is None:
             shape = StreamShape(
                 scan.points_per_line, scanners=True, returns=True, angles=scan.angle_rad is not None,
-                times=scan.time_s is not None, xyz=scan.xyz_m is not None, registered=False,
+                times=scan.time_s is not None, xyz=True,
+                registered=not (self._place is None or isinstance(self._place, LinesApart)),
                 intensity=scan.intensity is not None, codes=True,
             )  # fmt: skip
             self._dtype = stream_dtype(shape, codes=True)
-            if scan.xyz_m is None:
-                self._notice("x, y are scan-plane coordinates r cos(angle), r sin(angle), z = 0: the input has no xyz")
             self._comments = (f"{OWN_COMMENT}{scan.points_per_line}",)
             self._handle.write(cloud_header(self.path.suffix.lower(), self._dtype, 0, self._comments))
         codes = self._encode(block.labels, scan.range_m).astype(np.int32)
         extra = self._encode(block.extra_labels, scan.extra.range_m).astype(np.int32)
-        item = StreamItem(scan, codes, extra)
+        placed: tuple[F64, F64] | tuple[()] = ()
+        if self._place is not None or scan.xyz_m is None:
+            placed, notice = coordinates(scan, self._place)
+            if notice:
+                self._notice(notice)
+        item = StreamItem(scan, codes, extra, *placed)
         for rows in _spans(scan.n_lines, scan.points_per_line):
             found = stream_records(item, rows, self._dtype)
             found = found[~np.isnan(found["range"])]
@@ -327,4 +325,4 @@ def open_label_writer(output: LabelOutput) -> LabelWriter:
         if isinstance(cloud, CloudSource):
             what = output.path, output.codes, output.options, cloud, output.points_per_line
             return CloudRewriter(*what, is_part=output.is_part)
-    return CloudBuilder(output.path, output.codes, output.options)
+    return CloudBuilder(output.path, output.codes, output.options, output.place)

@@ -44,6 +44,7 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.jobs.choice import choice_by_place, choice_by_request, choose, decided_by
+from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.streams.evidence.place import place_of_blocks
@@ -54,6 +55,8 @@ from prc_cli.streams.open import open_input
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines just finished."""
 
+_KEPT = (LAS_SUFFIXES, (".ply", ".pcd"))
+"""Formats between which a cloud keeps its points as they are."""
 AHEAD = 1
 """Blocks waiting between reader and classifier, and between classifier and writer; each side works on one more."""
 LEAST_SHOTS = 1 << 14
@@ -350,8 +353,10 @@ def _classify(
         if loaded.config.output.confidence:
             confidence_kernels(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
+    is_new = makes_points and not any({suffix_of(source), suffix_of(output)} <= set(one) for one in _KEPT)
     with (
         FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
+        placement(source, output, loaded, opened) if is_new else nullcontext() as place,
         open_writer(
             LabelOutput(
                 path=output,
@@ -363,6 +368,7 @@ def _classify(
                 laz_contexts=stream.info.facts.laz_contexts,
                 user_names=user_names(loaded.config),
                 is_part=loaded.config.input.window is not None,
+                place=place,
             ),
             overwrite=overwrite,
         ) as writer,

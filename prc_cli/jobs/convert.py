@@ -7,13 +7,11 @@ with the classes and the registered coordinates of the input. Whatever the outpu
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.classes import Label
@@ -21,7 +19,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_outputs, file_state, remove_stale, suffix_of, temporary_name
 from prc_cli.core.findings import Finding, Verdict, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
-from prc_cli.core.types import I64, Mask
+from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.arrays.read import CLASS
 from prc_cli.formats.arrays.rows import ArrayFile
@@ -34,19 +32,22 @@ from prc_cli.formats.stream_files import (
     outputs_of,
     stream_suffix,
 )
+from prc_cli.formats.writing.coordinates import LinesApart
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.formats.writing.record_values import RecordValues
 from prc_cli.formats.writing.spool import Spool
 from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 from prc_cli.jobs.classify import Counts, Progress, run_record
+from prc_cli.jobs.coordinates import XYZ, Carried, axes_of, carry, lines_apart
 from prc_cli.jobs.progress import advance
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.open import open_input
 from prc_cli.streams.window import grid_of
 
-XYZ = ("x", "y", "z")
 _TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet", ".ply", ".pcd")
+CLOUDS = (*LAS_SUFFIXES, ".ply", ".pcd")
+"""Outputs for programs that draw points."""
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""
 _STREAM_NAMES = frozenset(
@@ -171,7 +172,9 @@ def convert(
         told = tuple(f"not kept: {loss}" for loss in losses)
         found = watches[-1].findings()
         odd = tuple(finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
-        record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts), *odd))
+        record = replace(
+            record, notices=(*record.notices, *opened.notices, *told, *how_to_read(output, opened, facts), *odd)
+        )
         record = record_of_scanners(record, facts)
         check_unchanged(source, before)
         record = writer.finish(record)
@@ -275,7 +278,9 @@ class OpenedItems:
     items: Iterator[StreamItem]
     source: RecordSource | None
     stream: ScanStream
-    carried: _Carried | None = None
+    carried: Carried | None = None
+    notices: tuple[str, ...] = ()
+    """What the user has to know of the coordinates."""
 
     @property
     def n_odd_codes(self) -> int:
@@ -320,16 +325,19 @@ def open_items(
     records = open_source(source, loaded.config.layout)
     has = () if records is None else records.dimensions
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
-    axes = XYZ if xyz and first.xyz_m is None and set(XYZ) <= set(has) else ()
+    axes = axes_of(records, stream, first, loaded.config) if xyz else ()
     with contextlib.ExitStack() as stack:
-        carried: _Carried | None = None
+        carried: Carried | None = None
         if records is not None and (class_name is not None or axes):
-            carried = _carry(records, class_name, axes, output, stack)
+            carried = carry(records, class_name, axes, output, stack)
             if loaded.config.input.window is None:
                 carried.read_all()
         elif records is None and codes and suffix_of(source) == ".npz":
             carried = _carry_array(source, stream.info, output, stack)
-        item = _item(first, carried)
+        made_up = None
+        if xyz and not axes and first.xyz_m is None and suffix_of(output) in CLOUDS:
+            made_up = lines_apart(stream, loaded.config)
+        item = _item(first, carried, made_up)
         scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
         of_images = stream.info.facts.has_returns or stream.info.format == "E57"
         grid = grid_of(stream)
@@ -339,74 +347,13 @@ def open_items(
         def items() -> Iterator[StreamItem]:
             yield item
             for block in blocks:
-                yield _item(block, carried)
+                yield _item(block, carried, made_up)
 
-        yield OpenedItems(stream.info, shape, items(), records, stream, carried)
-
-
-class _Carried:
-    """Values by record, read from the input as far as they are asked for."""
-
-    def __init__(self, values: RecordValues, rows: Iterator[tuple[NDArray[Any], int]]) -> None:
-        self._values, self._rows = values, rows
-        self.n_odd = 0
-        """Number of invalid codes so far."""
-
-    def get(self, record: I64) -> NDArray[Any]:
-        """Return the values of records; see :meth:`RecordValues.get`."""
-        last = int(record.max(initial=-1))
-        while last >= len(self._values) and self._read():
-            pass
-        return self._values.get(record)
-
-    def read_all(self) -> None:
-        """Read what is left."""
-        while self._read():
-            pass
-
-    def _read(self) -> bool:
-        rows, n_odd = next(self._rows, (None, 0))
-        if rows is None:
-            return False
-        self._values.append(rows)
-        self.n_odd += n_odd
-        return True
+        told = () if made_up is None else (made_up.notice(first),)
+        yield OpenedItems(stream.info, shape, items(), records, stream, carried, told)
 
 
-def _carry(
-    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
-) -> _Carried:
-    """Keep classes and coordinates of records in a temporary file; also count invalid codes."""
-    fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
-    path = temporary_name(output)
-    stack.callback(lambda: path.unlink(missing_ok=True))
-    fill = (*((np.nan,) * len(xyz)), *([NO_CODE] if class_name is not None else []))
-    values = RecordValues(path, np.dtype(fields), fill)
-    stack.callback(values.close)
-    rows = _rows_of(records, class_name, xyz, np.dtype(fields))
-    stack.callback(rows.close)
-    return _Carried(values, rows)
-
-
-def _rows_of(
-    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], fields: np.dtype[Any]
-) -> Generator[tuple[NDArray[Any], int]]:
-    """Yield classes and coordinates of the next records, and the number of codes that are no whole numbers."""
-    names = (*xyz, *([class_name] if class_name is not None else []))
-    for chunk in records.chunks(names):
-        n_odd = 0
-        rows = np.empty(chunk.n, fields)
-        for name in xyz:
-            rows[name] = chunk.values[name]
-        if class_name is not None:
-            given = np.asarray(chunk.values[class_name], np.float64)
-            whole = np.isfinite(given) & (given == np.floor(given)) & (np.abs(given) < 2**31)
-            n_odd = int(np.count_nonzero(~whole & ~np.isnan(given)))
-            rows["code"] = np.where(whole, given, NO_CODE)
-        yield rows, n_odd
-
-
-def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> _Carried | None:
+def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> Carried | None:
     """Write the class codes of a range image to a temporary file; None if it has none."""
     if CLASS not in ArrayFile(source).headers:
         return None
@@ -423,21 +370,23 @@ def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib
         rows = np.empty(len(codes), kind)
         rows["code"] = np.where(np.abs(codes) < 2**31, codes, NO_CODE)
         values.append(rows)
-    return _Carried(values, iter(()))
+    return Carried(values, iter(()))
 
 
-def _item(block: ScanBlock, carried: _Carried | None) -> StreamItem:
+def _item(block: ScanBlock, carried: Carried | None, made_up: LinesApart | None) -> StreamItem:
+    item = StreamItem(block)
+    if made_up is not None:
+        registered, further = made_up(block)
+        item = replace(item, registered_m=registered, extra_registered_m=further)
     if carried is None:
-        return StreamItem(block)
+        return item
     own, extra = carried.get(block.records()), carried.get(block.extra.record)
     names = own.dtype.names or ()
-    item = StreamItem(block)
     if "code" in names:
         item = replace(item, codes=own["code"].copy(), extra_codes=extra["code"].copy())
     if "x" in names:
-        registered = np.stack([own[name] for name in XYZ], axis=-1)
-        registered[np.isnan(block.range_m)] = np.nan
-        item = replace(item, registered_m=registered, extra_registered_m=np.stack([extra[n] for n in XYZ], axis=-1))
+        registered, further = carried.place(block)
+        item = replace(item, registered_m=registered, extra_registered_m=further)
     return item
 
 
@@ -525,6 +474,8 @@ def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, .
         told.append("prc reads no stream from .parquet; it is for other programs")
     if shape.scanners and len(facts.scanners) > 1 and suffix in (*LAS_SUFFIXES, *_TABLES):
         told.append("several scanners: read it with --scanner point_source_id")
+    if shape.xyz and shape.registered and opened.grid is not None and suffix in (*LAS_SUFFIXES, *_TABLES):
+        told.append(f"x, y, z are those of the input: read it with --range {opened.grid.rules.range}")
     if suffix == ".bin":
         told.append(f"read it with --config {output.name}.toml")
     directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*LAS_SUFFIXES, *_TABLES)

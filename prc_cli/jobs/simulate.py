@@ -42,7 +42,7 @@ from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write
 
 _BESIDE = (".npy", ".bin", ".e57")
 """Formats that cannot hold classes, or not comparably: the classes go to a separate file."""
-_REGISTERED = (*LAS_SUFFIXES, ".csv", ".csv.gz", ".csv.zst", ".parquet")
+_REGISTERED = (*LAS_SUFFIXES, ".csv", ".csv.gz", ".csv.zst", ".parquet", ".ply", ".pcd")
 """Outputs that hold registered coordinates beside the ranges."""
 _ONE_RETURN = (".npy", ".npz", ".bin")
 _SBET = (".sbet", ".out")

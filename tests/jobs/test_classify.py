@@ -92,8 +92,8 @@ def test_the_trajectory_of_a_run_is_recorded(tmp_path: Path) -> None:
     np.savez(tmp_path / "drive.npz", range_m=street(), angle_deg=np.rad2deg(angles()), time_s=np.arange(N_LINES) / 48)
     classify(tmp_path / "drive.npz", tmp_path / "drive.las")
     track = tmp_path / "track.csv"
-    track.write_text("time,x,y,z\n-1,0,0,0\n2,0,0,0\n5,0,0,0\n")
-    # the scan-plane coordinates of the built file lie around the scanner
+    track.write_text("time,x,y,z\n-1,-8,0,0\n2,16,0,0\n5,40,0,0\n")
+    # the scan planes of the built file follow each other at 8 m/s
     loaded = load_config(preset="urban", options={"input": {"range": f"trajectory:{track}"}})
     stored = classify(tmp_path / "drive.las", tmp_path / "labels.npy", loaded).record.as_dict()
     digest = hashlib.sha256(track.read_bytes()).hexdigest()

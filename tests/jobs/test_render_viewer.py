@@ -11,8 +11,9 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.jobs.classify import classify
+from prc_cli.jobs.coordinates import SPEED_M_S
 from prc_cli.jobs.render import RenderOptions
-from prc_cli.jobs.render.viewer import SPEED_M_S, _steps, render_viewer
+from prc_cli.jobs.render.viewer import _steps, render_viewer
 from tests.browser import chromium
 from tests.imaging.test_viewer import decoded
 from tests.jobs.test_render import drive as drive

@@ -1,7 +1,7 @@
 """Writers of new LAS or LAZ files from other formats: LAS 1.4, point format 6, one record per return, chronological.
 
-Coordinates are those of the input's sensor frame, or scan-plane coordinates ``x = r cos(angle)``, ``y = r sin(angle)``,
-``z = 0``; the range itself is kept bit for bit in extra bytes, with scan line and column.
+Coordinates are those of the input, or of its scan planes one behind the other; the range itself is kept bit for bit in
+extra bytes, with scan line and column.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
 from prc_cli.formats.las.sinks import LasSink, LazSink, PointSink, Target, batch_size, new_laszip_payload
 from prc_cli.formats.writing.base import StagedWriter, close_quietly
 from prc_cli.formats.writing.columns import RANGE, ExtraDimension, asked_columns
+from prc_cli.formats.writing.coordinates import LinesApart, Placement, coordinates
 from prc_cli.formats.writing.options import OutputConfig
 from prc_cli.formats.writing.record import RunRecord
 from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
@@ -51,6 +52,8 @@ class LasBuilder(StagedWriter):
         M; without scan angles the columns are spread over a full turn.
     user_names : mapping, optional
         Name of every user code that may be written.
+    place : Placement, optional
+        Where returns lie; default: relative to the scanner.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class LasBuilder(StagedWriter):
         options: OutputConfig,
         points_per_line: int,
         user_names: Mapping[int, str] | None = None,
+        place: Placement | None = None,
     ) -> None:
         # every built file has the range
         columns = [column for column in asked_columns(options) if column.dimension is not RANGE]
@@ -72,6 +76,8 @@ class LasBuilder(StagedWriter):
         self._low = np.full(3, np.iinfo(np.int64).max, np.int64)
         self._high = np.full(3, np.iinfo(np.int64).min, np.int64)
         self._offset_m = np.zeros(3)
+        self._place = place
+        self._has_offset = place is None or isinstance(place, LinesApart)
         self._n_clipped = 0
         self._n_timeless = 0
         self._n_timed = 0
@@ -111,6 +117,7 @@ class LasBuilder(StagedWriter):
         codes = self._encode(block.labels, scan.range_m)
         extra_codes = self._encode(block.extra_labels, scan.extra.range_m)
         cells = {column.name: self._cells(column, block) for column in self._optional}
+        self._placed = self._coordinates(scan)
         lines = max(1, batch_size(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
         for first in range(0, scan.n_lines, lines):
             rows = slice(first, first + lines)
@@ -162,22 +169,11 @@ class LasBuilder(StagedWriter):
         self._n_timeless = int(self._by_return.sum()) - self._n_timed
 
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
-        """Coordinates in steps of :data:`SCALE_M`, (n, 3) int64."""
-        if scan.xyz_m is not None:
-            xyz = scan.xyz_m[shots.line, shots.column].astype(np.float64)
-            # all returns of a shot lie on the same beam
-            own = scan.range_m[shots.line, shots.column].astype(np.float64)
-            ratio = np.where(shots.extra < 0, 1.0, shots.range_m / np.where(np.isnan(own), 1.0, own))
-            xyz *= ratio[:, None]
-        else:
-            xyz = np.zeros((len(shots.line), 3))
-            angle = self._angles(scan)[shots.column]
-            xyz[:, 0] = shots.range_m * np.cos(angle)
-            xyz[:, 1] = shots.range_m * np.sin(angle)
-        return self._whole_steps(xyz, scan, shots)
-
-    def _whole_steps(self, xyz: F64, scan: ScanBlock, shots: Returns) -> I64:
-        """Round coordinates to steps, (n, 3) int64, and refuse those outside the range of the file."""
+        """Coordinates in steps of :data:`SCALE_M`, (n, 3) int64; those outside the range of the file are refused."""
+        own, extra = self._placed
+        xyz = own[shots.line, shots.column]
+        other = shots.extra >= 0
+        xyz[other] = extra[shots.extra[other]]
         steps = np.rint((xyz - self._offset_m) / SCALE_M)
         if not np.all(np.abs(steps) <= 2**31 - 1):  # also refuses NaN
             bad = int(np.flatnonzero(~np.all(np.abs(steps) <= 2**31 - 1, axis=1))[0])
@@ -186,15 +182,21 @@ class LasBuilder(StagedWriter):
             raise OutputError(str(self.path), problem, "check the ranges' unit, or set [input] max_range")
         return steps.astype(np.int64)
 
-    def _angles(self, scan: ScanBlock) -> F64:
-        if scan.angle_rad is not None:
-            self._notice("x, y are scan-plane coordinates r cos(angle), r sin(angle), z = 0: the input has no xyz")
-            return scan.angle_rad
-        self._notice(
-            f"x, y are scan-plane coordinates with {scan.points_per_line} columns spread evenly over a full turn, "
-            "z = 0: the input has neither xyz nor angles"
-        )
-        return 2.0 * np.pi * np.arange(scan.points_per_line) / scan.points_per_line
+    def _coordinates(self, scan: ScanBlock) -> tuple[F64, F64]:
+        """Return where the returns of a block lie; the first of them set the offset in the header."""
+        found, notice = coordinates(scan, self._place)
+        if notice:
+            self._notice(notice)
+        self._set_offset(found[0])
+        return found
+
+    def _set_offset(self, xyz: F64) -> None:
+        if self._has_offset:
+            return
+        known = xyz[np.isfinite(xyz).all(axis=2)]
+        if len(known):
+            self._offset_m = np.floor(known[0] / OFFSET_STEP_M) * OFFSET_STEP_M
+            self._has_offset = True
 
     def _write(self, record: RunRecord) -> RunRecord:
         if self._n_clipped:
@@ -307,7 +309,7 @@ class LasStream(LasBuilder):
             self._more_vlrs.append(record)
         self._item: StreamItem | None = None
         self._n_codes_lost = 0
-        self._has_offset = False
+        self._has_offset = not shape.registered
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -321,18 +323,8 @@ class LasStream(LasBuilder):
         """Take a block (see :class:`prc_cli.formats.writing.stream_writer.StreamWriter`)."""
         block = item.block
         self._item = item
-        if item.registered_m is not None and not self._has_offset:
-            self._set_offset(item)
         codes = self._codes_of(item.codes, block.range_m.shape)
         self.add(LabelledBlock(block, codes, self._codes_of(item.extra_codes, (len(block.extra),))))
-
-    def _set_offset(self, item: StreamItem) -> None:
-        """Set the offset in the header from the first coordinates."""
-        assert item.registered_m is not None
-        known = item.registered_m[np.isfinite(item.registered_m).all(axis=2)]
-        if len(known):
-            self._offset_m = np.floor(known[0] / OFFSET_STEP_M) * OFFSET_STEP_M
-            self._has_offset = True
 
     def _codes_of(self, codes: NDArray[np.int32] | None, shape: tuple[int, ...]) -> U8:
         """Return class codes as stored; unknown ones and those that do not fit into a byte become unclassified."""
@@ -360,12 +352,9 @@ class LasStream(LasBuilder):
         # the stream has the intensity of the chosen return of a shot only
         points["intensity"][shots.extra >= 0] = 0
 
-    def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
+    def _coordinates(self, scan: ScanBlock) -> tuple[F64, F64]:
         item = self._item
-        if item is None or item.registered_m is None:
-            return super()._steps(scan, shots)
-        xyz = item.registered_m[shots.line, shots.column]
-        other = shots.extra >= 0
-        if other.any() and item.extra_registered_m is not None:
-            xyz[other] = item.extra_registered_m[shots.extra[other]]
-        return self._whole_steps(xyz, scan, shots)
+        if item is None or item.registered_m is None or item.extra_registered_m is None:
+            return super()._coordinates(scan)
+        self._set_offset(item.registered_m)
+        return item.registered_m, item.extra_registered_m

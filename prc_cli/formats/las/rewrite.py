@@ -324,7 +324,9 @@ class LasRecoder(LasRewriter):
 def open_label_writer(output: LabelOutput) -> LabelWriter:
     """Return the writer that keeps all of a LAS or LAZ input but the class, or makes a new file of another input."""
     if output.source.suffix.lower() not in SUFFIXES:
-        return LasBuilder(output.path, output.codes, output.options, output.points_per_line, output.user_names)
+        return LasBuilder(
+            output.path, output.codes, output.options, output.points_per_line, output.user_names, output.place
+        )
     contexts = None if output.is_part else output.laz_contexts
     what = output.path, output.codes, output.options, output.source, contexts, output.user_names
     return LasRewriter(*what, is_part=output.is_part)

@@ -13,6 +13,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import Params
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.facts import ClassContexts
+from prc_cli.formats.writing.coordinates import Placement
 
 HIGH_NOISE_CODE = 18
 """LAS 1.4 table 17: high noise."""
@@ -76,6 +77,8 @@ class LabelOutput:
     """Name of every user code that may be written; LAS and LAZ hold them."""
     is_part: bool = False
     """Only a window of the input is classified: the output holds its records alone."""
+    place: Placement | None = None
+    """Where returns lie in a new point cloud; None = relative to the scanner."""
 
 
 def check_codes(codes: ClassCodes, options: OutputConfig) -> None:

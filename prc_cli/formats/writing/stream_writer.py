@@ -36,7 +36,8 @@ class StreamItem:
     extra_codes: I32 | None = None
     """(n,) int32, class codes of ``block.extra``."""
     registered_m: F64 | None = None
-    """(lines, M, 3) float64, coordinates of the input [m], NaN = none; only where ``block.xyz_m`` is None."""
+    """(lines, M, 3) float64, coordinates of the input, or made up for a cloud [m], NaN = none; None where they are
+    those of ``block.xyz_m``."""
     extra_registered_m: F64 | None = None
     """(n, 3) float64, the same for ``block.extra``."""
 

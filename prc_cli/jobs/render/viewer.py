@@ -22,9 +22,11 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.core.types import F64, I64
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.records import RecordSource
+from prc_cli.formats.writing.coordinates import behind
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Progress, label_blocks, open_stream
+from prc_cli.jobs.coordinates import spacing
 from prc_cli.jobs.render.classes import RecordClasses, Vocabulary, read_classes, share_text, vocabulary
 from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud
 from prc_cli.jobs.render.frames import count_lines, of_station, turns, upright
@@ -33,11 +35,6 @@ from prc_cli.jobs.render.options import RenderOptions, RenderResult
 from prc_cli.jobs.render.scan import Part, choose_part
 from prc_cli.streams.beams import with_beams
 
-SPEED_M_S, WALK_M_S = 8.0, 1.2
-"""Speeds on streets and in forests that are taken where neither a trajectory nor ``--line-spacing`` tells how far apart
-lines are."""
-SPACING_M = 0.1
-"""Line spacing where times are not known either [m]."""
 _FLAT = 1e-3
 """Extent across a plane, as a share of that within, below which all lines are thought to lie in one plane."""
 
@@ -311,8 +308,9 @@ def _shots(
     file_m = np.stack([values.pop(axis) for axis in AXES], axis=2) if set(AXES) <= set(values) else None
     config = loaded.config
     in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
-    speed_m_s = WALK_M_S if in_forest else SPEED_M_S
-    spacing_m, assumed = _spacing(options, stream, values.get("time"), step[0], speed_m_s)
+    spacing_m, assumed = options.line_spacing_m, ""
+    if spacing_m is None:
+        spacing_m, assumed = spacing(stream.info, values.get("time"), in_forest=in_forest, step=step[0])
     beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
     xyz_m, notes = _place(range_m, beam_rad, sensor_m, file_m, spacing_m * step[0], seen, _how(spacing_m, assumed))
     noise = [place for place, name in enumerate(words.table.names) if name == Label.NOISE.name.lower()]
@@ -403,23 +401,6 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
     return {name: values.reshape(record.shape) for name, values in found.items()}
 
 
-def _spacing(
-    options: RenderOptions, stream: ScanStream, time_s: F64 | None, step: int, speed_m_s: float
-) -> tuple[float, str]:
-    """Return the distance of lines [m], and how it is known; empty where it was given."""
-    if options.line_spacing_m is not None:
-        return options.line_spacing_m, ""
-    hz = stream.info.line_hz
-    if hz is None and time_s is not None and len(time_s) > 1:
-        with np.errstate(invalid="ignore"):
-            starts = np.array([np.nanmin(line) if np.isfinite(line).any() else np.nan for line in time_s])
-        period = float(np.nanmedian(np.diff(starts))) / step if np.isfinite(np.diff(starts)).any() else 0.0
-        hz = 1 / period if period > 0 else None
-    if hz is None:
-        return SPACING_M, "assumed"
-    return speed_m_s / hz, f"assumed: {speed_m_s:g} m/s"
-
-
 def _how(spacing_m: float, assumed: str) -> str:
     told = f"{spacing_m:.2g} m apart" + (f" ({assumed}; --line-spacing tells it)" if assumed else "")
     return f"The input has no trajectory: its lines are drawn one behind the other, {told}."
@@ -447,8 +428,7 @@ def _place(
             return placed + np.arange(len(placed))[:, None, None] * apart_m * across, (how,)
     if beam_rad is None:
         return None, ()
-    along = np.broadcast_to(np.arange(len(range_m))[:, None] * apart_m, range_m.shape)
-    placed = np.stack([along, range_m * np.sin(beam_rad), -range_m * np.cos(beam_rad)], axis=2)
+    placed = behind(np.arange(len(range_m))[:, None] * apart_m, beam_rad, range_m)
     return np.where(seen[..., None], placed, np.nan), (how,)
 
 

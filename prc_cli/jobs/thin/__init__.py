@@ -241,7 +241,7 @@ class _Run:
                 opened = replace(opened, shape=shape)
                 found = find_losses(self.output, opened, self.facts, writer.losses)
                 losses = tuple(f"not kept: {loss}" for loss in found)
-                hints = (*losses, *how_to_read(self.output, opened, self.facts))
+                hints = (*opened.notices, *losses, *how_to_read(self.output, opened, self.facts))
                 record = self._record(opened.info, hints)
                 check_unchanged(self.source, before)
                 return writer.finish(record)

@@ -14,6 +14,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock
 from prc_cli.formats.las import sinks as codec_module
+from prc_cli.formats.writing.coordinates import SPACING_M
 from prc_cli.formats.writing.options import OutputConfig
 from tests.formats.common import (
     FOREST,
@@ -57,7 +58,9 @@ def test_a_record_for_every_return_in_order(tmp_path: Path, suffix: str) -> None
     assert np.array_equal(las.classification, ClassCodes().lookup()[labels[line, column]])
     assert np.allclose(las.x, own * np.cos(angle[column]), atol=0.0005001)
     assert np.allclose(las.y, own * np.sin(angle[column]), atol=0.0005001)
-    assert not np.any(las.Z)
+    assert np.allclose(
+        las.z, line * SPACING_M, atol=0.0005001
+    )  # lines that nobody knows upright lie one above the other
     assert np.allclose(las.scan_angle * 0.006, np.rad2deg(angle[column]), atol=0.0031)
     assert np.all(las.return_number == 1)
     assert np.all(las.number_of_returns == 1)
@@ -161,7 +164,7 @@ def test_no_returns(tmp_path: Path, suffix: str, blocks: list[LabelledBlock]) ->
 @pytest.mark.parametrize(
     ("ranges", "fields", "told"),
     [
-        (np.full((1, 4), 3e6, np.float32), {}, r"scan line 2, column 0: found coordinates \[3000000.0, 0.0, 0.0\] m"),
+        (np.full((1, 4), 3e6, np.float32), {}, r"scan line 2, column 0: found coordinates \[3000000.0, 0.0, 0.2\] m"),
         (
             np.full((1, 4), 3, np.float32),
             {"xyz_m": np.full((1, 4, 3), np.nan, np.float32)},

@@ -1,0 +1,164 @@
+"""Where the shots of an input lie in space: the coordinates of its records, else its scan planes behind one another."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import temporary_name
+from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import F64, I64
+from prc_cli.formats import open_source
+from prc_cli.formats.records import RecordSource
+from prc_cli.formats.writing.coordinates import SPACING_M, LinesApart, Placement
+from prc_cli.formats.writing.record_values import RecordValues
+from prc_cli.formats.writing.stream_writer import NO_CODE
+from prc_cli.streams.beams import BeamStream, with_beams
+from prc_cli.streams.window import grid_of
+
+XYZ = ("x", "y", "z")
+SPEED_M_S, WALK_M_S = 8.0, 1.2
+"""Speeds on streets and in forests that are taken where neither a trajectory nor ``--line-spacing`` tells how far apart
+lines are."""
+_FIRST_LINES = 64
+"""Lines whose times tell how many there are a second."""
+
+
+def axes_of(records: RecordSource | None, stream: ScanStream, first: ScanBlock, config: RunConfig) -> tuple[str, ...]:
+    """Return the names of coordinates that records have and blocks have not: registered ones."""
+    if records is None or not set(XYZ) <= set(records.dimensions):
+        return ()
+    grid = grid_of(stream)
+    rule = config.input.range if grid is None else grid.rules.range
+    return XYZ if first.xyz_m is None or rule.partition(":")[0] in ("trajectory", "origin") else ()
+
+
+@contextlib.contextmanager
+def placement(source: Path, output: Path, loaded: LoadedConfig, stream: ScanStream) -> Iterator[Placement | None]:
+    """Give where returns lie in a new cloud: as the input's records say, else made up; None = relative to the scanner.
+
+    Coordinates of records are kept in a temporary file beside ``output``.
+    """
+    plain = stream.source if isinstance(stream, BeamStream) else stream
+    first = next(iter(plain.blocks()), None)
+    records = open_source(source, loaded.config.layout)
+    axes = () if first is None else axes_of(records, plain, first, loaded.config)
+    if records is None or not axes:
+        yield None if first is None or first.xyz_m is not None else lines_apart(stream, loaded.config)
+        return
+    with contextlib.ExitStack() as stack:
+        carried = carry(records, None, axes, output, stack)
+        if loaded.config.input.window is None:
+            carried.read_all()
+        yield carried.place
+
+
+def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
+    """Return how to draw the scan planes of a stream without coordinates."""
+    beams: dict[int, F64] = {}
+    # what cannot be told upright lies flat
+    with contextlib.suppress(InputError, ConfigError):
+        directed = stream if isinstance(stream, BeamStream) else with_beams(stream, config.input, from_ground=True)
+        if isinstance(directed, BeamStream):
+            beams = {one: found.beam_rad for one, found in directed.known.items() if not found.is_made_up}
+    times: list[NDArray[Any]] = []
+    if stream.info.line_hz is None:
+        for block in islice(stream.blocks(), _FIRST_LINES):
+            times += [] if block.time_s is None else list(block.time_s)
+            if block.time_s is None or len(times) >= _FIRST_LINES:
+                break
+    in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
+    return LinesApart(
+        beams, *spacing(stream.info, np.stack(times[:_FIRST_LINES]) if times else None, in_forest=in_forest)
+    )
+
+
+def spacing(info: StreamInfo, time_s: NDArray[Any] | None, *, in_forest: bool, step: int = 1) -> tuple[float, str]:
+    """Return the distance of lines [m], and how it is known; ``step``: every how many lines there is a time."""
+    hz = info.line_hz
+    if hz is None and time_s is not None and len(time_s) > 1:
+        with np.errstate(invalid="ignore"):
+            starts = np.array([np.nanmin(line) if np.isfinite(line).any() else np.nan for line in time_s])
+        period = float(np.nanmedian(np.diff(starts))) / step if np.isfinite(np.diff(starts)).any() else 0.0
+        hz = 1 / period if period > 0 else None
+    if hz is None:
+        return SPACING_M, "assumed"
+    speed_m_s = WALK_M_S if in_forest else SPEED_M_S
+    return speed_m_s / hz, f"assumed: {speed_m_s:g} m/s"
+
+
+class Carried:
+    """Values by record, read from the input as far as they are asked for."""
+
+    def __init__(self, values: RecordValues, rows: Iterator[tuple[NDArray[Any], int]]) -> None:
+        self._values, self._rows = values, rows
+        self.n_odd = 0
+        """Number of invalid codes so far."""
+
+    def get(self, record: I64) -> NDArray[Any]:
+        """Return the values of records; see :meth:`RecordValues.get`."""
+        last = int(record.max(initial=-1))
+        while last >= len(self._values) and self._read():
+            pass
+        return self._values.get(record)
+
+    def place(self, block: ScanBlock) -> tuple[F64, F64]:
+        """Return the coordinates of a block, (lines, M, 3), and of its further returns; NaN where there is no range."""
+        own, extra = self.get(block.records()), self.get(block.extra.record)
+        registered = np.stack([own[name] for name in XYZ], axis=-1)
+        registered[np.isnan(block.range_m)] = np.nan
+        return registered, np.stack([extra[name] for name in XYZ], axis=-1)
+
+    def read_all(self) -> None:
+        """Read what is left."""
+        while self._read():
+            pass
+
+    def _read(self) -> bool:
+        rows, n_odd = next(self._rows, (None, 0))
+        if rows is None:
+            return False
+        self._values.append(rows)
+        self.n_odd += n_odd
+        return True
+
+
+def carry(
+    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
+) -> Carried:
+    """Keep classes and coordinates of records in a temporary file; also count invalid codes."""
+    fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
+    path = temporary_name(output)
+    stack.callback(lambda: path.unlink(missing_ok=True))
+    fill = (*((np.nan,) * len(xyz)), *([NO_CODE] if class_name is not None else []))
+    values = RecordValues(path, np.dtype(fields), fill)
+    stack.callback(values.close)
+    rows = _rows_of(records, class_name, xyz, np.dtype(fields))
+    stack.callback(rows.close)
+    return Carried(values, rows)
+
+
+def _rows_of(
+    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], fields: np.dtype[Any]
+) -> Generator[tuple[NDArray[Any], int]]:
+    """Yield classes and coordinates of the next records, and the number of codes that are no whole numbers."""
+    names = (*xyz, *([class_name] if class_name is not None else []))
+    for chunk in records.chunks(names):
+        n_odd = 0
+        rows = np.empty(chunk.n, fields)
+        for name in xyz:
+            rows[name] = chunk.values[name]
+        if class_name is not None:
+            given = np.asarray(chunk.values[class_name], np.float64)
+            whole = np.isfinite(given) & (given == np.floor(given)) & (np.abs(given) < 2**31)
+            n_odd = int(np.count_nonzero(~whole & ~np.isnan(given)))
+            rows["code"] = np.where(whole, given, NO_CODE)
+        yield rows, n_odd
