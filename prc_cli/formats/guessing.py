@@ -26,8 +26,12 @@ _ALIKE = 0.5
 """Neighbours of a range differ by at most this share of what random ones do."""
 _EVEN = 0.9
 _MAJORITY = 0.99
+FRAME_BYTES = 1 << 22
+"""Bytes at the start of what may be a frame that are looked at: more than a frame of 128 rings."""
 LEAST_FRAME = 1000
 """Fewer records are no frame."""
+STAGGERED_DEG = 10.0
+"""Neighbouring azimuths of a frame differ by less: the rings of Ouster's scanners are staggered by up to 6.4 deg."""
 FRAME_REACH_M = 300.0
 """No coordinate of a frame lies beyond [m]."""
 _SOME = 0.05
@@ -67,29 +71,32 @@ def is_frame(path: Path) -> bool:
     -------
     bool
         True where the first records are little-endian float32 quadruples: coordinates within 300 m of the scanner on
-        all sides of it, azimuths that go on by less than 2 degrees, and an intensity from 0 to 255. No stream of ranges
-        looks like this: its values are not negative.
+        all sides of it, or zeros, azimuths that go on by less than 10 degrees, and an intensity of up to 16 bits. No stream
+        of ranges looks like this: its values are not negative.
     """
     with open_to_read(path) as handle:
         n_bytes = handle.seek(0, 2)
         handle.seek(0)
-        head = handle.read(LOOKED_BYTES)
+        head = handle.read(FRAME_BYTES)
     if n_bytes % 16 or n_bytes < 16 * LEAST_FRAME:
         return False
     with np.errstate(invalid="ignore"):  # a signalling NaN
         rows = np.frombuffer(head[: len(head) // 16 * 16], "<f4").reshape(-1, 4).astype(np.float64)
     if not np.isfinite(rows).all() or np.abs(rows[:, :3]).max() > FRAME_REACH_M:
         return False
-    x, y, z, intensity = rows.T
+    intensity = rows[:, 3]
+    x, y, z = rows[rows[:, :3].any(axis=1), :3].T
     distance = np.sqrt(x * x + y * y + z * z)
+    if len(distance) < LEAST_FRAME:
+        return False
     azimuth = np.arctan2(y, x)
     step = np.abs(np.angle(np.exp(1j * np.diff(azimuth))))
     return bool(
         intensity.min() >= 0
-        and intensity.max() <= 255
+        and intensity.max() < 1 << 16
         and _mostly(distance > 0.5)
         and _mostly(np.abs(z) < 0.8 * distance)
-        and np.mean(step < np.deg2rad(2.0)) > _EVEN
+        and np.mean(step < np.deg2rad(STAGGERED_DEG)) > _EVEN
         and min(np.mean(axis < 0) for axis in (x, y)) > _SOME
         and min(np.mean(axis > 0) for axis in (x, y)) > _SOME
     )

@@ -16,6 +16,8 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.streams.down import wrap
 
+MOST_OF_COLUMNS = 1.5
+"""Frames that turn less lie in column order, not ring after ring."""
 MAX_RINGS = 4096
 """Most rings of a frame."""
 BACKWARD_RAD = math.radians(20.0)
@@ -84,8 +86,13 @@ def find_turns(frame: Frame, path: str) -> Turns:
     along = way * azimuth[0] + np.concatenate([[0.0], np.cumsum(step)])
     n_turns = (along[-1] - along[0]) / _TURN
     if not 1.0 < n_turns < min(MAX_RINGS, len(along) / 2):
-        problem = f"the records turn {n_turns:.1f} times around the scanner, expected ring after ring"
-        raise InputError(path, problem, "check x, y, z and their order, or find lines in another way: --lines")
+        problem = f"the records turn {abs(n_turns):.1f} times around the scanner, expected ring after ring"
+        hint = "check x, y, z and their order, or find lines in another way: --lines"
+        if abs(n_turns) < MOST_OF_COLUMNS:
+            hint = (
+                "column after column, a frame needs the ring of every point: give a PLY or PCD with the property ring"
+            )
+        raise InputError(path, problem, hint)
     elevation = _elevation(frame)
     best: tuple[float, Turns] | None = None
     for cut in _cuts(along, float(np.median(step[step > 0]))):

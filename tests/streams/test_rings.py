@@ -6,8 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.config import load_config, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
+from prc_cli.formats import open_source
+from prc_cli.formats.guessing import is_frame
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
 from prc_cli.streams import rings
 from prc_cli.streams.beams import with_beams
@@ -259,3 +262,15 @@ def test_rings_may_begin_in_the_middle_of_the_longest_gap() -> None:
     azimuth = np.array([angle for angle in range(720) if not (100 <= angle % 360 < 140 or 200 <= angle % 360 < 210)])
     *_, gap = _cuts(np.deg2rad(azimuth + 0.5), np.deg2rad(1.0))
     assert np.rad2deg(gap) == pytest.approx(120)
+
+
+def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Path) -> None:
+    source = open_source(real_data / "ouster" / "rellis_frame000104.ply")
+    assert source is not None
+    names = ("x", "y", "z", "intensity")
+    chunks = [np.stack([one.values[name] for name in names], 1) for one in source.chunks(names)]
+    np.concatenate(chunks).astype("<f4").tofile(tmp_path / "frame.bin")
+    assert is_frame(tmp_path / "frame.bin")
+    told = with_layout_beside(tmp_path / "frame.bin", load_config()).config
+    with pytest.raises(InputError, match=r"turn 1\.0 times .*column after column, a frame needs the ring"):
+        open_input(tmp_path / "frame.bin", told.input, told.layout)

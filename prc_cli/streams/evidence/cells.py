@@ -60,7 +60,7 @@ def check_left_out(seen: Seen) -> Finding | None:
     # the first and the last line may be cut
     n_lacking = seen.n_shots - tally.n_records + tally.n_extra_returns - 2 * seen.points_per_line
     share = _share(seen, max(n_lacking, 0))
-    if share is None or not by_order or not tally.n_records:
+    if share is None or not by_order or seen.n_shots <= tally.n_records - tally.n_extra_returns:
         return None
     found = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
     hint = "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"

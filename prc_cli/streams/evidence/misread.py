@@ -106,7 +106,7 @@ def _as_ranges(values: np.ndarray) -> tuple[float, float]:
         middle = float(np.median(numbers[there])) if there.any() else math.nan
         if not 0 < middle < math.inf:
             return 1.0, math.inf
-        scale = min(SCALES_M, key=lambda one: abs(math.log(one * middle / MEDIAN_M)))
+        scale = min(SCALES_M, key=lambda one: abs(math.log(one / MEDIAN_M) + math.log(middle)))
         range_m: F32 = (numbers * scale).astype(np.float32)
     good = there & (range_m > SMOOTH) & (range_m < FARTHEST_M)
     n_good = np.count_nonzero(good)
