@@ -71,8 +71,8 @@ def is_frame(path: Path) -> bool:
     -------
     bool
         True where the first records are little-endian float32 quadruples: coordinates within 300 m of the scanner on
-        all sides of it, or zeros, azimuths that go on by less than 10 degrees, and an intensity of up to 16 bits. No stream
-        of ranges looks like this: its values are not negative.
+        all sides of it, or zeros, azimuths that go on by less than 10 degrees, and an intensity of up to 16 bits. No
+        stream of ranges looks like this: its values are not negative.
     """
     with open_to_read(path) as handle:
         n_bytes = handle.seek(0, 2)
