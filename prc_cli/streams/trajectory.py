@@ -194,7 +194,7 @@ def load_trajectory(
     Parameters
     ----------
     path : Path
-        Text without a header and with 8 numbers a row is TUM: time x y z and a quaternion qx qy qz qw. Other text:
+        Text without a header is time x y z, and with 8 numbers a row TUM: a quaternion qx qy qz qw follows. Other text:
         columns time (time, gps_time, t), x (x, easting, e), y (y, northing, n) and z (z, height, altitude,
         alt, h) in the coordinate system of the points, any delimiter. SBET: projected to that system; heights stay
         ellipsoidal.

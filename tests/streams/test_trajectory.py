@@ -68,6 +68,13 @@ def test_many_rows_cross_the_batches(tmp_path: Path, monkeypatch: pytest.MonkeyP
     np.testing.assert_array_equal(track.xyz_m[:, 0], np.arange(100) * 2.0)
 
 
+@pytest.mark.parametrize("delimiter", [" ", ",", ";", "\t"])
+def test_four_columns_without_names_are_time_and_position(tmp_path: Path, delimiter: str) -> None:
+    rows = "".join(delimiter.join(row) + "\n" for row in (("1", "2", "3", "4"), ("2", "3", "4", "5")))
+    track = load(write(tmp_path / "drive.txt", rows))
+    np.testing.assert_array_equal(track.xyz_m, [[2, 3, 4], [3, 4, 5]])
+
+
 def test_offset_is_added_to_the_times(tmp_path: Path) -> None:
     track = load(write(tmp_path / "drive.csv", "time,x,y,z\n1,0,0,0\n2,1,0,0\n"), offset=604_800.0)
     assert track.positions(np.array([604_801.5]))[0, 0] == 0.5

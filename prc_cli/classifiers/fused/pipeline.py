@@ -246,7 +246,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
         if self.params.environment == "forest":
             return replace(common, level_share=0.35, lean_deg=12.0)
-        return replace(common, level_share=0.6, lean_deg=5.0, reach_m=6.0)
+        return replace(common, level_share=0.6, lean_deg=5.5, reach_m=6.0)
 
     @property
     def gives(self) -> frozenset[Label]:

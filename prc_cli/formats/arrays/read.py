@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +31,11 @@ FEWEST_POINTS_PER_LINE = 8
 """A longer image of shorter lines is refused: every line takes some time, however few shots it has."""
 MANY_LINES = 100_000
 """What is long in this sense."""
+
+MOST_RINGS = 512
+"""Images of more rows are not taken for rings."""
+LEVEL = 0.3
+"""Elevations scatter within a ring by at most this share of what they do from ring to ring."""
 
 RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
 CLASS = "class"
@@ -74,6 +80,9 @@ class ArrayStream:
         self._config = config
         self._file = ArrayFile(path)
         self._range, why = _find_ranges(self._file, config)
+        turned = _why_turned(self._file, self._range, config)
+        if turned:
+            _exchange(self._file, self._file.headers[self._range].shape[:2])
         header = self._file.headers[self._range]
         header.check_numbers()
         self._n_lines, self._m, self._n_records = _find_shape(header, self._file, config)
@@ -84,6 +93,8 @@ class ArrayStream:
         self._angles: str | None = None
         angle_rad, angle_why = self._find_angles()
         assumed = [Assumption("input.range", self._range or "the array", why), *angle_why]
+        if turned:
+            assumed.append(Assumption("input.lines", "columns of the arrays", turned))
         if self._is_padded:
             missing = self._n_lines * self._m - self._n_records
             assumed.append(Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots"))
@@ -205,6 +216,10 @@ class ArrayStream:
         else:
             ranges, tally = self._read_ranges(rows[self._range], first, n)
         block = ScanBlock(first, ranges, angle_rad=self._info.angle_rad, tally=tally)
+        if self._file.headers[self._range].turned:
+            # records are counted as the file has them
+            line = np.arange(first, first + n, dtype=np.int64)[:, None]
+            block = replace(block, record=np.arange(self._m, dtype=np.int64) * self._n_lines + line)
         if self._is_padded:
             record = np.arange(first * self._m, (first + n) * self._m, dtype=np.int64)
             record[record >= self._n_records] = -1
@@ -273,6 +288,43 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
         return XYZ, "the length of xyz, which is taken to be relative to the scanner"
     problem = f"no array {RANGE!r} and not just one of two dimensions, the file has: {shown}"
     raise InputError(str(file.path), problem, f"name the ranges {RANGE}, or set input.range to dimension:NAME")
+
+
+def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
+    """Return why rows are rings and lines are columns; empty where rows are lines.
+
+    Rings keep their elevation while they go round; lines do not.
+    """
+    header = file.headers[name]
+    n_rows, n_columns = (*header.shape, 0, 0)[:2]
+    if not 1 < n_rows < n_columns or config.points_per_line not in (None, n_rows) or n_rows > MOST_RINGS:
+        return ""
+    if config.points_per_line == n_rows:
+        return f"points_per_line is {n_rows}, the number of rows"
+    shapes = [
+        one.shape for label, one in file.headers.items() if split_unit(label)[0] in ("angle", ZENITH, "elevation")
+    ]
+    if (n_rows,) in shapes and (n_columns,) not in shapes:
+        return "rows are rings: there is an angle for every row"
+    xyz = file.headers.get(XYZ)
+    if xyz is None or xyz.shape != (n_rows, n_columns, 3) or n_rows * n_columns > CHUNK_SHOTS << 2:
+        return ""
+    with file.open(XYZ) as (rows,):
+        x, y, z = np.moveaxis(rows.read(n_rows).astype(np.float64), -1, 0)
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # rows without returns
+        flat = np.hypot(x, y)
+        elevation = np.where(flat > 0, np.arctan2(z, flat), np.nan)
+        within = float(np.nanmedian(np.nanstd(elevation, axis=1)))
+        between = float(np.nanstd(np.nanmedian(elevation, axis=1)))
+    return "rows are rings: each keeps its elevation" if within < LEVEL * between else ""
+
+
+def _exchange(file: ArrayFile, shape: tuple[int, ...]) -> None:
+    """Exchange rows and columns of all arrays of the shape of an image."""
+    for name, header in file.headers.items():
+        if header.shape[:2] == shape:
+            file.headers[name] = header.exchanged()
 
 
 def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tuple[int, int, int]:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 import struct
+import tempfile
 import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
 
+_COPIED_BYTES = 1 << 20
 MAX_MEMBERS = 1000
 """Most arrays in an archive."""
 
@@ -47,6 +49,22 @@ class NpyHeader:
     """Fortran order: the first index runs fastest, so rows are not contiguous."""
     offset: int
     """Bytes before the first number."""
+    turned: bool = False
+    """Whether rows and columns are exchanged: ``shape`` is that of the rows that are read."""
+
+    @property
+    def stored_shape(self) -> tuple[int, ...]:
+        """Shape as the file has it."""
+        return (self.shape[1], self.shape[0], *self.shape[2:]) if self.turned else self.shape
+
+    def exchanged(self) -> NpyHeader:
+        """Return the header with rows and columns exchanged."""
+        return replace(self, shape=(self.shape[1], self.shape[0], *self.shape[2:]), turned=not self.turned)
+
+    @property
+    def is_scattered(self) -> bool:
+        """Whether the numbers of a row lie apart in the file."""
+        return self.turned or (self.fortran and len(self.shape) > 1)
 
     @property
     def n_bytes(self) -> int:
@@ -119,23 +137,30 @@ class Rows:
             raise InputError(self.header.where, f"more bytes than {self._n_read} rows take", _COPY)
 
 
-class _FortranRows(Rows):
-    """Reads rows of a file in Fortran order, gathering the values of each row from all over the file."""
+class _GatheredRows(Rows):
+    """Reads rows that are not contiguous: of arrays in Fortran order, or with rows and columns exchanged."""
 
     def read(self, n: int) -> NDArray[Any]:
         header = self.header
-        n_rows, n_columns = header.shape[0], math.prod(header.shape[1:])
-        rows = np.empty((n_columns, n), header.dtype)
+        shape = header.stored_shape
+        # axes from the slowest to the fastest in the file, and the one whose indices are rows
+        axes = list(range(len(shape)))[:: -1 if header.fortran else 1]
+        place = axes.index(1 if header.turned else 0)
+        n_outer = math.prod(shape[axis] for axis in axes[:place])
+        each = math.prod(shape[axis] for axis in axes[place + 1 :])
+        found = np.empty((n_outer, n * each), header.dtype)
+        size = header.dtype.itemsize
         try:
-            for column in range(n_columns):
-                self._handle.seek(header.offset + (column * n_rows + self._n_read) * header.dtype.itemsize)
-                raw = self._handle.read(n * header.dtype.itemsize)
-                rows[column] = np.frombuffer(raw, header.dtype)
+            for outer in range(n_outer):
+                self._handle.seek(header.offset + (outer * header.shape[0] + self._n_read) * each * size)
+                found[outer] = np.frombuffer(self._handle.read(n * each * size), header.dtype)
         except (OSError, ValueError) as error:
             problem = f"rows {self._n_read} to {self._n_read + n - 1} cannot be read ({error})"
             raise InputError(header.where, problem, _COPY) from error
         self._n_read += n
-        return rows.T.reshape((n, *header.shape[1:]), order="F")
+        sizes = [n if axis == axes[place] else shape[axis] for axis in axes]
+        wanted = [1, 0, *range(2, len(shape))] if header.turned else range(len(shape))
+        return found.reshape(sizes).transpose([axes.index(axis) for axis in wanted])
 
     def finish(self) -> None:
         """Do nothing: the size was checked when the file was opened."""
@@ -182,13 +207,14 @@ class ArrayFile:
         Raises
         ------
         InputError
-            When an array has changed since the file was opened, or its rows are not contiguous.
+            When an array has changed since the file was opened, or cannot be unpacked.
         """
         with ExitStack() as stack:
             archive = stack.enter_context(_archive(self.path)) if self.is_archive else None
             rows = []
             for name in names:
                 header = self.headers[name]
+                handle: IO[bytes]
                 if archive is None:
                     handle = stack.enter_context(open_to_read(self.path))
                     size = handle.seek(0, 2)
@@ -196,18 +222,13 @@ class ArrayFile:
                 else:
                     handle = stack.enter_context(_member(self.path, archive, name))
                     size = archive.getinfo(f"{name}.npy").file_size
-                if _read_header(header.where, handle, size) != header:
+                found = _read_header(header.where, handle, size)
+                if (found.exchanged() if header.turned else found) != header:
                     raise InputError(header.where, "the array has changed since the file was opened", "try again")
-                rows.append(self._rows(header, handle))
+                if archive is not None and header.is_scattered:
+                    handle = stack.enter_context(_unpacked(header, handle))
+                rows.append((_GatheredRows if header.is_scattered else Rows)(header, handle))
             yield rows
-
-    def _rows(self, header: NpyHeader, handle: IO[bytes]) -> Rows:
-        if not header.fortran or len(header.shape) < 2:
-            return Rows(header, handle)
-        if self.is_archive:
-            problem = "found an array in Fortran order, whose rows cannot be read one after the other"
-            raise InputError(header.where, problem, "save it in C order: numpy.ascontiguousarray(array)")
-        return _FortranRows(header, handle)
 
 
 def _where(path: Path, name: str) -> str:
@@ -239,6 +260,19 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str) -> Iterator[IO[byte
         raise InputError(where, f"the array cannot be read ({error})", _COPY) from error
     with handle:
         yield handle
+
+
+@contextmanager
+def _unpacked(header: NpyHeader, handle: IO[bytes]) -> Iterator[IO[bytes]]:
+    """Copy an array from an archive to an unnamed temporary file, where any row can be reached."""
+    with tempfile.TemporaryFile(prefix="prc-array-") as copy:
+        copy.seek(header.offset)
+        try:
+            while data := handle.read(_COPIED_BYTES):
+                copy.write(data)
+        except _DAMAGED as error:
+            raise InputError(header.where, f"the array cannot be unpacked ({error})", _COPY) from error
+        yield copy
 
 
 def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:

@@ -1,10 +1,10 @@
-"""Reader of text trajectories: a header row that names time and position, any delimiter."""
+"""Reader of text trajectories: time and position, in columns that the first row names, or in this order alone."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import TextIO
 
@@ -27,6 +27,8 @@ _MAX_ROW = 65_536
 def read_text(path: Path) -> tuple[F64, F64]:
     """Read time and position from the columns of these names; other columns are ignored.
 
+    Four columns without names are time, x, y and z.
+
     Returns
     -------
     time_s : (n,) float64
@@ -43,8 +45,13 @@ def read_text(path: Path) -> tuple[F64, F64]:
         rows = _rows(str(path), handle)
         number, first = next(rows, (1, ""))
         delimiter = next((mark for mark in ",;\t" if mark in first), None)
-        columns = _find_columns(f"{path}: line {number}", _cells(first.lstrip("#"), delimiter))
+        cells = _cells(first.lstrip("#"), delimiter)
         parts = []
+        if first.startswith("#") or len(cells) != len(_NAMES) or not all(_is_number(cell) for cell in cells):
+            columns = _find_columns(f"{path}: line {number}", cells)
+        else:
+            columns = list(range(len(_NAMES)))
+            rows = chain([(number, first)], rows)
         while batch := list(islice(rows, _BATCH)):
             parts.append(_parse(str(path), batch, delimiter, columns))
     values = np.concatenate(parts) if parts else np.empty((0, 4))
@@ -69,6 +76,13 @@ def _rows(where: str, handle: TextIO) -> Iterator[tuple[int, str]]:
 
 def _cells(row: str, delimiter: str | None) -> list[str]:
     return [cell.strip().strip('"') for cell in row.split(delimiter)]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False
 
 
 def _find_columns(where: str, cells: list[str]) -> list[int]:

@@ -283,7 +283,7 @@ def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator
         return
     lean_rad = math.atan(float(np.median(together[wide] / spread[wide])))
     lean_deg = math.degrees(lean_rad)
-    found = f"the ground leans by {abs(lean_deg):.1f} deg across the lines"
+    found = f"the ground leans by {abs(lean_deg):.2f} deg across the lines"
     verdict = _verdict(doubtful=abs(lean_deg) > usual.lean_deg)
     yield Finding("ground-lean", verdict, found, f"at most {usual.lean_deg:g} deg", _nadir(sample, lean_rad))
 
@@ -413,7 +413,7 @@ RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "ground-lean",
         "Is the ground level across the lines, in the middle of all lines?",
-        "Doubtful above 5 deg, fused-forest 12 deg. Needs the direction of down: not PRC",
+        "Doubtful above 5.5 deg, fused-forest 12 deg. Needs the direction of down: not PRC",
         "Rightly told, 128 lines each: streets at most 1.2 deg, sequential-angle 2.1 deg, Oakland 2.0 deg, a road in "
         "a hillside of 45 % 4.1 deg, forests 8.1 deg; vehicles lean with their road. Down wrong by 10 deg: 7 deg or "
         "more in streets, 1 to 17 deg in forests",

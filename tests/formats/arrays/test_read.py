@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -98,10 +99,46 @@ def test_fortran_order_in_a_npy(tmp_path: Path, chunk: int) -> None:
     np.testing.assert_array_equal(whole(ArrayStream(path, AUTO, chunk)).range_m, image())
 
 
-def test_fortran_order_in_an_npz_is_refused(tmp_path: Path) -> None:
-    message = refused(save_npz(tmp_path, range_m=np.asfortranarray(image())))
-    assert message.startswith("scan.npz: range_m: found an array in Fortran order")
-    assert "ascontiguousarray" in message
+@pytest.mark.parametrize("chunk", [1, 7, 1 << 19])
+@pytest.mark.parametrize("save_as", [np.savez, np.savez_compressed])
+def test_fortran_order_in_an_npz(tmp_path: Path, chunk: int, save_as: Callable[..., None]) -> None:
+    xyz = np.stack([image(), 2 * image(), 3 * image()], axis=-1)
+    save_as(tmp_path / "a.npz", range_m=np.asfortranarray(image()), xyz=np.asfortranarray(xyz))
+    block = whole(ArrayStream(tmp_path / "a.npz", AUTO, chunk))
+    np.testing.assert_array_equal(block.range_m, image())
+    np.testing.assert_array_equal(block.xyz_m, np.where(np.isnan(image())[..., None], np.nan, xyz).astype(np.float32))
+
+
+@pytest.mark.parametrize("chunk", [1, 200, 1 << 19])
+@pytest.mark.parametrize("given", ["xyz", "angles", "M"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_rows_that_are_rings_are_exchanged(tmp_path: Path, chunk: int, given: str, order: Literal["C", "F"]) -> None:
+    """Rings x azimuth was taken for lines: PRC, or refused."""
+    elevation, azimuth = np.deg2rad(np.linspace(-25, 2, 16))[:, None], np.linspace(0, 2 * np.pi, 90)[None]
+    ranges = (np.arange(16 * 90).reshape(16, 90) / 100 + 2).astype(np.float32)
+    arrays: dict[str, Any] = {"range_m": ranges, "intensity": 2 * ranges}
+    if given == "xyz":
+        across = np.cos(elevation) * np.stack([np.cos(azimuth), np.sin(azimuth)])
+        arrays["xyz"] = ranges[..., None] * np.stack([*across, np.broadcast_to(np.sin(elevation), ranges.shape)], -1)
+    elif given == "angles":
+        arrays["zenith_deg"] = 90 - np.rad2deg(elevation[:, 0])
+    np.savez(tmp_path / "a.npz", **{name: np.asarray(value, order=order) for name, value in arrays.items()})
+    stream = ArrayStream(tmp_path / "a.npz", config(points_per_line=16 if given == "M" else None), chunk)
+    assert (stream.info.n_lines, stream.info.points_per_line) == (90, 16)
+    block = whole(stream)
+    np.testing.assert_array_equal(block.range_m, ranges.T)
+    np.testing.assert_array_equal(block.intensity, 2 * ranges.T)
+    np.testing.assert_array_equal(ranges.ravel()[block.records()], ranges.T)
+    assert any(one.key == "input.lines" for one in stream.info.assumptions)
+    if given == "xyz":
+        np.testing.assert_array_equal(block.xyz_m, arrays["xyz"].transpose(1, 0, 2).astype(np.float32))
+
+
+def test_lines_are_not_taken_for_rings(tmp_path: Path) -> None:
+    angle = np.linspace(-2, 2, 90)
+    across = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], -1)
+    save_npz(tmp_path, xyz=np.tile(5 * across, (16, 1, 1)))
+    assert ArrayStream(tmp_path / "scan.npz", AUTO).info.n_lines == 16
 
 
 @pytest.mark.parametrize("chunk", [1, 6, 1 << 19])

@@ -88,7 +88,7 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
     if len(leans) >= 32:
         lean = abs(math.degrees(math.atan(np.median(leans))))
         found["ground-lean"] = (
-            DOUBTFUL if lean > usual.lean_deg else FINE, f"the ground leans by {lean:.1f} deg across the lines",
+            DOUBTFUL if lean > usual.lean_deg else FINE, f"the ground leans by {lean:.2f} deg across the lines",
         )  # fmt: skip
     share = n["under"] / n["near"]
     found["below-ground"] = (
@@ -213,11 +213,11 @@ def test_ground_all_around(n_below: int, is_below: bool) -> None:
         assert ("ground-below" in asked(sample(range_m[:140], labels[:140], beam), usual)) is is_told
 
 
-@pytest.mark.parametrize(("lean_deg", "verdict"), [(4.9, FINE), (5.1, DOUBTFUL), (-5.1, DOUBTFUL)])
+@pytest.mark.parametrize(("lean_deg", "verdict"), [(4.9, FINE), (5.04, DOUBTFUL), (-5.1, DOUBTFUL)])
 def test_lean(lean_deg: float, verdict: Verdict) -> None:
     range_m, labels, beam = flat()
     range_m[:] = 4.0 / np.cos(beam - np.deg2rad(lean_deg))
-    said = f"ground-lean: the ground leans by {abs(lean_deg)} deg across the lines, expected at most 5 deg"
+    said = f"ground-lean: the ground leans by {abs(lean_deg):.2f} deg across the lines, expected at most 5 deg"
     one = sample(range_m, labels, beam, np.linspace(0, 2, 32))
     nadir = np.rad2deg(np.linspace(0, 2, 32)[np.argmin(np.abs(beam - np.deg2rad(lean_deg)))])
     expected = verdict, f"{said}; it would be level with --set input.nadir={nadir:.1f}; look where down is: prc info"
