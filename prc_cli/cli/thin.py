@@ -20,9 +20,15 @@ from prc_cli.jobs.thin import thin as thin_file
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
-@click.option("--keep", multiple=True, metavar="CLASS=FRACTION", help="Keep a share, by line and column: ground=1/4.")
-@click.option("--spacing", multiple=True, metavar="CLASS=METRES", help="Keep shots so far apart in a line: ground=0.1.")
-@click.option("--drop", multiple=True, metavar="CLASS", help="Keep nothing of a class (noise: always, unless kept).")
+@click.option(
+    "--keep", multiple=True, metavar="CLASS=FRACTION,...", help="Keep a share, by line and column: ground=1/4."
+)
+@click.option(
+    "--spacing", multiple=True, metavar="CLASS=METRES,...", help="Keep shots so far apart in a line: ground=0.1."
+)
+@click.option(
+    "--drop", multiple=True, metavar="CLASS,...", help="Keep nothing of a class (noise: always, unless kept)."
+)
 @click.option("--labels", type=click.Path(path_type=Path), metavar="FILE", help="Classes, one code a record of IN.")
 @click.option(
     "--min-confidence",
@@ -30,19 +36,20 @@ from prc_cli.jobs.thin import thin as thin_file
     metavar="PERCENT",
     help="Also drop returns whose label has less confidence.",
 )
+@click.option("--keep-empty", is_flag=True, help="In .ply, .pcd, .bin: the whole grid, not the returns alone.")
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def thin(
     source: Path, output: Path, keep: tuple[str, ...], spacing: tuple[str, ...], drop: tuple[str, ...],
-    labels: Path | None, min_confidence: int | None, overwrite: bool, as_json: bool, quiet: bool, verbose: bool,
-    **options: Any,
+    labels: Path | None, min_confidence: int | None, keep_empty: bool, overwrite: bool, as_json: bool, quiet: bool,
+    verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
 
     Classes are those of IN or of --labels; with --preset, --method or --config, IN is classified on the way. OUT is
-    any format that prc convert writes. From .las or .laz to .las or .laz, records are left out and everything else
-    stays as it is.
+    any format that prc convert writes; of a frame, a .bin holds x, y, z and intensity, as KITTI's. From .las or .laz to
+    .las or .laz, records are left out and everything else stays as it is.
 
     \b
     Examples:
@@ -58,7 +65,7 @@ def thin(
     with line_progress(source.name, quiet=quiet) as progress:
         summary = thin_file(
             source, output, rules, loaded,
-            labels=chosen, min_confidence=min_confidence, overwrite=overwrite, progress=progress,
+            labels=chosen, min_confidence=min_confidence, keep_empty=keep_empty, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     if as_json:
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))

@@ -87,19 +87,20 @@ def cloud_header(
 
 
 def stream_dtype(shape: StreamShape, *, codes: bool) -> np.dtype[np.void]:
-    """Return the record of a stream."""
+    """Return the record of a stream; thinned frames of spinning scanners are plain points."""
     xyz = "<f8" if shape.registered else "<f4"
     has_xyz = shape.xyz or shape.registered
+    has_cells = not (shape.points and shape.rings)
     wanted = [
         *((axis, xyz, has_xyz) for axis in "xyz"),
-        ("range", "<f4", True),
-        ("scan_line", "<u4", True),
-        ("column", "<u4", True),
+        ("range", "<f4", has_cells),
+        ("scan_line", "<u4", has_cells),
+        ("column", "<u4", has_cells),
         ("time", "<f8", shape.times),
         ("angle_deg", "<f8", shape.angles),
         ("intensity", "<f4", shape.intensity or shape.returns),
-        ("return_number", "<u1", shape.returns),
-        ("number_of_returns", "<u1", shape.returns),
+        ("return_number", "<u1", shape.returns and has_cells),
+        ("number_of_returns", "<u1", shape.returns and has_cells),
         ("point_source_id", "<u4", shape.scanners),
         (_CLASS, "<u1", codes),
     ]
@@ -131,7 +132,10 @@ def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
 
 
 class CloudStream(StagedStreamWriter):
-    """Writer of a whole stream: a point per cell, NaN where a shot has no return, and one per further return."""
+    """Writer of a whole stream: a point per cell, NaN where a shot has no return, and one per further return.
+
+    Where only returns are wanted, shots without one have no point.
+    """
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
         super().__init__(path, shape)
@@ -163,6 +167,8 @@ class CloudStream(StagedStreamWriter):
             self._n_codes_lost += int(np.count_nonzero((item.codes > 255) | (item.codes < NO_CODE)))
         for rows in _spans(item.block.n_lines, item.block.points_per_line):
             found = stream_records(item, rows, self._dtype)
+            if self.shape.points:
+                found = found[~np.isnan(found["x"])]
             self._n += len(found)
             self._n_cells += (rows.stop - rows.start) * self.shape.points_per_line
             self._handle.write(found.data)

@@ -302,6 +302,7 @@ def open_items(
     blocks_of: Callable[[ScanStream], Iterator[ScanBlock]] | None = None,
     codes: bool = True,
     xyz: bool = True,
+    points: bool = False,
 ) -> Iterator[OpenedItems]:
     """Open a stream whose blocks come with the classes and registered coordinates of their records.
 
@@ -315,6 +316,8 @@ def open_items(
         Returns the blocks of the stream; default: its own.
     codes, xyz : bool
         Whether to include the classes and the registered coordinates of the input.
+    points : bool
+        Only returns are wanted: :attr:`StreamShape.points`.
     """
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
@@ -326,10 +329,14 @@ def open_items(
     has = () if records is None else records.dimensions
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
     axes = axes_of(records, stream, first, loaded.config) if xyz else ()
+    grid = grid_of(stream)
+    # blocks of frames hold their coordinates but those of points that share a cell
+    rings = grid is None and records is not None and first.xyz_m is not None
+    shares = rings and points and not axes
     with contextlib.ExitStack() as stack:
         carried: Carried | None = None
-        if records is not None and (class_name is not None or axes):
-            carried = carry(records, class_name, axes, output, stack)
+        if records is not None and (class_name is not None or axes or shares):
+            carried = carry(records, class_name, XYZ if shares else axes, output, stack)
             if loaded.config.input.window is None:
                 carried.read_all()
         elif records is None and codes and suffix_of(source) == ".npz":
@@ -337,17 +344,17 @@ def open_items(
         made_up = None
         if xyz and not axes and first.xyz_m is None and suffix_of(output) in CLOUDS:
             made_up = lines_apart(stream, loaded.config)
-        item = _item(first, carried, made_up)
+        item = _item(first, carried, made_up, shares=shares)
         scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
         of_images = stream.info.facts.has_returns or stream.info.format == "E57"
-        grid = grid_of(stream)
         returns = of_images if grid is None else grid.rules.has_returns
         shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
+        shape = replace(shape, points=points, rings=rings)
 
         def items() -> Iterator[StreamItem]:
             yield item
             for block in blocks:
-                yield _item(block, carried, made_up)
+                yield _item(block, carried, made_up, shares=shares)
 
         told = () if made_up is None else (made_up.notice(first),)
         yield OpenedItems(stream.info, shape, items(), records, stream, carried, told)
@@ -373,7 +380,7 @@ def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib
     return Carried(values, iter(()))
 
 
-def _item(block: ScanBlock, carried: Carried | None, made_up: LinesApart | None) -> StreamItem:
+def _item(block: ScanBlock, carried: Carried | None, made_up: LinesApart | None, *, shares: bool) -> StreamItem:
     item = StreamItem(block)
     if made_up is not None:
         registered, further = made_up(block)
@@ -386,7 +393,7 @@ def _item(block: ScanBlock, carried: Carried | None, made_up: LinesApart | None)
         item = replace(item, codes=own["code"].copy(), extra_codes=extra["code"].copy())
     if "x" in names:
         registered, further = carried.place(block)
-        item = replace(item, registered_m=registered, extra_registered_m=further)
+        item = replace(item, registered_m=None if shares else registered, extra_registered_m=further)
     return item
 
 
@@ -415,7 +422,7 @@ def _losses(suffix: str, opened: OpenedItems, facts: Facts) -> Iterator[str]:
         yield "registered coordinates (x, y, z)"
     if suffix in (".npy", ".e57") and shape.codes:
         yield "class codes"
-    if suffix in (".npy", ".npz", ".bin"):
+    if suffix in (".npy", ".npz", ".bin") and not (suffix == ".bin" and shape.points and shape.xyz):
         if facts.n_extra:
             yield f"{facts.n_extra} further returns or collisions: a range image has one range a cell"
     elif facts.n_extra and shape.intensity:

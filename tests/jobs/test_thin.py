@@ -22,6 +22,7 @@ from prc_cli.jobs.convert import convert
 from prc_cli.jobs.thin import CLASSIFY, ThinRule, parse_rules, thin
 from prc_cli.jobs.thin.selection import keep_by_pattern, keep_by_spacing
 from tests.jobs.test_convert import (
+    cloud,
     config,
     same_bits,
     scans,
@@ -317,3 +318,37 @@ def test_converting_a_thinned_file_keeps_what_is_left(labelled: Path, tmp_path: 
     convert(tmp_path / "a.laz", tmp_path / "a.csv")
     (left,), (right,) = (scans(tmp_path / name, config()).values() for name in ("a.laz", "a.csv"))
     assert same_bits(left.range_m, right.range_m)
+
+
+def frame(path: Path) -> Any:
+    """A frame of 16 rings as KITTI stores it, with points that share a cell; x, y, z and intensity of every record."""
+    turn, ring = np.meshgrid(np.linspace(-np.pi, np.pi, 720, endpoint=False), np.arange(16))
+    turn, ring = (np.insert(each.ravel(), [5, 900], each.ravel()[[5, 900]]) for each in (turn, ring))
+    up, far = np.deg2rad(2.0 - ring * 2.0), 8 + np.sin(turn * 3)
+    level = far * np.cos(up)
+    points = np.stack([level * np.cos(turn), -level * np.sin(turn), far * np.sin(up), np.arange(len(turn)) % 7], axis=1)
+    points[[5, 901], :3] *= 1.01
+    points.astype("<f4").tofile(path)
+    return points.astype("<f4")
+
+
+def test_thinned_frames_are_points_and_nothing_else(tmp_path: Path) -> None:
+    """In the order of the input and as it stores them; the grid only where it is asked for."""
+    points = frame(tmp_path / "f.bin")
+    given = np.where(np.arange(len(points)) % 3 == 0, 5, 2).astype(np.uint8)
+    np.save(tmp_path / "labels.npy", given)
+    fields = [{"name": name, "type": "f4"} for name in ("x", "y", "z", "intensity")]
+    inputs = {"lines": "rings", "range": "sensor-xyz", "points_per_line": 16}
+    loaded = load_config(options={"input": inputs, "layout": {"fields": fields}})
+    rules = parse_rules(drop=["noise,vegetation"])
+    for name in ("thin.bin", "thin.ply", "thin.pcd"):
+        thin(tmp_path / "f.bin", tmp_path / name, rules, loaded, labels=tmp_path / "labels.npy")
+    left = points[given == 2]
+    found = np.fromfile(tmp_path / "thin.bin", "<f4").reshape(-1, 4)
+    np.testing.assert_array_equal(found[:, :3], left[:, :3])
+    assert np.count_nonzero(found[:, 3] != left[:, 3]) <= 2, "a cell has one intensity"
+    for name in ("thin.ply", "thin.pcd"):
+        np.testing.assert_array_equal(np.sort(cloud(tmp_path / name), axis=0), np.sort(left[:, :3], axis=0))
+        assert (tmp_path / name).stat().st_size < (tmp_path / "f.bin").stat().st_size
+    thin(tmp_path / "f.bin", tmp_path / "grid.ply", rules, loaded, labels=tmp_path / "labels.npy", keep_empty=True)
+    assert (tmp_path / "grid.ply").stat().st_size > 720 * 16 * 28

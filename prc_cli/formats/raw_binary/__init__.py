@@ -10,7 +10,7 @@ FORMATS = (
         has_layout=True,
         is_dump=True,
         streams={".bin": "raw dump, with a configuration beside it that reads it"},
-        write_stream="prc_cli.formats.raw_binary.write:RawStream",
+        write_stream="prc_cli.formats.raw_binary.write:open_stream",
         holds=frozenset(("codes", "registered", "relative", "angles", "times", "intensity")),
     ),
 )

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.core.types import F64
+from prc_cli.core.types import F64, I64
+from prc_cli.formats.writing.coordinates import coordinates
 from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem, StreamShape
 
 EVEN_RAD = 1e-10
@@ -20,6 +21,61 @@ def config_path(path: Path) -> Path:
     'drive.bin.toml'
     """
     return path.with_name(path.name + ".toml")
+
+
+def open_stream(path: Path, shape: StreamShape) -> StagedStreamWriter:
+    """Return the writer of a dump: a frame where only returns with coordinates relative to the scanner are wanted."""
+    return FrameStream(path, shape) if shape.points and shape.xyz else RawStream(path, shape)
+
+
+class FrameStream(StagedStreamWriter):
+    """Writer of returns as KITTI stores them: float32 x, y, z, intensity, in the order of the input's records."""
+
+    one_scanner = "a frame"
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        super().__init__(path, shape)
+        self._config_temporary = self._output(config_path(path))
+        self._records: list[I64] = []
+
+    def _start(self) -> None:
+        self._handle = self._temporary.open("w+b")
+        self._stack.callback(self._handle.close)
+
+    def _add(self, item: StreamItem) -> None:
+        block, extra = item.block, item.block.extra
+        seen = ~np.isnan(block.range_m)
+        own, further = coordinates(block, None)[0]
+        if item.extra_registered_m is not None:
+            further = item.extra_registered_m
+        points = np.zeros((int(seen.sum()) + len(extra), 4), "<f4")
+        points[:, :3] = np.concatenate([own[seen], further])
+        if block.intensity is not None:
+            points[: int(seen.sum()), 3] = np.nan_to_num(block.intensity[seen])
+        self._records.append(np.concatenate([block.records()[seen], extra.record]))
+        self._handle.write(points.data)
+
+    def _write(self) -> None:
+        record = np.concatenate(self._records) if self._records else np.empty(0, np.int64)
+        if (record[1:] < record[:-1]).any():
+            self._handle.seek(0)
+            points = np.frombuffer(self._handle.read(), "<f4").reshape(-1, 4)
+            self._handle.seek(0)
+            self._handle.write(points[np.argsort(record, kind="stable")].data)
+        self._handle.close()
+        rules = ["[input]", 'lines = "rings"', f"points_per_line = {self.shape.points_per_line}"] * self.shape.rings
+        fields = [f'    {{ name = "{name}", type = "f4" }},' for name in ("x", "y", "z", "intensity")]
+        lines = [
+            f"# the points of {self.path.name}",
+            *rules,
+            "[layout]",
+            'endian = "little"',
+            "fields = [",
+            *fields,
+            "]",
+            "",
+        ]
+        self._config_temporary.write_text("\n".join(lines), encoding="utf-8")
 
 
 class RawStream(StagedStreamWriter):

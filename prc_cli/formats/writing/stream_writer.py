@@ -62,6 +62,10 @@ class StreamShape:
     codes: bool
     down_rad: float | None = None
     """Scan angle that points straight down [rad], None = unknown."""
+    points: bool = False
+    """Whether clouds and frames (``.ply .pcd .bin``) hold returns alone: cells without a range have no point."""
+    rings: bool = False
+    """Whether lines are cells of azimuth of a spinning scanner."""
     crs: str = ""
     """Coordinate system of registered coordinates, as pyproj takes it; empty = none."""
     compress: bool = False

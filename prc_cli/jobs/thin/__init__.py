@@ -113,7 +113,7 @@ class _Tally:
                 into[code] = into.get(code, 0) + count
 
 
-def thin(
+def thin(  # noqa: PLR0913 - all but the files and rules are named
     source: Path | str,
     output: Path | str,
     rules: tuple[ThinRule, ...] | None = None,
@@ -121,6 +121,7 @@ def thin(
     *,
     labels: Path | str | None = None,
     min_confidence: int | None = None,
+    keep_empty: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ThinningSummary:
@@ -142,6 +143,9 @@ def thin(
     min_confidence : int, optional
         Also drop returns whose label has less confidence [per cent], by the dimension ``confidence`` of the label file
         or of the input, or as the classifier tells.
+    keep_empty : bool
+        Write a row for every cell of the grid to ``.ply``, ``.pcd`` and ``.bin``, too. Default: returns alone; a
+        ``.bin`` then holds x, y, z and intensity, as KITTI's frames, where the input has coordinates from the scanner.
     overwrite : bool
         Replace an existing output.
     progress : callable, optional
@@ -168,7 +172,10 @@ def thin(
     prepare_output(source, output, loaded, overwrite=overwrite, more=() if label_file is None else (label_file,))
     if min_confidence is not None and not 0 <= min_confidence <= 100:
         raise ConfigError("--min-confidence", f"found {min_confidence}, expected per cent, 0 to 100")
-    run = _Run(source, output, rules, loaded, label_file, classify=labels == CLASSIFY, min_confidence=min_confidence)
+    run = _Run(
+        source, output, rules, loaded, label_file,
+        classify=labels == CLASSIFY, min_confidence=min_confidence, keep_empty=keep_empty,
+    )  # fmt: skip
     before = file_state(source)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
         record = run.copy(progress, before)
@@ -182,10 +189,11 @@ class _Run:
 
     def __init__(
         self, source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | None,
-        *, classify: bool, min_confidence: int | None,
+        *, classify: bool, min_confidence: int | None, keep_empty: bool,
     ) -> None:  # fmt: skip
         self.source, self.output, self.rules, self.loaded = source, output, rules, loaded
         self.labels, self.classify, self.min_confidence = labels, classify, min_confidence
+        self.keep_empty = keep_empty
         self.n_unsure = 0
         self._confidence: Callable[[ScanBlock], tuple[Any, Any]] = lambda _: (None, None)
         """Confidence of the shots and of the further returns of a block."""
@@ -293,9 +301,11 @@ class _Run:
         with contextlib.ExitStack() as stack:
             given = None if self.labels is None else self._read_labels(self.labels, stack)
             self._confidence = self._find_confidence(told, stack)
-            opened = stack.enter_context(
-                open_items(self.source, self.output, self.loaded, blocks_of=blocks_of, codes=own, xyz=xyz)
-            )
+            items_of = open_items(
+                self.source, self.output, self.loaded,
+                blocks_of=blocks_of, codes=own, xyz=xyz, points=not self.keep_empty,
+            )  # fmt: skip
+            opened = stack.enter_context(items_of)
             if own and not opened.shape.codes:
                 problem = "no class codes in the input, and none were given"
                 hint = "give --labels FILE, or --preset or --config to classify on the way"

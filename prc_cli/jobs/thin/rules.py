@@ -45,7 +45,7 @@ def parse_rules(
     spacing : iterable of str
         ``CLASS=METRES``, as ``ground=0.1``.
     drop : iterable of str
-        Classes of which nothing is kept.
+        Classes of which nothing is kept. Each text of the three may name several, with commas.
     codes : ClassCodes, optional
         Codes of the class names; a class may be given by its number as well.
 
@@ -56,10 +56,13 @@ def parse_rules(
 
     Examples
     --------
-    >>> [str(rule) for rule in parse_rules(["ground=1/4"], ["building=0.1"])]
-    ['ground=1/4', 'building=0.1 m', 'noise=0']
+    >>> [str(rule) for rule in parse_rules(["ground=1/4"], ["building=0.1"], ["car,noise"])]
+    ['ground=1/4', 'building=0.1 m', 'car=0', 'noise=0']
     """
     table = codes or ClassCodes()
+    keep, spacing, drop = (
+        [part.strip() for text in texts for part in text.split(",") if part.strip()] for texts in (keep, spacing, drop)
+    )
     rules: list[ThinRule] = []
     for text in keep:
         name, value = _split(text, "--keep", "FRACTION", "ground=1/4")
@@ -67,7 +70,7 @@ def parse_rules(
     for text in spacing:
         name, value = _split(text, "--spacing", "METRES", "ground=0.1")
         rules.append(ThinRule(name, _codes(name, "--spacing", table), spacing_m=_metres(text, value)))
-    rules.extend(ThinRule(name.strip(), _codes(name.strip(), "--drop", table), share=Fraction(0)) for name in drop)
+    rules.extend(ThinRule(name, _codes(name, "--drop", table), share=Fraction(0)) for name in drop)
     named = {code for rule in rules for code in rule.codes}
     left = tuple(code for code in _codes("noise", "noise", table) if code not in named)
     if left and table.noise not in named:

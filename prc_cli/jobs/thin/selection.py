@@ -133,6 +133,7 @@ def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
     xyz = None if block.xyz_m is None else np.where(kept[..., None], block.xyz_m, np.float32(np.nan))
     intensity = None if block.intensity is None else np.where(kept, block.intensity, np.float32(np.nan))
     codes = None if item.codes is None else np.where(kept, item.codes, np.int32(NO_CODE))
+    further = item.extra_registered_m
     registered = None if item.registered_m is None else np.where(kept[..., None], item.registered_m, np.nan)
     stays = np.flatnonzero(kept_extra)
     orphans = stays[np.isnan(range_m[extra.line[stays], extra.column[stays]])]
@@ -141,11 +142,12 @@ def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
         at = (extra.line[heirs], extra.column[heirs])
         range_m[at] = extra.range_m[heirs]
         if xyz is not None and block.xyz_m is not None:
-            xyz[at] = block.xyz_m[at] * (extra.range_m[heirs] / block.range_m[at])[:, None]
+            beam = block.xyz_m[at] * (extra.range_m[heirs] / block.range_m[at])[:, None]
+            xyz[at] = beam if registered is not None or further is None else further[heirs]
         if codes is not None and item.extra_codes is not None:
             codes[at] = item.extra_codes[heirs]
-        if registered is not None and item.extra_registered_m is not None:
-            registered[at] = item.extra_registered_m[heirs]
+        if registered is not None and further is not None:
+            registered[at] = further[heirs]
         stays = np.setdiff1d(stays, heirs)
     left = ExtraReturns(extra.line[stays], extra.column[stays], extra.range_m[stays], extra.record[stays])
     return StreamItem(
@@ -153,7 +155,7 @@ def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
         codes,
         None if item.extra_codes is None else item.extra_codes[stays],
         registered,
-        None if item.extra_registered_m is None else item.extra_registered_m[stays],
+        None if further is None else further[stays],
     )
 
 
