@@ -19,7 +19,7 @@ from typing import Any
 import click
 
 from prc_cli import __version__
-from prc_cli.cli.guard import begin
+from prc_cli.cli.guard import REPEATED_S, begin
 from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.errors import PrcError
 from prc_cli.core.garbage import no_collecting
@@ -52,10 +52,6 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
 AGAIN_S = 0.05
 """Delay after which a dropped signal is raised again [s]."""
-
-
-REPEATED_S = 0.3
-"""A signal that comes again within this time is the same one [s]."""
 
 
 class LazyGroup(click.Group):

@@ -12,13 +12,16 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 from prc_cli.cli.safe import printable
+from prc_cli.core.limits import STEP_CPU_S, hold_limits
 
 SWITCH = "PRC_GUARD"
 """Environment variable; 0 = no child process, for debuggers."""
@@ -28,6 +31,10 @@ LAST_PRINTED = 300
 """How much is shown of what a library printed before it ended the process [bytes]."""
 MOST_NAMED = 2
 """Most files named in the message."""
+PATIENCE_S, BATCH_PATIENCE_S = 5.0, 30.0
+"""A child that a signal has not ended after so long is killed; ``prc batch`` ends its workers first [s]."""
+REPEATED_S = 0.3
+"""Two signals of a kind within so long are one: systemd and ``timeout`` send two [s]."""
 _PASSED = ("SIGINT", "SIGTERM", "SIGHUP")
 _PR_SET_PDEATHSIG = 1
 _CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGKILL", "SIGSYS", "SIGTRAP", "SIGXCPU", "SIGXFSZ")
@@ -67,10 +74,11 @@ def begin(arguments: list[str], commands: frozenset[str]) -> None:
     if child == 0:
         _end_with(parent)
         _keep_for_parent(printed, notes)
+        hold_limits()
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         return
-    status, sent = _wait(child, passed)
-    os._exit(_exit_code(status, sent, arguments, printed, notes))
+    status, sent, killed = _wait(child, passed, BATCH_PATIENCE_S if name == "batch" else PATIENCE_S)
+    os._exit(_exit_code(status, sent, killed, arguments, printed, notes))
 
 
 def _end_with(parent: int) -> None:
@@ -98,27 +106,41 @@ def _keep_for_parent(printed: int, notes: int) -> None:
     sys.stderr = io.TextIOWrapper(raw, sys.stderr.encoding, "backslashreplace", write_through=True)
 
 
-def _wait(child: int, passed: set[signal.Signals]) -> tuple[int, set[int]]:
-    """Wait for the end of the child and pass signals on; return its status, and the signals that it was sent.
+def _wait(child: int, passed: set[signal.Signals], patience_s: float) -> tuple[int, list[int], bool]:
+    """Wait for the end of the child, and pass signals on: a second one, or one without effect, kills it.
 
     A signal from the terminal reaches the child by itself, one that a process sent to this one alone does not. The
     child takes two of a kind within a moment for one.
+
+    Returns
+    -------
+    status : int
+    sent : list of int
+        Signals that were to end it.
+    killed : bool
+        Whether it had to be killed.
     """
-    sent: set[int] = set()
+    awaited = {*passed, signal.SIGCHLD}
+    sent: list[int] = []
+    first = math.inf
     while True:
-        found = signal.sigwaitinfo({*passed, signal.SIGCHLD})
-        if found.si_signo != signal.SIGCHLD:
-            if found.si_code <= 0:
-                sent.add(found.si_signo)
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(child, found.si_signo)
+        left = max(0.0, first + patience_s - time.monotonic())
+        found = signal.sigtimedwait(awaited, left) if sent else signal.sigwaitinfo(awaited)
+        if found is not None and found.si_signo == signal.SIGCHLD:
+            ended, status = os.waitpid(child, os.WNOHANG)
+            if ended:
+                return status, sent, False
             continue
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if ended:
-            return status, sent
+        if found is None or time.monotonic() - first > REPEATED_S:
+            os.kill(child, signal.SIGKILL)
+            return os.waitpid(child, 0)[1], sent, True
+        first = min(first, time.monotonic())
+        sent.append(found.si_signo)
+        if found.si_code <= 0:
+            os.kill(child, found.si_signo)
 
 
-def _exit_code(status: int, sent: set[int], arguments: list[str], printed: int, notes: int) -> int:
+def _exit_code(status: int, sent: list[int], killed: bool, arguments: list[str], printed: int, notes: int) -> int:
     """Return the exit code for the status of the child; tell of a crash and clean up after it."""
     said = _read(printed)
     if "--debug" in arguments and said:
@@ -128,6 +150,9 @@ def _exit_code(status: int, sent: set[int], arguments: list[str], printed: int, 
     number = os.WTERMSIG(status)
     _remove_temporaries(_read(notes))
     name = _name(number)
+    if killed and number == signal.SIGKILL:
+        _print("error: interrupted; no output was left behind\n")
+        return 128 + sent[0]
     if number in sent:  # it met the signal when it had already ended its work for the same one
         return 128 + number
     if name not in _CRASHES:  # somebody ended it so: end in the same way
@@ -147,6 +172,8 @@ def _message(number: int, name: str, arguments: list[str], said: bytes) -> str:
     hint = "the file is damaged or made to do this: copy it again, or ask where it comes from"
     if number == signal.SIGKILL:
         hint = "the system kills so when memory is short: fewer --threads or --jobs, or more memory"
+    elif number == signal.SIGXCPU:
+        problem = f"decoding it made no progress in {STEP_CPU_S} s of processor time"
     return printable(f"{where or arguments[0]}: {problem}; no output was left behind; {hint}")
 
 

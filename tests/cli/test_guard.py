@@ -14,7 +14,7 @@ import pytest
 
 from prc_cli.cli import COMMANDS, guard
 from tests import patience
-from tests.fuzz.crafted import overflowing
+from tests.fuzz.crafted import huge_page, overflowing
 from tests.fuzz.seeds import seed
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard is for Linux")
@@ -133,6 +133,65 @@ def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> No
         _, said = process.communicate()
         assert process.returncode == {signal.SIGTERM: 143, signal.SIGINT: 130}[number], said
         assert b"Traceback" not in said
+
+
+ENDLESS = """
+import contextlib, sqlite3, sys, threading
+from pathlib import Path
+from prc_cli import cli
+from prc_cli.cli import guard
+from prc_cli.core import limits
+
+def work(arguments, debug):
+    ended = threading.Event()
+    threading.Thread(target=decode, args=(Path(arguments[1]), ended)).start()
+    with contextlib.suppress(KeyboardInterrupt, SystemExit):
+        ended.wait()
+    ended.wait()
+
+def decode(path, ended):
+    base = sqlite3.connect(":memory:", check_same_thread=False)
+    print("works", flush=True)
+    with limits.step(path):
+        base.execute("SELECT instr(hex(zeroblob(4000000)), hex(zeroblob(2000000)) || 1)").fetchall()
+    ended.set()
+
+guard.PATIENCE_S, limits.STEP_CPU_S = 1.0, int(sys.argv.pop(1))
+guard.STEP_CPU_S = limits.STEP_CPU_S
+cli._run = work
+cli.main()
+"""
+
+
+@pytest.mark.parametrize("numbers", [(signal.SIGTERM,), (signal.SIGINT,), (signal.SIGINT, signal.SIGTERM)])
+def test_a_library_that_never_returns_ends_all_the_same(tmp_path: Path, numbers: tuple[signal.Signals, ...]) -> None:
+    """After one signal and some patience, or at once after the second."""
+    (tmp_path / "a.db3").touch()
+    command = [sys.executable, "-c", ENDLESS, "600", "info", str(tmp_path / "a.db3")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with patience.start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        process.stdout.read(1)
+        for number in numbers:
+            os.kill(process.pid, number)
+            time.sleep(2 * guard.REPEATED_S)
+        _, said = process.communicate()
+        assert (process.returncode, said) == (128 + numbers[0], b"error: interrupted; no output was left behind\n")
+
+
+def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
+    (tmp_path / "a.db3").touch()
+    command = [sys.executable, "-c", ENDLESS, "1", "info", str(tmp_path / "a.db3")]
+    ended = patience.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    said = f"error: {tmp_path}/a.db3: decoding it made no progress in 1 s of processor time; no output was left behind"
+    assert (ended.returncode, ended.stderr.startswith(said)) == (1, True), ended.stderr
+
+
+def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
+    path = huge_page(tmp_path / "a.parquet")
+    ended = prc("evaluate", path, path, "--predicted-dimension", "range", "--reference-dimension", "range")
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended.stderr
+    assert f"{path}: record 0 and on cannot be read (malloc of size" in ended.stderr
 
 
 def test_the_work_ends_with_its_guard() -> None:

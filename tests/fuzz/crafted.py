@@ -1,10 +1,12 @@
-"""LAZ files that are made to end a process: the decoder of times in lazrs calls itself for certain symbols."""
+"""Files that are made to end a process, or to keep it for ever."""
 
 from __future__ import annotations
 
 import io
+import sqlite3
 import struct
 from importlib.metadata import version
+from pathlib import Path
 
 import lazrs
 import pytest
@@ -122,3 +124,60 @@ def _vlrs(data: bytes) -> list[bytes]:
         found.append(data[at + 2 : at + 54 + n])
         at += 54 + n
     return found
+
+
+def endless_rows(path: Path, table: str) -> Path:
+    """Let every pointer of a table's pages in a ``.db3`` lead to one child: some 10^13 rows in five more pages."""
+    with sqlite3.connect(path) as base:
+        (root,) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+        (size,) = base.execute("PRAGMA page_size").fetchone()
+    data = bytearray(path.read_bytes())
+    leaf = bytes(data[(root - 1) * size : root * size])
+    n_pages, n_cells = len(data) // size, (size - 12) // 7
+    children = [*range(n_pages + 1, n_pages + 5), n_pages + 5]
+    at = [(size - 5 * (i + 1)) for i in range(n_cells)]
+
+    def inner(child: int) -> bytes:
+        page = bytearray(struct.pack(">BHHHBI", 5, 0, n_cells, at[-1], 0, child)).ljust(size, b"\0")
+        for i, place in enumerate(at):
+            struct.pack_into(">H", page, 12 + 2 * i, place)
+            struct.pack_into(">IB", page, place, child, 100)
+        return bytes(page)
+
+    data[(root - 1) * size : root * size] = inner(children[0])
+    for child in children[1:]:
+        data += inner(child)
+    data += leaf
+    struct.pack_into(">I", data, 28, len(data) // size)
+    path.write_bytes(data)
+    return path
+
+
+def endless_column(path: Path) -> Path:
+    """Give the messages of a ``.db3`` data that are computed, for ever."""
+    column = "data BLOB/**/AS/**/(instr(hex(zeroblob(4000000)), hex(zeroblob(2000000)) || 1))"
+    with sqlite3.connect(path) as base:
+        base.execute("PRAGMA writable_schema = ON")
+        base.execute("UPDATE sqlite_master SET sql = replace(sql, 'data BLOB NOT NULL', ?)", (column,))
+    base.close()
+    return path
+
+
+def huge_page(path: Path) -> Path:
+    """Write a Parquet file whose column ``range`` has a page that says it holds 2 GB."""
+    import numpy as np
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {"class": np.zeros(5000, np.uint8), "range": np.random.default_rng(1).normal(size=5000)}
+    pq.write_table(pa.table(columns), path, use_dictionary=False, compression="snappy")
+    data = path.read_bytes()
+    with pq.ParquetFile(path) as file:
+        at = file.metadata.row_group(0).column(1).data_page_offset
+    # type, size and stored size of the page; the longer size takes two bytes from its end
+    kind, size, stored, rest = data[at : at + 3], data[at + 3 : at + 6], data[at + 6 : at + 10], data[at + 10 :]
+    assert (kind[2], stored[0], size[2] >> 7, stored[3] >> 7) == (0x15, 0x15, 0, 0)
+    stored = bytes([stored[0], stored[1] - 4, *stored[2:]])
+    end = at + 10 + (stored[1] & 0x7F | (stored[2] & 0x7F) << 7 | stored[3] << 14) // 2
+    path.write_bytes(data[:at] + kind + b"\xfe\xff\xff\xff\x0f" + stored + rest[: end - at - 10] + data[end + 2 :])
+    return path

@@ -12,12 +12,13 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pyarrow as pa
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read, suffix_of
+from prc_cli.core.limits import bounded
 
 MAX_RECORD = 1 << 28
 """Longest record or chunk, also when unpacked [bytes]: one is held in memory."""
@@ -83,7 +84,7 @@ def read_messages(path: Path, end: BagEnd, wanted: Callable[[Topic], bool] | Non
         When the file is not such a bag, or is damaged other than by ending early.
     """
     kinds = {".bag": _read_ros1, ".mcap": _read_mcap, ".db3": _read_db3}
-    return kinds[suffix_of(path)](path, end, wanted or (lambda topic: True))
+    yield from bounded(path, kinds[suffix_of(path)](path, end, wanted or (lambda topic: True)))
 
 
 def _where(path: Path, at: int) -> str:
@@ -418,30 +419,42 @@ def _check_pages(path: Path) -> None:
 def _check_tables(path: Path, base: sqlite3.Connection) -> None:
     """Refuse anything but plain tables: a view can run for ever."""
     rows = base.execute("SELECT name, type, sql FROM sqlite_master WHERE name IN ('topics', 'messages') LIMIT 9")
-    found = {str(name): (kind, str(sql)) for name, kind, sql in rows}
+    found = {str(name): (kind, str(sql).upper().split()[:2]) for name, kind, sql in rows}
     for name in ("topics", "messages"):
-        kind, sql = found.get(name, ("none", ""))
-        words = sql.upper().split()
-        if kind != "table" or words[:2] != ["CREATE", "TABLE"] or "AS" in sql.upper().replace("(", " ").split():
+        plain = found.get(name) == ("table", ["CREATE", "TABLE"])
+        columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall() if plain else []
+        # a hidden column is computed, which can take for ever; a row id of its own would say nothing about the order
+        if not columns or any(column[-1] or column[1].lower() == "rowid" for column in columns):
             problem = f"found no plain table {name!r}, expected a bag that rosbag2 recorded"
             raise InputError(str(path), problem, "name a .db3 file of a ROS 2 bag")
 
 
 def _topics_of(path: Path, base: sqlite3.Connection, end: BagEnd) -> dict[int, Topic]:
     topics: dict[int, Topic] = {}
-    for number, name, kind, form in base.execute("SELECT id, name, type, serialization_format FROM topics"):
+    rows = base.execute("SELECT rowid, id, name, type, serialization_format FROM topics NOT INDEXED")
+    for _, number, name, kind, form in _in_order(rows):
         kind = _kind(str(kind)) if form == "cdr" else str(form)
         topics[number] = Topic(str(name), kind, True)
         _note_topic(path, end, topics[number], 0)
     return topics
 
 
+def _in_order(rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
+    """Yield rows whose first value, the row id, increases: where pages point to one another, rows have no end."""
+    last = None
+    for row in rows:
+        if last is not None and not row[0] > last:
+            raise sqlite3.DatabaseError(f"row {row[0]} comes after row {last}")
+        last = row[0]
+        yield row
+
+
 def _rows_of(path: Path, base: sqlite3.Connection, topics: dict[int, Topic], end: BagEnd) -> Iterator[Message]:
     n = 0
-    rows = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid")
+    rows = _in_order(base.execute("SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED"))
     while True:
         try:
-            row = rows.fetchone()
+            row = next(rows, None)
         except (sqlite3.DatabaseError, UnicodeError, MemoryError) as error:
             if not n:
                 raise
@@ -450,7 +463,7 @@ def _rows_of(path: Path, base: sqlite3.Connection, topics: dict[int, Topic], end
         if row is None:
             return
         n += 1
-        number, time_ns, data = row
+        _, number, time_ns, data = row
         if number not in topics:
             continue
         if not isinstance(data, bytes) or not isinstance(time_ns, int):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.limits import step
 from prc_cli.core.types import F64
 from prc_cli.formats.e57.check import check_frame
 from prc_cli.formats.organised import MAX_SCANS
@@ -64,7 +65,7 @@ class E57File:
             raise InputError(str(path), problem, "pip install prc-cli[e57]") from None
         self._library = libe57
         check_frame(path)
-        with self._errors():
+        with self._errors(), step(path):
             self._image = libe57.ImageFile(os.fsencode(path), "r")  # a name need not be UTF-8
 
     def __enter__(self) -> E57File:
@@ -150,7 +151,7 @@ class E57File:
             reader, buffers = self._reader(scan, names)
         try:
             while True:
-                with self._errors(f"{what}, after point {n_all}"):
+                with self._errors(f"{what}, after point {n_all}"), step(self._path):
                     n = reader.read()
                 n_all += n
                 if not n or n_all > scan.n_points:

@@ -242,7 +242,7 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
     import pyarrow as pa
     from pyarrow import parquet
 
-    from prc_cli.formats.parquet_pages import read_batches
+    from prc_cli.formats.tables.read import read_batches
 
     damaged = "copy it from the archive again"
     try:
@@ -261,7 +261,7 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
     def read() -> Iterator[NDArray[Any]]:
         first = 0
         try:
-            for batch in read_batches(path, [name], CHUNK_RECORDS):
+            for batch in read_batches(path, [name]):
                 column = batch.column(0)
                 if column.null_count:
                     wide = pa.float64() if pa.types.is_floating(kind) else pa.int64()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
+from prc_cli.core.limits import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.layout import decode
 from prc_cli.formats.names import usual_names
@@ -19,6 +20,11 @@ from prc_cli.formats.options import LayoutField
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.registry import by_suffix
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+BUFFER_BYTES = 1 << 20
+"""Bytes of a column of a Parquet file read at a time."""
 CHUNK_RECORDS = 1 << 19
 """Records read at a time."""
 AXES = ("x", "y", "z")
@@ -183,13 +189,11 @@ class ParquetTable:
         """
         import pyarrow as pa
 
-        from prc_cli.formats.parquet_pages import read_batches
-
         _check_names(self, names)
         stored = tuple(dict.fromkeys(self._columns[name] for name in names))
         first = 0
         try:
-            for batch in read_batches(self._path, stored, CHUNK_RECORDS):
+            for batch in read_batches(self._path, stored):
                 read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
                 values = {name: _decoded(read[self._columns[name]], self._units.get(name)) for name in names}
                 yield RecordChunk(first, values, batch.num_rows)
@@ -215,6 +219,21 @@ def _by_standard(columns: dict[str, _Place]) -> tuple[dict[str, _Place], dict[st
 
 def _decoded(stored: NDArray[Any], item: LayoutField | None) -> NDArray[Any]:
     return stored if item is None else decode(stored, item)
+
+
+def read_batches(path: Path, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """Read top-level columns of a Parquet file in bounded memory.
+
+    Raises
+    ------
+    ValueError, OSError, pyarrow.ArrowException
+        When the file is damaged.
+    """
+    from pyarrow import parquet
+
+    # a row group can be as large as the file: read it through a small buffer
+    with parquet.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
+        yield from bounded(path, file.iter_batches(batch_size=CHUNK_RECORDS, columns=list(columns)))
 
 
 def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:

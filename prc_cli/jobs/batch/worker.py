@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from prc_cli.core.interrupts import raise_or_hold
+from prc_cli.core.limits import hold_limits
 from prc_cli.jobs.batch.types import Outcome, Task
 from prc_cli.jobs.batch.work import run_task
 from prc_cli.jobs.classify import load_classifier
@@ -187,6 +188,7 @@ def main(threads: int, limit_mib: int | None) -> int:
     """Run as a worker process; returns its exit code."""
     interrupts = _Interrupts()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    hold_limits()
     with contextlib.suppress(OSError):  # when memory is short, the system kills a worker, not its parent
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
     # what libraries print goes to stderr, which the parent keeps for error messages

@@ -22,6 +22,7 @@ from prc_cli.formats.bags.containers import BagEnd, read_messages
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from tests.formats.bags import recordings as made
+from tests.fuzz.crafted import endless_column, endless_rows
 from tests.runner import runner
 
 WRITERS: dict[str, Callable[[Path], Path]] = {
@@ -206,6 +207,24 @@ def test_hostile_containers_end_in_one_line(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"something else, long enough")
         with pytest.raises(InputError, match=magic):
             BagStream(tmp_path / name, InputConfig())
+
+
+@pytest.mark.parametrize("table", ["topics", "messages"])
+def test_a_database_whose_pages_point_to_one_child(tmp_path: Path, table: str) -> None:
+    path = endless_rows(made.write_db3(tmp_path / "a.db3", made.lasers(2)), table)
+    if table == "topics":
+        with pytest.raises(InputError, match="damaged .row 1 comes after row 1"):
+            BagStream(path, InputConfig())
+    else:
+        stream, blocks = read(path)
+        assert "can be read up to message" in stream.info.facts.notes[0]
+        assert join(blocks).n_lines == made.N_LINES
+
+
+def test_a_database_that_computes_its_messages_is_refused(tmp_path: Path) -> None:
+    path = endless_column(made.write_db3(tmp_path / "a.db3", made.lasers(2)))
+    with pytest.raises(InputError, match="no plain table 'messages'"):
+        BagStream(path, InputConfig())
 
 
 @pytest.mark.data

@@ -1,0 +1,70 @@
+"""Limits on what a library may take to decode the next part of a file; the system holds them.
+
+They are switched on in processes that a crash may end: the child of :mod:`prc_cli.cli.guard` and the workers of
+``prc batch``. A step that needs more processor time ends the process (SIGXCPU), more memory is a ``MemoryError``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeVar
+
+_T = TypeVar("_T")
+
+STEP_CPU_S = 60
+"""Most processor time of a step, of all threads [s]."""
+SPARE_BYTES, BYTES_PER_BYTE = 1 << 30, 64
+"""A step may take so much memory, and so many times the size of its file [bytes]."""
+
+
+class _State:
+    on = False
+
+
+def hold_limits() -> None:
+    """Hold the limits in this process from now on, where the system can."""
+    _State.on = sys.platform == "linux"
+
+
+@contextlib.contextmanager
+def step(path: Path) -> Iterator[None]:
+    """Hold the limits while a library decodes a part of a file."""
+    if not _State.on:
+        yield
+        return
+    import resource
+
+    with open("/proc/self/statm", "rb") as handle:  # noqa: PTH123 - once a step
+        used = int(handle.read().split()[5]) * resource.getpagesize()
+    most = {
+        resource.RLIMIT_CPU: int(time.process_time()) + STEP_CPU_S,
+        resource.RLIMIT_DATA: used + SPARE_BYTES + BYTES_PER_BYTE * path.stat().st_size,
+    }
+    before = {kind: resource.getrlimit(kind) for kind in most}
+    for kind, (soft, hard) in before.items():
+        own = most[kind] if soft == resource.RLIM_INFINITY else min(most[kind], soft)
+        resource.setrlimit(kind, (own, hard))
+    try:
+        yield
+    finally:
+        for kind, limits in before.items():
+            resource.setrlimit(kind, limits)
+
+
+def bounded(path: Path, parts: Iterator[_T]) -> Iterator[_T]:
+    """Yield the parts of a file; the decoding of each is a :func:`step`.
+
+    >>> list(bounded(Path("a.bag"), iter("ab")))
+    ['a', 'b']
+    """
+    end = object()
+    while True:
+        with step(path):
+            part = next(parts, end)
+        if part is end:
+            return
+        yield part  # type: ignore[misc]
