@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import importlib
 import io
@@ -155,8 +156,7 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         message, code = "interrupted; no output was left behind", INTERRUPTED
     except OSError as error:
         failure = error
-        # errors of input and output files are handled where they occur: this is the terminal or a pipe
-        message, code = f"the result cannot be printed ({error.strerror or error})", 1
+        message, code = printable(_system_problem(error)), 1
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
     else:
         return code if isinstance(code, int) else 0
@@ -166,6 +166,24 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     with contextlib.suppress(OSError):
         click.echo(f"error: {message}", err=True)
     return code
+
+
+_LIMITS = {
+    errno.EMFILE: "raise the limit of this shell: ulimit -n 4096",
+    errno.ENFILE: "end other programs, or raise the limit of the system: fs.file-max",
+    errno.EFBIG: "raise the limit of this shell: ulimit -f unlimited",
+}
+"""What helps when a limit of the system is reached."""
+
+
+def _system_problem(error: OSError) -> str:
+    """Say what the system refused. Errors of files are handled where they occur: the rest is the terminal or a pipe."""
+    why = error.strerror or str(error)
+    if error.errno in _LIMITS:
+        return f"{why}; no output was left behind; {_LIMITS[error.errno]}"
+    if error.filename is not None:
+        return f"{os.fsdecode(error.filename)}: {why}; check the file and its permissions"
+    return f"the result cannot be printed ({why})"
 
 
 def _leave_on_signals() -> None:

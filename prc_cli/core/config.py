@@ -15,6 +15,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import read_small
 
 
 class Params(BaseModel):
@@ -46,16 +47,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         When the file is absent, unreadable, too large, or not TOML (the message carries line and column).
     """
     try:
-        with path.open("rb") as handle:
-            raw = handle.read(MAX_TOML_BYTES + 1)
+        raw = read_small(path, MAX_TOML_BYTES)
         text = raw.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")  # any line end
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read ({error.strerror})", "check the name of the file") from error
     except UnicodeDecodeError as error:
         problem = f"byte {error.start} is not UTF-8, expected a TOML text file"
         raise ConfigError(str(path), problem) from error
-    if len(raw) > MAX_TOML_BYTES:
-        raise ConfigError(str(path), f"more than {MAX_TOML_BYTES} bytes, expected a configuration file")
     return parse_toml(text, str(path))
 
 

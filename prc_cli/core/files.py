@@ -41,10 +41,10 @@ def open_to_read(path: Path) -> Iterator[IO[bytes]]:
     Raises
     ------
     InputError
-        When it cannot be opened.
+        When it cannot be opened, or is no regular file.
     """
     try:
-        handle = path.open("rb")
+        handle = _open_regular(path)
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check the name and its permissions") from error
@@ -52,19 +52,24 @@ def open_to_read(path: Path) -> Iterator[IO[bytes]]:
         yield handle
 
 
+def _open_regular(path: Path) -> IO[bytes]:
+    """Open a regular file and nothing else: a pipe would stop the run, a device never end."""
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "is no regular file", str(path))
+    return open(descriptor, "rb")  # noqa: PTH123 - a descriptor
+
+
 def read_small(path: Path, limit: int) -> bytes:
-    """Return the content of a small file; of nothing else, so that a pipe of its name does not stop a run.
+    """Return the content of a small file.
 
     Raises
     ------
     OSError
         When it cannot be read, is no regular file, or is longer than the limit.
     """
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with open(descriptor, "rb") as handle:  # noqa: PTH123 - a descriptor
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, "is no regular file", str(path))
+    with _open_regular(path) as handle:
         content = handle.read(limit + 1)
     if len(content) > limit:
         raise OSError(errno.EFBIG, f"is longer than {limit} bytes", str(path))
@@ -85,11 +90,18 @@ def file_state(path: Path | int) -> tuple[int, int, int, int]:
     return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
 
 
-def who_may_change(path: Path) -> str:
+def who_may_change(path: Path, *, may_add: bool = False) -> str:
     """Return why others than this user and the administrator may change a file or folder; empty if they may not.
 
     Members of a group may not, unless it is the user's own, as many systems give every user one. Always empty on
     systems without such permissions.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder; a link is looked at itself.
+    may_add : bool
+        Whether others may write into it where it is a folder that protects what is in it (the sticky bit).
 
     Examples
     --------
@@ -112,7 +124,7 @@ def who_may_change(path: Path) -> str:
     if status.st_uid not in (os.getuid(), 0):
         return f"it belongs to user {status.st_uid}"
     mode = stat.S_IMODE(status.st_mode)
-    if stat.S_ISLNK(status.st_mode):  # whose own mode means nothing
+    if stat.S_ISLNK(status.st_mode) or (may_add and mode & stat.S_ISVTX):  # the mode of a link means nothing
         return ""
     is_open = mode & 0o002 or (mode & 0o020 and not _is_own_group(status.st_gid))
     return f"its mode is {mode:o}" if is_open else ""
@@ -439,6 +451,9 @@ def output_errors(path: Path) -> Iterator[None]:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             free = "free space on the disk or choose another output folder"
             raise OutputError(str(path), "the disk is full; nothing was written under this name", free) from error
+        if error.errno == errno.EFBIG:
+            problem = "the system's limit for the size of a file is too small; nothing was written under this name"
+            raise OutputError(str(path), problem, "raise it: ulimit -f unlimited") from error
         # reading errors keep their own file name: they are not about the output
         if error.filename is not None and Path(os.fsdecode(error.filename)).parent != path.parent:
             raise

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.streams.columns import AngleGrid, begins_line, columns_by_angle
+from prc_cli.streams.columns import MAX_COLUMN, AngleGrid, begins_line, columns_by_angle
 
 FULL_TURN = 0.9
 """Lines that span at least this share of a turn count as whole turns."""
@@ -128,6 +128,10 @@ def find_angle_grid(
         step = _refine_step(np.cumsum(forward), line, forward[within & (forward >= 0)])
     else:
         step = abs(step_rad)
+    if not _TURN / MAX_COLUMN <= step < math.inf:
+        problem = f"neighbouring shots are {math.degrees(step):.3g} degrees apart"
+        expected = f"expected at most {MAX_COLUMN} columns in a turn"
+        raise InputError(where, f"{problem}, {expected}", "take the order, --columns order, or give input.angle_step")
     keep_step = step_rad is not None
     return _grid(value, line, forward, sign * step, start_rad, keep_step=keep_step, whole_turn=whole_turn)
 

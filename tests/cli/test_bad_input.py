@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -286,6 +288,44 @@ def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None
         )
     assert result.returncode == 1
     assert result.stderr == "error: the result cannot be printed (No space left on device)\n"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize(("option", "name"), [("--config", "x.toml"), ("--layout", "x.toml"), ("--metadata", "x.json")])
+def test_settings_are_regular_files(prc: Prc, tmp_path: Path, option: str, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    drive = write_raw(tmp_path / "drive.bin", street())
+    if option == "--metadata":
+        shutil.copyfile(drive, drive := tmp_path / "drive.pcap")
+    for path in (tmp_path / name, Path("/dev/zero")):
+        result = prc("info", drive, option, path)
+        assert (result.code, result.out) == (1 if option == "--metadata" else 2, "")
+        assert f"{path}: cannot be read" in result.err
+        assert "is no regular file" in result.err
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (
+            OSError(errno.EMFILE, "Too many open files"),
+            "Too many open files; no output was left behind; raise the limit",
+        ),
+        (OSError(errno.EFBIG, "File too large"), "File too large; no output was left behind; raise the limit of this"),
+        (OSError(errno.EACCES, "Permission denied", "a.csv"), "a.csv: Permission denied; check the file"),
+        (OSError(errno.EIO, "Input/output error"), "the result cannot be printed (Input/output error)"),
+    ],
+)
+def test_what_the_system_refuses_is_named(
+    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError, line: str
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("prc_cli.cli.convert.convert_file", refuse)
+    result = prc("convert", write_npz(tmp_path / "drive.npz", street()), tmp_path / "drive.csv")
+    assert result.code == 1
+    assert result.err.startswith(f"error: {line}")
 
 
 def test_usage_errors_are_one_line(prc: Prc, tmp_path: Path) -> None:

@@ -80,6 +80,15 @@ def test_half_of_the_neighbours_may_have_equal_angles(n_equal: int, is_refused: 
         assert find_angle_grid(angle, line, "drive.laz").n_columns > 1
 
 
+@pytest.mark.parametrize("step_deg", [1e-310, 1e-9, 3.5e-5])
+def test_no_turn_has_more_than_ten_million_columns(step_deg: float) -> None:
+    angle, line = np.deg2rad(step_deg * np.tile(np.arange(100.0), 3)), np.repeat(np.arange(3), 100)
+    with pytest.raises(InputError, match=r"degrees apart, expected at most 10000000 columns in a turn; take the order"):
+        find_angle_grid(angle, line, "drive.csv")
+    with pytest.raises(InputError, match="degrees apart"):
+        find_angle_grid(*sweeps(3, 100), "drive.csv", step_rad=math.radians(step_deg))
+
+
 def test_one_line_of_two_shots_is_enough_for_a_grid() -> None:
     with pytest.raises(InputError, match="3 scan angles, too few to tell columns"):
         find_angle_grid(np.array([0.1, 0.2, 0.3]), np.arange(3), "drive.laz")

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.files import read_small
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats.packets.columns import Columns, choose_of_two
 
@@ -77,9 +78,7 @@ def read_metadata(path: Path) -> Metadata:
         When the file is no such JSON, or says what no sensor says.
     """
     try:
-        if path.stat().st_size > MAX_METADATA:
-            raise InputError(str(path), f"larger than {MAX_METADATA} bytes, expected metadata of an Ouster sensor")
-        table = json.loads(path.read_bytes())
+        table = json.loads(read_small(path, MAX_METADATA))
     except (OSError, ValueError, RecursionError) as error:
         text = str(error).split("\n")[0][:80]
         raise InputError(str(path), f"cannot be read as JSON ({text})", "copy it from the sensor again") from None
