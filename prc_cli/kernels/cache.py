@@ -1,4 +1,4 @@
-"""Compiles loops, and keeps the compiled code in a cache.
+"""Compiles loops with numba, and keeps the compiled code in numba's cache, in a folder that only this user can change.
 
 The install folder may be read-only, a cron user may have no home, a disk may be full, a cache file may be cut short.
 Whenever the cache fails, the kernel is compiled in memory, so that no run stops.
@@ -7,31 +7,34 @@ Whenever the cache fails, the kernel is compiled in memory, so that no run stops
 from __future__ import annotations
 
 import os
-import stat
+import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
+import llvmlite.binding  # type: ignore[import-untyped]
 import numba
+import numpy as np
 from numba.core.errors import NumbaError
 
+import prc_cli.core
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import cache_folder, who_may_change
-from prc_cli.core.process import is_own_process
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 _HELPER = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_SCALARS = {float: "float64", int: "int64", bool: "boolean"}
+_jit: Any = numba.njit  # typed by some versions of numba and not by others
+_types: Any = numba.types
+boolean, uint8, int32, int64 = _types.boolean, _types.uint8, _types.int32, _types.int64
+uint64, float32, float64 = _types.uint64, _types.float32, _types.float64
+Tuple, UniTuple = _types.Tuple, _types.UniTuple
 
-Tuples = Sequence[type[tuple[Any, ...]]]
 
-
-def kernel(*signatures: str, tuples: Tuples = ()) -> Callable[[FunctionT], FunctionT]:
+def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
     """Compile a function for the given numba signatures when its module is imported.
 
     No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
@@ -40,91 +43,50 @@ def kernel(*signatures: str, tuples: Tuples = ()) -> Callable[[FunctionT], Funct
 
     Parameters
     ----------
-    signatures : str
-        Numba signatures; arguments of other types are converted or refused, never compiled anew.
-    tuples : sequence of NamedTuple classes
-        Those that the signatures name. Their fields are ``float``, ``int``, ``bool``, ``np.float32``, other tuples of
-        the sequence before them, or arrays annotated with their numba type: ``Annotated[F32, "float32[:, ::1]"]``.
+    signatures : str or numba signature
+        Arguments of other types are converted or refused, never compiled anew.
 
     Returns
     -------
     callable
         Decorator that keeps the signature of the function.
     """
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
     def compiled(function: FunctionT) -> FunctionT:
-        jit: Any = numba.njit  # typed by some versions of numba and not by others
-        options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-        folder = writable_cache()
-        types = _numba_signatures(signatures, tuples)
-        ways = (_compile_warm, _compile_cached) if is_own_process() else (_compile_cached,)
-        if folder is not None:
-            for compile_so in ways:
-                try:
-                    with _numba_cache(folder / _fields_folder(tuples)):
-                        return compile_so(function, types, options)
-                except NumbaError:
-                    raise
-                except Exception:  # the cache is damaged, full or gone: compile without it
-                    continue
-        in_memory: FunctionT = jit(types, **options)(function)
-        return in_memory
+        in_use = _jit(list(signatures), **options)
+        if (folder := writable_cache()) is None:
+            return in_use(function)  # type: ignore[no-any-return]
+        config: Any = numba.config
+        before, config.CACHE_DIR = config.CACHE_DIR, str(loops_folder(folder, Path(function.__code__.co_filename)))
+        try:
+            return _jit(list(signatures), cache=True, **options)(function)  # type: ignore[no-any-return]
+        except NumbaError:
+            raise
+        except Exception:  # the cache is damaged, full or gone: compile without it
+            return in_use(function)  # type: ignore[no-any-return]
+        finally:
+            config.CACHE_DIR = before
 
     return compiled
 
 
-def _compile_cached(function: FunctionT, types: list[Any], options: dict[str, Any]) -> FunctionT:
-    """Return a function compiled for signatures, by numba's way from its cache or into it."""
-    jit: Any = numba.njit
-    compiled: FunctionT = jit(types, cache=True, **options)(function)
-    return compiled
+def record(cls: type[tuple[Any, ...]]) -> Any:
+    """Return the numba type of a NamedTuple.
 
-
-def _compile_warm(function: FunctionT, types: list[Any], options: dict[str, Any]) -> FunctionT:
-    """As :func:`_compile_cached`, without loading what is not needed to run what is in the cache."""
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return function
-    from prc_cli.kernels.warm import WarmCache
-
-    jit: Any = numba.njit
-    cache: Any = WarmCache
-    compiled: Any = jit(**options)(function)
-    compiled._cache = cache(function)
-    for signature in types:
-        compiled.compile(signature)
-    compiled.disable_compile()
-    return cast("FunctionT", compiled)
-
-
-def _numba_signatures(signatures: Sequence[str], tuples: Tuples) -> list[Any]:
-    """Return signatures as numba takes them: strings, or what they stand for where they name tuples."""
-    if not tuples:
-        return list(signatures)
-    names: dict[str, Any] = dict(vars(numba.types))
-    for cls in tuples:
-        fields = get_type_hints(cls, include_extras=True).values()
-        names[cls.__name__] = names["BaseTuple"].from_types([_numba_type(field, names) for field in fields], cls)
-    return [eval(signature, {}, names) for signature in signatures]  # as numba does
-
-
-def _numba_type(field: Any, names: dict[str, Any]) -> Any:
-    """Return the numba type of a field by its annotation."""
-    if get_origin(field) is Annotated:
-        return eval(get_args(field)[1], {}, names)
-    return names[_SCALARS.get(field, field.__name__)]
-
-
-def _fields_folder(tuples: Tuples) -> str:
-    """Name the sub-folder of the cache for kernels that take tuples; empty without any.
-
-    Numba tells NamedTuples apart by class and number of fields, and looks only at the kernel's own source for changes:
-    without this, a cached loop would go on reading the places where fields were before they changed order. The module
-    of a class is part of the name, because numba cannot read an index that names a class which has moved.
+    Its fields are ``float``, ``int``, ``bool``, types of NumPy, such tuples, or contiguous arrays annotated with their
+    number of dimensions: ``Annotated[F32, 2]``.
     """
-    if not tuples:
-        return ""
-    known = repr([(cls.__module__, cls.__name__, getattr(cls, "_fields", ())) for cls in tuples])
-    return f"tuples-{sha256(known.encode()).hexdigest()[:8]}"
+    fields = [_field_type(field) for field in get_type_hints(cls, include_extras=True).values()]
+    same = all(field == fields[0] for field in fields)
+    return _types.NamedUniTuple(fields[0], len(fields), cls) if same else _types.NamedTuple(fields, cls)
+
+
+def _field_type(field: Any) -> Any:
+    if get_origin(field) is Annotated:
+        array, n_dimensions = get_args(field)
+        return _types.Array(numba.from_dtype(np.dtype(get_args(get_args(array)[1])[0])), n_dimensions, "C")
+    return record(field) if issubclass(field, tuple) else numba.from_dtype(np.dtype(field))
 
 
 def helper(function: FunctionT) -> FunctionT:
@@ -135,9 +97,7 @@ def helper(function: FunctionT) -> FunctionT:
     to import another module of kernels is to compile it, in two processes at once. The compiler inlines functions that
     are small or called once. Python and C cannot call it, which saves compiling wrappers.
     """
-    jit: Any = numba.njit  # typed by some versions of numba and not by others
-    compiled: FunctionT = jit(**_HELPER)(function)
-    return compiled
+    return _jit(**_HELPER)(function)  # type: ignore[no-any-return]
 
 
 def inlined(function: FunctionT) -> FunctionT:
@@ -146,16 +106,44 @@ def inlined(function: FunctionT) -> FunctionT:
     As :func:`helper` otherwise. Passing an array takes seven words on the stack, more than most steps of a loop. Many
     calls take longer to compile.
     """
-    jit: Any = numba.njit  # typed by some versions of numba and not by others
-    compiled: FunctionT = jit(**_HELPER, forceinline=True)(function)
-    return compiled
+    return _jit(**_HELPER, forceinline=True)(function)  # type: ignore[no-any-return]
+
+
+def loops_folder(folder: Path, source: Path) -> Path:
+    """Return the folder of the compiled loops of a module, which is another one for all that they are made of.
+
+    Numba alone looks at the module's own file, and knows a NamedTuple by its name and the number of its fields: after
+    an upgrade it would read fields in the places where others were.
+    """
+    state = source.stat()  # as numba does
+    known = sha256(repr((_surroundings(), str(source), state.st_mtime_ns)).encode() + source.read_bytes())
+    return folder / f"{source.parent.name}-{source.stem}-{known.hexdigest()[:16]}"
+
+
+SOURCES = ("thresholds", "classes.py", "types.py")
+"""What of ``core`` the loops use: their constants and types."""
+
+
+@lru_cache(maxsize=1)
+def _surroundings() -> tuple[str, ...]:
+    """Return what the compiled loops of all modules depend on."""
+    core = Path(prc_cli.core.__path__[0])
+    files = [
+        Path(__file__),
+        *(file for name in SOURCES for file in sorted((core / name).glob("*.py")) or [core / name]),
+    ]
+    features = llvmlite.binding.get_host_cpu_features().flatten()
+    versions = (sys.version, numba.__version__, np.__version__, llvmlite.__version__)
+    read = (sha256(file.read_bytes()).hexdigest() for file in files)
+    return (*versions, llvmlite.binding.get_host_cpu_name(), features, *read)
 
 
 @lru_cache(maxsize=1)
 def writable_cache() -> Path | None:
     """Return the folder for compiled kernels: as configured, in the user's cache, temporary and private, or none.
 
-    Compiled code is loaded from pickles, which run what is in them: only this user may be able to write there.
+    Compiled code is loaded from pickles, which run what is in them: only this user may be able to write there, and the
+    folder is used by the name that was checked, without links.
 
     Raises
     ------
@@ -164,34 +152,34 @@ def writable_cache() -> Path | None:
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
-        folder = Path(given)
+        folder = Path(given).resolve()
         if not _is_writable(folder):
             return None
         if why := open_to_others(folder):
             problem = f"others can put code there that would be run: {why}, expected a folder of this user alone"
             raise PrcError(str(folder), problem, "chmod -R go-w, or let NUMBA_CACHE_DIR name a new folder")
         return folder
-    for folder in (cache_folder() / "numba", _temporary_cache()):
+    for folder in ((cache_folder() / "numba").resolve(), _temporary_cache().resolve()):
         if _is_writable(folder) and not open_to_others(folder):
             return folder
     return None
 
 
 def open_to_others(folder: Path) -> str:
-    """Return why others may change what lies in a folder; empty if they may not.
+    """Return why others may change what lies in a folder, given without links; empty if they may not.
 
-    Folders above it count, too, unless what is in them is protected from others (the sticky bit, as in /tmp); of what
-    is in it, folders and files at its top do.
+    Folders above it count, too: who owns one may exchange what is in it. Others may write into those that protect what
+    is in them (the sticky bit, as in /tmp).
     """
     try:
-        if why := who_may_change(folder.resolve()):
+        if why := who_may_change(folder):
             return why
-        for above in folder.resolve().parents:
-            if not above.stat().st_mode & stat.S_ISVTX and (why := who_may_change(above)):
+        for above in folder.parents:
+            if why := who_may_change(above, may_add=True):
                 return f"{above}: {why}"
-        for path in folder.iterdir():
+        for path in folder.rglob("*"):
             if why := who_may_change(path):
-                return f"{path.name}: {why}"
+                return f"{path.relative_to(folder)}: {why}"
     except OSError as error:
         return f"it cannot be looked at ({error.strerror or error})"
     return ""
@@ -212,15 +200,3 @@ def _is_writable(folder: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-@contextmanager
-def _numba_cache(folder: Path) -> Iterator[None]:
-    """Set the cache folder of numba while one function is compiled."""
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        yield
-    finally:
-        config.CACHE_DIR = before

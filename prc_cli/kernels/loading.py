@@ -79,13 +79,16 @@ def find_kernel(name: str) -> Callable[..., Any]:
     if (engine, name) not in _loaded:
         if engine == "compiled":
             load_compiler()
-        home = KERNELS[name] if engine == "compiled" else reference_home(name)
-        _loaded[engine, name] = held(getattr(import_module(home), name))
+            with _unneeded_absent():  # which numba looks for when it first compiles
+                kernel = getattr(import_module(KERNELS[name]), name)
+        else:
+            kernel = getattr(import_module(reference_home(name)), name)
+        _loaded[engine, name] = held(kernel)
     return _loaded[engine, name]
 
 
 def load_compiler() -> None:
-    """Load numba; in the command's own process without what prc does not need of it.
+    """Load numba.
 
     Raises
     ------
@@ -93,36 +96,32 @@ def load_compiler() -> None:
         When it cannot be loaded.
     """
     try:
-        with absent(UNNEEDED if is_own_process() else ()):
+        with _unneeded_absent():
             import_module("numba")
     except (ImportError, OSError) as error:
         hint = "pip install --force-reinstall numba; until then prc classify --engine reference is the slow way"
         raise PrcError("numba", f"cannot be loaded ({error})", hint) from error
 
 
-UNNEEDED = ("cffi", "coverage", "scipy.linalg", "yaml")
-"""What numba looks for and does without: interfaces to C, counts of tests, linear algebra, which no kernel uses, and a
-file of settings in the current folder. Loading them takes a fifth of a short run."""
+_SETTINGS = ("yaml",)
+"""With it, numba reads a file of settings in the current folder, which may be anybody's."""
+_UNNEEDED = ("cffi", "coverage", "scipy.linalg")
+"""What numba looks for and does without in the command's own process: a fifth of a short run."""
 
 
 @contextmanager
-def absent(names: tuple[str, ...]) -> Iterator[None]:
-    """Let modules that are not loaded yet seem not to be installed.
-
-    >>> with absent(("wave",)):
-    ...     import wave
-    Traceback (most recent call last):
-    ...
-    ModuleNotFoundError: import of wave halted; None in sys.modules
-    """
-    hidden = [name for name in names if name not in sys.modules]
+def _unneeded_absent() -> Iterator[None]:
+    """Let what numba is to do without seem not to be installed."""
     modules: dict[str, Any] = sys.modules
+    hidden = _SETTINGS + tuple(name for name in _UNNEEDED if is_own_process() and name not in modules)
+    before = {name: modules[name] for name in hidden if name in modules}
     modules.update(dict.fromkeys(hidden))
     try:
         yield
     finally:
         for name in hidden:
             modules.pop(name, None)
+        modules.update(before)
 
 
 def reference_home(name: str) -> str:
@@ -162,7 +161,8 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
             load_compiler()
             from prc_cli.kernels.compiling import compile_missing  # which loads the compiler
 
-            compile_missing(sorted(set(wanted.values())))
+            with _unneeded_absent():
+                compile_missing(sorted(set(wanted.values())))
         for name in wanted:
             find_kernel(name)
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import os
 import sys
 import tempfile
-from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Annotated, NamedTuple
 
 import numba
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+import prc_cli.core
 from prc_cli.core.errors import PrcError
 from prc_cli.kernels import cache
 from tests import patience
@@ -86,43 +90,60 @@ def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
     assert hits == ["0\n", "1\n"]
 
 
-LIMITS = """
-from typing import Annotated, NamedTuple
-import numpy as np
-from numpy.typing import NDArray
-
-class Limits(NamedTuple):
-    {fields}
-    weights: Annotated[NDArray[np.float64], "float64[::1]"]
-"""
-WEIGHED = """
-import numpy as np
-from prc_cli.kernels.cache import kernel
-from limits import Limits
-
-@kernel("Tuple((float64, Limits))(Limits)", tuples=[Limits])
-def weighed(limits):
-    return limits.low * limits.weights.sum() - limits.high, Limits(limits.low, limits.high, limits.weights)
-
-assert weighed(Limits(low=2.0, high=5.0, weights=np.ones(3)))[0] == 1.0
-assert isinstance(weighed(Limits(low=2.0, high=5.0, weights=np.ones(3)))[1], Limits)
-print(sum(weighed.stats.cache_hits.values()))
-"""
+class Weighed(NamedTuple):
+    low: float
+    n: int
+    narrow: np.float32
+    inner: tuple[float, ...]
+    weights: Annotated[NDArray[np.float64], 2]
 
 
-@needs_compiler
-def test_compiled_code_knows_the_fields_of_the_tuples_it_takes(tmp_path: Path) -> None:
-    """Numba knows a NamedTuple by its class and the number of its fields, which are read by their places."""
-    (tmp_path / "weighed.py").write_text(WEIGHED)
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
-    hits = []
-    for fields in ("low: float; high: float", "low: float; high: float", "high: float; low: float"):
-        (tmp_path / "limits.py").write_text(LIMITS.format(fields=fields))
-        done = patience.run(
-            [sys.executable, "-B", "-c", "import weighed"], env=environment, capture_output=True, text=True, check=True
-        )
-        hits.append(done.stdout)
-    assert hits == ["0\n", "1\n", "0\n"]
+def test_types_of_tuples_are_those_of_their_values() -> None:
+    class Inner(NamedTuple):
+        low: float
+        high: float
+
+    Weighed.__annotations__["inner"] = Inner
+    value = Weighed(1.0, 2, np.float32(3), Inner(4.0, 5.0), np.ones((2, 2)))
+    assert cache.record(Weighed) == numba.typeof(value)
+    assert cache.record(Inner) == numba.typeof(Inner(4.0, 5.0))
+
+
+def test_what_loops_are_made_of_names_their_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numba looks at the size and time of the module's own file alone, and an upgrade may keep both."""
+    source, constants = tmp_path / "ground.py", tmp_path / "core" / "classes.py"
+    constants.parent.mkdir()
+    for path in (source, constants):
+        path.write_text("NEAR_M = 1")
+        os.utime(path, (0, 0))
+    monkeypatch.setattr(prc_cli.core, "__path__", [str(constants.parent)])
+    monkeypatch.setattr(cache, "SOURCES", ("classes.py",))
+
+    def folder() -> Path:
+        cache._surroundings.cache_clear()
+        return cache.loops_folder(tmp_path, source)
+
+    try:
+        found = [folder(), folder()]
+        for path in (source, constants):
+            path.write_text("NEAR_M = 2")
+            os.utime(path, (0, 0))
+            found.append(folder())
+        with monkeypatch.context() as patch:
+            patch.setattr(np, "__version__", "another")
+            found.append(folder())
+    finally:
+        cache._surroundings.cache_clear()
+    assert found[0] == found[1]
+    assert len(set(found)) == 4
+
+
+def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
+    known = {"prc_cli.kernels.cache", *(f"prc_cli.core.{name.removesuffix('.py')}" for name in cache.SOURCES)}
+    for file in Path(cache.__file__).parent.glob("*/*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("prc_cli"):
+                assert any(f"{node.module}.".startswith(f"{name}.") for name in known), f"{file}: {node.module}"
 
 
 @needs_compiler
@@ -217,6 +238,48 @@ def test_what_somebody_else_left_in_it_is_not_run(tmp_path: Path, monkeypatch: p
     assert cache.writable_cache() == cache._temporary_cache()
 
 
+@posix_only
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a folder to somebody else")
+def test_the_owner_of_a_sticky_folder_above_may_exchange_what_is_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "theirs" / "cache"
+    folder.mkdir(parents=True, mode=0o700)
+    (tmp_path / "theirs").chmod(0o1777)
+    os.chown(tmp_path / "theirs", 65534, 65534)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    with pytest.raises(PrcError, match="theirs: it belongs to user 65534"):
+        cache.writable_cache()
+
+
+@posix_only
+def test_the_folder_is_used_by_the_name_that_was_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "own").mkdir(mode=0o700)
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    (tmp_path / "open" / "link").symlink_to(tmp_path / "own")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "open" / "link"))
+    assert cache.writable_cache() == tmp_path / "own", "a link there may be exchanged at any time"
+
+
+@posix_only
+def test_files_deep_in_it_count_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "cache" / "a" / "b").mkdir(parents=True, mode=0o700)
+    (tmp_path / "cache" / "a" / "b" / "loop.nbc").touch()
+    (tmp_path / "cache" / "a" / "b" / "loop.nbc").chmod(0o666)
+    with pytest.raises(PrcError, match=r"a/b/loop.nbc: its mode is 666"):
+        cache.writable_cache()
+
+
+def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) -> None:
+    (tmp_path / ".numba_config.yaml").write_text("disable_jit: [")
+    code = "import yaml; from prc_cli.kernels import load_compiler; load_compiler(); import numba, yaml as again; "
+    code += "assert again is yaml; print(numba.config.DISABLE_JIT)"
+    found = patience.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert found.stdout in ("0\n", "1\n")
+
+
 def test_nothing_writable_at_all_still_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(blocked(tmp_path)))
@@ -240,10 +303,3 @@ def test_mistake_in_a_kernel_is_not_hidden(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(sys.modules[__name__], "MODULE", MODULE.replace("2 * number", "number.spam"))
     with pytest.raises(numba.core.errors.TypingError):
         compile_module(tmp_path)
-
-
-def test_a_class_that_moved_gets_a_folder_of_its_own() -> None:
-    """Numba cannot read an index that names a class which is no longer there, and would compile in every run."""
-    here, there = (namedtuple("Limits", "low high", module=name) for name in ("some.module", "another"))
-    assert cache._fields_folder([here]) == cache._fields_folder([here])
-    assert cache._fields_folder([here]) != cache._fields_folder([there])

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from prc_cli import kernels
-from prc_cli.kernels import KERNELS, compiling
+from prc_cli.kernels import cache, compiling
 from tests import patience
 
 needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
@@ -78,39 +78,19 @@ def test_no_lock_can_be_made(tmp_path: Path) -> None:
         pass
 
 
-def test_what_takes_longest_is_compiled_first() -> None:
-    modules = sorted(set(KERNELS.values()))
-    ordered = compiling._largest_first(modules)
-    assert sorted(ordered) == modules
-    assert set(ordered[:2]) == {"prc_cli.kernels.fused.classes", "prc_cli.kernels.sequential_angle.ground"}
-    assert ordered[-1] == "prc_cli.kernels.sequential_angle.verticals"
-
-
-def test_kernels_are_missing_after_a_change_of_the_thresholds_that_they_take(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kernel, other = "prc_cli.kernels.fused.ground", "prc_cli.kernels.prc.support"
-    thresholds = "prc_cli.core.thresholds.fused"
-    monkeypatch.setattr(compiling, "_source", lambda module: tmp_path / module)
-    for module in (kernel, thresholds, other):
-        (tmp_path / module).write_text("before")
-    for module in (kernel, other):
-        compiling._mark(module, tmp_path).touch()
-        assert compiling.is_compiled(module, tmp_path)
-    (tmp_path / thresholds).write_text("with another field")
-    assert not compiling.is_compiled(kernel, tmp_path)
-    assert compiling.is_compiled(other, tmp_path), "it takes none"
-
-
 def test_every_module_is_compiled_by_one_process_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[str] = []
-    monkeypatch.setattr(compiling, "_compile", lambda module, folder: compiled.append(module))
+    monkeypatch.setattr(compiling, "writable_cache", lambda: tmp_path)
+    monkeypatch.setattr(compiling, "import_module", compiled.append)
+    monkeypatch.setattr(compiling, "_source", lambda module: Path(__file__))
     (tmp_path / "b").touch()  # another process has it
     for _ in range(2):
-        compiling._compile_unclaimed(tmp_path, ["a", "b", "c"], tmp_path)
+        compiling.compile_unclaimed(tmp_path, ["a", "b", "c"])
+    compiling.compile_unclaimed(tmp_path / "gone", ["d"])
     assert compiled == ["a", "c"]
-    compiling._compile_unclaimed(tmp_path / "gone", ["d"], tmp_path)
-    assert compiled == ["a", "c"]
+
+
+MODULES = ["prc_cli.kernels.sequential_angle.verticals", "prc_cli.kernels.sequential_angle.lines"]
 
 
 @needs_compiler
@@ -120,17 +100,20 @@ def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatc
     monkeypatch.setattr(compiling, "_missing", lambda modules, folder: list(modules))
     monkeypatch.setattr(compiling, "default_threads", lambda: 2)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
-    assert compiling._start(tmp_path, ["prc_cli.kernels.sequential_angle.verticals"]) is None
-    compiling.compile_missing(["prc_cli.kernels.sequential_angle.verticals", "prc_cli.kernels.sequential_angle.lines"])
-    assert len(list(tmp_path.glob("*.compiled"))) == 2
+    with compiling._alone(tmp_path):
+        pass
+    for module in MODULES:
+        cache.loops_folder(tmp_path, compiling._source(module)).mkdir()
+    compiling.compile_missing(MODULES)
+    assert all(compiling.is_compiled(module, tmp_path) for module in MODULES)
     assert callable(kernels.first_high_verticals)
 
 
 @needs_compiler
-def test_child_process_compiles_its_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_child_processes_compile_their_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    child = compiling._start(tmp_path, ["prc_cli.kernels.sequential_angle.verticals"])
-    assert child is not None
-    assert child.wait() == 0
-    assert len(list(tmp_path.glob("prc-sequential_angle.verticals-*.compiled"))) == 1
-    assert compiling._mark("prc_cli.kernels.sequential_angle.verticals", tmp_path).exists()
+    (tmp_path / "shares").mkdir()
+    monkeypatch.setattr(compiling, "PATIENCE_S", patience.HANGS_S)
+    with compiling._children(1, str(tmp_path / "shares"), MODULES[:1]):
+        pass
+    assert compiling.is_compiled(MODULES[0], tmp_path)

@@ -11,8 +11,8 @@ from typing import Annotated, NamedTuple
 
 from prc_cli.core.types import F32, F64, I32, Mask
 
-Floats = Annotated[F64, "float64[::1]"]
-Ints = Annotated[I32, "int32[::1]"]
+Floats = Annotated[F64, 1]
+Ints = Annotated[I32, 1]
 
 
 class ChordThresholds(NamedTuple):
@@ -29,7 +29,7 @@ class ChordThresholds(NamedTuple):
 class MarkovModel(NamedTuple):
     """A hidden Markov model of three states (sec. 4)."""
 
-    transition: Annotated[F64, "float64[:, ::1]"]
+    transition: Annotated[F64, 2]
     """(3, 3) float64, transition probabilities; row = from."""
     initial: Floats
     """(3,) float64, probabilities of the states at the first sample after a restart."""
@@ -211,7 +211,7 @@ class CurbThresholds(NamedTuple):
 class OpenRegions(NamedTuple):
     """The C regions of vertical points that are not decided yet, and the P lines they lie in (sec. 6)."""
 
-    labels: Annotated[I32, "int32[:, ::1]"]
+    labels: Annotated[I32, 2]
     """(P * n_sides, n) int32: 0 not vertical, 1 too high, 2 no curb, 3 a curb, from 4 on the undecided regions."""
     n_given: int
     """Lines at the beginning of ``labels`` that were returned as decided before, 0 or 1."""
@@ -221,11 +221,11 @@ class OpenRegions(NamedTuple):
     """(C,) int32, first line of every region, from the beginning of ``labels`` on."""
     last: Ints
     """(C,) int32, its last line."""
-    possible: Annotated[Mask, "boolean[::1]"]
+    possible: Annotated[Mask, 1]
     """(C,) bool, whether it has a possible curb point."""
-    low_m: Annotated[F32, "float32[::1]"]
+    low_m: Annotated[F32, 1]
     """(C,) float32, its lowest height."""
-    high_m: Annotated[F32, "float32[::1]"]
+    high_m: Annotated[F32, 1]
     """(C,) float32, its highest height."""
 
 

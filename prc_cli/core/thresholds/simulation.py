@@ -6,8 +6,8 @@ from typing import Annotated, NamedTuple
 
 from prc_cli.core.types import F64, U8
 
-Floats = Annotated[F64, "float64[::1]"]
-Table = Annotated[F64, "float64[:, ::1]"]
+Floats = Annotated[F64, 1]
+Table = Annotated[F64, 2]
 
 
 class SensorModel(NamedTuple):
@@ -66,7 +66,7 @@ class SensorModel(NamedTuple):
 class CastBodies(NamedTuple):
     """Bodies as the caster takes them; as :class:`prc_cli.simulation.world.Bodies`, but for ``turn``."""
 
-    shape: Annotated[U8, "uint8[::1]"]
+    shape: Annotated[U8, 1]
     """(n,) uint8, :class:`prc_cli.simulation.world.Shape`."""
     numbers: Table
     """(n, 9) float64, what they mean depends on the shape [m, rad]; at time 0."""

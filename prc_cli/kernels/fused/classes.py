@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import UniTuple, boolean, float32, helper, inlined, kernel, record, uint8, uint64
 
 Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
@@ -709,10 +709,19 @@ def _label_boxes(
 
 
 @kernel(
-    "uint8[:, ::1](float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), boolean[:, ::1], float32[:, ::1], "
-    "UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 3), uint8[:, ::1], UniTuple(float32[::1], 2), float32, "
-    "DecisionThresholds)",
-    tuples=[DecisionThresholds],
+    uint8[:, ::1](
+        float32[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint8[:, ::1], 4),
+        boolean[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint64[:, ::1], 2),
+        UniTuple(float32[:, ::1], 3),
+        uint8[:, ::1],
+        UniTuple(float32[::1], 2),
+        float32,
+        record(DecisionThresholds),
+    )
 )
 def fused_labels(
     window_m: F32,

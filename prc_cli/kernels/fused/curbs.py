@@ -7,7 +7,7 @@ import numpy as np
 from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import CurbThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import UniTuple, float32, helper, inlined, kernel, record, uint8
 
 APART = 2
 """A face climbs from the shot so many columns before to that so many columns after."""
@@ -136,9 +136,9 @@ def _mean_height(
 
 
 @kernel(
-    "uint8[:, ::1](uint8[:, ::1], float32[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, "
-    "CurbThresholds)",
-    tuples=[CurbThresholds],
+    uint8[:, ::1](
+        uint8[:, ::1], float32[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, record(CurbThresholds)
+    )
 )
 def curb_labels(
     labels: U8, range_m: F32, above_m: F32, beams: tuple[F32, F32], step: np.float32, thresholds: CurbThresholds

@@ -7,7 +7,7 @@ import numpy as np
 from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import FanThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, int32, int64, kernel, record, uint8
 
 LINES = 12
 """Lines before and after a line that a car is looked for in."""
@@ -144,9 +144,17 @@ def _is_car(seeds: I32, things: I32, first: int, last: int, line: int, threshold
 
 
 @kernel(
-    "Tuple((uint8[:, ::1], uint8[:, ::1]))(uint8[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
-    "float32[::1], UniTuple(int32[::1], 2), uint8[:, ::1], int64, FanThresholds)",
-    tuples=[FanThresholds],
+    Tuple((uint8[:, ::1], uint8[:, ::1]))(
+        uint8[:, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        float32[::1],
+        UniTuple(int32[::1], 2),
+        uint8[:, ::1],
+        int64,
+        record(FanThresholds),
+    )
 )
 def fan_cars(
     labels: U8,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.fused import FlankThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, inlined, kernel, record, uint8, uint64
 
 Slots = NDArray[np.uint64]
 
@@ -118,9 +118,16 @@ def _ground_below(bins: I32, depths: F32, side: int, away: np.float32, bottom: n
 
 
 @kernel(
-    "Tuple((uint8[:, ::1], uint8[:, ::1]))(float32[:, ::1], float32[:, ::1], uint8[:, ::1], UniTuple(float32[::1], 2), "
-    "UniTuple(float32[:, ::1], 3), uint64[:, ::1], uint8[:, ::1], FlankThresholds)",
-    tuples=[FlankThresholds],
+    Tuple((uint8[:, ::1], uint8[:, ::1]))(
+        float32[:, ::1],
+        float32[:, ::1],
+        uint8[:, ::1],
+        UniTuple(float32[::1], 2),
+        UniTuple(float32[:, ::1], 3),
+        uint64[:, ::1],
+        uint8[:, ::1],
+        record(FlankThresholds),
+    )
 )
 def find_flanks(
     range_m: F32,

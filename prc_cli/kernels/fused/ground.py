@@ -6,7 +6,20 @@ import numpy as np
 
 from prc_cli.core.thresholds.fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import (
+    Tuple,
+    UniTuple,
+    boolean,
+    float32,
+    float64,
+    helper,
+    inlined,
+    int32,
+    int64,
+    kernel,
+    record,
+    uint8,
+)
 
 Memory = tuple[F32, I32, F32, F32]
 
@@ -276,11 +289,25 @@ def _start_of_line(
 
 
 @kernel(
-    "Tuple((float32[:, ::1], boolean[:, ::1], Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], "
-    "float32[:, ::1])), float64, int64))(float32[:, ::1], UniTuple(float32[::1], 2), UniTuple(uint8[:, ::1], 4), "
-    "UniTuple(int32[::1], 2), Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])), float32, "
-    "int64, int64, WalkThresholds)",
-    tuples=[WalkThresholds],
+    Tuple(
+        (
+            float32[:, ::1],
+            boolean[:, ::1],
+            Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])),
+            float64,
+            int64,
+        )
+    )(
+        float32[:, ::1],
+        UniTuple(float32[::1], 2),
+        UniTuple(uint8[:, ::1], 4),
+        UniTuple(int32[::1], 2),
+        Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])),
+        float32,
+        int64,
+        int64,
+        record(WalkThresholds),
+    )
 )
 def walk_ground(
     range_m: F32,

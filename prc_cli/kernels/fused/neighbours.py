@@ -11,7 +11,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.fused import ChordThresholds, NearThresholds, SmoothThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import UniTuple, float32, helper, inlined, kernel, record, uint8
 
 LINES, COLUMNS = 2, 4
 """Greatest distance of neighbours, in lines and columns."""
@@ -134,7 +134,7 @@ def _count_across(
         )
 
 
-@kernel("uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, NearThresholds)", tuples=[NearThresholds])
+@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, record(NearThresholds)))
 def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
     """Count the near neighbours of every shot: of 8 in its line and 20 in the two lines before and after.
 
@@ -317,9 +317,7 @@ def _pairs_across(
         )
 
 
-@kernel(
-    "uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, SmoothThresholds)", tuples=[SmoothThresholds]
-)
+@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, record(SmoothThresholds)))
 def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
     """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
 
@@ -433,8 +431,9 @@ def _count_chords(
 
 
 @kernel(
-    "UniTuple(uint8[:, ::1], 2)(float32[:, ::1], uint8[:, ::1], float32[::1], float32[::1], float32, ChordThresholds)",
-    tuples=[ChordThresholds],
+    UniTuple(uint8[:, ::1], 2)(
+        float32[:, ::1], uint8[:, ::1], float32[::1], float32[::1], float32, record(ChordThresholds)
+    )
 )
 def directions(
     range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds

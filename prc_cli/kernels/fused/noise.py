@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import Label
 from prc_cli.core.thresholds.fused import AgainThresholds, NearThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import UniTuple, float32, helper, inlined, kernel, record, uint8
 
 Words = NDArray[np.uint64]
 
@@ -212,9 +212,18 @@ def _label_around(range_m: F32, labels: U8, line: int, i: int, before: int) -> i
 
 
 @kernel(
-    "uint8[:, ::1](uint8[:, ::1], uint8[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 2), float32[:, ::1], "
-    "float32[:, ::1], UniTuple(float32[::1], 2), float32, NearThresholds, AgainThresholds)",
-    tuples=[NearThresholds, AgainThresholds],
+    uint8[:, ::1](
+        uint8[:, ::1],
+        uint8[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint8[:, ::1], 2),
+        float32[:, ::1],
+        float32[:, ::1],
+        UniTuple(float32[::1], 2),
+        float32,
+        record(NearThresholds),
+        record(AgainThresholds),
+    )
 )
 def noise_again(
     labels: U8,

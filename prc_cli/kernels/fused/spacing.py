@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.fused import SpacingThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import float32, helper, int32, int64, kernel, record
 
 LAGS = (1, 2, 4, 8, 16)
 """Distances of the lines that are compared, in lines."""
@@ -65,7 +65,7 @@ def _count_again(ranges: F32, earlier: F32, limits: F32, leaves: U8, row: I32) -
     row[0], row[1] = both, same
 
 
-@kernel("int32[:, :, ::1](float32[:, ::1], int64, SpacingThresholds)", tuples=[SpacingThresholds])
+@kernel(int32[:, :, ::1](float32[:, ::1], int64, record(SpacingThresholds)))
 def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
     """Count on how many rough places earlier lines are as far.
 

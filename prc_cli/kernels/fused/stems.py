@@ -10,7 +10,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, inlined, int32, int64, kernel, record, uint8
 
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
 """Columns of the table of runs: shots, returns from behind, lowest and highest end in the plane [m]."""
@@ -109,10 +109,7 @@ def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F6
             three[b] = max(z, middle)
 
 
-@kernel(
-    "float64[:, ::1](float32[:, ::1], float64[::1], float64[::1], int64, int64, TerrainThresholds)",
-    tuples=[TerrainThresholds],
-)
+@kernel(float64[:, ::1](float32[:, ::1], float64[::1], float64[::1], int64, int64, record(TerrainThresholds)))
 def ground_profiles(
     range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, thresholds: TerrainThresholds
 ) -> F64:
@@ -345,9 +342,9 @@ def _line_runs(
 
 
 @kernel(
-    "Tuple((int32[:, ::1], float64[:, ::1]))(float32[:, ::1], float32[:, ::1], float64[::1], float64[::1], "
-    "RunThresholds)",
-    tuples=[RunThresholds],
+    Tuple((int32[:, ::1], float64[:, ::1]))(
+        float32[:, ::1], float32[:, ::1], float64[::1], float64[::1], record(RunThresholds)
+    )
 )
 def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
     """Find runs of returns of a line that go straight up or down in the scan plane.
@@ -443,7 +440,7 @@ def _join_lines(
             last_run, last_before = run, other
 
 
-@kernel("boolean[:, ::1](float32[:, ::1], int32[:, ::1], float64[:, ::1], StemThresholds)", tuples=[StemThresholds])
+@kernel(boolean[:, ::1](float32[:, ::1], int32[:, ::1], float64[:, ::1], record(StemThresholds)))
 def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
     """Mark the runs that are stems: those that go on from line to line and are high, long and opaque together.
 
@@ -594,10 +591,7 @@ def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, li
     return False
 
 
-@kernel(
-    "uint8[:, ::1](float32[:, ::1], float32[:, ::1], boolean[:, ::1], int64, ForestThresholds)",
-    tuples=[ForestThresholds],
-)
+@kernel(uint8[:, ::1](float32[:, ::1], float32[:, ::1], boolean[:, ::1], int64, record(ForestThresholds)))
 def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
     """Label a block of forest.
 

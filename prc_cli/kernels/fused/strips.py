@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.fused import StripThresholds, WallThresholds
 from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, inlined, kernel, record, uint8, uint64
 
 Slots = NDArray[np.uint64]
 
@@ -186,10 +186,24 @@ def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8)
 
 
 @kernel(
-    "Tuple((uint64[:, ::1], uint64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
-    "uint8[:, ::1]))(float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), UniTuple(float32[::1], 2), float32, "
-    "StripThresholds)",
-    tuples=[StripThresholds],
+    Tuple(
+        (
+            uint64[:, ::1],
+            uint64[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            uint8[:, ::1],
+        )
+    )(
+        float32[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint8[:, ::1], 4),
+        UniTuple(float32[::1], 2),
+        float32,
+        record(StripThresholds),
+    )
 )
 def fill_strips(
     range_m: F32,
@@ -364,9 +378,7 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, 
                 ahead[b] = wall_at[last]
 
 
-@kernel(
-    "UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), uint8[:, ::1], WallThresholds)", tuples=[WallThresholds]
-)
+@kernel(UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), uint8[:, ::1], record(WallThresholds)))
 def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
     """Find the walls beside every line: strips with enough smooth upright surface.
 

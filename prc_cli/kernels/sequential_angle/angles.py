@@ -11,7 +11,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, F64, I32, U8
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import Tuple, float32, helper, inlined, int32, kernel, record
 
 _HORIZONTAL = 2
 """H as :class:`prc_cli.core.classes.Surface` numbers it."""
@@ -129,8 +129,7 @@ def _first_far(
 
 
 @kernel(
-    "Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], ChordThresholds)",
-    tuples=[ChordThresholds],
+    Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], record(ChordThresholds))
 )
 def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
     """Measure the signed angle of every chord with the vertical, sV.

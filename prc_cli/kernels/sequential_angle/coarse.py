@@ -8,7 +8,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.sequential_angle import LayerThresholds, SurfaceThresholds, WallThresholds
 from prc_cli.core.types import F32, F64, I32, U8, U32, Mask
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import boolean, float32, helper, inlined, int32, kernel, record, uint8
 
 _MISSING, _VEGETATION, _HORIZONTAL, _VERTICAL, _UNDECIDED = 0, 1, 2, 3, 4
 """As :class:`prc_cli.core.classes.Surface` numbers them."""
@@ -64,10 +64,7 @@ def _label_run(
         labels[beam[i]] = label
 
 
-@kernel(
-    "uint8[:, ::1](float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[::1], SurfaceThresholds)",
-    tuples=[SurfaceThresholds],
-)
+@kernel(uint8[:, ::1](float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[::1], record(SurfaceThresholds)))
 def surface_image(signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds) -> U8:
     """Label every shot of every row: missing, vegetation, horizontal, vertical, undecided.
 
@@ -200,10 +197,7 @@ def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: LayerThresho
             labels[beam[i]] = _VERTICAL
 
 
-@kernel(
-    "uint8[:, ::1](uint8[:, ::1], float32[:, ::1], int32[::1], LayerThresholds)",
-    tuples=[LayerThresholds],
-)
+@kernel(uint8[:, ::1](uint8[:, ::1], float32[:, ::1], int32[::1], record(LayerThresholds)))
 def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: LayerThresholds) -> U8:
     """Make runs of vegetation vertical whose points lie in two upright layers.
 
@@ -284,10 +278,7 @@ def _find_walls(x: F64, z: F64, code: U8, m: int, thresholds: WallThresholds, fi
     return n_walls
 
 
-@kernel(
-    "uint8[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], WallThresholds)",
-    tuples=[WallThresholds],
-)
+@kernel(uint8[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], record(WallThresholds)))
 def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WallThresholds) -> U8:
     """Make vegetation vertical that lies in the plane of a wall of its row, or behind one that stands above it.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import Tuple, boolean, float32, helper, inlined, int32, int64, kernel, record, uint8
 
 NONE, HIGH, REJECTED, CURB, FIRST_REGION = 0, 1, 2, 3, 4
 """Labels: not vertical; too high for a curb; decided, not a curb; decided, a curb; from here on regions undecided."""
@@ -54,9 +54,9 @@ def _lies_over(farthest: F32, count: int, reach: int, own: float, under: float) 
 
 
 @kernel(
-    "Tuple((boolean[::1], int32[::1]))(uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], boolean[:, ::1], "
-    "float32[::1], CurbThresholds)",
-    tuples=[CurbThresholds],
+    Tuple((boolean[::1], int32[::1]))(
+        uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], boolean[:, ::1], float32[::1], record(CurbThresholds)
+    )
 )
 def possible_curbs(
     surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
@@ -327,9 +327,18 @@ def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) ->
 
 
 @kernel(
-    "Tuple((boolean[:, ::1], OpenRegions))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int64, "
-    "float32[:, :, ::1], float32[:, ::1], OpenRegions, CurbThresholds, boolean)",
-    tuples=[OpenRegions, CurbThresholds],
+    Tuple((boolean[:, ::1], record(OpenRegions)))(
+        uint8[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        int32[::1],
+        int64,
+        float32[:, :, ::1],
+        float32[:, ::1],
+        record(OpenRegions),
+        record(CurbThresholds),
+        boolean,
+    )
 )
 def connect_verticals(
     surface: U8,

@@ -9,7 +9,7 @@ import numpy as np
 from prc_cli.core.classes import Surface
 from prc_cli.core.thresholds.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import boolean, float32, helper, int32, kernel, record, uint8
 
 _MISSING, _VEGETATION = int(Surface.MISSING), int(Surface.VEGETATION)
 _HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
@@ -287,9 +287,17 @@ def _with_room(found: I32, size: int) -> I32:
 
 
 @kernel(
-    "int32[:, ::1](uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], int32[::1], "
-    "boolean[::1], float32[::1], DividerThresholds)",
-    tuples=[DividerThresholds],
+    int32[:, ::1](
+        uint8[:, ::1],
+        float32[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        int32[::1],
+        boolean[::1],
+        float32[::1],
+        record(DividerThresholds),
+    )
 )
 def car_intervals(
     surface: U8,
@@ -501,9 +509,15 @@ def _mark_reliefs(
 
 
 @kernel(
-    "int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int32[:, ::1], float32[::1], "
-    "DividerThresholds)",
-    tuples=[DividerThresholds],
+    int32[:, ::1](
+        uint8[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        int32[::1],
+        int32[:, ::1],
+        float32[::1],
+        record(DividerThresholds),
+    )
 )
 def cut_verticals(
     surface: U8,

@@ -8,7 +8,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.sequential_angle import FourierThresholds
 from prc_cli.core.types import F32, F64, I32, Mask
-from prc_cli.kernels.cache import kernel
+from prc_cli.kernels.cache import boolean, float32, int32, kernel, record
 
 _CHUNK = 64
 """Frequencies computed at once: enough for vector instructions, few enough to stop early."""
@@ -79,7 +79,7 @@ def _is_stable(values: F64, band: float, ratio: float) -> bool:
     return True
 
 
-@kernel("boolean[::1](float32[:, ::1], int32[:, ::1], FourierThresholds)", tuples=[FourierThresholds])
+@kernel(boolean[::1](float32[:, ::1], int32[:, ::1], record(FourierThresholds)))
 def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
     """Mark intervals whose signed angles hold no high frequency.
 

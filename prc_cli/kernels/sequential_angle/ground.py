@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.thresholds.sequential_angle import GroundState, GroundThresholds, PotentialGround
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
-from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.cache import Tuple, boolean, float32, helper, inlined, int32, kernel, record, uint8
 
 PER_BANDWIDTH = 8
 """Bins of a bandwidth."""
@@ -855,9 +855,15 @@ def _new_scratch(n: int, size: int, n_modes: int) -> _Scratch:
 
 
 @kernel(
-    "PotentialGround(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], int32[:, ::1], int32[::1], "
-    "GroundThresholds)",
-    tuples=[PotentialGround, GroundThresholds],
+    record(PotentialGround)(
+        uint8[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        int32[:, ::1],
+        int32[::1],
+        record(GroundThresholds),
+    )
 )
 def potential_heights(
     surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
@@ -910,9 +916,17 @@ def _horizontal_beams(surface: U8, first: int, last: int, beams: I32) -> int:
 
 
 @kernel(
-    "Tuple((boolean[:, ::1], float32[::1], GroundState))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
-    "float32[:, ::1], int32[:, ::1], int32[::1], PotentialGround, GroundState, GroundThresholds)",
-    tuples=[PotentialGround, GroundState, GroundThresholds],
+    Tuple((boolean[:, ::1], float32[::1], record(GroundState)))(
+        uint8[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        int32[:, ::1],
+        int32[::1],
+        record(PotentialGround),
+        record(GroundState),
+        record(GroundThresholds),
+    )
 )
 def ground_rows(
     surface: U8,

@@ -9,7 +9,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import boolean, float32, float64, helper, kernel, record
 
 _SMALL = 2.0**-500
 _LARGE = 2.0**500
@@ -217,8 +217,9 @@ def _next_confirmed(
 
 
 @kernel(
-    "boolean[:, ::1](float32[:, ::1], float64[::1], float64[::1], MarkovModel, MarkovModel, MarkovThresholds)",
-    tuples=[MarkovModel, MarkovThresholds],
+    boolean[:, ::1](
+        float32[:, ::1], float64[::1], float64[::1], record(MarkovModel), record(MarkovModel), record(MarkovThresholds)
+    )
 )
 def hmm_cusum(
     values: F32, means: F64, sigmas: F64, h0: MarkovModel, h1: MarkovModel, thresholds: MarkovThresholds

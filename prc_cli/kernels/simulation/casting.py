@@ -14,7 +14,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64, I32, I64
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import Tuple, float64, helper, int32, int64, kernel, record
 
 _TRIANGLE, _CONE, _ELLIPSOID = 0, 1, 2
 _GROUP = 16  # bodies that are tested together
@@ -681,9 +681,16 @@ def _walk(
 
 
 @kernel(
-    "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))(float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1], "
-    "float64[:, ::1], int64, CastBodies, int64[::1], float64[::1])",
-    tuples=[CastBodies],
+    Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))(
+        float64[:, :, ::1],
+        float64[:, :, ::1],
+        float64[:, ::1],
+        float64[:, ::1],
+        int64,
+        record(CastBodies),
+        int64[::1],
+        float64[::1],
+    )
 )
 def cast_shots(
     origin: F64,

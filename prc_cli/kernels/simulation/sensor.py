@@ -10,7 +10,7 @@ import numpy as np
 
 from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int32, int64, kernel, record, uint8
 
 GLASS, LEAVED, CURVED = 1, 2, 4
 """Bits of what a body is."""
@@ -34,7 +34,7 @@ _T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
 _STEEP, _BEFORE, _AFTER, _N_WORK = range(4, 8)
 """More of these rows: slope of flat surfaces, and the shares of the beam on what the shots beside it meet."""
 
-_HITS = "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))"
+_HITS = Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))
 
 
 @helper
@@ -233,7 +233,7 @@ def _rounded(t: float, model: SensorModel) -> float:
     return steps if model.nearest_m <= steps <= model.farthest_m else np.nan
 
 
-@kernel(f"boolean[:, ::1]({_HITS}, uint8[:, ::1], SensorModel, int64, int64)", tuples=[SensorModel])
+@kernel(boolean[:, ::1](_HITS, uint8[:, ::1], record(SensorModel), int64, int64))
 def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
     """Mark the shots whose light goes on behind the surface that it meets first.
 
@@ -390,9 +390,9 @@ def _keep(
 
 
 @kernel(
-    "Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))"
-    f"({_HITS}, {_HITS}, float64[:, ::1], uint8[:, ::1], SensorModel, float64[::1], int64, int64)",
-    tuples=[SensorModel],
+    Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))(
+        _HITS, _HITS, float64[:, ::1], uint8[:, ::1], record(SensorModel), float64[::1], int64, int64
+    )
 )
 def sense(
     hits: tuple[F64, I32, F64],
