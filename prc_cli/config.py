@@ -355,6 +355,9 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     """
     layout = loaded.config.layout
     if layout is not None and layout.fields and not has_layout(path):
+        if loaded.sources.get("layout.fields") == "option" and path.is_file():
+            problem = f"does nothing: {suffix_of(path) or 'these'} files describe their records themselves"
+            raise ConfigError("layout.fields", problem, "leave it out; ranges in mm: --set input.range_scale=0.001")
         note = f"the layout is not used: {suffix_of(path) or 'these'} files describe their records themselves"
         return loaded if note in loaded.notes else replace(loaded, notes=(*loaded.notes, note))
     if layout is not None or not has_layout(path):

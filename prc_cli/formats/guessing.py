@@ -35,6 +35,8 @@ STAGGERED_DEG = 10.0
 FRAME_REACH_M = 300.0
 """No coordinate of a frame lies beyond [m]."""
 _SOME = 0.05
+LEAST_EASTING_M = 1000.0
+"""Numbers that are larger in the middle, and not whole, are no ranges in metres."""
 _TRIED = ("f8", "f4", "i4", "u2", "u1")
 
 
@@ -271,8 +273,9 @@ def range_scale(values: NDArray[Any]) -> tuple[float, float | None]:
 def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
     """Return standard names of columns by what their numbers do; columns that tell nothing are left out.
 
-    Times never fall and hardly repeat; lines never fall and repeat; columns and angles rise evenly and begin anew;
-    neighbouring ranges are alike, positive, and not even.
+    Times never fall and are not whole; lines never fall and repeat; columns and angles rise evenly and begin anew;
+    three columns in a row that are large or go below 0 are coordinates; neighbouring ranges are alike, positive, not
+    even and not as large as an easting.
 
     Examples
     --------
@@ -283,16 +286,21 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     ranges: list[tuple[float, str]] = []
-    for key, stored in columns.items():
+    others: list[tuple[int, str, F64]] = []
+    for at, (key, stored) in enumerate(columns.items()):
         values = _float(stored)
         known = values[np.isfinite(values)]
         if len(known) < LEAST_RECORDS or float(np.ptp(known)) <= 0:
             continue
-        step = np.diff(known)
-        name = _even_name(known, step)
+        name = _even_name(known, np.diff(known))
         if name is not None:
             if name not in found.values():
                 found[key] = name
+        else:
+            others.append((at, key, known))
+    found |= dict(zip(_coordinates(others), "xyz", strict=False))
+    for _, key, known in others:
+        if key in found or _is_large(known):
             continue
         alike = _likeness(known[known > 0]) if np.mean(known > 0) > 0.2 else 1.0
         middle = float(np.median(known[known > 0])) if (known > 0).any() else 0.0
@@ -303,11 +311,30 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
     return {key: found[key] for key in columns if key in found}
 
 
+def _is_large(known: F64) -> bool:
+    """Tell whether numbers are coordinates of a map: no scanner measures so far, and millimetres are whole."""
+    return float(np.median(np.abs(known))) > LEAST_EASTING_M and not np.all(known == np.floor(known))
+
+
+def _coordinates(others: list[tuple[int, str, F64]]) -> list[str]:
+    """Return three neighbouring columns that are coordinates; none where no three are.
+
+    At least one of them is large or goes below 0, as no range does, and none is whole.
+    """
+    for i in range(len(others) - 2):
+        three = others[i : i + 3]
+        is_row = three[2][0] == three[0][0] + 2 and not any(np.all(one == np.floor(one)) for _, _, one in three)
+        if is_row and any(_is_large(one) or np.mean(one < -1) > 0.01 for _, _, one in three):
+            return [key for _, key, _ in three]
+    return []
+
+
 def _even_name(known: F64, step: F64) -> str | None:
     whole = bool(np.all(known == np.floor(known)))
     if np.all(step >= 0):
         rises = float(np.mean(step > 0))
-        return "time" if rises > 0.5 and not whole else "scan_line" if whole and rises < 0.5 else None
+        # times may be rounded more coarsely than shots
+        return "time" if not whole else "scan_line" if rises < 0.5 else None
     usual = float(np.median(step))
     even = float(np.mean(np.abs(step - usual) <= 0.1 * abs(usual))) if usual else 0.0
     if even < _EVEN:

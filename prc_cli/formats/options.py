@@ -94,6 +94,9 @@ class InputConfig(Params):
         "error",
         description="when M does not divide the records of a fixed layout: refuse, or pad with missing",
     )
+    range_scale: float = Field(
+        1.0, gt=0.0, le=1e6, description="metres in one of the stored ranges: 0.001 for millimetres, 0.3048 for feet"
+    )
     min_range: float = Field(0.0, ge=0.0, description="ranges at or below are missing [m]")
     max_range: float | None = Field(None, gt=0.0, description="ranges beyond are missing [m]")
     time_origin: float | None = Field(

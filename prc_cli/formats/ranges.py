@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import kernels
-from prc_cli.core.stream import ReadTally
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F32
+from prc_cli.formats.options import InputConfig
 
+KEY = "input.range_scale"
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -53,3 +56,19 @@ def clean_ranges(
     ranges, n_not_finite, n_not_positive, n_beyond = kernels.clean_ranges(given.reshape(-1), low, high)
     tally = ReadTally(n_not_finite=n_not_finite, n_not_positive=n_not_positive, n_beyond=n_beyond)
     return ranges.reshape(given.shape), tally
+
+
+def scale_told(scale: float) -> tuple[Assumption, ...]:
+    """Return what is said of a scale of ranges that was given."""
+    return (Assumption(KEY, f"{scale:g}", "metres in one of the stored ranges, as given"),) if scale != 1.0 else ()
+
+
+def refuse_scale(config: InputConfig, path: str, why: str) -> None:
+    """Refuse a scale of ranges that would do nothing.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if config.range_scale != 1.0:
+        raise ConfigError(KEY, f"found {config.range_scale:g}, which does nothing for {path}: {why}", "leave it out")

@@ -15,10 +15,12 @@ from typing import get_args
 from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanStream
+from prc_cli.formats import open_source
 from prc_cli.kernels import Engine
 from prc_cli.streams.beams import BeamStream, with_beams
 from prc_cli.streams.evidence.place import Place, place_of_blocks
 from prc_cli.streams.open import open_input
+from prc_cli.streams.rules import trusting
 
 _NO_ANGLES = "the input gives neither scan angles nor coordinates relative to the scanner"
 LEAST_COSINE = math.cos(math.radians(60.0))
@@ -141,9 +143,9 @@ def decide(path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", tru
     if asked is not None:
         return decided_by(asked, loaded)
     inputs = config.input
-    if trust_order and inputs.order == "require":
-        inputs = inputs.model_copy(update={"order": "trust"})
     try:
+        if trust_order:
+            inputs = trusting(open_source(path, config.layout), inputs)
         stream = open_input(path, inputs, config.layout)
     except (InputError, ConfigError) as refusal:
         return decided_by(MethodChoice("urban", refusal.problem), loaded)

@@ -38,7 +38,8 @@ from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
-from prc_cli.streams.rules import MEASURED, only_times_tell
+from prc_cli.streams.rules import MEASURED, only_times_tell, trusting
+from prc_cli.streams.sorting import sorted_by_time
 
 RATE_OFF = 1e-3
 """Rates that differ by more are told: a line would be off by some columns."""
@@ -214,7 +215,9 @@ def _lacks_lines(source: RecordSource, inputs: InputConfig) -> bool:
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
     """Measure the rates of a scanner from its times alone; list all that is missing, with one command."""
-    rates = _measured_rates(source) if refused.order is None or refused.order.is_chronological else None
+    is_sorted = inputs.order == "sort-time"
+    in_order = is_sorted or refused.order is None or refused.order.is_chronological
+    rates = _measured_rates(sorted_by_time(source) if is_sorted else source) if in_order else None
     if rates is None:
         # this is prc info: nobody is to be sent here again
         _, sent_here, rest = refused.hint.partition(MEASURED)
@@ -234,7 +237,7 @@ def _with_other_rates(found: Inspection, source: RecordSource, inputs: InputConf
     """Note rates that were given and are not those that the times show."""
     if not (inputs.lines.startswith("time:") and inputs.columns.startswith("time:")) or found.facts is None:
         return found
-    rates = _measured_rates(source)
+    rates = _measured_rates(sorted_by_time(source) if inputs.order == "sort-time" else source)
     if rates is None:
         return found
     off = max(abs(parse_rate(inputs.lines) / rates.line_hz - 1), abs(parse_rate(inputs.columns) / rates.shot_hz - 1))
@@ -309,10 +312,8 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
 
     If only the beam directions are refused, the stream is returned without them.
     """
-    inputs = loaded.config.input
-    if inputs.order == "require":
-        inputs = inputs.model_copy(update={"order": "trust"})
     try:
+        inputs = trusting(open_source(path, loaded.config.layout), loaded.config.input)
         # as prc classify does: what a method does not need is not read, and tells the checks nothing
         stream = open_input(path, inputs, loaded.config.layout, geometry=loaded.config.needs_beams)
     except (InputError, ConfigError) as refusal:
@@ -482,10 +483,11 @@ class _UnitRanges(DerivedSource):
 
 def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
     """Find the lines of an input without ranges; None if they cannot be found."""
+    inputs = trusting(source, inputs)
+    if inputs.order == "require":
+        return None
     try:
-        return open_grid(
-            _UnitRanges(source), inputs.model_copy(update={"range": "dimension:range", "order": "trust"})
-        )  # fmt: skip
+        return open_grid(_UnitRanges(source), inputs.model_copy(update={"range": "dimension:range"}))
     except (InputError, ConfigError):
         return None
 

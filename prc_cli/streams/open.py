@@ -11,6 +11,7 @@ from pathlib import Path
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats import open_images, open_source
 from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.ranges import refuse_scale
 
 
 def open_input(
@@ -70,7 +71,10 @@ def _open(
     if source is None:
         from prc_cli.streams.order import WatchedStream
 
-        return WatchedStream(open_images(path, config, lines_at_once=lines_at_once), config.order)
+        images = open_images(path, config, lines_at_once=lines_at_once)
+        if images.info.format != "array":
+            refuse_scale(config, str(path), "its ranges are metres")
+        return WatchedStream(images, config.order)
     implied = source.facts.rule("lines")
     if config.lines == "rings" or (config.lines == "auto" and implied is not None and implied.value == "rings"):
         from prc_cli.streams.rings import open_rings

@@ -13,7 +13,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_origin
-from prc_cli.formats.ranges import clean_ranges
+from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 XYZ = ("x", "y", "z")
@@ -35,6 +35,8 @@ class RangeRule:
     """Position of the sensor over time."""
     sensor_xyz: bool = False
     """Whether x, y, z beside a dimension of ranges are relative to the sensor."""
+    scale: float = 1.0
+    """Metres in one of the stored ranges."""
     min_range_m: float = 0.0
     """Ranges at or below are missing [m]."""
     max_range_m: float | None = None
@@ -44,7 +46,7 @@ class RangeRule:
     def assumptions(self) -> tuple[Assumption, ...]:
         """Assumptions behind the ranges."""
         if self.trajectory is None:
-            return ()
+            return scale_told(self.scale)
         first, last = self.trajectory.span
         value = f"{self.trajectory.n_positions} positions from {first:.3f} to {last:.3f} s"
         why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
@@ -100,7 +102,8 @@ def open_ranges(
     kind, _, argument = rule.partition(":")
     bounds = RangeRule(min_range_m=config.min_range, max_range_m=config.max_range)
     if kind == "dimension":
-        return replace(bounds, dimension=argument, sensor_xyz=sensor_xyz)
+        return replace(bounds, dimension=argument, sensor_xyz=sensor_xyz, scale=config.range_scale)
+    refuse_scale(config, path, "its ranges are lengths of x, y, z")
     needed = (*XYZ, "time") if kind == "trajectory" else XYZ
     lacking = [name for name in needed if name not in dimensions]
     if lacking:
@@ -172,6 +175,8 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
 def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F32, F32 | None, ReadTally]:
     """Return cleaned ranges, coordinates as :func:`measure_ranges`, and counts of ranges made missing."""
     found, xyz_m = measure_ranges(values, rule)
+    if rule.scale != 1.0:
+        found = found * np.float64(rule.scale)
     range_m, tally = clean_ranges(found, rule.min_range_m, rule.max_range_m)
     return range_m, xyz_m, tally
 

@@ -19,6 +19,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, I64, Mask
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.ranges import clean_measured, open_ranges
 from prc_cli.streams.ring_turns import (
@@ -112,6 +113,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         When the frame is too large, has no coordinates, or is not in ring order.
     """
     _check_rules(config)
+    refuse_scale(config, source.path, "its ranges are lengths of x, y, z")
     frame, n_records, tally = _read(source, config)
     if len(frame.record) < 2:
         raise InputError(

@@ -7,16 +7,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import ConfigError, InputError, OrderError
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, parse_rate
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import STANDARD_NAMES, RecordSource
 from prc_cli.formats.returns import ReturnRule
 from prc_cli.streams.order import Policy
 from prc_cli.streams.ranges import XYZ, is_sensor_xyz
 from prc_cli.streams.record_angles import columns_of_angles, has_sweeps, lacks_shots, turns_round
 
 _NO_RANGE = "no slant range"
+_FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
+"""Dimensions that tell of the shots."""
+LOST = (
+    "registered points without times, scan lines or ranges: the order in which they were fired is lost, so they cannot "
+    "be classified"
+)
+LOST_HINT = (
+    "classify the raw drive and carry its labels over (prc transfer), or give the points with their times; of x, y, z "
+    "from the scanner: --range sensor-xyz; if they lie as they were fired insist with --trust-order"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +121,8 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         When a named dimension does not exist; the hint lists those that do, nearest name first.
     """
     has = source.dimensions
+    if config.order == "require" and is_order_lost(source, config):
+        raise OrderError(source.path, LOST, LOST_HINT)
     if config.lines == "rings":
         problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
@@ -169,6 +181,20 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
     )
 
 
+def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
+    """Whether an input is registered points alone: nothing in it says in which order they were fired."""
+    has = set(source.dimensions)
+    told = config.range == "sensor-xyz" or any(one.startswith("dimension:") for one in (config.range, config.lines))
+    return set(XYZ) <= has and not has & _FIRED and not source.facts.rules and not told
+
+
+def trusting(source: RecordSource | None, config: InputConfig) -> InputConfig:
+    """Return the configuration with which violations of the order are counted, not refused, unless it is lost."""
+    if config.order != "require" or (source is not None and is_order_lost(source, config)):
+        return config
+    return config.model_copy(update={"order": "trust"})
+
+
 def _auto_rules(source: RecordSource, config: InputConfig, taken: list[Assumption]) -> tuple[str, str, str]:
     """Return the rules for lines, columns and ranges with ``auto`` resolved."""
     missing: list[InputError] = []
@@ -183,7 +209,7 @@ def _auto_rules(source: RecordSource, config: InputConfig, taken: list[Assumptio
     if range_ == "auto":
         range_ = _or_missing(lambda: _auto_range(source, taken), missing)
     if missing:
-        raise _all_missing(source, missing)
+        raise _all_missing(source, missing, config)
     return lines, columns, range_
 
 
@@ -205,16 +231,30 @@ def only_times_tell(source: RecordSource) -> bool:
     return "time" in source.dimensions and not {"scan_line", "column", "angle"} & set(source.dimensions)
 
 
-def _all_missing(source: RecordSource, missing: list[InputError]) -> InputError:
+def _all_missing(source: RecordSource, missing: list[InputError], config: InputConfig) -> InputError:
     """Return one error for all that is missing, so that nobody is asked three times."""
     has_range = not any(error.problem.startswith(_NO_RANGE) for error in missing)
     if len(missing) == 1 or has_range:
-        return missing[0]
+        return _with_draft(source, missing[0])
+    if not set(STANDARD_NAMES) & set(source.dimensions):
+        problem = f"nothing says what its columns are: {', '.join(source.dimensions[:12])}"
+        hint = "give a layout that names them (--layout FILE)"
+        return _with_draft(source, InputError(source.path, problem, hint))
     problem = "; ".join(error.problem for error in missing)
     hint = "; ".join(error.hint for error in missing)
     if only_times_tell(source):
-        hint = f"prc info {source.path}{MEASURED}{hint}"
-    return InputError(source.path, problem, hint)
+        is_sorted = " --sort-by-time" if config.order == "sort-time" else ""
+        hint = f"prc info {source.path}{is_sorted}{MEASURED}{hint}"
+    return _with_draft(source, InputError(source.path, problem, hint))
+
+
+def _with_draft(source: RecordSource, error: InputError) -> InputError:
+    """Name the command that drafts a layout, where one describes the records."""
+    is_guessed = source.format == "raw binary" and source.dimensions == ("range",)
+    if not is_guessed and (source.format != "text" or set(source.dimensions) <= set(STANDARD_NAMES)):
+        return error
+    draft = f"or prc info {source.path} --draft FILE.toml, which looks at the numbers, and --config FILE.toml"
+    return InputError(source.path, error.problem, f"{error.hint}; {draft}")
 
 
 def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tuple[str, ...]:
@@ -265,8 +305,6 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
         ways.append(f"{drop} (x, y, z from the scanner, line after line)")
     if "time" in source.dimensions:
         ways.append("--lines time:HZ (scan lines a second)")
-    if source.format == "text" and not {"range", *XYZ} & set(source.dimensions):
-        ways.insert(0, "a layout that names the columns (--layout FILE)")
     problem = "no scan lines: the file has no dimension scan_line and points_per_line is not given"
     raise InputError(source.path, problem, f"give {_either(ways)}")
 

@@ -44,14 +44,20 @@ def test_a_stream_offers_no_sorting(prc: Prc) -> None:
     assert "--sort-by-time" in prc("convert", "--help").out
 
 
-def test_a_layout_that_a_format_has_no_use_for_is_said(prc: Prc, tmp_path: Path) -> None:
+def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Path) -> None:
     layout = tmp_path / "layout.toml"
     layout.write_text(LAYOUT)
     image = tmp_path / "drive.npz"
     np.savez(image, range_m=street())
-    said = "the layout is not used: .npz files describe their records themselves"
-    assert said in prc("classify", image, tmp_path / "o.npy", "--layout", layout).err
-    assert said in " ".join(prc("info", image, "--layout", layout).out.split())
+    said = "layout.fields: does nothing: .npz files describe their records themselves; leave it out; ranges in mm"
+    for words in (("classify", image, tmp_path / "o.npy"), ("info", image)):
+        found = prc(*words, "--layout", layout)
+        assert found.code == 2
+        assert said in found.err
+    np.savez(image, range_m=1000 * street())
+    found = prc("classify", image, tmp_path / "o.npy", "--set", "input.range_scale=0.001", "-v")
+    assert found.code in (0, 4)
+    assert "input.range_scale" in found.err
     dump = write_raw(tmp_path / "drive.bin", street())
     assert "not used" not in prc("classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE).err
 

@@ -105,3 +105,26 @@ def test_the_profiler_of_ign(real_data: Path, tmp_path: Path) -> None:
     assert found["input"] == {"lines": "angle-wrap", "columns": "angle", "range": "dimension:range"}
     assert {"name": "angle", "source": "theta", "unit": "rad"} in found["layout"]["fields"]
     ranges_read(path)
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 650_000.0])
+@pytest.mark.parametrize("decimals", [6, 4])
+def test_coordinates_and_times_without_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], offset_m: float, decimals: int
+) -> None:
+    """Eastings were drafted as ranges, and the refusal did not name the draft."""
+    time_s, _, column = drive(50.0, 300, 60)
+    height = 2 + np.sin(column / 30)
+    place = 8.0 * time_s
+    rows = np.column_stack([place + 3 * np.sin(time_s * 300) + offset_m, place - 9 - height + offset_m, height, time_s])
+    path = tmp_path / "tile.txt"
+    np.savetxt(path, rows, fmt=f"%.{decimals}f")
+    assert run("classify", path, tmp_path / "o.npy") == 1
+    assert (
+        capsys.readouterr()
+        .err.rstrip()
+        .endswith("--draft FILE.toml, which looks at the numbers, and --config FILE.toml")
+    )
+    assert run("info", path, "--draft", tmp_path / "draft.toml", "-q") == 0
+    fields = tomllib.loads((tmp_path / "draft.toml").read_text(encoding="utf-8"))["layout"]["fields"]
+    assert [(field["name"], field["source"]) for field in fields] == [("x", 0), ("y", 1), ("z", 2), ("time", 3)]

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
 from prc_cli.config import load_config
+from prc_cli.core.errors import OrderError
+from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.info import inspect
+from prc_cli.streams.open import open_input
 from tests.formats.organised_files import ptx_scan, write_text
+from tests.streams.evidence.test_rates import drive
 
 
 def upright(n_lines: int = 5, m: int = 40) -> np.ndarray:
@@ -29,3 +35,35 @@ def test_a_later_scan_that_is_refused_is_the_verdict(tmp_path: Path) -> None:
     bad = inspect(write_text(tmp_path / "b.ptx", ptx_scan(sound) + ptx_scan(level)), loaded)
     assert bad.problem.startswith("no vertical direction known: the lines do not rise")
     assert bad.facts is not None
+
+
+def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
+    """'sort with --sort-by-time', and then 'no steady rates'."""
+    time_s, _, column = drive(50.0, 300, 60)
+    height = 2 + np.sin(column / 30)
+    order = np.random.default_rng(0).permutation(len(time_s))
+    rows = np.column_stack([time_s, height, height, height])
+    np.savetxt(tmp_path / "tile.csv", rows[order], delimiter=",", header="time,x,y,z", comments="", fmt="%.9f")
+    np.savetxt(tmp_path / "drive.csv", rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.9f")
+    expected = inspect(tmp_path / "drive.csv", load_config()).rates
+    assert "--sort-by-time" in inspect(tmp_path / "tile.csv", load_config()).hint
+    found = inspect(tmp_path / "tile.csv", load_config(options={"input": {"order": "sort-time"}}))
+    assert found.rates == expected
+    assert found.rates is not None
+
+
+@pytest.mark.parametrize("told", [{}, {"range": "origin:0,0,0", "points_per_line": 10}])
+def test_a_tile_without_times_has_lost_its_order(tmp_path: Path, told: dict[str, Any]) -> None:
+    """It was told to give M and a place of the scanner, and then labelled."""
+    np.savetxt(
+        tmp_path / "tile.csv", np.random.default_rng(0).normal(size=(50, 3)), delimiter=",", header="x,y,z", comments=""
+    )
+    found = inspect(tmp_path / "tile.csv", load_config(options={"input": told}))
+    assert found.problem.startswith(
+        "registered points without times, scan lines or ranges: the order in which they were"
+    )
+    assert "--trust-order" in found.hint
+    with pytest.raises(OrderError, match="so they cannot be classified"):
+        open_input(tmp_path / "tile.csv", InputConfig(**told))
+    if told:
+        open_input(tmp_path / "tile.csv", InputConfig(order="trust", **told))

@@ -20,7 +20,7 @@ from prc_cli.formats.arrays.rows import ArrayFile, NpyHeader, Rows
 from prc_cli.formats.layout import FACTORS
 from prc_cli.formats.names import ZENITH, angle_rules, split_unit, usual_names
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ranges import clean_ranges
+from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
 
 CHUNK_SHOTS = 1 << 19
 """Shots read at a time."""
@@ -93,8 +93,11 @@ class ArrayStream:
         self._angles: str | None = None
         angle_rad, angle_why = self._find_angles()
         assumed = [Assumption("input.range", self._range or "the array", why), *angle_why]
+        assumed += scale_told(config.range_scale)
         if turned:
             assumed.append(Assumption("input.lines", "columns of the arrays", turned))
+        if self._range == XYZ:
+            refuse_scale(config, str(path), "its ranges are lengths of x, y, z")
         if self._is_padded:
             missing = self._n_lines * self._m - self._n_records
             assumed.append(Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots"))
@@ -242,6 +245,8 @@ class ArrayStream:
     def _read_ranges(self, rows: Rows, first: int, n: int) -> tuple[F32, ReadTally]:
         shots = n if not self._flat else min(n * self._m, self._n_records - first * self._m)
         stored = rows.read(shots)
+        if self._config.range_scale != 1.0:
+            stored = stored * np.float64(self._config.range_scale)
         ranges, tally = clean_ranges(stored, self._config.min_range, self._config.max_range)
         if ranges.size < n * self._m:
             padding = np.full(n * self._m - ranges.size, np.nan, np.float32)

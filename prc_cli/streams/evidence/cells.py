@@ -7,6 +7,7 @@ import numpy as np
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F32
+from prc_cli.formats.ranges import KEY
 from prc_cli.streams.evidence.seen import Seen
 
 MANY = 0.01
@@ -138,6 +139,8 @@ def check_ranges(seen: Seen) -> Finding | None:
     found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
+    if median > HIGH_M:
+        hint = f"if they are millimetres: --set {KEY}=0.001; else {hint}"
     if not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST:
         return Finding("ranges", Verdict.AGAINST, found, expected, hint)
     verdict = Verdict.DOUBTFUL if far > COUNTED or median > HIGH_M else Verdict.FINE

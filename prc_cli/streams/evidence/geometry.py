@@ -254,8 +254,12 @@ def check_height(seen: Seen) -> Finding | None:
     is_usual, is_possible = low <= depth <= high, LOWEST_M <= depth <= HIGHEST_M
     verdict = _verdict(is_doubtful=not is_usual, is_against=not is_possible)
     found = f"the scanner is {depth:.3g} m above the ground"
-    hint = "check the unit of the ranges: PRC takes metres; a layout gives a scale" if verdict else ""
-    return Finding(UNITS, verdict, found, f"{low:g} to {high:g} m", hint)
+    scales = [scale for scale in (0.001, 0.01, 0.3048) if low <= scale * depth <= high] if verdict else []
+    option = f"--set input.range_scale={scales[0]:g}" if scales else ""
+    hint = (
+        f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}" if verdict else ""
+    )
+    return Finding(UNITS, verdict, found, f"{low:g} to {high:g} m", hint, option)
 
 
 def _lines(seen: Seen) -> F32:

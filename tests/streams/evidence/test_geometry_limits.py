@@ -187,7 +187,10 @@ def test_height(
     limits = "0.3 to 6" if is_blind else "0.4 to 5"
     if is_blind and depth_m in (0.399, 5.01):
         verdict = FINE
-    hint = "; check the unit of the ranges: PRC takes metres; a layout gives a scale" if verdict else ""
+    # the unit in which the depth would be usual
+    scale = "=0.01" if depth_m >= 50.0 else "=0.3048" if depth_m > 5.0 else ""
+    unit = f"--set input.range_scale{scale}" if scale else "input.range_scale"
+    hint = f"; check the unit of the ranges, which are taken for metres: {unit}" if verdict else ""
     said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
     assert told(check_height(one)) == (verdict, said)
 
