@@ -45,10 +45,12 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: 
         Only what failed or was cut off was asked for.
     """
     is_wrong = summary.exit_code or summary.ended != "finished"
-    idle = not (summary.done or summary.failed or summary.n_waiting or summary.doubts or summary.alarms)
+    idle = not (summary.done or summary.failed or summary.standing or summary.n_waiting or summary.alarms)
     if idle and summary.evaluation is None:
         if not quiet:
             say(f"nothing to do: {_idle_words(summary, only_failed=only_failed)} ({summary.out})")
+        if is_wrong or not quiet:
+            _print_doubts(summary)
         return
     if not quiet:
         _print_classes(summary)
@@ -72,8 +74,8 @@ def end_words(summary: BatchSummary) -> str:
     """Return the last line of a run."""
     counts = [
         (len(summary.done), "done"), (summary.n_skipped, "skipped"), (len(summary.failed), "failed"),
-        (summary.n_waiting, "left for another run"), (summary.n_doubted, "doubted"),
-        (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),
+        (len(summary.standing), "failed before"), (summary.n_waiting, "left for another run"),
+        (summary.n_doubted, "doubted"), (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),
     ]  # fmt: skip
     told = ", ".join(f"{count:,} {what}" for count, what in counts if count)
     rate = summary.shots_per_s
@@ -105,6 +107,7 @@ def _print_doubts(summary: BatchSummary) -> None:
 
 def _print_wrong(summary: BatchSummary, *, listed: bool) -> None:
     rows = [] if listed else [f"failed {failed_words(found)}" for found in summary.failed]
+    rows += [f"failed before {failed_words(found)}" for found in summary.standing]
     rows += [f"left out {found.name}: {found.reason}" for found in summary.left_out]
     for row in rows[:SHOWN]:
         say(row)
@@ -222,8 +225,7 @@ def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[
 
 def _doubts(entries: Sequence[Entry]) -> list[Doubted]:
     """Return the doubts about the finished files of a journal."""
-    done = (entry.outcome for entry in entries if entry.state == "done" and isinstance(entry.outcome, Done))
-    return [doubt for found in done for doubt in doubts_of(found)]
+    return [doubt for entry in entries for doubt in doubts_of(entry)]
 
 
 def _holder_dict(holder: Holder) -> dict[str, Any]:

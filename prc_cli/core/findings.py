@@ -104,6 +104,11 @@ def doubt_of(notice: str) -> tuple[str, str] | None:
     return sentence.partition(":")[0], sentence
 
 
+def accepted_doubt_of(notice: str) -> str | None:
+    """Return the check of a doubt in a run record that the user accepted; None for any other notice."""
+    return notice.removeprefix(_ACCEPTED).partition(":")[0] if notice.startswith(_ACCEPTED) else None
+
+
 def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, ...]:
     """Mark the findings that the user accepts by name; those that are fine are left as they are."""
     known = set(names)

@@ -89,7 +89,7 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     write_npz(archive / "drive.npz", street())
     write_csv(archive / ODD, street(80))
     (archive / "night" / "bad.laz").write_bytes(b"LASF" + bytes(400))
-    environment = {"PATH": os.environ["PATH"]}
+    environment = {name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ}
     if "NUMBA_CACHE_DIR" in os.environ:
         environment["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"]
     elif "HOME" in os.environ:  # without a home, but not without what is compiled already

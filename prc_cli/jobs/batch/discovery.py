@@ -60,6 +60,8 @@ class Discovery:
     """Files and folders that no run takes although they look like inputs."""
     n_not_selected: int
     """Inputs excluded from this run by patterns, times or the shard."""
+    older: frozenset[str] = frozenset()
+    """Of these, the names of those that only ``--since`` excludes: they are part of the archive all the same."""
 
 
 def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
@@ -89,21 +91,26 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
     files: list[Found] = []
     left_out: list[LeftOut] = []
     n_not_selected = 0
+    older: set[str] = set()
     since_ns = None if settings.since is None else parse_since(settings.since)
     for item in _in_time(_select(settings, since_ns), settings.archive, patience_s):
         if isinstance(item, LeftOut):
             left_out.append(item)
-        elif item is None:
+        elif item is None or isinstance(item, str):
             n_not_selected += 1
+            older |= {item} if item else set()
         else:
             files.append(item)
     files.sort(key=lambda item: os.fsencode(item.name))
     left_out.sort(key=lambda item: os.fsencode(item.name))
-    return Discovery(tuple(files), tuple(left_out), n_not_selected)
+    return Discovery(tuple(files), tuple(left_out), n_not_selected, frozenset(older))
 
 
-def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | LeftOut | None]:
-    """List the archive; None marks an input that was not selected. All calls that may hang are made here."""
+def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | LeftOut | str | None]:
+    """List the archive; None marks an input that was not selected, its name one that is older than ``--since``.
+
+    All calls that may hang are made here.
+    """
     archive, out = _folders(settings)
     tells_case = _tells_case(archive)
     include = Patterns(settings.include, tells_case=tells_case)
@@ -113,12 +120,12 @@ def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | L
             yield item
             continue
         selected = (
-            (since_ns is None or item.mtime_ns >= since_ns)
-            and (not include or include.match(item.name))
+            (not include or include.match(item.name))
             and not exclude.match(item.name)
             and (settings.shard is None or settings.shard.holds(item.name))
         )
-        yield item if selected else None
+        is_older = since_ns is not None and item.mtime_ns < since_ns
+        yield (item.name if is_older else item) if selected else None
 
 
 def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:

@@ -16,6 +16,7 @@ from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, pr
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
 from prc_cli.core.files import suffix_of
+from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.formats.writing.record import fingerprint, record_path
 from prc_cli.jobs.batch.adopt import outcome_of_record
 from prc_cli.jobs.batch.discovery import (
@@ -25,7 +26,7 @@ from prc_cli.jobs.batch.discovery import (
     output_name,
 )
 from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
-from prc_cli.jobs.batch.summary import LeftOut
+from prc_cli.jobs.batch.summary import LeftOut, doubts_of
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -34,6 +35,7 @@ from prc_cli.jobs.batch.types import (
     Problem,
     Task,
 )
+from prc_cli.streams.evidence.watch import accepted_by
 
 Reason: TypeAlias = Literal[
     "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing"
@@ -93,6 +95,8 @@ class Plan:
     """Number of files left for another run by ``--limit``."""
     n_not_selected: int = 0
     """Number of inputs excluded by patterns, times or the shard."""
+    archive: frozenset[str] = frozenset()
+    """Names of all inputs, also of those that this run does not look at; their state decides the exit code."""
 
     @property
     def n_bytes(self) -> int:
@@ -272,9 +276,11 @@ def suffix_of_name(name: str) -> str:
 def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
     """Return the hash of the configuration and of the content of the trajectory it names.
 
-    It does not depend on folders or on the parameters of other classifiers.
+    It does not depend on folders, on the parameters of other classifiers, or on doubts that are accepted: these
+    concern only the files that have them.
     """
     table = config.of_run()
+    table["input"].pop("accept_doubts", None)
     if trajectory_sha256 is not None:
         table["input"]["range"] = f"{TRAJECTORY}{trajectory_sha256}"
     return sha256(json.dumps(table, sort_keys=True, ensure_ascii=True).encode("ascii")).hexdigest()
@@ -389,6 +395,8 @@ def _compare(
     # versions may differ in their configuration keys, so hashes are compared only within one version
     if entry.version == __version__ and entry.config_sha256 != task.config_sha256:
         return "changed config", None
+    if _is_accepted_otherwise(before, task.config.config, entry.version):
+        return "changed config", None
     if item.size != before.input.size:
         return "changed input", None
     if written is None:
@@ -398,6 +406,14 @@ def _compare(
     if fingerprint(item.path).sha256 != before.input.sha256:
         return "changed input", None
     return None, replace(before, input=replace(before.input, mtime_ns=item.mtime_ns))
+
+
+def _is_accepted_otherwise(done: Done, config: RunConfig, version: str) -> bool:
+    """Tell whether a doubt of an output is accepted now, or one that was accepted then is no more."""
+    now = set(accepted_by(config.input))
+    standing = {doubt.check for doubt in doubts_of(done)}
+    then = {check for notice in done.notices if (check := accepted_doubt_of(notice)) is not None}
+    return bool(standing & now) or (version == __version__ and not then <= now)
 
 
 def _stat(output: Path) -> os.stat_result | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -166,13 +166,14 @@ def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: L
     with Lock(folder, settings.shard) as lock, Journal(folder, settings.shard) as journal:
         known = {entry.name: entry for entry in journal.entries()}
         run = _Run(settings, engine or LocalEngine(), listener, lock, journal)
-        return run.execute(_plan(settings, config, known), config, _Earlier(known.values()))
+        return run.execute(_plan(settings, config, known), config, known)
 
 
 def _plan(settings: BatchSettings, config: BatchConfig, known: dict[str, Entry]) -> Plan:
     found = discover(settings)
     plan = make_plan(settings, found.files, config, known)
-    return replace(plan, left_out=found.left_out, n_not_selected=found.n_not_selected)
+    names = found.older.union(item.name for item in found.files)
+    return replace(plan, left_out=found.left_out, n_not_selected=found.n_not_selected, archive=names)
 
 
 class _Run:
@@ -189,13 +190,12 @@ class _Run:
         self._owner = str(lock.owner)
         self._notes: list[str] = []
         self._alarms: list[Alarm] = []
-        self._doubts: list[Doubted] = []
         self._outcomes: dict[str, Outcome] = {}
         self._running: dict[str, float] = {}
         self._stopping = False
         self._started, self._clock = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
 
-    def execute(self, plan: Plan, config: BatchConfig, earlier: _Earlier) -> BatchSummary:
+    def execute(self, plan: Plan, config: BatchConfig, known: Mapping[str, Entry]) -> BatchSummary:
         """Do what is planned and return its summary."""
         run = self._journal.begin_run(self._owner)
         if self._lock.inherited_from is not None:
@@ -206,10 +206,10 @@ class _Run:
         evaluation: BatchEvaluation | None = None
         stop: BaseException | None = None
         try:
-            self._settle(plan)
+            self._settle(plan, known)
             self._classify(plan)
             self._lock.check()  # somebody may have removed our folder, and with it the journal
-            self._compare_classes(plan, earlier)
+            self._compare_classes(plan, _Earlier(known.values()))
             evaluation = self._evaluate(plan)
             if self._stopping:
                 ended = "stopped"
@@ -232,8 +232,11 @@ class _Run:
             raise stop
         return summary
 
-    def _settle(self, plan: Plan) -> None:
-        """Note in the journal what needs no work."""
+    def _settle(self, plan: Plan, known: Mapping[str, Entry]) -> None:
+        """Note in the journal what needs no work, and tell the doubts about it."""
+        due = {item.task.name for item in plan.todo}
+        for name in sorted(plan.archive.intersection(known) - due):
+            self._doubt(known[name])
         for task, done in plan.adopted:
             self._journal.start(task, self._owner)
             self._journal.finish(done)
@@ -320,10 +323,9 @@ class _Run:
         else:
             self._doubt(outcome)
 
-    def _doubt(self, done: Done) -> None:
+    def _doubt(self, found: Done | Entry) -> None:
         """Tell the doubts about a file."""
-        for doubt in doubts_of(done):
-            self._doubts.append(doubt)
+        for doubt in doubts_of(found):
             self._listener(doubt)
 
     def _give_up_running(self) -> None:
@@ -365,6 +367,8 @@ class _Run:
         self, plan: Plan, config: BatchConfig, run: str, ended: Ended, evaluation: BatchEvaluation | None
     ) -> BatchSummary:
         outcomes = [self._outcomes[name] for name in sorted(self._outcomes)]
+        entries = [entry for entry in self._journal.entries() if entry.name in plan.archive]
+        before = (entry.outcome for entry in entries if entry.state == "failed" and entry.name not in self._outcomes)
         n_ended = sum(item.task.name in self._outcomes for item in plan.todo)
         return BatchSummary(
             run=run,
@@ -377,10 +381,11 @@ class _Run:
             n_skipped=len(plan.done) + len(plan.adopted),
             done=tuple(item for item in outcomes if isinstance(item, Done)),
             failed=tuple(item for item in outcomes if isinstance(item, Failed)),
+            standing=tuple(item for item in before if isinstance(item, Failed) and item.problem.kind != "interrupted"),
             n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
             reasons=reasons_of(item.reason for item in plan.todo),
             alarms=tuple(self._alarms),
-            doubts=tuple(sorted(self._doubts, key=lambda doubt: doubt.name)),
+            doubts=tuple(doubt for entry in entries for doubt in doubts_of(entry)),
             left_out=plan.left_out,
             notes=tuple(self._notes),
             ended=ended,

@@ -15,7 +15,7 @@ from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError
 from prc_cli.core.files import atomic_output, remove_stale
 from prc_cli.core.findings import doubt_of
 from prc_cli.jobs.batch.reference import BatchEvaluation
-from prc_cli.jobs.batch.types import Done, Failed, Shard
+from prc_cli.jobs.batch.types import Done, Entry, Failed, Shard
 
 SUMMARY_NAME = "summary.json"
 """File in the output folder."""
@@ -78,13 +78,15 @@ class BatchSummary:
     """In the order of their names."""
     failed: tuple[Failed, ...] = ()
     """Files that have no output of this run."""
+    standing: tuple[Failed, ...] = ()
+    """Files of the archive that failed in an earlier run and were not tried in this one."""
     n_waiting: int = 0
     """Files that are due and were not begun or not ended: ``--limit``, ``--fail-fast``, a signal."""
     reasons: tuple[tuple[str, int], ...] = ()
     """Why files were done, or were to be done: ``new``, ``changed input``, ... and how many."""
     alarms: tuple[Alarm, ...] = ()
     doubts: tuple[Doubted, ...] = ()
-    """Of the files that were done or adopted, in the order of their names."""
+    """Of the archive's finished files, whichever run did them, in the order of their names."""
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
     """What the run met beside the files: a lock taken over, temporary files removed."""
@@ -119,8 +121,11 @@ class BatchSummary:
 
     @property
     def exit_code(self) -> int:
-        """0 done, 1 a file failed, 3 a gate failed, 4 a file is doubted or its classes drifted; the first of these."""
-        if self.failed:
+        """0 done, 1 a file failed, 3 a gate failed, 4 a file is doubted or its classes drifted; the first of these.
+
+        Failures and doubts are those of the archive, whichever run met them.
+        """
+        if self.failed or self.standing:
             return FAILED
         if self.evaluation is not None and not self.evaluation.passed:
             return GateError.exit_code
@@ -128,8 +133,9 @@ class BatchSummary:
 
 
 EXIT_CODES: dict[int, str] = {
-    0: "done: every file that was due has its output",
-    FAILED: "at least one file failed, the others are finished; or archive, output folder or journal cannot be used",
+    0: "done: every file that was due has its output, and no doubt stands",
+    FAILED: "at least one file of the archive failed, now or in an earlier run; or archive, output folder or journal "
+    "cannot be used",
     ConfigError.exit_code: "wrong usage or configuration; nothing was done",
     GateError.exit_code: "an evaluation gate was not reached; nothing failed",
     DriftError.exit_code: "done, look at it: a file is doubted, or its classes are unlike earlier ones; nothing failed",
@@ -166,6 +172,7 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
             "skipped": summary.n_skipped,
             "done": len(summary.done),
             "failed": len(summary.failed),
+            "failed_before": len(summary.standing),
             "waiting": summary.n_waiting,
             "doubted": summary.n_doubted,
             "alarms": len(summary.alarms),
@@ -177,6 +184,7 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "labels": dict(summary.labels),
         "done": [done_dict(found) for found in summary.done],
         "failed": [failed_dict(found) for found in summary.failed],
+        "failed_before": [failed_dict(found) for found in summary.standing],
         "doubts": [asdict(doubt) for doubt in summary.doubts],
         "doubt_counts": dict(Counter(doubt.check for doubt in summary.doubts).most_common()),
         "alarms": [{"name": alarm.name, "sentence": alarm.sentence} for alarm in summary.alarms],
@@ -237,9 +245,10 @@ def write_summary(summary: BatchSummary) -> Path:
     return path
 
 
-def doubts_of(found: Done) -> tuple[Doubted, ...]:
-    """Return the doubts that the run record of a file holds."""
-    told = (doubt_of(notice) for notice in found.notices)
+def doubts_of(found: Done | Entry) -> tuple[Doubted, ...]:
+    """Return the doubts that the run record of a file holds; of an entry of the journal, if the file is done."""
+    done = (found.outcome if found.state == "done" else None) if isinstance(found, Entry) else found
+    told = (doubt_of(notice) for notice in (done.notices if isinstance(done, Done) else ()))
     return tuple(Doubted(found.name, *doubt) for doubt in told if doubt is not None)
 
 

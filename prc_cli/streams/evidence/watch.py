@@ -151,9 +151,13 @@ def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: t
     return accept(sorted(every, key=lambda one: CHECK_NAMES.index(one.check)), accepted)
 
 
+def accepted_by(config: InputConfig) -> tuple[str, ...]:
+    """Return the checks whose findings the user accepts."""
+    return (*(config.accept_doubts or ()), *(ORDER_CHECKS if config.order == "trust" else ()))
+
+
 def watched(
     stream: ScanStream, config: InputConfig, *, refuses: bool = True, most_noise_m: float = math.inf
 ) -> EvidenceStream:
     """Watch a stream; ``config`` says which findings the user accepts."""
-    trusted = ORDER_CHECKS if config.order == "trust" else ()
-    return EvidenceStream(stream, (*(config.accept_doubts or ()), *trusted), refuses, most_noise_m)
+    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m)

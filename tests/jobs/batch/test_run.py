@@ -331,13 +331,39 @@ def test_doubts_reach_journal_and_summary_and_are_told_once(settings: BatchSetti
     assert (table["counts"]["doubted"], table["doubt_counts"], table["exit_code"]) == (1, {"units": 1}, 4)
     last = read_runs(settings.out / OWN_FOLDER)[-1]
     assert (last.exit_code, dict(last.totals)["doubted"]) == (4, 1)
-    # as an alarm: told by the run that did the file, kept in the journal
-    again = run_batch(settings, Scripted(doubtful))
-    assert (again.exit_code, again.doubts) == (0, ())
+    # it stands until somebody accepts it, and is told by every run
+    events.clear()
+    again = run_batch(settings, Scripted(doubtful), events.append)
+    assert (again.exit_code, again.doubts, again.done) == (4, (expected,), ())
+    assert [event for event in events if isinstance(event, Doubted)] == [expected]
     known = {entry.name: entry.outcome for entry in read_entries(settings.out / OWN_FOLDER)}
     outcome = known["b.npz"]
     assert isinstance(outcome, Done)
     assert doubts_of(outcome) == (expected,)
+
+
+def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
+    """A failure or a doubt stands until its file is done, whatever a later run looks at."""
+    odd = Finding("units", Verdict.DOUBTFUL, "the scanner is 9 m up", "at most 5 m")
+
+    def script(task: Task, attempt: int) -> Outcome:
+        if task.name == "a.npz":
+            return failed(task, "InputError")
+        accepts = task.config.config.input.accept_doubts or ()
+        notice = replace(odd, is_accepted=odd.check in accepts).notice()
+        return replace(finished(task), notices=(notice,) if task.name == "b.npz" else ())
+
+    assert run_batch(settings, Scripted(script)).exit_code == 1
+    for other in (settings, replace(settings, since="2999-01-01")):
+        again = run_batch(other, Scripted(script))
+        assert (again.exit_code, [doubt.name for doubt in again.doubts]) == (1, ["b.npz"])
+    assert [item.name for item in again.standing] == ["a.npz"], "it was not even looked at"
+    without = replace(settings, exclude=("a.npz",))
+    assert run_batch(without, Scripted(script)).exit_code == 4
+    accepting = replace(without, config=ConfigLayers(options={"input": {"accept_doubts": ("units",)}}))
+    for config, done in ((accepting, ["b.npz"]), (accepting, []), (without, ["b.npz"])):
+        summary = run_batch(config, Scripted(script))
+        assert ([item.name for item in summary.done], summary.exit_code) == (done, 0 if config is accepting else 4)
 
 
 def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: Path) -> None:
@@ -362,7 +388,9 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     assert adopted.doubts == found.doubts
     accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
     accepted = run_batch(replace(settings, config=accepting))
-    assert (len(accepted.done), accepted.failed, accepted.doubts, accepted.exit_code) == (3, (), (), 0)
+    # only those that have one are done again
+    assert ([item.name for item in accepted.done], accepted.exit_code) == (["shuffled.npy", "thin.npy"], 0)
+    assert (accepted.failed, accepted.doubts) == ((), ())
 
 
 def test_a_foreign_output_fails_its_file_alone(settings: BatchSettings) -> None:

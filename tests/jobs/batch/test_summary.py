@@ -109,7 +109,8 @@ def test_counts_and_reasons_are_in_the_json() -> None:
     )  # fmt: skip
     table = as_dict(found)
     expected = {
-        "found": 4, "skipped": 1, "done": 1, "failed": 1, "waiting": 1, "doubted": 0, "alarms": 1, "left_out": 1
+        "found": 4, "skipped": 1, "done": 1, "failed": 1, "failed_before": 0, "waiting": 1, "doubted": 0,
+        "alarms": 1, "left_out": 1,
     }  # fmt: skip
     assert table["counts"] == expected
     assert table["reasons"] == {"new": 2}
