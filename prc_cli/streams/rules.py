@@ -25,7 +25,7 @@ LOST = (
 )
 LOST_HINT = (
     "classify the raw drive and carry its labels over (prc transfer), or give the points with their times; of x, y, z "
-    "from the scanner: --range sensor-xyz; if they lie as they were fired insist with --trust-order"
+    "from the scanner: --lines elevation:DEG with --range sensor-xyz; if they lie as fired insist with --trust-order"
 )
 
 

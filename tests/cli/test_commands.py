@@ -65,10 +65,11 @@ def test_quiet_prints_nothing_and_json_goes_to_stdout(prc: Prc, tmp_path: Path) 
 
 
 def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
+    source = write_raw(tmp_path / "drive.bin", street())
     layout = tmp_path / "layout.toml"
     layout.write_text('[layout]\nfields = [{name = "range", type = "f4"}]\n')
     options = ["--set", "prc.support.zeta_p=0.25", "--segment-ids", "--max-range", "80", "--layout", layout]
+    options += ["-M", POINTS_PER_LINE]
     result = prc("classify", source, tmp_path / "out.las", "--json", "-q", *options)
     config = json.loads(result.out)["config"]
     assert config["prc"]["support"]["zeta_p"] == 0.25
@@ -132,7 +133,9 @@ def test_info_doubts_what_classify_doubts_where_heights_explain_it(prc: Prc, tmp
     points.write(feet)
     found = json.loads(prc("info", feet, "--json").out)
     assert found["doubts"] == ["units"]
-    assert prc(*found["command"].split()[1:], "-q").code == 4
+    assert prc("classify", feet, tmp_path / "o.npy", "-q").code == 4
+    assert "--set input.range_scale=0.3048" in found["command"]
+    assert prc(*found["command"].split()[1:], "-q").code == 0
 
 
 def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -> None:

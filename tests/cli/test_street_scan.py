@@ -307,4 +307,4 @@ def test_text_without_names_asks_for_a_layout(prc: Prc, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "a.csv", points()[0].reshape(-1, 4)[:500, :3])
     result = prc("classify", tmp_path / "a.csv", tmp_path / "labels.npy", "--preset", "street-scan")
     assert result.code == 1
-    assert "a layout that names the columns" in result.err
+    assert "give a layout that names them" in result.err
