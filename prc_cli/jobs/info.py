@@ -439,16 +439,17 @@ def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | Non
 
 
 def _line_order(stream: ScanStream) -> OrderEvidence | None:
-    """Read the times of a range image's lines alone; None where it has none."""
-    watch = None
+    """Read the times of the lines alone; return those of the scanner that is least in order, None without times."""
+    watches: dict[int, OrderWatch] = {}
     for block in stream.blocks():
         if block.time_s is None:
             return None
-        watch = watch or OrderWatch(stream.info.path, "trust", "time_s")
+        watch = watches.setdefault(block.scanner, OrderWatch(stream.info.path, "trust", "time_s"))
         # lines of shots fired at other times begin at the first ring's
         own = block.time_s[:, 0] if stream.info.facts.has_line_times else block.time_s.ravel()
         watch.see(own, None)
-    return None if watch is None else watch.evidence()
+    found = [watch.evidence() for watch in watches.values()]
+    return max(found, key=lambda one: (one.n_back, one.n_steps), default=None)
 
 
 def _sample(source: RecordSource) -> F32:

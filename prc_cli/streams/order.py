@@ -319,11 +319,15 @@ class WatchedStream:
             When times go back and the order is not trusted.
         """
         info = self.info
-        watch = OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False)
+        watches: dict[int, OrderWatch] = {}
         for block in self.source.blocks():
             if block.time_s is None:
                 yield block
                 continue
+            # scanners of one file have clocks of their own
+            watch = watches.setdefault(
+                block.scanner, OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False)
+            )
             before = watch.n_back
             if info.facts.has_line_times:
                 lines = np.arange(block.first_line, block.first_line + block.n_lines, dtype=np.int64)
@@ -331,4 +335,5 @@ class WatchedStream:
             else:
                 watch.see(block.time_s.ravel(), None)
             yield replace(block, tally=block.tally + ReadTally(n_time_steps_back=watch.n_back - before))
-        watch.finish()
+        for watch in watches.values():
+            watch.finish()

@@ -433,7 +433,7 @@ def _topics_of(path: Path, base: sqlite3.Connection, end: BagEnd) -> dict[int, T
     topics: dict[int, Topic] = {}
     rows = base.execute("SELECT rowid, id, name, type, serialization_format FROM topics NOT INDEXED")
     for _, number, name, kind, form in _in_order(rows):
-        kind = _kind(str(kind)) if form == "cdr" else str(form)
+        kind = _kind(str(kind)) if form in ("cdr", "") else str(form)  # recorders of packets leave it blank
         topics[number] = Topic(str(name), kind, True)
         _note_topic(path, end, topics[number], 0)
     return topics

@@ -70,6 +70,11 @@ class Cursor:
         start = self._need(count * kind.itemsize)
         return np.frombuffer(self.data, kind, count, start)
 
+    def rest(self, dtype: DTypeLike) -> NDArray[Any]:
+        """Return all whole numbers from here to the end, without moving on; a view of the message."""
+        kind = np.dtype(dtype).newbyteorder(self.order)
+        return np.frombuffer(self.data, kind, (len(self.data) - self.at) // kind.itemsize, self.at)
+
     def header(self) -> tuple[float, str]:
         """Read a ``std_msgs/Header``; return its stamp [s] and frame."""
         if not self.is_cdr:

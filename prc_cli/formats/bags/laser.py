@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
@@ -74,7 +75,7 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         intensity = cursor.array("f4")
     else:
         ranges, n_echoes = _echoes(cursor)
-        intensity, n_of = _echoes(cursor)
+        intensity, n_of = _echoes(cursor, n_echoes)
         if not np.array_equal(n_of, n_echoes):
             intensity = np.empty(0, np.float32)
     m = len(ranges) if n_echoes is None else len(n_echoes)
@@ -87,18 +88,40 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges.copy(), intensity.copy(), n_echoes)
 
 
-def _echoes(cursor: Cursor) -> tuple[F32, I64]:
-    """Read a list of lists; return them in a row, and their lengths."""
+def _echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
+    """Read a list of lists, whose lengths may be known; return them in a row, and their lengths."""
     n = cursor.number("I")
     if n > len(cursor.data) // 4:
         message = f"says it holds {n} beams, which it is too short for"
         raise ShortMessageError(message)
-    parts = [cursor.array("f4") for _ in range(n)]
-    counts = np.array([len(part) for part in parts], np.int64)
-    if n and counts.max() > MAX_ECHOES:
-        message = f"holds {counts.max()} echoes of a beam, expected at most {MAX_ECHOES}"
-        raise ShortMessageError(message)
-    return (np.concatenate(parts) if n else np.empty(0, np.float32)), counts
+    words = cursor.rest("u4")
+    counts = likely if likely is not None and len(likely) == n else _lengths(words, n)
+    starts = np.cumsum(counts + 1) - counts - 1
+    if likely is counts and n and (starts[-1] + counts[-1] >= len(words) or not np.array_equal(words[starts], counts)):
+        counts = _lengths(words, n)
+        starts = np.cumsum(counts + 1) - counts - 1
+    is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
+    is_value[starts] = False
+    cursor.at += 4 * len(is_value)
+    values: F32 = words.view(words.dtype.str.replace("u", "f"))[: len(is_value)][is_value].astype(np.float32)
+    return values, counts
+
+
+def _lengths(words: NDArray[np.uint32], n: int) -> I64:
+    """Return the lengths of lists that follow each other, each behind its length.
+
+    >>> _lengths(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
+    [2, 0, 1]
+    """
+    counts, at, listed = [], 0, words[: n * (1 + MAX_ECHOES)].tolist()
+    for _ in range(n):
+        count = listed[at] if at < len(listed) else 0
+        at += 1 + count
+        if count > MAX_ECHOES or at > len(listed):
+            message = f"holds {count} echoes of a beam, expected at most {MAX_ECHOES}, and no more than there are"
+            raise ShortMessageError(message)
+        counts.append(count)
+    return np.array(counts, np.int64)
 
 
 class LaserLines:
@@ -163,7 +186,7 @@ class LaserLines:
         bounds = np.array([(scan.range_min_m, scan.range_max_m) for scan in scans])
         ranges, intensity, record, extra, n_extra = self._one_each(scans, first)
         with np.errstate(invalid="ignore"):
-            beyond: Mask = (ranges < bounds[:, :1]) | (ranges > bounds[:, 1:])
+            beyond: Mask = (ranges < bounds[:, :1]) | (ranges >= bounds[:, 1:])
         finite = np.isfinite(ranges)
         ranges[beyond & finite] = np.nan
         # inf is how a scanner says that nothing came back
@@ -210,7 +233,7 @@ class LaserLines:
         low = np.repeat([scan.range_min_m for scan in scans], [scan.n_records for scan in scans])
         high = np.repeat([scan.range_max_m for scan in scans], [scan.n_records for scan in scans])
         with np.errstate(invalid="ignore"):
-            usable = np.isfinite(flat) & (flat >= low) & (flat <= high) & (flat > 0)
+            usable = np.isfinite(flat) & (flat >= low) & (flat < high) & (flat > 0)
         flat[~usable] = np.nan
         begins: Mask = np.zeros(len(flat), np.bool_)
         begins[starts] = True

@@ -104,6 +104,26 @@ def test_echoes_are_returns(tmp_path: Path) -> None:
     assert block.tally.n_records == 14
 
 
+def test_a_range_at_the_reach_is_no_return(tmp_path: Path) -> None:
+    store = made.STORES[1]
+    lists = [[100.0], [99.99], [100.01], [3.0, 100.0]]
+    sent = [made.Sent("/scan", "sensor_msgs/msg/MultiEchoLaserScan", 1, made.echoes(store, 1, lists, lists))]
+    (block,) = read(made.write_bag(tmp_path / "echoes.bag", sent))[1]
+    np.testing.assert_array_equal(block.range_m[0], np.array([np.nan, 99.99, np.nan, 3], np.float32))
+    assert len(block.extra) == 0
+    row = np.array([100.0, 99.99, 100.01, 3.0], np.float32)
+    one = [made.Sent("/scan", "sensor_msgs/msg/LaserScan", 1, made.laser(store, 1, row))]
+    (block,) = read(made.write_bag(tmp_path / "scan.bag", one))[1]
+    np.testing.assert_array_equal(block.range_m[0], np.array([np.nan, 99.99, np.nan, 3], np.float32))
+
+
+def test_topics_have_an_order_of_time_each(tmp_path: Path) -> None:
+    path = made.write_mcap(tmp_path / "two.mcap", [*made.lasers(2, "/a", "a", 1), *made.lasers(2, "/b", "b", 2)])
+    result = runner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"])
+    assert result.exit_code in (0, 4), result.output + result.stderr
+    assert "time_s never decreases in" in runner().invoke(cli, ["info", str(path)]).output
+
+
 @pytest.mark.parametrize("name", ["plain.bag", "bz2.bag", "plain.mcap", "zstd.mcap"])
 def test_a_bag_that_ends_in_the_middle_is_read_up_to_there(tmp_path: Path, name: str) -> None:
     packed = "" if "plain" in name else name.partition(".")[0]
