@@ -70,6 +70,8 @@ class SourceFacts:
     """Rules for lines, columns and ranges that the file itself implies."""
     notes: tuple[str, ...] = ()
     """What is unusual about the file, one sentence each; always shown, and kept in the run record."""
+    refused: str = ""
+    """Why the usual library refuses the file, whose damage is copied; empty if it does not."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
     """LAZ of point formats 6-10: filled while the records are read, for rewriting the same file."""
     describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)

@@ -15,8 +15,9 @@ from prc_cli.core.errors import EvidenceError
 
 CHECK_NAMES = (
     "ranges", "rounding", "missing-code", "shot-order", "line-length", "columns-along", "line-order", "standing",
-    "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "dropouts", "range-noise", "units",
-    "angle-step", "down", "ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along",
+    "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers", "dropouts",
+    "range-noise", "units", "angle-step", "down", "ground-below", "ground-lean", "below-ground", "noise-share",
+    "indoors", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
 LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along")

@@ -290,6 +290,22 @@ def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None
     assert result.stderr == "error: the result cannot be printed (No space left on device)\n"
 
 
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_a_file_that_laspy_refuses_is_classified_and_doubted(prc: Prc, tmp_path: Path, suffix: str) -> None:
+    drive = las(tmp_path, f"drive{suffix}")
+    fine = prc("classify", drive, tmp_path / f"fine{suffix}", "--trust-order")
+    data = bytearray(drive.read_bytes())
+    data[data.index(b"prc-cli\0", 375)] = 0xFF  # of a VLR's user id, which laspy takes as UTF-8
+    drive.write_bytes(data)
+    with pytest.raises(UnicodeDecodeError):
+        laspy.read(drive)
+    result = prc("classify", drive, tmp_path / f"doubted{suffix}", "--trust-order")
+    assert result.code == 4
+    assert "other-readers" not in fine.err
+    assert "other-readers: laspy refuses the header or its VLRs (UnicodeDecodeError" in result.err
+    assert "laspy refuses" in prc("info", drive).out
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize(("option", "name"), [("--config", "x.toml"), ("--layout", "x.toml"), ("--metadata", "x.json")])
 def test_settings_are_regular_files(prc: Prc, tmp_path: Path, option: str, name: str) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import logging
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -428,6 +429,23 @@ def _read_by_laspy(fields: HeaderFields, point_format: int) -> Any:
     copy.set("point_format", point_format)
     copy.set("record_length", standard_bytes(point_format))
     return laspy.LasHeader.read_from(io.BytesIO(copy.data))
+
+
+def refused_by_laspy(header: LasHeader) -> str:
+    """Return why laspy refuses a header or its VLRs, which are copied as they are; empty if it does not.
+
+    Waveforms are an EVLR that laspy would read whole.
+    """
+    import laspy
+
+    logging.getLogger("laspy").addHandler(logging.NullHandler())  # else its warnings are printed
+    try:
+        with header.path.open("rb") as handle:
+            small = bool(header.evlrs) and header.file_bytes - header.evlrs[0].start <= MAX_HEAD_BYTES
+            laspy.LasHeader.read_from(handle, read_evlrs=small)
+    except Exception as error:  # of any kind: descriptors index tables, texts are decoded
+        return " ".join(f"{type(error).__name__}: {error}".split())[:120]
+    return ""
 
 
 def _check_frame(path: Path, file_bytes: int, header_bytes: tuple[int, int], data_offset: int) -> None:

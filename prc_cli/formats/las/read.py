@@ -16,7 +16,14 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import read_ahead
 from prc_cli.formats.las.contexts import LazContexts, contexts_of
 from prc_cli.formats.las.crs import find_crs
-from prc_cli.formats.las.header import LasHeader, check_decodable, find_points_per_line, open_source, read_header
+from prc_cli.formats.las.header import (
+    LasHeader,
+    check_decodable,
+    find_points_per_line,
+    open_source,
+    read_header,
+    refused_by_laspy,
+)
 from prc_cli.formats.las.laz import LazRecords, read_batches
 from prc_cli.formats.las.points import layers_of, read_layout
 from prc_cli.formats.names import angle_rules
@@ -156,6 +163,7 @@ class LasSource:
             time_name="gps_time",
             rules=angle_rules(self._layout.angle_name),
             notes=self.notes,
+            refused=refused_by_laspy(self.header),
             laz_contexts=self.laz_contexts,
             describe=self.describe,
             skip_intensity=self.skip_intensity,

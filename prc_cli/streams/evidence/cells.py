@@ -89,6 +89,15 @@ def check_returns(seen: Seen) -> Finding | None:
     return Finding("returns", verdict, found, f"at least {LEAST_RETURNS:.0%}", hint)
 
 
+def check_other_readers(seen: Seen) -> Finding | None:
+    """Ask whether the usual library reads the file, too."""
+    if not seen.info.facts.refused:
+        return None
+    found = f"laspy refuses the header or its VLRs ({seen.info.facts.refused})"
+    hint = "a LAS or LAZ output copies them: copy the input from the archive again, or write another format"
+    return Finding("other-readers", Verdict.DOUBTFUL, found, "a file that other programs read", hint)
+
+
 def check_missing_code(seen: Seen) -> Finding | None:
     """Ask whether one and the same largest range stands for no return."""
     known = _known_ranges(seen)

@@ -12,6 +12,7 @@ from prc_cli.streams.evidence.cells import (
     check_collisions,
     check_left_out,
     check_missing_code,
+    check_other_readers,
     check_ranges,
     check_returns,
     check_rounding,
@@ -41,6 +42,7 @@ def ask_all(seen: Seen) -> Iterator[Finding]:
     """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
     yield from _known(*_of_ranges(seen))
     yield from _known(check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen))
+    yield from _known(check_other_readers(seen))
 
 
 def _of_ranges(seen: Seen) -> Iterator[Finding | None]:

@@ -133,6 +133,13 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "Which shots are missing.",
     ),
     Check(
+        "other-readers",
+        "LAS, LAZ: does laspy read the header and its VLRs?",
+        "Doubtful where it refuses them",
+        "They are copied byte for byte: who reads labels with laspy could not open the output",
+        "Damage that laspy reads, and what other libraries refuse.",
+    ),
+    Check(
         "range-noise",
         "Is the noise of the ranges one that the method stands?",
         "PRC and fused in forests: doubtful above 12 mm, as the twentieth of the shots that lie nearest to the "
