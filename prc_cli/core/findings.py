@@ -14,6 +14,7 @@ from typing import Any
 from prc_cli.core.errors import EvidenceError
 
 CHECK_NAMES = (
+    "thinned",
     "ranges", "rounding", "missing-code", "shot-order", "line-length", "columns-along", "line-order", "standing",
     "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers", "dropouts",
     "range-noise", "units", "angle-step", "down", "ground-below", "ground-lean", "below-ground", "noise-share",

@@ -159,7 +159,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
 
 def _open_decided(
     path: Path, loaded: LoadedConfig, engine: Engine,
-    *, only_ranges: bool, loading: Callable[[], AbstractContextManager[None]],
+    *, geometry: bool, only_ranges: bool, loading: Callable[[], AbstractContextManager[None]],
 ) -> tuple[LoadedConfig, ScanStream]:  # fmt: skip
     """Open an input for the method that is named, else for the one chosen for it."""
     config = loaded.config
@@ -176,7 +176,7 @@ def _open_decided(
             load_classifier(loaded, engine)
         if loaded.config.needs_beams:
             return loaded, stream
-    return loaded, _open(path, loaded.config, geometry=False, only_ranges=only_ranges)
+    return loaded, _open(path, loaded.config, geometry=geometry, only_ranges=only_ranges)
 
 
 def label_blocks(
@@ -346,14 +346,16 @@ def _classify(
         # times and intensities are needed only where a point cloud is made from another kind of input
         makes_points = suffix_of(output) in (*LAS_SUFFIXES, ".ply", ".pcd")
         only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
-        loaded, opened = _open_decided(source, loaded, engine, only_ranges=only_ranges, loading=loading)
+        is_new = makes_points and not any({suffix_of(source), suffix_of(output)} <= set(one) for one in _KEPT)
+        loaded, opened = _open_decided(
+            source, loaded, engine, geometry=is_new, only_ranges=only_ranges, loading=loading
+        )  # fmt: skip
         if suffix_of(output) == ".laz" and not asked_columns(loaded.config.output):
             opened.info.facts.check_layers()  # they are copied as they are
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:
             confidence_kernels(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
-    is_new = makes_points and not any({suffix_of(source), suffix_of(output)} <= set(one) for one in _KEPT)
     with (
         FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
         placement(source, output, loaded, opened) if is_new else nullcontext() as place,

@@ -69,6 +69,15 @@ def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
     assert [line["n_shots"] for line in lines] == [row["n_shots"] for row in table]
 
 
+def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: Path) -> None:
+    result = prc("objects", forest / "walk.laz")
+    assert (result.code, "note: the classes of the file are taken" in result.err) == (0, True), result.err
+    assert {row["kind"] for row in rows(result.out)} == {"stem"}
+    assert prc("classify", forest / "walk.laz", forest / "urban.laz", "--preset", "urban", "-q").code == 0
+    result = prc("objects", forest / "urban.laz")
+    assert "note: the file has classes, but none of: stem, pole, car, curb; it is classified anew" in result.err
+
+
 def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
     np.savez(tmp_path / "s.npz", range_m=street_lines(150)[0], angle_deg=np.rad2deg(BEAM))
     given = ("objects", tmp_path / "s.npz", "--preset", "street-scan", "--set", "input.nadir=0", "-q")

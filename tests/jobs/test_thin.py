@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
+from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.formats.las.copy import read_las
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
@@ -311,6 +312,20 @@ def test_cells_by_time_are_found_again(real_data: Path, tmp_path: Path) -> None:
     assert any("may move by a column" in text for text in summary.record.notices)
     found = [np.any([np.roll(left, by, axis=1)[stays] == right[stays] for by in range(-4, 5)], axis=0)]
     assert np.mean(found) > 0.99
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".csv"])
+def test_a_thinned_file_is_doubted_where_it_is_classified(labelled: Path, tmp_path: Path, suffix: str) -> None:
+    """By the run record in the file or beside it, also of what was made of it."""
+    thin(labelled, tmp_path / f"a{suffix}", QUARTER)
+    convert(tmp_path / f"a{suffix}", tmp_path / "b.csv")
+    others = config(accept_doubts=[name for name in CHECK_NAMES if name != "thinned"])
+    for source in (tmp_path / f"a{suffix}", tmp_path / "b.csv"):
+        told = [one for one in classify(source, source.with_suffix(".npy"), others).doubts if one.check == "thinned"]
+        assert [one.found.endswith("returns were dropped and are missing in this file") for one in told] == [True]
+    (tmp_path / "a.laz.prc.json").unlink(missing_ok=True)
+    doubts = classify(tmp_path / f"a{suffix}", tmp_path / "again.npy", others).doubts
+    assert "thinned" in {one.check for one in doubts}
 
 
 def test_converting_a_thinned_file_keeps_what_is_left(labelled: Path, tmp_path: Path) -> None:

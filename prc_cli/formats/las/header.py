@@ -21,6 +21,7 @@ from typing import Any, BinaryIO
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import file_state
+from prc_cli.formats.writing.record import dropped_of
 
 STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Header length by minor version; bytes beyond it are user bytes."""
@@ -542,6 +543,15 @@ def text_of(raw: bytes | str) -> str:
     """Return a zero-terminated text; bytes that are not UTF-8 are shown escaped."""
     text = raw if isinstance(raw, str) else raw.split(b"\0")[0].decode("utf-8", "replace")
     return text.strip()
+
+
+def find_dropped(header: LasHeader) -> str:
+    """Return what the run record in the file says of shots that were left out; empty = nothing."""
+    for data in header.find(RECORD_KEY):
+        with contextlib.suppress(ValueError, RecursionError):
+            if told := dropped_of(json.loads(data.rstrip(b"\0"))):
+                return told
+    return ""
 
 
 def find_points_per_line(header: LasHeader) -> int | None:

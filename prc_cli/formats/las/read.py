@@ -19,6 +19,7 @@ from prc_cli.formats.las.crs import find_crs
 from prc_cli.formats.las.header import (
     LasHeader,
     check_decodable,
+    find_dropped,
     find_points_per_line,
     open_source,
     read_header,
@@ -164,6 +165,7 @@ class LasSource:
             rules=angle_rules(self._layout.angle_name),
             notes=self.notes,
             refused=refused_by_laspy(self.header),
+            dropped=find_dropped(self.header),
             laz_contexts=self.laz_contexts,
             describe=self.describe,
             skip_intensity=self.skip_intensity,

@@ -9,6 +9,7 @@ import hashlib
 import json
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import TracebackType
@@ -16,12 +17,15 @@ from typing import Any
 
 from prc_cli import __version__
 from prc_cli.core.errors import InputError
+from prc_cli.core.files import read_small
 from prc_cli.core.profile import stage, timed
 from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.threads import TICK_S
 
 PROGRAM = "prc-cli"
 RECORD_SUFFIX = ".prc.json"
+LARGEST_RECORD = 1 << 24
+"""Largest run record that is read [bytes]."""
 _READ_BYTES = 1 << 20
 
 
@@ -129,6 +133,28 @@ class RunRecord:
                 return text
         message = f"the run record takes {len(text)} bytes even in short form, limit {limit}"
         raise ValueError(message)
+
+
+def dropped_of(record: Any) -> str:
+    """Return what a run record says of shots that were left out (``prc thin``); empty where it says nothing.
+
+    >>> dropped_of({"program": PROGRAM, "notices": ["thinned: 3 of 9 returns were dropped"]})
+    '3 of 9 returns were dropped'
+    """
+    notices = record.get("notices") if isinstance(record, dict) and record.get("program") == PROGRAM else ()
+    for text in notices if isinstance(notices, list) else ():
+        # of a file that was made of a thinned one, too
+        before, mark, told = text.partition("thinned: ") if isinstance(text, str) else ("", "", "")
+        if mark and before in ("", "doubt ", "accepted doubt "):
+            return str(told.partition(", expected")[0][:200])
+    return ""
+
+
+def dropped_beside(path: Path) -> str:
+    """Return :func:`dropped_of` the run record beside a file."""
+    with suppress(OSError, ValueError, RecursionError):
+        return dropped_of(json.loads(read_small(record_path(path), LARGEST_RECORD)))
+    return ""
 
 
 def record_path(output: Path) -> Path:

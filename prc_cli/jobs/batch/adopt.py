@@ -7,12 +7,9 @@ import json
 import os
 
 from prc_cli.core.files import is_same, parts_of, read_small
-from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
+from prc_cli.formats.writing.record import LARGEST_RECORD, RunRecord, fingerprint, record_path
 from prc_cli.jobs.batch.types import Done, InputPrint, Task
 from prc_cli.jobs.choice import possible_configs
-
-_MAX_RECORD = 1 << 24
-"""Largest run record that is read [bytes]."""
 
 
 def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -> Done | None:
@@ -28,7 +25,7 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
         Of the output.
     """
     try:
-        record = json.loads(read_small(record_path(task.output), _MAX_RECORD))
+        record = json.loads(read_small(record_path(task.output), LARGEST_RECORD))
         trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
         content = fingerprint(task.source)
         records = [

@@ -7,16 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from prc_cli.core.files import read_small
-from prc_cli.formats.writing.record import PROGRAM, record_path
+from prc_cli.formats.writing.record import LARGEST_RECORD, PROGRAM, record_path
 
 DEFAULT_MAPPING = "prc"
 """Where no run record says otherwise."""
 
 MAPPINGS = {"sequential-angle": "street_scan", "fused": "street"}
 """Preset by method; forests have the classes of PRC, whatever the method."""
-
-_MAX_RECORD = 1 << 24
-"""Largest run record that is read [bytes]."""
 
 
 def mapping_of_runs(predicted: Sequence[Path]) -> tuple[str, str]:
@@ -44,7 +41,7 @@ def mapping_of_runs(predicted: Sequence[Path]) -> tuple[str, str]:
 def _asked_by(path: Path) -> tuple[str, str]:
     """Return the preset for one file and its method; a record that is missing or damaged asks for nothing."""
     try:
-        record = json.loads(read_small(record_path(path), _MAX_RECORD))
+        record = json.loads(read_small(record_path(path), LARGEST_RECORD))
         config = record["config"]
         method = config["method"]
         forest = method == "fused" and config["fused"]["environment"] == "forest"

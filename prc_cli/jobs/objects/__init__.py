@@ -1,7 +1,8 @@
 """``prc objects``: lists stems, poles, cars and curbs as they pass.
 
-The input is classified on the way. Runs of shots of one class in a line are joined to objects across lines; an object
-is told when it has passed. Memory holds the objects in view.
+The classes are those of the input where it has some and no method is named, else it is classified on the way. Runs of
+shots of one class in a line are joined to objects across lines; an object is told when it has passed. Memory holds the
+objects in view.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, file_state, remove_stale
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
-from prc_cli.formats import check_input
+from prc_cli.core.types import U8
+from prc_cli.formats import check_input, open_source
+from prc_cli.formats.labels.read import NAMES
 from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.formats.writing.stream_writer import StreamItem
 from prc_cli.jobs.choice import decide
@@ -91,7 +96,7 @@ def find_objects(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ObjectsSummary:
-    """Classify a file and list its objects; the output is complete or absent.
+    """List the objects of a file; the output is complete or absent.
 
     Parameters
     ----------
@@ -100,7 +105,8 @@ def find_objects(
     output : path, optional
         ``.csv``, ``.geojson`` or ``.parquet``.
     config : LoadedConfig or RunConfig, optional
-        Default: the method that labels the input best.
+        A method that is named classifies the file. Default: its own classes are taken where it has some of
+        :data:`KINDS`, else the method that labels it best; a notice says so.
     kinds : tuple of str
         Some of :data:`KINDS`; default: all that the method tells.
     each : callable, optional
@@ -126,11 +132,12 @@ def find_objects(
         for path in (out, record_path(out)):
             check_output(path, overwrite=overwrite, inputs=inputs)
             remove_stale(path)
-    loaded = decide(source, loaded)
     before = file_state(source)
     with ExitStack() as stack:
+        own, told = ({}, "") if loaded.config.is_decided else _own_rules(source, loaded, kinds)
+        loaded = loaded if own else decide(source, loaded)
         put = None if out is None else stack.enter_context(open_things(out))
-        run = _Run(source, loaded, rules_for(loaded.config, kinds))
+        run = _Run(source, loaded, own or rules_for(loaded.config, kinds), told, takes_classes=bool(own))
         # coordinates of the records wait beside the output, or where there is room for temporary files
         folder = out or Path(stack.enter_context(TemporaryDirectory(prefix="prc-objects-"))) / "objects.csv"
         for thing in run.things(folder, progress):
@@ -145,11 +152,40 @@ def find_objects(
     return summary
 
 
+def _own_rules(source: Path, loaded: LoadedConfig, kinds: tuple[str, ...]) -> tuple[dict[Label, Rule], str]:
+    """Return the rule of every object class that records of the input have, and what the user has to know."""
+    records = open_source(source, loaded.config.layout)
+    names = () if records is None else records.dimensions
+    name = next((one for one in names if one.lower() in NAMES), None)
+    if records is None or name is None:
+        return {}, ""
+    there: set[int] = set()
+    for chunk in records.chunks((name,)):
+        codes = np.asarray(chunk.values[name], np.float64)
+        there |= set(np.unique(codes[np.isfinite(codes)]).astype(int).tolist())
+    table = loaded.config.classes
+    labels = {kind: Label[kind.upper()] for kind in kinds or KINDS}
+    found = {label: RULES[kind] for kind, label in labels.items() if table.code(label) in there}
+    if found:
+        told = "the classes of the file are taken, without heights above the ground; --method classifies it anew"
+        return found, told
+    if not there - {0, table.unclassified}:
+        return {}, ""
+    return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified anew"
+
+
 class _Run:
     """One call of :func:`find_objects`."""
 
-    def __init__(self, source: Path, loaded: LoadedConfig, rules: dict[Label, Rule]) -> None:
-        self._source, self._loaded, self._rules = source, loaded, rules
+    def __init__(
+        self, source: Path, loaded: LoadedConfig, rules: dict[Label, Rule], told: str, *, takes_classes: bool
+    ) -> None:
+        self._source, self._loaded, self._rules, self._told = source, loaded, rules, told
+        self._takes_classes = takes_classes
+        self._label_of: U8 = np.full(256, Label.UNCLASSIFIED, np.uint8)
+        """Label by class code."""
+        for label in reversed([one for one in Label if one is not Label.MISSING]):
+            self._label_of[loaded.config.classes.code(label)] = label
         self._labelled: dict[int, LabelledBlock] = {}
         self._growers: dict[int, Grower] = {}
         self._counts, self._n = Counts.none(), Counter[str]()
@@ -159,7 +195,9 @@ class _Run:
 
     def things(self, output: Path, progress: Progress | None) -> Iterator[Thing]:
         """Classify, and yield the objects as they end."""
-        with open_items(self._source, output, self._loaded, blocks_of=self._blocks, codes=False) as opened:
+        with open_items(
+            self._source, output, self._loaded, blocks_of=self._blocks, codes=self._takes_classes
+        ) as opened:
             for item in opened.items:
                 for thing in self._add(item):
                     yield self._numbered(thing)
@@ -170,7 +208,8 @@ class _Run:
         assert self._watch is not None
         assert self._result is not None
         accepted = self._loaded.config.input.accept_doubts or ()
-        self._found = (*self._watch.findings(), *accept(self._result.findings(), accepted))
+        judged = () if self._takes_classes else accept(self._result.findings(), accepted)
+        self._found = (*self._watch.findings(), *judged)
         refuse(str(self._source), self._found)
 
     def summary(self) -> ObjectsSummary:
@@ -178,7 +217,7 @@ class _Run:
         assert self._watch is not None
         told = tuple(finding.notice() for finding in self._found if finding.verdict is not Verdict.FINE)
         record = run_record(self._watch.info, self._counts, self._loaded)
-        record = replace(record, notices=(*record.notices, *told))
+        record = replace(record, notices=(*record.notices, *([self._told] if self._told else []), *told))
         kinds = (label.name.lower() for label in self._rules)
         return ObjectsSummary(record, self._counts, {kind: self._n[kind] for kind in kinds}, self._found)
 
@@ -192,6 +231,9 @@ class _Run:
         stream = with_beams(stream, config.input, from_ground=True)
         self._result = ResultWatch(usual_labels(config, stream.info))
         self._watch = watched(stream, config.input, most_noise_m=method.needs.most_noise_m)
+        if self._takes_classes:
+            yield from (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
+            return
         wanted = config.output.confidence
         for item in label_blocks(self._watch.blocks(), config.classifier, stages=True, confidence=wanted):
             self._counts = self._counts.add(item)
@@ -202,7 +244,7 @@ class _Run:
 
     def _add(self, item: StreamItem) -> Iterator[Thing]:
         block = item.block
-        labelled = self._labelled.pop(id(block))
+        labelled = self._labelled.pop(id(block)) if not self._takes_classes else self._as_stored(item)
         if labelled.block.beam_rad is None:
             raise InputError(str(self._source), "no beam angles, expected those of every column", "see prc info")
         grower = self._growers.setdefault(block.scanner, Grower(block.scanner, self._rules))
@@ -210,6 +252,16 @@ class _Run:
         for line, of_line in groupby(runs, attrgetter("line")):
             yield from grower.add(of_line, line)
         yield from grower.add((), block.first_line + block.n_lines)
+
+    def _as_stored(self, item: StreamItem) -> LabelledBlock:
+        """Return a block with the labels that its codes stand for."""
+        block, codes, further = item.block, item.codes, item.extra_codes
+        assert codes is not None
+        assert further is not None
+        own, extra = (self._label_of[np.where((each >= 0) & (each < 256), each, 0)] for each in (codes, further))
+        found = LabelledBlock(block, np.where(np.isnan(block.range_m), np.uint8(Label.MISSING), own), extra)
+        self._counts = self._counts.add(found)
+        return found
 
     def _numbered(self, thing: Thing) -> Thing:
         number = sum(self._n.values())

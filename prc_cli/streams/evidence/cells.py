@@ -34,6 +34,14 @@ MOST_COUNTED = 1 << 16
 """Ranges that the median is taken of."""
 
 
+def check_thinned(dropped: str) -> tuple[Finding, ...]:
+    """Ask whether the file is one that shots were left out of; ``dropped`` is what its run record says."""
+    if not dropped:
+        return ()
+    hint = "classify the file it was made from, and thin afterwards"
+    return (Finding("thinned", Verdict.DOUBTFUL, dropped, "every shot: classes follow from neighbours", hint),)
+
+
 def check_collisions(seen: Seen) -> Finding | None:
     """Ask whether every shot has a cell of its own."""
     share = _share(seen, seen.tally.n_collisions)

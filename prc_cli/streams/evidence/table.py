@@ -23,6 +23,13 @@ class Check:
 
 INPUT_CHECKS: tuple[Check, ...] = (
     Check(
+        "thinned",
+        "Does the file's own run record say that shots were left out?",
+        "Doubtful wherever it does (`prc thin`)",
+        "Classes follow from the neighbours of a shot: without those that were dropped they are others",
+        "Files that lost their record, or that other programs thinned.",
+    ),
+    Check(
         "ranges",
         "Are the ranges numbers that a scanner can measure?",
         "Refused where the median range is below 0.02 m or above 5 km, or more than 20 % of the ranges lie beyond 20 "

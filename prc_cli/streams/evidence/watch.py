@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from prc_cli.core.findings import CHECK_NAMES, ORDER_CHECKS, Finding, accept, re
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.writing.record import dropped_beside
+from prc_cli.streams.evidence.cells import check_thinned
 from prc_cli.streams.evidence.checks import ask_all
 from prc_cli.streams.evidence.misread import with_other_reading
 from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats
@@ -59,6 +62,8 @@ class EvidenceStream:
     accepted: tuple[str, ...] = ()
     refuses: bool = True
     most_noise_m: float = math.inf
+    dropped: str = ""
+    """What a run record says of shots that were left out."""
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
     _repeats: LineRepeats = field(default_factory=LineRepeats, init=False)
@@ -132,8 +137,8 @@ class EvidenceStream:
 
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return what asks all checks of what has been seen so far, now or in another thread."""
-        repeats = (check_repeats(self._repeats),) if is_whole else ()
-        return partial(_ask_of_all, self.seen(is_whole=is_whole), repeats, self.accepted)
+        others = [*([check_repeats(self._repeats)] if is_whole else []), *check_thinned(self.dropped)]
+        return partial(_ask_of_all, self.seen(is_whole=is_whole), tuple(others), self.accepted)
 
 
 def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
@@ -160,4 +165,5 @@ def watched(
     stream: ScanStream, config: InputConfig, *, refuses: bool = True, most_noise_m: float = math.inf
 ) -> EvidenceStream:
     """Watch a stream; ``config`` says which findings the user accepts."""
-    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m)
+    dropped = stream.info.facts.dropped or dropped_beside(Path(stream.info.path))
+    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m, dropped)
