@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import click
 
-from prc_cli.cli.former import output_last
-
 SECTIONS: dict[str, frozenset[str]] = {
     "Method": frozenset({"method", "preset", "config_file", "assignments", "engine"}),
     "Input": frozenset(
@@ -22,11 +20,7 @@ SECTIONS: dict[str, frozenset[str]] = {
 
 
 class Sectioned(click.Command):
-    """A command whose options are listed by what they are for; it takes ``-o OUT`` also where OUT is an argument."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the command line."""
-        return super().parse_args(ctx, output_last(self, args))
+    """A command whose options are listed by what they are for."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, section by section; a command that classifies nothing keeps one list."""

@@ -13,7 +13,6 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.former import Renamed
 from prc_cli.cli.options import output_options
 from prc_cli.cli.report import LineBar, console, print_assumptions
 from prc_cli.cli.sections import Sectioned
@@ -41,8 +40,6 @@ from prc_cli.jobs.transfer.options import TransferOptions
 )
 @click.option(
     "--match",
-    cls=Renamed,
-    former=("--by",),
     default="time",
     show_default=True,
     metavar="HOW",
@@ -81,8 +78,6 @@ from prc_cli.jobs.transfer.options import TransferOptions
 )
 @click.option(
     "--min-matched",
-    cls=Renamed,
-    former=("--min-match",),
     type=float,
     default=0.5,
     show_default=True,
