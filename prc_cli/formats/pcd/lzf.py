@@ -61,14 +61,3 @@ def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
         if len(out) > n_bytes:
             return None
     return out if len(out) == n_bytes else None
-
-
-def encode_lzf(data: bytes) -> bytes:
-    """Pack data as literals alone, which every decoder reads.
-
-    >>> decode_lzf(memoryview(encode_lzf(bytes(100))), 100) == bytes(100)
-    True
-    """
-    return b"".join(
-        bytes([len(data[at : at + _SHORT]) - 1]) + data[at : at + _SHORT] for at in range(0, len(data), _SHORT)
-    )
