@@ -297,7 +297,7 @@ def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         print()
     print("## Every class\n")
     say("""All returns of a group together. In brackets the 95 % interval of the block jackknife over 20 blocks of lines
-    per scan, as in <code>prc evaluate --intervals jackknife</code>.""")
+    per scan, as in <code>prc evaluate --intervals</code>.""")
     for group, items in contest.groups().items():
         print(f"### {group}\n")
         print("| | class | precision | recall | F1 | IoU |\n|---|---|---:|---:|---:|---:|")

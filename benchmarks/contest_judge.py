@@ -114,7 +114,7 @@ class Verdict:
 
     def intervals(self) -> dict[str, Interval]:
         """Return block jackknife intervals, 95 %."""
-        return block_intervals(self.blocks, (self.rows, self.columns), "jackknife")
+        return block_intervals(self.blocks, (self.rows, self.columns))
 
     def __add__(self, other: Verdict) -> Verdict:
         """Pool two verdicts of the same classes."""

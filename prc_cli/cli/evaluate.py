@@ -114,22 +114,13 @@ _OPTIONS = [
         help="Leave out predictions with less confidence.",
     ),
     click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line of a dense stream."),
-    click.option(
-        "--intervals", type=click.Choice(["jackknife", "bootstrap"]), help="Confidence intervals of all scores."
-    ),
+    click.option("--intervals", is_flag=True, help="Confidence intervals of all scores, by a block jackknife."),
     click.option(
         "--interval-lines",
         type=click.IntRange(min=1),
         default=DEFAULTS.interval_lines,
         show_default=True,
-        help="Scan lines of a block that is left out or drawn as a whole.",
-    ),
-    click.option(
-        "--seed",
-        type=click.IntRange(0, 2**63 - 1),
-        default=DEFAULTS.seed,
-        show_default=True,
-        help="Of the bootstrap.",
+        help="Scan lines of a block that is left out as a whole.",
     ),
     click.option(
         "--format",
@@ -190,7 +181,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     Examples:
       prc evaluate labels.npy reference.npy
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
-      prc evaluate run/ reference/ --mapping oakland --intervals jackknife -M 229 --output report.html
+      prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
     """
     if options["as_json_flag"] and options["form"] not in (None, "json"):
         message = f"--json and --format {options['form']} contradict each other"
@@ -258,7 +249,6 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         points_per_line=options["points_per_line"],
         intervals=options["intervals"],
         interval_lines=options["interval_lines"],
-        seed=options["seed"],
         one_to_one=not options["several"],
         allow_missing=options["allow_missing"],
         pool=options["pool"],

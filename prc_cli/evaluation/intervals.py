@@ -1,36 +1,28 @@
 """Confidence intervals of the scores from blocks of the stream.
 
 Neighbouring shots hit the same wall and have correlated errors, so shots are not independent trials. Therefore whole
-blocks of scan lines are left out or resampled (block jackknife, block bootstrap; Künsch 1989).
+blocks of scan lines are left out (block jackknife; Künsch 1989).
 """
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias, get_args
-
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.mapping import scored_names
 from prc_cli.evaluation.result import Interval
 
-IntervalMethod: TypeAlias = Literal["jackknife", "bootstrap"]
-METHODS: tuple[str, ...] = get_args(IntervalMethod)
 LEVEL = 0.95
 """Confidence level."""
-N_DRAWS = 1000
-"""Draws of the bootstrap."""
 FEW_BLOCKS = 20
 """With fewer blocks, intervals are unreliable."""
 _AT_ONCE = 1 << 22
 
 
-def block_intervals(
-    blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]], method: str, seed: int = 1
-) -> dict[str, Interval]:
-    """Compute intervals of every score that is defined.
+def block_intervals(blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]) -> dict[str, Interval]:
+    """Compute intervals of every score that is defined: the spread without one block at a time, times Student's t.
 
     Parameters
     ----------
@@ -38,11 +30,6 @@ def block_intervals(
         Confusion counts by block, reference by predicted.
     names : (row names, column names)
         Classes.
-    method : {"jackknife", "bootstrap"}
-        Jackknife: leave out one block at a time; the interval is the spread of the scores times Student's t.
-        Bootstrap: draw as many blocks with replacement, :data:`N_DRAWS` times; percentiles of the scores.
-    seed : int
-        Of the bootstrap.
 
     Returns
     -------
@@ -51,21 +38,15 @@ def block_intervals(
 
     Raises
     ------
-    ConfigError
-        Unknown method.
     InputError
         With fewer than two blocks.
     """
-    if method not in METHODS:
-        raise ConfigError("intervals", f"found {method!r}, expected one of: {', '.join(METHODS)}")
     if len(blocks) < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
         raise InputError("intervals", problem, "make the blocks shorter with --interval-lines, or give -M")
     total = blocks.sum(axis=0)
     centre = {name: float(values[0]) for name, values in all_scores(total[None], *names).items()}
-    found = (
-        _jackknife(blocks, total, names, centre) if method == "jackknife" else _bootstrap(blocks, names, centre, seed)
-    )
+    found = _jackknife(blocks, total, names, centre)
     return {
         name: Interval(max(low, -1.0 if name == "kappa" else 0.0), min(high, 1.0))
         for name, (low, high) in found.items()
@@ -88,26 +69,6 @@ def _jackknife(
         error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
         half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error
         found[name] = value - half, value + half
-    return found
-
-
-def _bootstrap(
-    blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]], centre: dict[str, float], seed: int
-) -> dict[str, tuple[float, float]]:
-    random = np.random.default_rng(seed)
-    flat = blocks.reshape(len(blocks), -1)
-    drawn = np.empty((N_DRAWS, flat.shape[1]), np.int64)
-    for k in range(N_DRAWS):
-        times = np.bincount(random.integers(0, len(blocks), len(blocks)), minlength=len(blocks))
-        drawn[k] = times @ flat
-    tails = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
-    found = {}
-    for name, values in all_scores(drawn.reshape(N_DRAWS, *blocks.shape[1:]), *names).items():
-        # ignore draws without records of a class
-        defined = values[~np.isnan(values)]
-        if not np.isnan(centre[name]) and len(defined) > N_DRAWS // 2:
-            low, high = np.quantile(defined, tails)
-            found[name] = float(low), float(high)
     return found
 
 

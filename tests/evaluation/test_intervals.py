@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.intervals import all_scores, block_intervals
 from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, gate_value, scores
@@ -42,7 +42,7 @@ def test_jackknife_of_a_mean_is_the_textbook_interval() -> None:
     blocks = blocks_of(25)
     per_block = all_scores(blocks, *NAMES)["accuracy"]  # of blocks of one size: their mean is the score
     half = stats.t.ppf(0.975, 24) * per_block.std(ddof=1) / np.sqrt(25)
-    found = block_intervals(blocks, NAMES, "jackknife")["accuracy"]
+    found = block_intervals(blocks, NAMES)["accuracy"]
     assert (found.low, found.high) == pytest.approx((per_block.mean() - half, per_block.mean() + half))
 
 
@@ -54,27 +54,16 @@ def test_jackknife_by_hand(name: str) -> None:
     ]
     error = np.sqrt(8 / 9 * np.sum((np.array(left_out) - np.mean(left_out)) ** 2))
     value = gate_value(scores(ConfusionMatrix(*NAMES, blocks.sum(axis=0))), name)
-    found = block_intervals(blocks, NAMES, "jackknife")[name]
+    found = block_intervals(blocks, NAMES)[name]
     half = stats.t.ppf(0.975, 8) * error
     assert (found.low, found.high) == pytest.approx((value - half, value + half))
 
 
-def test_bootstrap_of_a_mean_has_its_spread_and_its_seed() -> None:
-    blocks = blocks_of(200)
-    per_block = all_scores(blocks, *NAMES)["accuracy"]
-    found = block_intervals(blocks, NAMES, "bootstrap", seed=5)["accuracy"]
-    half = 1.96 * per_block.std() / np.sqrt(200)
-    assert (found.low, found.high) == pytest.approx((per_block.mean() - half, per_block.mean() + half), abs=0.15 * half)
-    assert block_intervals(blocks, NAMES, "bootstrap", seed=5)["accuracy"] == found
-    assert block_intervals(blocks, NAMES, "bootstrap", seed=6)["accuracy"] != found
-
-
-@pytest.mark.parametrize("method", ["jackknife", "bootstrap"])
-def test_intervals_hold_the_true_score_about_as_often_as_they_say(method: str) -> None:
+def test_intervals_hold_the_true_score_about_as_often_as_they_say() -> None:
     true = float(all_scores(blocks_of(4000, 99).sum(axis=0)[None], *NAMES)["recall.stem"][0])
     n_held = 0
     for seed in range(60):
-        found = block_intervals(blocks_of(40, seed), NAMES, method, seed)["recall.stem"]
+        found = block_intervals(blocks_of(40, seed), NAMES)["recall.stem"]
         n_held += found.low <= true <= found.high
     assert n_held >= 51  # 57 expected; fewer than 51 in one of 200 such tests
 
@@ -83,23 +72,20 @@ def test_bounds_and_undefined_scores() -> None:
     blocks = blocks_of(10)
     blocks[:, 1] = 0
     blocks[2, 1, 2] = 5  # stems in one block alone
-    for method in ("jackknife", "bootstrap"):
-        found = block_intervals(blocks, NAMES, method)
-        assert "recall.stem" not in found or method == "bootstrap"
-        assert all(-1 <= item.low <= item.high <= 1 for item in found.values())
+    found = block_intervals(blocks, NAMES)
+    assert "recall.stem" not in found
+    assert all(-1 <= item.low <= item.high <= 1 for item in found.values())
     perfect = np.zeros((5, 3, 3), np.int64)
     perfect[:, 0, 1] = perfect[:, 1, 2] = 3
-    assert block_intervals(perfect, NAMES, "jackknife")["accuracy"].low == 1.0
+    assert block_intervals(perfect, NAMES)["accuracy"].low == 1.0
 
 
 def test_counts_beyond_32_bits() -> None:
     blocks = blocks_of(10) * 10**9
-    found, small = (block_intervals(b, NAMES, "bootstrap")["kappa"] for b in (blocks, blocks_of(10)))
+    found, small = (block_intervals(b, NAMES)["kappa"] for b in (blocks, blocks_of(10)))
     assert (found.low, found.high) == pytest.approx((small.low, small.high))
 
 
 def test_what_cannot_be_done() -> None:
     with pytest.raises(InputError, match="at least 2 blocks with scored pairs, found 1"):
-        block_intervals(blocks_of(1), NAMES, "jackknife")
-    with pytest.raises(ConfigError, match="expected one of: jackknife, bootstrap"):
-        block_intervals(blocks_of(5), NAMES, "normal")
+        block_intervals(blocks_of(1), NAMES)

@@ -62,7 +62,7 @@ READ: tuple[tuple[str, ...], ...] = (
     ("evaluate", "{case}", "{case}"),
     ("evaluate", "{case}", "{case}", "--match", "nearest", "--tolerance", "0.1"),
     ("evaluate", "{case}", "{case}", "--match", "time", "--tolerance", "0.1", "--by-range", "5,10"),
-    ("evaluate", "{case}", "{case}", "-M", "24", "--by-lines", "4", "--intervals", "jackknife"),
+    ("evaluate", "{case}", "{case}", "-M", "24", "--by-lines", "4", "--intervals"),
     ("thin", "{case}", "{out}/o.npz", "--keep", "ground=1/4", *_P),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL, "--view", "top", "--range", "sensor-xyz"),

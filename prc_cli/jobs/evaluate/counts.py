@@ -72,7 +72,7 @@ def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
         LINE: options.split_lines is not None,
         SCANNER: options.split_scanner,
         CONFIDENCE: bool(options.split_confidence),
-        "blocks": options.intervals is not None,
+        "blocks": options.intervals,
     }
     return tuple(name for name, wanted in asked.items() if wanted)
 
@@ -181,14 +181,13 @@ def intervals_of(
     counts: Counts, matrix: ConfusionMatrix, options: EvaluateOptions, *, by_lines: bool
 ) -> tuple[dict[str, Interval], str]:
     """Return intervals of all scores, and how they were computed."""
-    if options.intervals is None:
+    if not options.intervals:
         return {}, ""
     blocks = counts.parts["blocks"].scored()
     names = matrix.reference_names, matrix.predicted_names
-    found = block_intervals(blocks, names, options.intervals, options.seed)
+    found = block_intervals(blocks, names)
     unit = "scan lines" if by_lines else "records"
     size = options.interval_lines * (1 if by_lines else RECORDS_PER_LINE)
-    seeded = f", seed {options.seed}" if options.intervals == "bootstrap" else ""
     few = "; few blocks, take them as rough" if len(blocks) < FEW_BLOCKS else ""
-    method = f"block {options.intervals}, {len(blocks)} blocks of {size} {unit}{seeded}, {100 * LEVEL:g} %{few}"
+    method = f"block jackknife, {len(blocks)} blocks of {size} {unit}, {100 * LEVEL:g} %{few}"
     return found, method

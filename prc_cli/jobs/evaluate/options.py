@@ -9,7 +9,6 @@ from pathlib import Path
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.window import Window
-from prc_cli.evaluation.intervals import METHODS
 from prc_cli.evaluation.splits import (
     check_edges,
 )
@@ -53,12 +52,10 @@ class EvaluateOptions:
     """Pairs whose prediction has less confidence are left out [per cent]; None = none is."""
     points_per_line: int | None = None
     """M, where records are shots of a dense stream: the line of record i is i // M."""
-    intervals: str | None = None
-    """``jackknife`` or ``bootstrap``; None = no intervals."""
+    intervals: bool = False
+    """Whether confidence intervals of the scores are computed."""
     interval_lines: int = 99
-    """Scan lines per block that is left out or drawn as a whole."""
-    seed: int = 1
-    """Seed of the bootstrap."""
+    """Scan lines per block that is left out as a whole."""
     one_to_one: bool = True
     """``nearest``: only mutually nearest pairs; otherwise a reference record may have several partners."""
     allow_missing: bool = False
@@ -88,8 +85,6 @@ def check_options(options: EvaluateOptions) -> None:
         raise ConfigError("pool", "records of pooled files have no order", "match by time, dimension or nearest")
     if not 0 <= options.min_matched <= 1:
         raise ConfigError("min_matched", f"found {options.min_matched:g}, expected a share from 0 to 1")
-    if options.intervals is not None and options.intervals not in METHODS:
-        raise ConfigError("intervals", f"found {options.intervals!r}, expected one of: {', '.join(METHODS)}")
     for key in ("split_lines", "points_per_line", "interval_lines"):
         value = getattr(options, key)
         if value is not None and value < 1:

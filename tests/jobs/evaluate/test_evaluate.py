@@ -307,16 +307,15 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     assert "lines: taken from the reference" in swapped.match.notes
 
 
-@pytest.mark.parametrize("method", ["jackknife", "bootstrap"])
-def test_intervals_hold_the_score_and_do_not_depend_on_the_match(drive: Drive, folder: Path, method: str) -> None:
-    options = {"intervals": method, "interval_lines": 10, "predicted_points": folder / "raw.csv.gz"}
+def test_intervals_hold_the_score_and_do_not_depend_on_the_match(drive: Drive, folder: Path) -> None:
+    options = {"intervals": True, "interval_lines": 10, "predicted_points": folder / "raw.csv.gz"}
     found = run(folder / "labels.npy", folder / "tiles", match="time", **options)
-    assert found.interval_method.startswith(f"block {method}, 30 blocks of 10 scan lines")
+    assert found.interval_method.startswith("block jackknife, 30 blocks of 10 scan lines")
     recall = found.intervals["recall.ground"]
     assert recall.low < found.matrix.row_shares()[0, 0] < recall.high < recall.low + 0.1
     assert run(folder / "labels.npy", folder / "tiles", match="nearest", **options).intervals == found.intervals
     np.save(folder / "truth.npy", drive.truth)
-    records = run(folder / "labels.npy", folder / "truth.npy", intervals=method, interval_lines=1)
+    records = run(folder / "labels.npy", folder / "truth.npy", intervals=True, interval_lines=1)
     assert "30 blocks of 1000 records" in records.interval_method
 
 
@@ -370,7 +369,6 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
         ({"pool": True}, "records of pooled files have no order"),
         ({"match": "nearest", "tolerance": 0.0}, "expected a finite number above 0"),
         ({"min_matched": 2.0}, "expected a share from 0 to 1"),
-        ({"intervals": "guess"}, "expected one of: jackknife, bootstrap"),
         ({"split_range_m": (20.0, 10.0)}, "expected ascending ranges"),
         ({"split_lines": 0}, "expected at least 1"),
         ({"match": "time"}, "no 'time' to match by in the file, which has: class codes alone"),
