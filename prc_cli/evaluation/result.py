@@ -12,7 +12,7 @@ class MatchReport:
     """How the records of both sides were matched, and how many."""
 
     method: str
-    """``order``, ``time``, ``dimension:NAME`` or ``nearest``."""
+    """``order``, ``cell`` (scan line and column), ``time``, ``dimension:NAME`` or ``nearest``."""
     n_predicted: int
     n_reference: int
     n_matched: int

@@ -20,8 +20,8 @@ class KeyRule:
     """The key by which a record is matched."""
 
     kind: str
-    """``time``, ``dimension``, ``record`` (index in the input), ``rank`` (index among the records with a class) or
-    ``place`` (coordinates)."""
+    """``time``, ``dimension``, ``cell`` (scan line and column), ``record`` (index in the input), ``rank`` (index among
+    the records with a class) or ``place`` (coordinates)."""
     dimension: str = "time"
     """Dimension that holds the key; of a place, the axis that records are sorted by."""
     same: tuple[str, ...] = ()

@@ -17,6 +17,7 @@ from prc_cli.formats.labels.read import CodeSource, open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.tables.read import open_table
+from prc_cli.formats.writing.record import dense_line_beside
 from prc_cli.matching.join import CODE, KEY, SAME, Columns
 from prc_cli.matching.key_rule import AXES, KeyRule, exact_keys
 from prc_cli.matching.streams import in_step
@@ -41,6 +42,9 @@ _NAMES = {
     CONFIDENCE: (CONFIDENCE,),
 }
 _INDEX = ""
+_LINE, _COLUMN = "scan_line", "column"
+_LONGEST_LINE = 1 << 22
+"""A cell is one whole number: its line times this, and its column."""
 _CODES = "class codes"
 """Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
 _MAX_ID = 1 << 31
@@ -58,6 +62,8 @@ class SideFile:
     """The same file, if it holds more than codes."""
     points: RecordSource | None
     """The points that labels alone belong to, record by record."""
+    dense_line: int | None = None
+    """M, where there is a code for every cell, in order; None = not known."""
 
     @classmethod
     def open(cls, path: Path, dimension: str | None, points: Path | None) -> SideFile:
@@ -80,7 +86,7 @@ class SideFile:
             if beside is None:
                 problem = "unknown suffix, expected points: LAS, LAZ, text, .npz or .parquet"
                 raise InputError(str(points), problem, "name the input of the run")
-        return cls(codes, table, beside)
+        return cls(codes, table, beside, dense_line_beside(path))
 
     @property
     def sources(self) -> tuple[RecordSource, ...]:
@@ -94,6 +100,12 @@ class SideFile:
                 if name in source.dimensions:
                     return source, name
         return None
+
+    @property
+    def knows_cells(self) -> bool:
+        """Whether the scan line and the column of every record are known."""
+        own = self.find((_LINE,)) is not None and self.find((_COLUMN,)) is not None
+        return own or self.dense_line is not None
 
     @property
     def is_las(self) -> bool:
@@ -251,7 +263,12 @@ class Side:
     def _read(self, file: SideFile, names: tuple[str, ...]) -> Iterator[tuple[Columns, I64]]:
         """Yield the columns of one file, without :data:`FILE` and :data:`ROW`, and the index of every record."""
         wanted = {name: name for name in names if name not in (CODE, FILE, ROW)}
-        if KEY in wanted and self.key is not None:
+        by_cell = KEY in wanted and self.key is not None and self.key.kind == "cell"
+        own_cells = by_cell and file.find((_LINE,)) is not None and file.find((_COLUMN,)) is not None
+        if by_cell:
+            del wanted[KEY]
+            wanted |= {_LINE: _LINE, _COLUMN: _COLUMN} if own_cells else {}
+        elif KEY in wanted and self.key is not None:
             wanted[KEY] = self.key.dimension
         if self.key is not None and self.key.kind == "place":
             wanted |= {axis: axis for axis in AXES}
@@ -277,6 +294,9 @@ class Side:
             for name, place in places.items():
                 found = self._counted(name, index) if place is None or place[0] is None else read[place[1]]
                 values[name] = self._typed(file, name, found, row)
+            if by_cell:
+                line, column = (values[_LINE], values[_COLUMN]) if own_cells else np.divmod(index, file.dense_line or 1)
+                values[KEY] = _cell_keys(line, column)
             yield values, index
             row += n
 
@@ -299,6 +319,16 @@ class Side:
             problem = f"record {first + at}: found dimension:{name} {found[at]}, expected a whole number below 2^53"
             raise InputError(file.codes.path, problem, "match by a dimension of whole numbers")
         return ids
+
+
+def _cell_keys(line: NDArray[Any], column: NDArray[Any]) -> F64:
+    """Return cells as whole numbers, NaN where one is not known.
+
+    >>> _cell_keys(np.array([0, 1, -1]), np.array([7, 0, 3])).tolist()
+    [7.0, 4194304.0, nan]
+    """
+    known = (line >= 0) & (column >= 0) & (column < _LONGEST_LINE)
+    return np.where(known, line * float(_LONGEST_LINE) + column, np.nan)
 
 
 def _whole(found: NDArray[Any]) -> I64:

@@ -48,7 +48,7 @@ class ArrayTable:
     """Reader of ``.npy`` and ``.npz`` files as records: one per cell of an image, in stream order.
 
     An array with one number per record is a column: (records,), or (lines, M) for images. ``xyz`` has one axis more and
-    becomes three columns. Images also have ``scan_line``, the row.
+    becomes three columns. Images also have ``scan_line``, the row, and ``column``.
 
     Parameters
     ----------
@@ -96,8 +96,8 @@ class ArrayTable:
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver."""
-        rows = ("scan_line",) if len(self._image) == 2 and "scan_line" not in self._columns else ()
-        return (*self._columns, *rows)
+        cells = ("scan_line", "column") if len(self._image) == 2 else ()
+        return (*self._columns, *(name for name in cells if name not in self._columns))
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Read from the start, in bounded memory.
@@ -120,7 +120,8 @@ class ArrayTable:
                 values: dict[str, NDArray[Any]] = {}
                 for name in names:
                     if name not in self._columns:
-                        values[name] = np.repeat(np.arange(first, first + n), row)
+                        line, column = np.arange(first, first + n), np.arange(row)
+                        values[name] = np.repeat(line, row) if name == "scan_line" else np.tile(column, n)
                         continue
                     array, axis = self._columns[name]
                     found = read[array]

@@ -150,6 +150,17 @@ def dropped_of(record: Any) -> str:
     return ""
 
 
+def dense_line_beside(path: Path) -> int | None:
+    """Return M where the run record beside labels says that there is one for every cell, in order; else None."""
+    with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
+        record = json.loads(read_small(record_path(path), LARGEST_RECORD))
+        stream, tally = record["stream"], record["tally"]
+        m, others = stream["points_per_line"], ("n_collisions", "n_extra_returns", "n_unplaced")
+        if record["program"] == PROGRAM and m * stream["n_lines"] == stream["n_records"] and m:
+            return None if any(tally[name] for name in others) else int(m)
+    return None
+
+
 def dropped_beside(path: Path) -> str:
     """Return :func:`dropped_of` the run record beside a file."""
     with suppress(OSError, ValueError, RecursionError):

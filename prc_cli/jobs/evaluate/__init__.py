@@ -107,8 +107,9 @@ def evaluate_all(
     # blocks are counted in lines only if the lines of every pool are known
     by_lines = all(LINE in (*left.dimensions, *right.dimensions) for left, right in pools)
     names: list[str] = []
+    how: list[str] = []
     for left, right in pools:
-        _compare(left, right, len(names), counts, options, by_lines=by_lines)
+        how.append(_compare(left, right, len(names), counts, options, by_lines=by_lines))
         names += [file.codes.path for file in left.files]
     if options.allow_missing:
         _note_missing(paths, pools, counts)
@@ -122,7 +123,7 @@ def evaluate_all(
         SPLITS[name]: scored_parts(counts, name, names, options) for name in asked_parts(options) if name in SPLITS
     }
     match = MatchReport(
-        options.match,
+        " and ".join(dict.fromkeys(how)),
         counts.n_predicted,
         counts.n_reference,
         counts.n_matched,
@@ -156,7 +157,7 @@ def evaluate(
     Raises
     ------
     InputError
-        When the files hold different numbers of records: matched by order needs equal counts.
+        When the files hold different numbers of records, and one does not know the cells of its records.
     """
     options = EvaluateOptions(predicted_dimension=predicted_dimension, reference_dimension=reference_dimension)
     return evaluate_all([Path(predicted)], [Path(reference)], mapping, options=options).matrix
@@ -185,8 +186,8 @@ def _with_own_lines(left: Side, right: Side, counts: Counts) -> tuple[Side, Side
 
 def _compare(
     left: Side, right: Side, first_file: int, counts: Counts, options: EvaluateOptions, *, by_lines: bool
-) -> None:
-    """Match one pool of files and count its pairs."""
+) -> str:
+    """Match one pool of files and count its pairs; return how they were matched."""
     left, right = _with_own_lines(left, right, counts)
     plan = _plan(left, right, options, by_lines=by_lines)
     mapping = counts.mapping
@@ -194,8 +195,7 @@ def _compare(
         counts.note(f"{SPLITS.get(name, name)}: taken from the reference")
     if options.match == "nearest":
         _check_crs(left, right, counts)
-        key = KeyRule("place", _longest_axis(right))
-        left, right = replace(left, key=key), replace(right, key=key)
+        left, right = _keyed(left, right, KeyRule("place", _longest_axis(right)))
     on_disk = [options.match == "nearest"] * 2
     while True:
         found = {name: GroupedCounts(mapping, name) for name in counts.parts}
@@ -214,6 +214,12 @@ def _compare(
                     n_unsure += len(sure) - int(np.count_nonzero(sure))
                     cells, beside = cells[sure], {name: values[sure] for name, values in beside.items()}
                 count_pairs(found, beside, cells, options, by_lines=by_lines)
+        except _UnequalError:
+            counts.note("the files hold different numbers of records: matched by cell (scan line, column)")
+            options = replace(options, match="cell")
+            left, right = _keyed(left, right, KeyRule("cell"))
+            plan = _plan(left, right, options, by_lines=by_lines)
+            continue
         except UnsortedError as error:
             # most streams are sorted; if not, sort on disk and start the match again
             on_disk[error.side] = True
@@ -223,9 +229,17 @@ def _compare(
         counts.parts[name].merge(part)
     if window is not None:
         window.report(left.path, counts)
-    if options.min_confidence is not None:
-        counts.note(f"{{n}} pairs have a confidence below {options.min_confidence} %: left out", n_unsure)
+    counts.note(f"{{n}} pairs have a confidence below {options.min_confidence} %: left out", n_unsure)
     _report(left, right, tally, counts, options)
+    return options.match
+
+
+def _keyed(left: Side, right: Side, key: KeyRule) -> tuple[Side, Side]:
+    return replace(left, key=key), replace(right, key=key)
+
+
+class _UnequalError(Exception):
+    """Files to be matched by order differ in length, but both know their cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +278,7 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
     keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
     if options.match == "nearest":
         keys = (KEY, *AXES)
-    elif options.match == "time" and SAME in has and SAME in other_has:
+    elif options.match in ("time", "cell") and SAME in has and SAME in other_has:
         keys = (KEY, SAME)
     return _Plan(tuple(predicted), tuple(reference), keys)
 
@@ -287,7 +301,14 @@ def _pairs(
     )
     names = left.path, right.path
     if options.match == "order":
-        for pair in in_step((one, other), lambda n: refuse_poor_match(n[0], n[1], *names)):
+        knows_cells = all(len(side.files) == 1 and side.files[0].knows_cells for side in (left, right))
+
+        def check(n: Sequence[int]) -> None:
+            if n[0] != n[1] and knows_cells:
+                raise _UnequalError
+            refuse_poor_match(n[0], n[1], *names)
+
+        for pair in in_step((one, other), check):
             tally.n_pairs += len(pair[0][CODE])
             tally.n_right += len(pair[0][CODE])
             yield pair[0], pair[1]
@@ -311,7 +332,7 @@ def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: 
         counts.note(f"{{n}} {who} records have no finite {what}: left out", side.tally.n_not_finite)
         if not side.tally.n_usable:
             raise InputError(side.path, f"no record has finite {what}, expected them to match by", "check the file")
-    shared = "places" if options.match == "nearest" else f"{options.match}s" if options.match == "time" else "ids"
+    shared = {"nearest": "places", "time": "times", "cell": "cells"}.get(options.match, "ids")
     counts.note(
         f"{{n}} predicted records share their {shared} with another number of reference records: which is which "
         "cannot be told, left out",

@@ -34,18 +34,19 @@ def test_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> 
     np.savez(path, angle_deg=np.arange(5.0), range_m=range_m, xyz=xyz, time_s=time_s, name=np.array("a"))
     source = open_table(path)
     assert source is not None
-    assert set(source.dimensions) == {"range", "x", "y", "z", "time", "scan_line"}
+    assert set(source.dimensions) == {"range", "x", "y", "z", "time", "scan_line", "column"}
     found = columns(path, "z", "range", "scan_line", "time", "x")
     for name, expected in (("z", xyz[..., 2]), ("range", range_m), ("time", time_s), ("x", xyz[..., 0])):
         np.testing.assert_array_equal(found[name], expected.ravel())
     np.testing.assert_array_equal(found["scan_line"], np.repeat(np.arange(9), 5))
+    np.testing.assert_array_equal(columns(path, "column")["column"], np.tile(np.arange(5), 9))
 
 
 def test_a_time_a_line_is_no_time_of_a_shot(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", range_m=np.ones((4, 6)), time_s=np.arange(4.0))
     source = open_table(tmp_path / "a.npz")
     assert source is not None
-    assert source.dimensions == ("range", "scan_line")
+    assert source.dimensions == ("range", "scan_line", "column")
 
 
 def test_lists_and_single_arrays(tmp_path: Path) -> None:

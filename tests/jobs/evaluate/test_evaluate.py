@@ -20,8 +20,10 @@ from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.result import Evaluation
 from prc_cli.jobs.classify import classify
+from prc_cli.jobs.convert import convert
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
+from tests.street import angles, street
 
 MAPPING = ClassMapping(
     ignore=[0],
@@ -444,3 +446,25 @@ def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
     assert found.match.n_matched == found.match.n_reference == expected.match.n_matched > 50_000
     np.testing.assert_array_equal(found.matrix.counts, expected.matrix.counts)
     assert found.matrix.n_ignored == expected.matrix.n_ignored
+
+
+@pytest.mark.parametrize("other", [".laz", ".ply"])
+@pytest.mark.parametrize("labels", [".npy", ".csv", "grid.csv"])
+def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
+    tmp_path: Path, labels: str, other: str
+) -> None:
+    image = street()
+    np.savez(tmp_path / "s.npz", range_m=image, angle_deg=np.rad2deg(angles()))
+    config = load_config(preset="urban")
+    cloud, left = tmp_path / f"s{other}", tmp_path / f"l{labels}"
+    classify(tmp_path / "s.npz", cloud, config)
+    if labels == "grid.csv":
+        convert(cloud, left)
+    else:
+        classify(tmp_path / "s.npz", left, config)
+    for one, two in ((left, cloud), (cloud, left)):
+        found = evaluate_all([one], [two])
+        assert (found.match.method, found.match.n_matched) == ("cell", int((~np.isnan(image)).sum()))
+        assert found.matrix.counts.trace() == found.matrix.counts.sum() > 0
+        assert "different numbers of records: matched by cell (scan line, column)" in " ".join(found.match.notes)
+    assert evaluate_all([cloud], [cloud]).match.method == "order"
