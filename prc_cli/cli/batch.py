@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -95,7 +96,8 @@ _OUTPUTS = [
             help="laz, las, npy, csv or parquet; same: LAS and LAZ stay what they are, of all else labels (.npy)."),
     _option("--overwrite", is_flag=True, help="Replace outputs that no run of prc batch wrote."),
     _option("--adopt", is_flag=True, help="Take such outputs as done if their record says that they are the same."),
-    _option("--verify", is_flag=True, help="Compare the content of inputs, not only size and time."),
+    _option("--verify", is_flag=True, help="Compare the content of inputs and outputs, not only "
+            "size and time; prc batch --verify OUT only says which outputs are whole."),
     _option("--keep-version", "keep_versions", multiple=True, metavar="VERSION",
             help="Outputs that this older version of prc made are not made again."),
     _option("--dry-run", is_flag=True, help="Only say what would be done, and what it would take."),
@@ -129,7 +131,7 @@ def _add(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
 
 @click.group(cls=BatchCommand, subcommand_metavar="")
 @click.argument("archive", type=click.Path(path_type=Path), shell_complete=_complete_archive)
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=click.Path(path_type=Path), required=False)
 @_add(_SELECTION, _WORK, _OUTPUTS, _CHECKS, _TELLING)
 @stream_options
 @output_options
@@ -150,8 +152,14 @@ def batch(**options: Any) -> None:
       prc batch /archive /classified --config archive.toml -q --log-json /var/log/prc.jsonl
       prc batch status /classified
       prc batch retry /classified
+      prc batch --verify /classified
     """
-    _run(options)
+    if options["out"] is not None:
+        _run(options)
+    elif options["verify"]:
+        _verify(options["archive"], as_json=options["as_json"], quiet=options["quiet"])
+    else:
+        raise click.MissingParameter(param_hint="'OUT'", param_type="argument")
 
 
 @batch.command()
@@ -251,6 +259,19 @@ def _run(options: dict[str, Any]) -> None:
 
         click.echo(json.dumps(as_dict(summary), indent=1, allow_nan=False))
     click.get_current_context().exit(summary.exit_code)
+
+
+def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
+    """Say which outputs are whole; exit code 1 if one is not."""
+    from prc_cli.cli.batch_report import print_verified
+    from prc_cli.jobs.batch.verify import verify_outputs
+
+    found = tuple(verify_outputs(out))
+    if as_json:
+        click.echo(json.dumps([asdict(one) for one in found], indent=1))
+    else:
+        print_verified(out, found, quiet=quiet)
+    click.get_current_context().exit(int(any(one.state != "whole" for one in found)))
 
 
 def _settings(options: dict[str, Any]) -> BatchSettings:

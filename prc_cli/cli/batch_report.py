@@ -25,6 +25,7 @@ from prc_cli.jobs.batch.types import (
     Failed,
     Run,
 )
+from prc_cli.jobs.batch.verify import Verified
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""
@@ -290,6 +291,17 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
     n_more = max(len(wrong) - SHOWN, 0) + max(len(doubts) - SHOWN, 0)
     if n_more:
         tell(f"and {n_more:,} more; --json has all of them")
+
+
+def print_verified(out: Path, found: Sequence[Verified], *, quiet: bool) -> None:
+    """Print which outputs are not as they were written, on stdout."""
+    wrong = [one for one in found if one.state != "whole"]
+    for one in wrong:
+        results().print(printable(f"{one.state:<8} {one.name}: {one.why}"), soft_wrap=True)
+    if wrong or not quiet:
+        hint = "; the next run of prc batch does the others again" if wrong else ""
+        told = f"{out}: {len(found) - len(wrong):,} of {count_of(len(found), 'output')} whole{hint}"
+        results().print(printable(told), soft_wrap=True)
 
 
 def print_cleaned(found: Cleaned, *, dry_run: bool) -> None:

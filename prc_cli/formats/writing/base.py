@@ -7,7 +7,7 @@ import os
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -23,7 +23,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.writing.columns import OptionalColumn, Values
 from prc_cli.formats.writing.options import HIGH_NOISE_CODE, OutputConfig, class_names
-from prc_cli.formats.writing.record import ClassCount, RunRecord, record_path
+from prc_cli.formats.writing.record import ClassCount, RunRecord, fingerprint, record_path
 from prc_cli.formats.writing.spool import Spool
 
 CHUNK_RECORDS = 400_000
@@ -149,6 +149,10 @@ class StagedOutput(ABC):
             return
         self._last_record = int(known[-1])
 
+    def _with_output(self, record: RunRecord) -> RunRecord:
+        """Return the record beside the output, with size and hash of what was written."""
+        return replace(record, output=fingerprint(self._temporary))
+
     def _commit(self) -> None:
         """Give the files their final names, or none.
 
@@ -187,7 +191,7 @@ class StagedWriter(StagedOutput):
         """Write and name the output (see :class:`LabelWriter`)."""
         with output_errors(self.path):
             self._settle(None)
-            record = self._write(record)
+            record = self._with_output(self._write(record))
             self._record_temporary.write_bytes(record.to_json())
             self._commit()
         return record

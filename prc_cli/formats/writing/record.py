@@ -83,6 +83,8 @@ class RunRecord:
     """What is unusual about the input; the writer adds what it had to decide."""
     engine: str = "compiled"
     """Which form of the loops ran; noted only where it is another."""
+    output: Fingerprint | None = None
+    """The finished output; only in the record beside it, for no file holds its own hash."""
 
     def with_written(self, classes: tuple[ClassCount, ...], notices: tuple[str, ...]) -> RunRecord:
         """Return the record with counts and notices of the writer."""
@@ -108,6 +110,8 @@ class RunRecord:
             "classes": [asdict(item) for item in self.classes],
             "notices": list(self.notices),
         }
+        if self.output is not None:
+            found["output"] = {"size": self.output.size, "sha256": self.output.sha256}
         return found if self.engine == "compiled" else {**found, "engine": self.engine}
 
     def to_json(self) -> bytes:

@@ -139,7 +139,7 @@ class StagedStreamWriter(StagedOutput):
         """Write and name the outputs (see :class:`StreamWriter`)."""
         with output_errors(self.path):
             self._write()
-            record = replace(record, notices=(*record.notices, *self.notices))
+            record = self._with_output(replace(record, notices=(*record.notices, *self.notices)))
             self._record_temporary.write_bytes(record.to_json())
             self._commit()
         return record

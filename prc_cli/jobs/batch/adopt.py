@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+from pathlib import Path
 
 from prc_cli.core.files import is_same, parts_of, read_small
 from prc_cli.formats.writing.record import LARGEST_RECORD, RunRecord, fingerprint, record_path
@@ -14,6 +15,9 @@ from prc_cli.jobs.choice import possible_configs
 
 def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -> Done | None:
     """Return the outcome of an existing output if its run record equals the one that would be written.
+
+    Doubts that are accepted are not compared. Whether the output is still the one that was recorded, :func:`is_whole`
+    tells.
 
     Parameters
     ----------
@@ -32,6 +36,8 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
             RunRecord(config.of_run(), content, "", 1, trajectory=trajectory).as_dict()
             for config in possible_configs(task.config)
         ]
+        for one in (record, *records):
+            one["config"].get("input", {}).pop("accept_doubts", None)
         keys = ("program", "version", "config", "input", "trajectory")
         wanted = next((one for one in records if all(record[key] == one[key] for key in keys)), None)
         if wanted is None:
@@ -41,14 +47,26 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
         labels = tuple((str(count["name"]), int(count["count"])) for count in record["classes"])
         return Done(
             name=task.name, input=InputPrint(before.size, before.mtime_ns, wanted["input"]["sha256"]),
-            output_size=written.st_size, output_mtime_ns=written.st_mtime_ns, seconds=0.0, cpu_seconds=0.0,
-            peak_mib=None, n_lines=int(stream["n_lines"] or 0),
+            output_size=int(record["output"]["size"]), output_mtime_ns=written.st_mtime_ns,
+            seconds=0.0, cpu_seconds=0.0, peak_mib=None, n_lines=int(stream["n_lines"] or 0),
             n_shots=int(stream["n_lines"] or 0) * int(stream["points_per_line"]),
             n_records=int(stream["n_records"] or 0), labels=(missing, *labels),
             notices=tuple(str(text) for text in record["notices"]),
+            output_name=task.output.name, output_sha256=str(record["output"]["sha256"]),
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return None
+
+
+def is_whole(output: Path, written: os.stat_result, done: Done) -> bool:
+    """Tell whether an output has the size and the content that were recorded; reads it.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    return written.st_size == done.output_size and fingerprint(output).sha256 == done.output_sha256
 
 
 def remove_unfinished(task: Task) -> bool:

@@ -62,13 +62,14 @@ CREATE TABLE files (
     outcome TEXT, input_size INTEGER, input_mtime_ns INTEGER, input_sha256 TEXT, seconds REAL,
     output_size INTEGER, output_mtime_ns INTEGER, cpu_seconds REAL, peak_mib REAL,
     n_lines INTEGER, n_shots INTEGER, n_records INTEGER, labels TEXT, notices TEXT,
+    output_name BLOB, output_sha256 TEXT,
     problem_kind TEXT, problem_where TEXT, problem TEXT, problem_hint TEXT
 );
 """
 _OUTCOME = (
     "outcome", "input_size", "input_mtime_ns", "input_sha256", "seconds", "output_size", "output_mtime_ns",
-    "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records", "labels", "notices", "problem_kind",
-    "problem_where", "problem", "problem_hint",
+    "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records", "labels", "notices", "output_name", "output_sha256",
+    "problem_kind", "problem_where", "problem", "problem_hint",
 )  # fmt: skip
 """Columns of the outcome of an attempt. These names are constants, so they can be put into a statement."""
 _START = """
@@ -483,8 +484,10 @@ def _columns(outcome: Outcome) -> dict[str, Any]:
             "problem_hint": _text(problem.hint),
         }
         return columns
-    same = ("output_size", "output_mtime_ns", "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records")
+    same = ("output_size", "output_mtime_ns", "output_sha256", "cpu_seconds", "peak_mib", "n_lines", "n_shots",
+            "n_records")  # fmt: skip
     columns |= {key: getattr(outcome, key) for key in same}
+    columns["output_name"] = os.fsencode(outcome.output_name)
     columns["labels"] = json.dumps(outcome.labels)
     columns["notices"] = json.dumps(outcome.notices)
     return columns
@@ -525,7 +528,8 @@ def _check_row(row: Mapping[str, Any]) -> None:
     is_done, is_failed = row["outcome"] == "done", row["outcome"] == "failed"
     nothing: tuple[type, ...] = () if is_done else (type(None),)
     wanted |= dict.fromkeys(_NUMBERS, (int, float, *nothing))
-    wanted |= {"peak_mib": (int, float, type(None)), "finished": (str, type(None)), "input_sha256": (str, type(None))}
+    wanted |= {"peak_mib": (int, float, type(None)), "finished": (str, type(None)), "input_sha256": (str, type(None)),
+               "output_sha256": (str, type(None)), "output_name": (bytes, *nothing)}  # fmt: skip
     if is_failed:
         wanted |= dict.fromkeys(("problem_kind", "problem_where", "problem", "problem_hint"), (str,))
         wanted["seconds"] = (int, float)
@@ -551,7 +555,8 @@ def _outcome(name: str, row: Mapping[str, Any]) -> Outcome | None:
         name, read, row["output_size"], row["output_mtime_ns"], row["seconds"], row["cpu_seconds"], row["peak_mib"],
         row["n_lines"], row["n_shots"], row["n_records"],
         tuple((str(label), int(count)) for label, count in json.loads(row["labels"])),
-        tuple(str(notice) for notice in json.loads(row["notices"])),
+        tuple(str(notice) for notice in json.loads(row["notices"])), os.fsdecode(row["output_name"]),
+        row["output_sha256"],
     )  # fmt: skip
 
 

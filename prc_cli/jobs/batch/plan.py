@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -18,7 +19,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcE
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.formats.writing.record import fingerprint, record_path
-from prc_cli.jobs.batch.adopt import outcome_of_record
+from prc_cli.jobs.batch.adopt import is_whole, outcome_of_record
 from prc_cli.jobs.batch.discovery import (
     Found,
     Patterns,
@@ -38,7 +39,14 @@ from prc_cli.jobs.batch.types import (
 from prc_cli.streams.evidence.watch import accepted_by
 
 Reason: TypeAlias = Literal[
-    "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing"
+    "new",
+    "unfinished",
+    "failed before",
+    "changed input",
+    "changed config",
+    "changed version",
+    "output missing",
+    "changed output",
 ]
 """Why a file is to be classified."""
 
@@ -59,6 +67,8 @@ class Planned:
     reason: Reason
     size: int
     """Size of the input [bytes]."""
+    keeps: bool = False
+    """Whether the output that is there now is damaged, or somebody else's work, and is to be kept aside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +371,7 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
     Raises
     ------
     OutputExistsError
-        When the output exists and is not ours, or was changed by somebody else.
+        When the output exists and is not ours.
     """
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
@@ -370,15 +380,19 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
             found = outcome_of_record(task, seen, written) if settings.adopt else None
             if found is None:
                 raise _foreign(task.output, adopt=settings.adopt)
+            if not is_whole(task.output, written, found):
+                return Planned(replace(task, overwrite=True), "changed output", item.size, keeps=True)
+            if _is_accepted_otherwise(found, task.config.config, __version__):
+                return Planned(replace(task, overwrite=True), "changed config", item.size)
             return found
         return Planned(task, "new" if entry is None else "failed before", item.size)
     reason, found = _compare(item, task, entry, written, settings)
     if reason is None:
         return found
-    before = entry.outcome
-    if written is not None and entry.state == "done" and isinstance(before, Done) and not settings.overwrite:
-        _check_untouched(task.output, written, before)
-    return Planned(replace(task, overwrite=True), reason, item.size)
+    keeps = reason == "changed output"
+    if written is not None and not keeps and entry.state == "done" and isinstance(entry.outcome, Done):
+        keeps = _is_changed(task.output, written, entry.outcome, settings)
+    return Planned(replace(task, overwrite=True), reason, item.size, keeps and not settings.overwrite)
 
 
 def _compare(
@@ -401,11 +415,16 @@ def _compare(
         return "changed input", None
     if written is None:
         return "output missing", None
-    if item.mtime_ns == before.input.mtime_ns and not settings.verify:
-        return None, None
-    if fingerprint(item.path).sha256 != before.input.sha256:
+    if (item.mtime_ns != before.input.mtime_ns or settings.verify) and (
+        fingerprint(item.path).sha256 != before.input.sha256
+    ):
         return "changed input", None
-    return None, replace(before, input=replace(before.input, mtime_ns=item.mtime_ns))
+    if _is_changed(task.output, written, before, settings):
+        return "changed output", None
+    times = item.mtime_ns, written.st_mtime_ns
+    if times == (before.input.mtime_ns, before.output_mtime_ns):
+        return None, None
+    return None, replace(before, input=replace(before.input, mtime_ns=times[0]), output_mtime_ns=times[1])
 
 
 def _is_accepted_otherwise(done: Done, config: RunConfig, version: str) -> bool:
@@ -417,6 +436,9 @@ def _is_accepted_otherwise(done: Done, config: RunConfig, version: str) -> bool:
 
 
 def _stat(output: Path) -> os.stat_result | None:
+    """Return size and time of an output, of a link what it points to; of a link to nothing its own."""
+    with contextlib.suppress(OSError):
+        return output.stat()
     try:
         return output.lstat()
     except (FileNotFoundError, NotADirectoryError):
@@ -430,11 +452,11 @@ def _foreign(output: Path, *, adopt: bool) -> OutputExistsError:
     return OutputExistsError(str(output), problem, "move it away, or --overwrite" + ("" if adopt else ", or --adopt"))
 
 
-def _check_untouched(output: Path, written: os.stat_result, before: Done) -> None:
-    """Refuse to replace an output that was changed after it was written."""
-    if (written.st_size, written.st_mtime_ns) != (before.output_size, before.output_mtime_ns):
-        problem = "was changed after it was written, and would have to be written again"
-        raise OutputExistsError(str(output), problem, "move it away to keep it, or --overwrite")
+def _is_changed(output: Path, written: os.stat_result, before: Done, settings: BatchSettings) -> bool:
+    """Tell whether an output is another than was written: by size and time, by content where only the time differs."""
+    if written.st_size == before.output_size and written.st_mtime_ns == before.output_mtime_ns and not settings.verify:
+        return False
+    return not is_whole(output, written, before)
 
 
 # -- estimates --------------------------------------------------------------------------------------------------------

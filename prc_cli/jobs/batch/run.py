@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from prc_cli.core.errors import BusyError, PrcError
-from prc_cli.core.files import suffix_of, temporary_folder
+from prc_cli.core.files import make_folder, output_errors, suffix_of, temporary_folder
 from prc_cli.core.threads import close_items
 from prc_cli.jobs.batch.discovery import check, discover, output_name
 from prc_cli.jobs.batch.drift import drift
@@ -307,9 +307,20 @@ class _Run:
             self._lock.check()
             if self._stopping:
                 return
+            if item.keeps and item.task.name not in self._outcomes:
+                self._keep_aside(item.task)
             self._journal.start(item.task, self._owner)
             self._running[item.task.name] = time.monotonic()
             yield item.task
+
+    def _keep_aside(self, task: Task) -> None:
+        """Move an output away that is not as it was written; a link is moved, not what it points to."""
+        kept = self._settings.out / OWN_FOLDER / "changed" / task.name
+        kept = kept.with_name(f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{task.output.name}")
+        make_folder(kept.parent)
+        with output_errors(kept), contextlib.suppress(FileNotFoundError):
+            task.output.rename(kept)
+            self._note(f"{task.name}: its output was changed or damaged; it is done anew, the old one is kept: {kept}")
 
     def _end(self, outcome: Outcome, attempt: int) -> None:
         self._journal.finish(outcome)

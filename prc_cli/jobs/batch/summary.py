@@ -199,7 +199,9 @@ def done_dict(found: Done) -> dict[str, Any]:
     return {
         "name": found.name,
         "input": {"size": found.input.size, "mtime_ns": found.input.mtime_ns, "sha256": found.input.sha256},
+        "output": found.output_name,
         "output_size": found.output_size,
+        "output_sha256": found.output_sha256,
         "seconds": round(found.seconds, 3),
         "cpu_seconds": round(found.cpu_seconds, 3),
         "peak_mib": None if found.peak_mib is None else round(found.peak_mib, 1),

@@ -140,6 +140,10 @@ class Done:
     """Records by label name."""
     notices: tuple[str, ...] = ()
     """Unusual properties of the input."""
+    output_name: str = ""
+    """Name of the output, in the folder of the same name as that of the input."""
+    output_sha256: str | None = None
+    """Hash of the output, hexadecimal."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import OutputExistsError, PrcError
-from prc_cli.jobs.batch.adopt import outcome_of_record, remove_unfinished
+from prc_cli.jobs.batch.adopt import is_whole, outcome_of_record, remove_unfinished
 from prc_cli.jobs.batch.types import (
     Done,
     Failed,
@@ -92,7 +92,8 @@ def _written_before(task: Task, before: InputPrint) -> Done | None:
         written = task.output.lstat()
     except OSError:
         return None
-    return outcome_of_record(task, before, written)
+    found = outcome_of_record(task, before, written)
+    return found if found is not None and is_whole(task.output, written, found) else None
 
 
 def stat_input(path: Path) -> InputPrint:
@@ -123,6 +124,8 @@ def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, c
         n_records=record.n_records or 0,
         labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label),
         notices=record.notices,
+        output_name=task.output.name,
+        output_sha256=None if record.output is None else record.output.sha256,
     )
 
 

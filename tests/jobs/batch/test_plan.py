@@ -177,13 +177,13 @@ def test_an_output_that_no_journal_knows_is_not_touched(settings: BatchSettings)
     assert plan_of(replace(settings, overwrite=True)).todo[0].task.overwrite
 
 
-def test_an_output_that_somebody_worked_on_is_not_replaced(settings: BatchSettings) -> None:
+def test_an_output_that_somebody_worked_on_is_kept_aside(settings: BatchSettings) -> None:
     known = entry(settings, "a.npz", version="0.0.1")
     output(settings, "a.npz").write_bytes(b"better labels by hand")
-    assert "was changed after it was written" in refusals(plan_of(settings, known))["a.npz"]
-    assert reasons(plan_of(replace(settings, overwrite=True), known))["a.npz"] == "changed version"
-    # as long as nothing asks for it to be written again, it is done
-    assert plan_of(settings, replace(known, version=__version__)).done == ("a.npz",)
+    for version, reason in (("0.0.1", "changed version"), (__version__, "changed output")):
+        for overwrite in (False, True):
+            now = plan_of(replace(settings, overwrite=overwrite), replace(known, version=version))
+            assert (now.todo[0].reason, now.todo[0].keeps) == (reason, not overwrite)
 
 
 def test_a_link_in_the_place_of_an_output_is_foreign(settings: BatchSettings) -> None:

@@ -46,6 +46,7 @@ from prc_cli.jobs.batch.types import (
     Started,
     Task,
 )
+from prc_cli.jobs.batch.verify import verify_outputs
 from prc_cli.jobs.classify import classify
 from tests import patience
 from tests.patience import HANGS_S
@@ -422,12 +423,53 @@ def test_work_on_an_output_is_not_lost(settings: BatchSettings) -> None:
     worked_on = settings.out / "a.npz.labels.npy"
     worked_on.write_bytes(b"corrected by hand")
     (settings.archive / "a.npz").write_bytes(b"changed input")
-    for _ in range(2):
-        (failed,) = run_batch(settings, Scripted()).failed
-        assert "was changed after it was written" in failed.problem.problem
-        assert worked_on.read_bytes() == b"corrected by hand"
-    worked_on.rename(settings.out / "kept.npy")
-    assert [item.name for item in run_batch(settings, Scripted()).done] == ["a.npz"]
+    summary = run_batch(settings, Scripted())
+    assert ([item.name for item in summary.done], summary.exit_code) == (["a.npz"], 0)
+    (kept,) = (settings.out / OWN_FOLDER / "changed").rglob("*.npy")
+    assert kept.read_bytes() == b"corrected by hand"
+    assert str(kept) in summary.notes[0]
+    assert worked_on.read_bytes() == b"changed input"
+
+
+@pytest.mark.parametrize("damage", ["cut", "overwritten", "link"])
+@pytest.mark.parametrize("journal", [True, False])
+def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool) -> None:
+    """With a journal every run sees it; without one ``--adopt`` does."""
+    archive, out = tmp_path / "in", tmp_path / "out"
+    archive.mkdir()
+    for name in ("a.npz", "b.npz"):
+        write_npz(archive / name, street(80))
+    settings = BatchSettings(archive, out, ConfigLayers(preset="urban"), jobs=1, drift=False)
+    run_batch(settings)
+    output = out / "a.npz.labels.npy"
+    whole = output.read_bytes()
+    assert {one.state for one in verify_outputs(out)} == {"whole"}
+    if damage == "cut":
+        output.write_bytes(whole[: len(whole) // 2])
+    elif damage == "overwritten":
+        output.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+        os.utime(output, ns=(1, 1))
+    else:
+        output.unlink()
+        output.symlink_to("nothing")
+    if not journal:
+        shutil.rmtree(out / OWN_FOLDER)
+    states = {one.name: one.state for one in verify_outputs(out)}
+    assert states == {"a.npz.labels.npy": "damaged", "b.npz.labels.npy": "whole"}
+    summary = run_batch(replace(settings, adopt=True))
+    assert ([item.name for item in summary.done], summary.n_skipped, summary.exit_code) == (["a.npz"], 1, 0)
+    assert dict(summary.reasons) == {"changed output": 1}
+    assert output.read_bytes() == whole
+    assert len([*(out / OWN_FOLDER / "changed").iterdir()]) == 1
+    # what was restored, with other times, is not done again; what keeps both is found by --verify
+    os.utime(output, ns=(1, 1))
+    assert run_batch(settings).n_skipped == 2
+    output.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    os.utime(output, ns=(1, 1))
+    assert run_batch(settings).n_skipped == 2
+    assert dict(run_batch(replace(settings, verify=True)).reasons) == {"changed output": 1}
+    output.unlink()
+    assert {one.state for one in verify_outputs(out)} == {"missing", "whole"}
 
 
 def test_what_a_killed_run_left_is_done_again(settings: BatchSettings) -> None:
