@@ -79,3 +79,8 @@ def __getattr__(name: str) -> Any:
         message = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(message)
     return getattr(import_module(_HOME.get(name, "prc_cli.jobs.classify")), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion; nothing is loaded for it."""
+    return [*__all__, "__version__"]

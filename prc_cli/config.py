@@ -16,6 +16,7 @@ from pydantic.fields import FieldInfo
 
 from prc_cli.classifiers.base import MethodParams
 from prc_cli.classifiers.methods import METHODS, MethodName, MethodTables, table_of
+from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
 from prc_cli.core.errors import ConfigError
@@ -145,8 +146,8 @@ def refuse_window(config: RunConfig, command: str) -> None:
         raise ConfigError("[input]", problem, "leave it out; prc classify, convert, calibrate and objects take a part")
 
 
-@dataclass(frozen=True, slots=True)
-class LoadedConfig:
+@dataclass(frozen=True, slots=True, repr=False)
+class LoadedConfig(Brief):
     """A configuration and the source of each of its values."""
 
     config: RunConfig

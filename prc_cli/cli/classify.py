@@ -99,7 +99,7 @@ def classify(
             )  # fmt: skip
         seconds = time.perf_counter() - start - loading_s
     if as_json:
-        result = summary.record.as_dict()
+        result = summary.as_dict()
         if profile is not None:
             result["profile"] = profile_of(profile, summary.counts.n_shots, threads)
         click.echo(json.dumps(result, indent=2, sort_keys=True))

@@ -199,7 +199,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     found = evaluate_all(left, right, name, options=how)
     gates = check_gates(scores(found.matrix), demanded)
-    if how.match == "order" and page_wanted and how.window is None:  # they show the first lines
+    if found.match.method == "order" and page_wanted and how.window is None:  # they show the first lines
         dimensions = how.predicted_dimension, how.reference_dimension
         points = how.predicted_points, how.reference_points
         pictures = (

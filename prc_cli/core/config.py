@@ -14,6 +14,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from prc_cli.core.brief import LONGEST
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import read_small
 
@@ -22,6 +23,11 @@ class Params(BaseModel):
     """Base of every parameter table: immutable, unknown keys and values out of bounds are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+
+    def __repr__(self) -> str:
+        """Return the values that are not the defaults, in a line."""
+        told = ", ".join(f"{key}={value!r}" for key, value in flatten(self.model_dump(exclude_defaults=True)))
+        return f"{type(self).__name__}({told if len(told) <= LONGEST else f'{told[:LONGEST]}...'})"
 
 
 _EXPECTED = {"model_type": "a table", "missing": "a value, this key is required"}

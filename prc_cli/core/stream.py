@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Surface
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
@@ -33,8 +34,8 @@ class Assumption:
     """The reason."""
 
 
-@dataclass(frozen=True, slots=True)
-class StreamInfo:
+@dataclass(frozen=True, slots=True, repr=False)
+class StreamInfo(Brief):
     """Properties of a stream that are known before it is read."""
 
     path: str
@@ -99,8 +100,8 @@ _NO_TALLY = ReadTally()
 _counts_of = attrgetter(*(one.name for one in fields(ReadTally)))
 
 
-@dataclass(frozen=True, slots=True)
-class ExtraReturns:
+@dataclass(frozen=True, slots=True, repr=False)
+class ExtraReturns(Brief):
     """Further returns: all returns of a shot but the one in the range image."""
 
     line: I32
@@ -121,8 +122,8 @@ class ExtraReturns:
         return len(self.line)
 
 
-@dataclass(frozen=True, slots=True)
-class ScanBlock:
+@dataclass(frozen=True, slots=True, repr=False)
+class ScanBlock(Brief):
     """Consecutive scan lines of one scanner.
 
     Readers yield blocks of any number of lines (at least one); :func:`prc_cli.core.blocks.regroup` turns
@@ -258,8 +259,8 @@ class CriticalZetas:
     """(lines, M) float32, compared with zeta_s [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledBlock:
+@dataclass(frozen=True, slots=True, repr=False)
+class LabelledBlock(Brief):
     """A block with one label per shot; input of the writers."""
 
     block: ScanBlock

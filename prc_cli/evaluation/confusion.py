@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.mapping import OTHER, ClassMapping, scored_names
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ConfusionMatrix:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ConfusionMatrix(Brief):
     """Counts of records by reference class (rows) and predicted class (columns).
 
     Rows and columns may differ: classes of one side only are kept, and never agree.

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from prc_cli.core.brief import Brief
 from prc_cli.evaluation.confusion import ConfusionMatrix
 
 
-@dataclass(frozen=True, slots=True)
-class MatchReport:
+@dataclass(frozen=True, slots=True, repr=False)
+class MatchReport(Brief):
     """How the records of both sides were matched, and how many."""
 
     method: str
@@ -46,8 +47,8 @@ class Interval:
     high: float
 
 
-@dataclass(frozen=True, slots=True)
-class Evaluation:
+@dataclass(frozen=True, slots=True, repr=False)
+class Evaluation(Brief):
     """Result of ``prc evaluate``."""
 
     predicted: tuple[str, ...]

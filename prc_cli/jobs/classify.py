@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from prc_cli.classifiers.base import MethodParams, UsualLabels, Wanted
 from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_beside
+from prc_cli.core.brief import Brief
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
@@ -65,8 +66,8 @@ OFF_M = 0.1
 """Largest difference between a range and the length of its coordinates relative to the scanner: rounding [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Counts:
+@dataclass(frozen=True, slots=True, repr=False)
+class Counts(Brief):
     """Running counts of a stream."""
 
     n_lines: int
@@ -96,8 +97,8 @@ class Counts:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class RunSummary:
+@dataclass(frozen=True, slots=True, repr=False)
+class RunSummary(Brief):
     """Summary of a run."""
 
     output: Path
@@ -112,6 +113,10 @@ class RunSummary:
     def doubts(self) -> tuple[Finding, ...]:
         """Findings that the user has to look at."""
         return doubts(self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the run record with the doubts, for JSON."""
+        return {**self.record.as_dict(), "doubts": [doubt.as_dict() for doubt in self.doubts]}
 
 
 def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None) -> ScanStream:
@@ -467,6 +472,7 @@ def classify_ranges(
     config: LoadedConfig | RunConfig | None = None,
     *,
     beam_rad: ArrayLike | None = None,
+    angle_deg: ArrayLike | None = None,
     xyz_m: ArrayLike | None = None,
     threads: int | None = None,
     engine: Engine = "compiled",
@@ -478,10 +484,13 @@ def classify_ranges(
     range_m : (lines, M) float, metres
         Chronological; NaN, infinite or not positive = missing.
     config : LoadedConfig or RunConfig, optional
-        Default: what labels the image best, ``fused`` with beam angles, PRC without.
+        Default: what labels the image best, ``fused`` where the angles of the beams are known, else PRC.
     beam_rad : (M,) float, radians, optional
-        Angle of every column's beam from straight down; the sign is the side of the scan plane. Required by all
-        classifiers but PRC.
+        Angle of every column's beam from straight down; the sign is the side of the scan plane. All classifiers but PRC
+        need it, or ``angle_deg``.
+    angle_deg : (M,) float, degrees, optional
+        Scan angle of every column as files have it, from any zero: straight down is ``config.input.nadir``, else found
+        from ``xyz_m``, else from level ground, as for a file.
     xyz_m : (lines, M, 3) float, metres, optional
         Relative to the scanner, z up; without it the sequential-angle classifier uses range and beam angle.
     threads : int, optional
@@ -530,6 +539,11 @@ def classify_ranges(
         load_classifier(config, engine)
     with use_engine(engine):
         block = _block_of(given, config, beam_rad, xyz_m)
+        if angle_deg is not None:
+            config, block = _directed(config, block, angle_deg, engine)
+        elif config.needs_beams and beam_rad is None:
+            problem = "not given, expected the angle of every column's beam from straight down"
+            raise InputError("beam_rad", problem, "or give angle_deg, the scan angle of every column")
         config = _decided(config, block, engine)
         is_judged = block.range_m.size >= LEAST_SHOTS
         found = _input_findings(block, config.input) if is_judged else ()
@@ -557,7 +571,8 @@ class _InMemory:
     @property
     def info(self) -> StreamInfo:
         n_lines, points_per_line = self.block.range_m.shape
-        return StreamInfo("range_m", "array", points_per_line, n_lines * points_per_line, n_lines)
+        n_records, angle = n_lines * points_per_line, self.block.angle_rad
+        return StreamInfo("range_m", "array", points_per_line, n_records, n_lines, angle)
 
     def blocks(self) -> Iterator[ScanBlock]:
         yield self.block
@@ -604,16 +619,32 @@ def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None
     ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
     if ranges.ndim != 2 or not ranges.size:
         raise InputError("range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)")
-    block = ScanBlock(
+    return ScanBlock(
         first_line=0,
         range_m=np.ascontiguousarray(ranges),
         tally=tally,
         xyz_m=None if xyz_m is None else _coordinates(xyz_m, ranges),
         beam_rad=None if beam_rad is None else _beams(beam_rad, ranges.shape[1]),
     )
-    if config.needs_beams and beam_rad is None:
-        raise InputError("beam_rad", "not given, expected the angle of every column's beam from straight down")
-    return block
+
+
+def _directed(config: RunConfig, block: ScanBlock, angle_deg: ArrayLike, engine: Engine) -> tuple[RunConfig, ScanBlock]:
+    """Find where the beams point, from scan angles, as for a file; return the method, and the block with its beams."""
+    angle = np.deg2rad(np.asarray(angle_deg, np.float64))
+    if block.beam_rad is not None:
+        raise InputError("angle_deg", "found beam_rad, too, expected one of them", "leave one out")
+    if angle.shape != (block.points_per_line,) or not np.isfinite(angle).all():
+        problem = f"found an array of shape {angle.shape}, expected finite angles of shape ({block.points_per_line},)"
+        raise InputError("angle_deg", problem)
+    stream: ScanStream = _InMemory(replace(block, angle_rad=angle, is_last=True))
+    if config.is_decided or choice_by_request(config, engine=engine) is not None:
+        if config.needs_beams:
+            from prc_cli.streams.beams import with_beams
+
+            stream = with_beams(stream, config.input, from_ground=config.nadir_from_ground)
+        return config, next(iter(stream.blocks()))
+    choice, stream = choose(stream, config)
+    return decided_by(choice, LoadedConfig(config)).config, next(iter(stream.blocks()))
 
 
 def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
+from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_outputs, file_state, remove_stale, suffix_of, temporary_name
@@ -55,8 +56,8 @@ _STREAM_NAMES = frozenset(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ConversionSummary:
+@dataclass(frozen=True, slots=True, repr=False)
+class ConversionSummary(Brief):
     """Summary of a conversion."""
 
     output: Path

@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.classes import LABEL_NAMES, Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
@@ -56,8 +57,8 @@ STEM_STEP_M = 10.0
 """Spacing of the places along the path from which trees are searched [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class SimulationSummary:
+@dataclass(frozen=True, slots=True, repr=False)
+class SimulationSummary(Brief):
     """Summary of a simulation."""
 
     output: Path

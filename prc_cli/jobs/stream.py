@@ -15,6 +15,7 @@ import numpy as np
 
 from prc_cli.classifiers.run import run_blocks
 from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window
+from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.findings import Finding, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
@@ -76,8 +77,8 @@ class Rate:
         return None if hz is None or not self.seconds else self.n_lines / self.seconds / hz
 
 
-@dataclass(frozen=True, slots=True)
-class StreamSummary:
+@dataclass(frozen=True, slots=True, repr=False)
+class StreamSummary(Brief):
     """Summary of a finished stream."""
 
     rate: Rate

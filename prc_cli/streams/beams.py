@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.beam_finder import BeamFinder, Found, Sample
@@ -62,8 +63,8 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
     return BeamStream(stream, finder, known)
 
 
-@dataclass(frozen=True, slots=True)
-class BeamStream:
+@dataclass(frozen=True, slots=True, repr=False)
+class BeamStream(Brief):
     """A stream whose blocks have beam directions; see :func:`with_beams`."""
 
     source: ScanStream

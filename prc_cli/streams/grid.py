@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.formats.options import InputConfig
@@ -125,8 +126,8 @@ def open_grid(
     return GridStream(info, records, rules, ranges, setups, default, only_ranges)
 
 
-@dataclass(frozen=True, slots=True)
-class GridStream:
+@dataclass(frozen=True, slots=True, repr=False)
+class GridStream(Brief):
     """Records as a stream of blocks; see :func:`open_grid`."""
 
     info: StreamInfo

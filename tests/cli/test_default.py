@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,9 +11,10 @@ import laspy
 import numpy as np
 import pytest
 
+import prc_cli
 from prc_cli import classify_ranges, load_config
 from prc_cli.config import RunConfig, from_layers, preset_table
-from prc_cli.core.errors import ConfigError
+from prc_cli.core.errors import ConfigError, InputError
 from tests import patience
 from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
@@ -161,6 +163,34 @@ def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scan
     config = load_config(scans / "c.toml").config
     assert (result.code, config.method, config.prc == RunConfig().prc) == (0, "auto", False)
     assert "the configuration leaves the method open" in result.out
+
+
+def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
+    """Angles as files have them, the class mapping of the run, the same JSON."""
+    told = json.loads(prc("classify", scans / "street.npz", scans / "a.npy", "--json", "-q").out)
+    run = prc_cli.classify(scans / "street.npz", scans / "b.npy")
+    assert told == json.loads(json.dumps(run.as_dict()))
+    assert told["doubts"] == []
+    with np.load(scans / "street.npz") as arrays:
+        image, angle = arrays["range_m"], arrays["angle_deg"]
+    found = classify_ranges(image, angle_deg=angle + 40)
+    np.testing.assert_array_equal(found.codes.ravel(), np.load(scans / "a.npy"))
+    named = classify_ranges(image, load_config(preset="fused", options={"input": {"nadir": 0.0}}), angle_deg=angle)
+    np.testing.assert_array_equal(named.labels, classify_ranges(image, beam_rad=BEAM).labels)
+    with pytest.raises(InputError, match="expected finite angles of shape"):
+        classify_ranges(image, angle_deg=angle[1:])
+    matrix = prc_cli.evaluate(scans / "a.npy", scans / "b.npy")
+    assert "car" in matrix.reference_names, "the mapping of fused"
+    for each in (run, matrix, run.record, load_config(), load_config(preset="forest").config, found):
+        assert (repr(each).count("\n"), len(repr(each)) < 300) == (0, True)
+
+
+def test_completion_knows_the_public_names_and_loads_nothing() -> None:
+    code = "import sys, prc_cli; print(dir(prc_cli)); print('numpy' in sys.modules)"
+    names, loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split("\n")[:2]
+    assert ("'classify_ranges'" in names, loaded) == (True, "False")
 
 
 @pytest.mark.data

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from prc_cli import __version__
+from prc_cli.core.brief import Brief
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.profile import stage, timed
@@ -53,8 +54,8 @@ class Fingerprint:
     """SHA-256 of the content, hexadecimal; None where only a window of the file was read."""
 
 
-@dataclass(frozen=True, slots=True)
-class RunRecord:
+@dataclass(frozen=True, slots=True, repr=False)
+class RunRecord(Brief):
     """One run, as kept in the output (VLR) and beside it (``<output>.prc.json``)."""
 
     config: Mapping[str, Any]

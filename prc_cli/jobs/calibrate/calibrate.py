@@ -12,6 +12,7 @@ import numpy as np
 from prc_cli.classifiers.prc.surfaces import area_threshold
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.blocks import regroup
+from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import output_errors
 from prc_cli.core.findings import Finding, doubts
@@ -76,8 +77,8 @@ class SearchOptions:
     """Keys that are not searched; they take the value implied by the sensor."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Calibration(Brief):
     """Result of a calibration."""
 
     path: str

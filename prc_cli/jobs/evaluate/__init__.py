@@ -20,6 +20,7 @@ from prc_cli.evaluation.splits import (
 )
 from prc_cli.formats.las.crs import same_crs, short_crs
 from prc_cli.formats.las.read import LasSource
+from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.counts import (
     SPLITS,
     Counts,
@@ -59,7 +60,7 @@ from prc_cli.matching.streams import columns_of, in_step
 def evaluate_all(
     predicted: Sequence[Path],
     reference: Sequence[Path],
-    mapping: ClassMapping | str | Path = "prc",
+    mapping: ClassMapping | str | Path | None = None,
     *,
     options: EvaluateOptions | None = None,
 ) -> Evaluation:
@@ -71,8 +72,9 @@ def evaluate_all(
         As many on either side: the k-th of one is compared with the k-th of the other. Two folders: the files of one
         name (except the suffix). With ``pool``, or where files cannot be paired (a file and a folder, different names
         or numbers) and the match is not by order, all files of a side are compared as one, for example tiles.
-    mapping : ClassMapping, name or path
-        Which codes mean which class on either side: a preset name, a TOML file or a mapping.
+    mapping : ClassMapping, name or path, optional
+        Which codes mean which class on either side: a preset name, a TOML file or a mapping. Default: the one that fits
+        the method in the run records beside the predicted files, else ``prc``.
     options : EvaluateOptions, optional
         How records are matched, which splits are computed, and how intervals are computed.
 
@@ -100,10 +102,15 @@ def evaluate_all(
     """
     options = options or EvaluateOptions()
     check_options(options)
+    why = ""
+    if mapping is None:
+        mapping, why = mapping_of_runs(files_of([Path(path) for path in predicted]))
     found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
     pools = open_pools(*paths, options)
     counts = Counts(found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))})
+    if why:
+        counts.note(f"class mapping {mapping}: {why}")
     # blocks are counted in lines only if the lines of every pool are known
     by_lines = all(LINE in (*left.dimensions, *right.dimensions) for left, right in pools)
     names: list[str] = []
@@ -138,7 +145,7 @@ def evaluate_all(
 def evaluate(
     predicted: Path | str,
     reference: Path | str,
-    mapping: ClassMapping | str | Path = "prc",
+    mapping: ClassMapping | str | Path | None = None,
     *,
     predicted_dimension: str | None = None,
     reference_dimension: str | None = None,
@@ -149,8 +156,9 @@ def evaluate(
     ----------
     predicted, reference : path
         Label files (``.npy``, ``.csv``, ``.parquet``), or any record file that carries codes.
-    mapping : ClassMapping, name or path
-        Which codes mean which class on either side: a preset name, a TOML file or a mapping.
+    mapping : ClassMapping, name or path, optional
+        Which codes mean which class on either side: a preset name, a TOML file or a mapping. Default: the one that fits
+        the method in the run records beside the predicted files, else ``prc``.
     predicted_dimension, reference_dimension : str, optional
         Column or dimension that holds the codes; default ``class``, ``label`` or ``classification``.
 

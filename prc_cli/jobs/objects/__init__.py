@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, file_state, remove_stale
@@ -44,8 +45,8 @@ KINDS: tuple[str, ...] = tuple(RULES)
 """Classes that are objects, where the method tells them."""
 
 
-@dataclass(frozen=True, slots=True)
-class ObjectsSummary:
+@dataclass(frozen=True, slots=True, repr=False)
+class ObjectsSummary(Brief):
     """Summary of a list of objects."""
 
     record: RunRecord

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError
 
 View: TypeAlias = Literal["scan", "top", "perspective"]
@@ -151,8 +152,8 @@ class RenderOptions:
     """Distance of scan lines in a viewer page, where the input has no coordinates [m]; None = assumed."""
 
 
-@dataclass(frozen=True, slots=True)
-class RenderResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class RenderResult(Brief):
     """Summary of a picture."""
 
     files: tuple[Path, ...]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig, refuse_window
+from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_outputs, file_state, suffix_of, temporary_name
@@ -76,8 +77,8 @@ class ClassSaving:
         return self.n_input - self.n_kept
 
 
-@dataclass(frozen=True, slots=True)
-class ThinningSummary:
+@dataclass(frozen=True, slots=True, repr=False)
+class ThinningSummary(Brief):
     """Summary of a thinning."""
 
     output: Path

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
@@ -36,7 +37,7 @@ from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.matching.streams import RECORD, columns_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TransferRecord(RunRecord):
     """A :class:`RunRecord` whose ``input`` is the registered file."""
 
@@ -53,8 +54,8 @@ class TransferRecord(RunRecord):
         return {**RunRecord.as_dict(self), "transfer": own}
 
 
-@dataclass(frozen=True, slots=True)
-class TransferSummary:
+@dataclass(frozen=True, slots=True, repr=False)
+class TransferSummary(Brief):
     """Summary of a transfer."""
 
     output: Path

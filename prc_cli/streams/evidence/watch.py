@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.findings import CHECK_NAMES, ORDER_CHECKS, Finding, accept, refuse
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
@@ -42,8 +43,8 @@ class _Scanner:
     n_missing: int = 0
 
 
-@dataclass(slots=True)
-class EvidenceStream:
+@dataclass(slots=True, repr=False)
+class EvidenceStream(Brief):
     """A stream that is watched while its blocks pass, unchanged.
 
     Parameters

@@ -1,0 +1,51 @@
+"""Results in one line: what an interactive session shows of them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+LONGEST = 120
+"""Longest representation of an object [characters], but for its last value."""
+
+
+class Brief:
+    """Base of dataclasses whose representation is a line; they are decorated with ``repr=False``.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(repr=False)
+    ... class Run(Brief):
+    ...     output: Path
+    ...     labels: np.ndarray
+    ...     findings: tuple[str, ...]
+    >>> Run(Path("a.laz"), np.zeros((3, 4)), ("x", "y"))
+    Run(output='a.laz', labels=array (3, 4), findings=2)
+    """
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        shown = ""
+        for each in fields(self):  # type: ignore[arg-type]
+            if len(shown) > LONGEST:
+                return f"{type(self).__name__}({shown}, ...)"
+            if each.repr and not each.name.startswith("_"):
+                shown += f"{', ' if shown else ''}{each.name}={_short(getattr(self, each.name))}"
+        return f"{type(self).__name__}({shown})"
+
+
+def _short(value: Any) -> str:
+    """Return a value in few words: arrays by shape, lists by length, others by type."""
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape}"
+    if isinstance(value, tuple | list | dict | set | frozenset):
+        return str(len(value))
+    if value is None or isinstance(value, str | Path | int | float | np.generic):
+        text = repr(str(value)) if isinstance(value, str | Path) else str(value)
+        return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    return f"<{type(value).__name__}>"
