@@ -15,7 +15,7 @@ RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels .
 FROM python:3.12-slim
 ARG UID=1000
 COPY --from=wheel /wheels /wheels
-RUN pip install --no-cache-dir "$(ls /wheels/*.whl)[crs,e57]" && rm -r /wheels \
+RUN pip install --no-cache-dir "$(ls /wheels/*.whl)[crs,e57,ros]" && rm -r /wheels \
     && useradd --create-home --uid "$UID" prc \
     && mkdir /data && chown prc /data
 USER prc

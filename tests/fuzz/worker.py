@@ -22,6 +22,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from prc_cli.core import limits
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import cache_folder
 from prc_cli.kernels import load_kernels
@@ -34,6 +35,8 @@ from tests.fuzz.tracing import Tracer
 
 ADDRESS_SPACE = 3 << 30
 """Most memory that a worker may map [bytes]."""
+DECODER_BYTES = 200 << 20
+"""Of which a library may take so much for a step of decoding."""
 GROWTH_BYTES, GROWTH_FACTOR = 400 << 20, 40
 """A command may take so much memory, and so many times the size of its file, beyond what the process held before."""
 
@@ -216,6 +219,8 @@ def work(folder: Path) -> None:
         ctypes.CDLL(None).prctl(1, 9, 0, 0, 0)
     answers = os.fdopen(os.dup(1), "w")
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
+    limits.hold_limits()
+    limits.SPARE_BYTES = DECODER_BYTES
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 30, 1 << 30))
     worker = Worker(folder)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
-from prc_cli.formats.bags.containers import MAX_RECORD, BagEnd, Message, Topic, read_messages
+from prc_cli.formats.bags.containers import Bag, Message, Topic
 from prc_cli.formats.bags.cursor import ShortMessageError
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, parse_laser
 from prc_cli.formats.bags.packed import OUSTER, PACKED, parse_packets
@@ -26,39 +25,6 @@ LASERS = (LASER, ECHOES)
 GROUPS = (PACKED, LASERS, (CLOUD,))
 """Types of messages that hold scans, best first; those of the best group that a bag has are read by default."""
 READABLE = tuple(kind for group in GROUPS for kind in group)
-
-
-@dataclass(slots=True)
-class TopicCount:
-    """What the first pass finds of a topic."""
-
-    topic: Topic
-    n: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-
-    def add(self, message: Message) -> None:
-        """Count a message."""
-        self.first_ns = min(self.first_ns, message.time_ns) if self.n else message.time_ns
-        self.last_ns = max(self.last_ns, message.time_ns) if self.n else message.time_ns
-        self.n += 1
-
-    def told(self) -> str:
-        """Return type, number and times as text."""
-        if not self.n:
-            return f"{self.topic.kind}, no message"
-        span = (self.last_ns - self.first_ns) * 1e-9
-        return f"{self.topic.kind}, {self.n} messages in {span:.3f} s from {self.first_ns * 1e-9:.3f} s"
-
-
-@dataclass(slots=True)
-class _Survey:
-    """What the first pass finds."""
-
-    topics: dict[str, TopicCount] = field(default_factory=dict)
-    firsts: dict[str, Message] = field(default_factory=dict)
-    """First message of every topic that can be read."""
-    end: BagEnd = field(default_factory=BagEnd)
 
 
 class BagStream:
@@ -82,7 +48,8 @@ class BagStream:
     def __init__(self, path: Path, config: InputConfig) -> None:
         check_rules(path, config, "a recording of scans")
         self._path, self._config = path, config
-        self._found = _survey(path)
+        self._bag = Bag(path)
+        self._firsts = self._first_messages()
         self._chosen = self._choose()
         self._notes: list[str] = []
         self._numbers = _Numbers()
@@ -93,9 +60,9 @@ class BagStream:
     @property
     def info(self) -> StreamInfo:
         """What is known before reading, and afterwards also what was found while reading."""
-        topics = self._found.topics
+        counts = self._bag.counts
         names = ", ".join(topic.name for topic in self._chosen)
-        others = [name for name, count in topics.items() if count.topic not in self._chosen and self._can(count)]
+        others = [topic.name for topic in counts if topic not in self._chosen and self._can(topic)]
         why = "the bag has no other scans" if not others else f"other scans: {', '.join(others[:10])} (input.topic)"
         if self._config.topic is not None:
             why = "input.topic names it"
@@ -104,31 +71,46 @@ class BagStream:
             shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.of.items())
             assumed.append(Assumption("input.scanner", "one a topic and frame", shown[:500]))
         notes = list(self._notes)
-        if self._found.end.problem:
-            notes.insert(0, f"{self._found.end.problem}: it was read up to there")
+        if self._bag.problem:
+            notes.insert(0, f"{self._bag.problem}: it was read up to there")
         lasers = all(topic.kind in LASERS for topic in self._chosen)
         return StreamInfo(
             path=str(self._path),
             format="bag",
             points_per_line=self._widest,
             n_records=None,
-            n_lines=sum(topics[topic.name].n for topic in self._chosen) if lasers else None,
+            n_lines=sum(counts[topic] for topic in self._chosen) if lasers else None,
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
                 has_returns=self._has_returns,
                 notes=tuple(notes),
-                describe=lambda: {f"topic {name}": count.told() for name, count in topics.items()},
+                describe=self._describe,
             ),
         )
 
-    def _can(self, count: TopicCount) -> bool:
+    def _describe(self) -> dict[str, str]:
+        bag = self._bag
+        told = {f"topic {one.name}": f"{one.kind}, {n or 'no'} messages" for one, n in bag.counts.items()}
+        return {"recorded": f"{(bag.end_ns - bag.start_ns) * 1e-9:.3f} s from {bag.start_ns * 1e-9:.3f} s", **told}
+
+    def _first_messages(self) -> dict[Topic, Message]:
+        """Return the first message of every topic that can be read."""
+        wanted = {topic for topic, n in self._bag.counts.items() if n and topic.kind in READABLE}
+        found: dict[Topic, Message] = {}
+        for message in self._bag.messages(wanted) if wanted else ():
+            found.setdefault(message.topic, message)
+            if len(found) == len(wanted):
+                break
+        return found
+
+    def _can(self, topic: Topic) -> bool:
         """Whether a topic holds scans: of clouds, only those with ring and time."""
-        if count.topic.kind != CLOUD or not count.n:
-            return count.topic.kind in READABLE and count.n > 0
-        first = self._found.firsts[count.topic.name]
+        first = self._firsts.get(topic)
+        if first is None or topic.kind != CLOUD:
+            return first is not None
         try:
-            parse_cloud(first.data, is_cdr=count.topic.is_cdr)
+            parse_cloud(first.data, is_cdr=topic.is_cdr)
         except ShortMessageError:
             return False
         return True
@@ -140,24 +122,24 @@ class BagStream:
         ------
         InputError, ConfigError
         """
-        topics = self._found.topics
-        shown = ", ".join(f"{name} ({count.topic.kind})" for name, count in topics.items())[:600] or "none"
+        topics = {topic.name: topic for topic in self._bag.counts}
+        shown = ", ".join(f"{name} ({topic.kind})" for name, topic in topics.items())[:600] or "none"
         if self._config.topic is not None:
             chosen = []
             for name in self._config.topic.split(","):
-                count = topics.get(name)
-                if count is None:
+                topic = topics.get(name)
+                if topic is None:
                     raise ConfigError("input.topic", f"found {name!r}, {self._path.name} has: {shown}", "name one")
-                if count.topic.kind not in READABLE:
-                    problem = f"{name} holds {count.topic.kind}, expected {', '.join(READABLE)}"
+                if topic.kind not in READABLE:
+                    problem = f"{name} holds {topic.kind}, expected {', '.join(READABLE)}"
                     raise ConfigError("input.topic", problem, f"the bag has: {shown}")
-                chosen.append(count.topic)
+                chosen.append(topic)
             return tuple(chosen)
         for group in GROUPS:
-            chosen = [count.topic for count in topics.values() if count.topic.kind in group and self._can(count)]
+            chosen = [topic for topic in topics.values() if topic.kind in group and self._can(topic)]
             if chosen:
                 return tuple(sorted(chosen, key=lambda topic: topic.name))
-        ended = f" ({self._found.end.problem})" if self._found.end.problem else ""
+        ended = f" ({self._bag.problem})" if self._bag.problem else ""
         problem = f"no topic with scans{ended}, expected {', '.join(READABLE)}; it has: {shown}"
         raise InputError(str(self._path), problem, "record the scanner's own topic")
 
@@ -165,7 +147,7 @@ class BagStream:
         """Return the longest line, from the first message of every topic."""
         widest = 0
         for topic in self._chosen:
-            message = self._found.firsts.get(topic.name)
+            message = self._firsts.get(topic)
             if message is not None:
                 reader = self._reader(message.topic)
                 for _ in reader.add(message, 0):
@@ -191,32 +173,13 @@ class BagStream:
         """
         readers = {topic: self._reader(topic) for topic in self._chosen}
         record = 0
-        for message in read_messages(self._path, BagEnd(), lambda topic: topic in readers):
+        for message in self._bag.messages(set(readers)):
             reader = readers[message.topic]
             yield from reader.add(message, record)
             record += reader.n_taken
         for reader in readers.values():
             yield from reader.finish()
         self._notes = [note for reader in readers.values() for note in reader.notes()]
-
-
-def _survey(path: Path) -> _Survey:
-    """Read a bag once: its topics and where it ends."""
-    found = _Survey()
-    for message in read_messages(path, found.end):
-        topic = message.topic
-        count = found.topics.get(topic.name)
-        if count is None:
-            count = found.topics[topic.name] = TopicCount(topic)
-        count.add(message)
-        if topic.name not in found.firsts and topic.kind in READABLE:
-            found.firsts[topic.name] = message
-            if sum(len(one.data) for one in found.firsts.values()) > MAX_RECORD:
-                problem = f"the first messages of the scan topics hold more than {MAX_RECORD} bytes, expected scans"
-                raise InputError(str(path), problem, "record the scanner's own topic")
-    for topic in found.end.topics:
-        found.topics.setdefault(topic.name, TopicCount(topic))
-    return found
 
 
 class _Numbers:

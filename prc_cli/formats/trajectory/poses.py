@@ -114,20 +114,18 @@ def read_poses(path: Path, topic: str | None) -> tuple[F64, F64, F64]:
     ConfigError
         When it has several topics with poses and none is named, or not the one that is.
     """
-    from prc_cli.formats.bags.containers import BagEnd, read_messages
+    from prc_cli.formats.bags.containers import Bag
 
-    end, names = BagEnd(), set()
-    rows: list[list[float]] = []
-    for message in read_messages(path, end, lambda one: one.kind in KINDS and topic in (None, one.name)):
-        names.add(message.topic.name)
-        if len(names) > 1:
-            break
-        rows.append(_pose(path, message, len(rows)))
-    every = [one.name for one in end.topics if one.kind in KINDS]
-    shown = ", ".join(every[:20]) or "none"
-    if len(names) > 1 or (topic is not None and topic not in every):
+    bag = Bag(path)
+    every = [one for one in bag.counts if one.kind in KINDS]
+    chosen = [one for one in every if (bag.counts[one] if topic is None else one.name == topic)]
+    shown = ", ".join(one.name for one in every[:20]) or "none"
+    if len(chosen) > 1 or (topic is not None and not chosen):
         found = "several topics with poses" if topic is None else f"no poses on {topic!r}"
         raise ConfigError("input.trajectory_topic", f"{found} in {path.name}, it has: {shown}", "name one of them")
+    rows: list[list[float]] = []
+    for message in bag.messages(chosen):
+        rows.append(_pose(path, message, len(rows)))
     if not rows:
         problem = f"no poses, expected messages of {', '.join(KINDS)}"
         raise InputError(str(path), problem, "give another file as trajectory")

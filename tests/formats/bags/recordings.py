@@ -1,4 +1,4 @@
-"""Bags made by code: with the writers of rosbags and mcap, which the reader does not use."""
+"""Bags made by code: with the writers of rosbags and mcap."""
 
 from __future__ import annotations
 
