@@ -222,14 +222,19 @@ def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) 
         # this is prc info: nobody is to be sent here again
         _, sent_here, rest = refused.hint.partition(MEASURED)
         return replace(refused, hint=f"the times show no steady rates; {rest}") if sent_here else refused
-    options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
-    options.append(f"--set input.time_origin={rates.time_origin_s!r}")
     hint = f"the times show {_shown_rates(rates)}"
     if inputs.range == "auto" and "range" not in source.dimensions and source.facts.rule("range") is None:
-        options.append("--range trajectory:FILE")
-        hint += "; a range needs the place of the scanner: FILE holds its positions over time, or origin:X,Y,Z"
-    problem = "it has times alone: no scan lines, no columns" + (" and no ranges" if len(options) > 3 else "")
-    hint += "; give all of it at once"
+        options = ["--range trajectory:FILE"]
+        problem = "it has times alone: no scan lines, no columns and no ranges"
+        hint += (
+            "; give the place of the scanner: FILE holds its positions over time, or origin:X,Y,Z; the directions from "
+            "there to the points tell lines and columns"
+        )
+    else:
+        options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
+        options.append(f"--set input.time_origin={rates.time_origin_s!r}")
+        problem = "it has times alone: no scan lines, no columns"
+        hint += "; give all of it at once"
     return replace(refused, rates=rates, missing=tuple(options), problem=problem, hint=hint)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from prc_cli.core.stream import ScanStream
+from prc_cli.core.stream import Assumption, ScanStream
 from prc_cli.formats import open_images, open_source
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.ranges import refuse_scale
@@ -86,7 +86,13 @@ def _open(
         source.facts.align_chunks(config.points_per_line * lines_at_once)
     line_hz = None if layout is None else layout.line_frequency
     if not config.lines.startswith("elevation:"):
-        return open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
+        told: tuple[Assumption, ...] = ()
+        if config.range.startswith(("trajectory:", "origin:")):
+            from prc_cli.streams.sweeps import tell_sweeps, with_sweeps
+
+            config, told = with_sweeps(source, config)
+        stream = open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
+        return tell_sweeps(stream, told) if told else stream
     from prc_cli.streams.elevation import tell_elevation, with_elevation
 
     risen, rules = with_elevation(source, config)

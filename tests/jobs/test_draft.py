@@ -83,10 +83,13 @@ def test_a_file_that_only_has_times(tmp_path: Path) -> None:
     time, _, column = drive(54.0, 2154, 30)
     path = tmp_path / "a.laz"
     las_of_times(path, time, np.stack([time, column / 100, column / 200], axis=1))
-    found = drafted(path)["input"]
+    assert drafted(path)["input"] == {}
+    assert '# range = "trajectory:FILE"' in (tmp_path / "draft.toml").read_text()
+    rows = np.column_stack([time, 3 + np.sin(column / 99)])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,range", comments="", fmt="%.9f")
+    found = drafted(tmp_path / "a.csv", "--overwrite")["input"]
     assert float(found["lines"].partition(":")[2]) == pytest.approx(54, rel=2e-5)
     assert float(found["columns"].partition(":")[2]) == pytest.approx(116_316, rel=2e-6)
-    assert '# range = "trajectory:FILE"' in (tmp_path / "draft.toml").read_text()
 
 
 def test_noise_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from prc_cli.core.types import F64
 from prc_cli.streams.columns import StampState, spread_stamps
+from prc_cli.streams.down import wrap
 
 MAX_BINS = 1 << 22
 """Most shots that are looked at."""
@@ -27,6 +28,14 @@ LEAST_STRENGTH = 0.2
 FIRST_PEAK = 0.85
 """A line is the first lag that correlates by this share of the strongest."""
 _FOLDED = 512
+_DIRECTIONS = 72
+_PASSING_RAD = math.radians(20.0)
+"""Neighbouring returns that are farther apart do not tell when the sweep passed between them."""
+_SEAM_RAD = math.radians(5.0)
+"""A step of the angle that is larger than its time allows by this is a dead angle that got no time."""
+_OFF_WHOLE = 0.1
+_UNEVEN = 0.05
+"""Nine of ten lines are as long as the others, within this share."""
 _MOST_EQUAL = 0.02
 """With more equal neighbours, times are rounded more coarsely than shots."""
 
@@ -111,6 +120,95 @@ def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
     return TimedScan(1 / shot_s, 1 / (period * shot_s), float(time_s[0] + origin * shot_s), n / period, strength, share)
 
 
+def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
+    """Measure the rates of a scanner from the scan angles of its returns.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Times of the shots that returned, one each, not decreasing [s].
+    angle_rad : (n,) float64
+        Their angles in the scan plane, modulo a turn [rad].
+
+    Returns
+    -------
+    TimedScan or None
+        Lines begin in the largest gap of the sweep. None where the times show no lattice, or the angles no sweeps.
+
+    Examples
+    --------
+    Lines of 100 shots over 300 degrees, stamped without a gap between lines, of which 60 return:
+
+    >>> shot = np.arange(100 * 50)
+    >>> seen = (shot + 20) % 100 < 60
+    >>> found = measure_sweeps(shot[seen] / 5000.0, np.deg2rad(3.0 * (shot[seen] % 100)))
+    >>> round(found.line_hz, 6), found.points_per_line, round(found.time_origin_s * 5000) % 100
+    (50.0, 100, 0)
+    """
+    use = np.isfinite(time_s) & np.isfinite(angle_rad)
+    time_s, angle_rad = time_s[use], angle_rad[use]
+    if len(time_s) < LEAST_RETURNS or np.any(np.diff(time_s) < 0):
+        return None
+    shot_s = shot_period(time_s)
+    if not shot_s > 0:
+        return None
+    step = wrap(np.diff(angle_rad))
+    way = math.copysign(1.0, float(np.sign(step).sum()))
+    count, edges = np.histogram(wrap(angle_rad), _DIRECTIONS, (-math.pi, math.pi))
+    busiest = int(np.argmax(count))
+    away = way * wrap(angle_rad - 0.5 * float(edges[busiest] + edges[busiest + 1]))
+    # where the sweep passes the direction that returns most
+    at = np.flatnonzero((away[:-1] < 0) & (away[1:] >= 0) & (away[1:] - away[:-1] < _PASSING_RAD))
+    share = -away[at] / np.maximum(away[at + 1] - away[at], 1e-12)
+    passed = time_s[at] + share * (time_s[at + 1] - time_s[at])
+    if len(passed) < LEAST_LINES:
+        return None
+    usual = float(np.median(np.diff(passed)))
+    # shots that swap places pass twice
+    passed = passed[np.diff(passed, prepend=-math.inf) > 0.5 * usual]
+    if len(passed) < LEAST_LINES or not usual > LEAST_SHOTS * shot_s:
+        return None
+    line_s = _lattice(passed, float(np.median(np.diff(passed))))
+    since = (passed - passed[0]) / line_s
+    if float(np.percentile(np.abs(since - np.rint(since)), 90)) > _UNEVEN:
+        return None
+    begin_s, is_seam = _sweep_begin(time_s - passed[0], angle_rad, way, line_s)
+    n_shots = line_s / shot_s
+    if is_seam and abs(n_shots - round(n_shots)) < _OFF_WHOLE:
+        # shots stamped one after the other: a line is a whole number of them
+        line_s = round(n_shots) * shot_s
+    begin_s += float(passed[0] - time_s[0])
+    begin_s -= line_s * math.ceil(begin_s / line_s - 0.5 / n_shots)
+    # at a shot; the middle between two is the one behind
+    origin_s = float(time_s[0]) + math.floor(begin_s / shot_s + 0.6) * shot_s
+    n_lines = float(time_s[-1] - time_s[0]) / line_s
+    return TimedScan(1 / shot_s, 1 / line_s, origin_s, n_lines, 1.0, len(time_s) * shot_s / (n_lines * line_s))
+
+
+def _sweep_begin(since_s: F64, angle_rad: F64, way: float, line_s: float) -> tuple[float, bool]:
+    """Return the time within a line at which the sweep has its largest gap [s], and whether that got no time."""
+    cell = (np.remainder(since_s, line_s) / line_s * _FOLDED).astype(np.int64) % _FOLDED
+    seen = np.flatnonzero(np.bincount(cell, minlength=_FOLDED))
+    cosine, sine = (np.bincount(cell, part(angle_rad), _FOLDED)[seen] for part in (np.cos, np.sin))
+    middle = np.arctan2(sine, cosine)
+    # angle from every cell to the next that returns
+    ahead = np.remainder(way * np.diff(middle, append=middle[:1]), 2 * math.pi)
+    ahead[ahead > 2 * math.pi - _PASSING_RAD] = 0.0
+    cells = np.diff(seen, append=seen[:1] + _FOLDED)
+    excess = ahead - cells * float(np.median(ahead / cells))
+    # angles without time of their own, else the longest time without a return
+    is_seam = bool(excess.max() > _SEAM_RAD)
+    at = int(np.argmax(excess if is_seam else cells))
+    gap = float(ahead[at])
+    rough = (seen[at] + 0.5 + 0.5 * cells[at]) % _FOLDED / _FOLDED * line_s
+    # to the shot, by neighbours on both sides of the gap
+    step = way * wrap(np.diff(angle_rad))
+    phase = since_s[:-1] + 0.5 * np.diff(since_s) - rough
+    phase -= line_s * np.rint(phase / line_s)
+    over = (step > 0.5 * min(gap, math.pi)) & (np.abs(phase) < 2 * line_s * cells[at] / _FOLDED)
+    return float(rough + (np.median(phase[over]) if over.any() else 0.0)), is_seam
+
+
 def shot_period(time_s: F64) -> float:
     """Return the time from shot to shot [s], 0 if the times show none.
 
@@ -125,7 +223,11 @@ def shot_period(time_s: F64) -> float:
         return 0.0
     if np.count_nonzero(step == 0) > _MOST_EQUAL * len(step):
         return _rounded_period(time_s, float(np.percentile(ahead, 5)))
-    usual = float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)]))
+    return _lattice(time_s, float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)])))
+
+
+def _lattice(time_s: F64, usual: float) -> float:
+    """Return the step of a lattice on which times lie, refined over ever longer distances; ``usual`` = about it."""
     lag = 1
     while lag < len(time_s):
         # the number of shots between two returns is certain only while the error has not grown to a share of a shot

@@ -11,7 +11,7 @@ import pytest
 from prc_cli.config import LoadedConfig, RunConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.jobs.info import inspect
-from prc_cli.streams.evidence.rates import measure_rates
+from prc_cli.streams.evidence.rates import measure_rates, measure_sweeps
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array
 
@@ -72,15 +72,10 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
     las_of_times(path, time, xyz)
     track.write_text("time,x,y,z\n" + "".join(f"{t},{5 * t},0,2\n" for t in (999.0, 1001.0)))
     found = inspect(path, LoadedConfig(RunConfig()))
-    lines, columns, origin, ranges = found.missing
-    assert ranges == "--range trajectory:FILE"
+    assert found.missing == ("--range trajectory:FILE",)
     assert "no scan lines, no columns and no ranges" in found.problem
-    key, _, value = origin.partition("=")
-    assert key == "--set input.time_origin"
-    rules = {
-        "lines": lines.split()[1], "columns": columns.split()[1], "time_origin": float(value),
-        "range": f"trajectory:{track}",
-    }  # fmt: skip
+    assert found.hint.startswith("the times show 116316 shots and 54")
+    rules = {"range": f"trajectory:{track}"}
     block = join(list(open_input(path, load_config(options={"input": rules}).config.input).blocks()))
     assert block.tally.n_collisions == block.tally.n_unplaced == 0
     record = np.asarray(block.record)
@@ -110,3 +105,30 @@ def test_info_sends_nobody_to_itself(tmp_path: Path) -> None:
     found = inspect(tmp_path / "a.laz", LoadedConfig(RunConfig()))
     assert found.rates is None
     assert found.hint.startswith("the times show no steady rates; give -M NUMBER")
+
+
+@pytest.mark.parametrize("field_deg", [250.0, 310.0, 360.0])
+@pytest.mark.parametrize("first", [0, 777])
+@pytest.mark.parametrize("swaps", [False, True])
+def test_the_sweep_tells_lines_of_shots_stamped_anew(field_deg: float, first: int, swaps: bool) -> None:
+    """No time for the dead angle: what returns repeats, but where lines begin, and M, came out wrong."""
+    _, line, column = drive(50.0, 1000, 300)
+    shot = (line * 1000 + column)[first:]
+    angle = np.deg2rad(field_deg) * column[first:] / 1000 + 0.3
+    angle += np.random.default_rng(0).normal(0, 3e-4 if swaps else 0, len(angle))
+    found = measure_sweeps(shot / 50_000.0 + 5e5, angle)
+    assert found is not None
+    assert found.points_per_line == 1000
+    assert found.line_hz == pytest.approx(50.0, rel=1e-6)
+    begin = (found.time_origin_s - 5e5) * 50_000.0
+    assert begin == pytest.approx(round(begin), abs=0.01)
+    if field_deg < 360.0:
+        assert round(begin) % 1000 == 0
+    assert measure_sweeps(shot / 50_000.0, -angle) is not None
+
+
+def test_no_sweep_is_no_sweep() -> None:
+    rng = np.random.default_rng(0)
+    assert measure_sweeps(np.arange(9000) / 5e4, rng.uniform(-3, 3, 9000)) is None
+    assert measure_sweeps(np.arange(9000) / 5e4, np.zeros(9000)) is None
+    assert measure_sweeps(np.arange(9000)[::-1] / 5e4, np.arange(9000) % 100 / 20) is None
