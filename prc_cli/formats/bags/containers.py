@@ -7,6 +7,7 @@ point to one another, and takes memory or disk with its length. Nothing that a b
 from __future__ import annotations
 
 import contextlib
+import shlex
 import sqlite3
 import struct
 from collections.abc import Collection, Iterator
@@ -22,9 +23,9 @@ MAX_MESSAGE = 1 << 28
 """Longest message of a database, also when unpacked [bytes]."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MEND = {
-    ".bag": "copy it again; a bag whose recorder crashed: rosbag reindex FILE",
-    ".mcap": "copy it again; a file whose recorder crashed: mcap recover FILE -o NEW.mcap",
-    ".db3": "copy it again, or mend it: sqlite3 FILE .recover",
+    ".bag": "copy it again, or, if its recorder crashed: rosbag reindex {}",
+    ".mcap": "copy it again, or, if its recorder crashed: mcap recover {} -o NEW.mcap",
+    ".db3": "copy it again, or mend it: sqlite3 {} .recover",
 }
 
 
@@ -103,6 +104,11 @@ def _kind(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
+def _mend(path: Path) -> str:
+    """Return what to do with a damaged bag."""
+    return _MEND[suffix_of(path)].format(shlex.quote(str(path)))
+
+
 @contextlib.contextmanager
 def _errors(path: Path) -> Iterator[None]:
     """Make one line of whatever a damaged bag does to a library."""
@@ -111,10 +117,10 @@ def _errors(path: Path) -> Iterator[None]:
     except (InputError, ImportError):
         raise
     except MemoryError:
-        raise InputError(str(path), "decoding it takes too much memory for its size", _MEND[suffix_of(path)]) from None
+        raise InputError(str(path), "decoding it takes too much memory for its size", _mend(path)) from None
     except Exception as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(str(path), f"the bag is damaged ({said})", _MEND[suffix_of(path)]) from error
+        raise InputError(str(path), f"the bag is damaged ({said})", _mend(path)) from error
 
 
 # ROS 1 and MCAP
@@ -203,7 +209,7 @@ def _check_pages(path: Path) -> None:
     # the number of pages counts only where the program that wrote last knew of it
     if changed == struct.unpack_from(">I", head, 92)[0] and size < wanted:
         problem = f"the database is cut: found {size} bytes, its header says {wanted}"
-        raise InputError(str(path), problem, _MEND[".db3"])
+        raise InputError(str(path), problem, _mend(path))
 
 
 def _check_tables(path: Path, base: sqlite3.Connection) -> None:

@@ -125,12 +125,12 @@ def test_topics_have_an_order_of_time_each(tmp_path: Path) -> None:
     assert "time_s never decreases in" in runner().invoke(cli, ["info", str(path)]).output
 
 
-@pytest.mark.parametrize(("name", "mend"), [("a.bag", "rosbag reindex FILE"), ("a.mcap", "mcap recover FILE")])
+@pytest.mark.parametrize(("name", "mend"), [("a.bag", "rosbag reindex"), ("a.mcap", "mcap recover")])
 def test_a_bag_whose_recorder_crashed_names_the_command_that_mends_it(tmp_path: Path, name: str, mend: str) -> None:
     path = tmp_path / name
     whole = made.write_bag(path, made.lasers(1)) if name == "a.bag" else made.write_mcap(path, made.lasers(2))
     path.write_bytes(whole.read_bytes()[:-100])
-    with pytest.raises(InputError, match=f"the bag is damaged .*{mend}"):
+    with pytest.raises(InputError, match=rf"the bag is damaged .*{mend} \S+/{name}"):
         BagStream(path, InputConfig())
 
 
