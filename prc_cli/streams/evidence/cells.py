@@ -156,7 +156,7 @@ def check_ranges(seen: Seen) -> Finding | None:
     found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
-    if median > HIGH_M:
+    if HIGH_M < median <= 1000 * HIGH_M:
         hint = f"if they are millimetres: --set {KEY}=0.001; else {hint}"
     if not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST:
         return Finding("ranges", Verdict.AGAINST, found, expected, hint)
