@@ -622,9 +622,15 @@ def test_noise_does_not_frame_a_cloud_and_can_be_hidden(urban: LoadedConfig, tmp
 
 
 def test_scan_plane_coordinates_lead_to_the_page(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+    """Clouds of one height, as other programs and earlier versions write them; those that are built now have three."""
     classify(drive, tmp_path / "out.laz", urban)
-    result = render(tmp_path / "out.laz", tmp_path / "a.png", urban, RenderOptions(view="top", width=300))
-    assert any("--html draws lines one behind the other" in note for note in result.notes)
+    for is_flat in (False, True):
+        las = laspy.read(tmp_path / "out.laz")
+        las.Z[:] = 0 if is_flat else las.Z
+        las.write(tmp_path / "flat.laz")
+        picture = tmp_path / f"{is_flat}.png"
+        result = render(tmp_path / "flat.laz", picture, urban, RenderOptions(view="top", width=300))
+        assert any("--html draws lines one behind the other" in note for note in result.notes) is is_flat
 
 
 def test_hidden_classes_are_white_in_scan_pictures(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
