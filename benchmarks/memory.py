@@ -3,6 +3,7 @@
     python -m benchmarks.memory                           # 1.3 and 13 million shots
     python -m benchmarks.memory --full                    # 10 and 100 million shots; takes 10 GB of disk and minutes
     python -m benchmarks.memory --lines 3000 30000
+    python -m benchmarks.memory --methods                 # every method, LAZ to LAZ, at 1.3 and 10 million shots
 
 The stream is a tiled simulated street; the documentation quotes the table.
 """
@@ -56,17 +57,30 @@ def measure(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
         (folder / f"again{suffix}").unlink()
 
 
+def measure_methods(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
+    """Yield every preset on a simulated LAZ file, and its peak [MiB]."""
+    for kind, presets in (("street", ("urban", "street-scan", "fused")), ("forest", ("forest", "fused-forest"))):
+        drive = folder / f"{kind}.laz"
+        peak_mib(["simulate", kind, "-o", str(drive), "--lines", str(n_lines), "--seed", "7", "-q"])
+        doubts = [word for name in ("units", "indoors", "line-length", "down") for word in ("--accept-doubt", name)]
+        for preset in presets:
+            yield preset, peak_mib(["classify", str(drive), str(folder / "o.laz"), "--preset", preset, "-q",
+                                    "--overwrite", *doubts])  # fmt: skip
+        drive.unlink()
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lines", type=int, nargs=2, default=[600, 6000])
     parser.add_argument("--full", action="store_true")
+    parser.add_argument("--methods", action="store_true")
     arguments = parser.parse_args()
-    lines = FULL_LINES if arguments.full else arguments.lines
+    lines = FULL_LINES if arguments.full else (600, FULL_LINES[0]) if arguments.methods else arguments.lines
     peaks: dict[str, list[float]] = {}
     for n_lines in lines:
         with tempfile.TemporaryDirectory() as name:
-            for job, peak in measure(Path(name), n_lines):
+            for job, peak in (measure_methods if arguments.methods else measure)(Path(name), n_lines):
                 peaks.setdefault(job, []).append(peak)
     sizes = " | ".join(f"{n * POINTS_PER_LINE / 1e6:.1f} M shots [MiB]" for n in lines)
     print(f"| job | {sizes} | ratio | goal [MiB] |")

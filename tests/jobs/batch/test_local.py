@@ -347,3 +347,19 @@ def test_time_in_which_nobody_listened_is_no_stall(tmp_path: Path, monkeypatch: 
     Clock(monkeypatch).turn_on_when_given(monkeypatch, "a")
     found = list(LocalEngine().run([task(tmp_path, "a", source)], EngineSettings(jobs=1, stall_s=STALL_S)))
     assert [type(event) for event in found if not isinstance(event, Progress)] == [Started, Done]
+
+
+FIRST = """
+import os, sys, threading
+from prc_cli.jobs.batch import worker
+worker.keep_memory = lambda: print(threading.active_count(), file=sys.stderr, flush=True)
+worker._receive = lambda *_: None
+worker._serve = lambda *_: os._exit(0)
+worker.main(1, None)
+"""
+
+
+def test_a_worker_shares_memory_between_files() -> None:
+    """A worker of 377 MiB after three files took 305 for one: its first threads began before the C library was told."""
+    found = patience.run([sys.executable, "-c", FIRST], stdin=subprocess.DEVNULL, capture_output=True, check=True)
+    assert found.stderr == b"1\n"
