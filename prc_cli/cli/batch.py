@@ -19,7 +19,7 @@ from click.shell_completion import CompletionItem
 from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import layers_from, output_options, stream_options
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.files import atomic_output, read_small, remove_stale, who_may_change
+from prc_cli.core.files import atomic_output, read_own, remove_stale
 from prc_cli.core.interrupts import raise_or_hold
 
 if TYPE_CHECKING:
@@ -414,15 +414,15 @@ def _read_command(path: Path) -> tuple[Path, dict[str, Any]]:
     """Return the folder that the last run was started in, and its options, checked as if they were typed."""
     hint = "give the whole command with --only-failed instead"
     try:
-        if why := who_may_change(path):
-            problem = f"could have been changed by others ({why}), expected a file of this user alone"
-            raise ConfigError(str(path), problem, hint)
-        table = json.loads(read_small(path, _MAX_COMMAND))
+        table = json.loads(read_own(path, _MAX_COMMAND))
         folder, kept = Path(table["folder"]), dict(table["options"])
         if table["schema"] != _COMMAND_SCHEMA or not folder.is_dir():
             raise ValueError
     except FileNotFoundError:
         raise ConfigError(str(path), "is not there, expected what the last run was asked for", hint) from None
+    except PermissionError as error:
+        problem = f"could have been changed by others ({error.strerror}), expected a file of this user alone"
+        raise ConfigError(str(path), problem, hint) from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(str(path), "cannot be used, expected what the last run was asked for", hint) from None
     context = click.Context(batch)

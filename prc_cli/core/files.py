@@ -76,6 +76,53 @@ def read_small(path: Path, limit: int) -> bytes:
     return content
 
 
+def read_own(path: Path, limit: int) -> bytes:
+    """Return the content of a small file that nobody but this user wrote, in a folder that is his.
+
+    Folder and file are opened once and asked by their descriptors, so that nobody exchanges them in between; links
+    are not followed.
+
+    Raises
+    ------
+    PermissionError
+        When somebody else could have written it; the text says why.
+    OSError
+        As :func:`read_small`, and for a link.
+    """
+    if not hasattr(os, "getuid"):
+        return read_small(path, limit)
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+    folder = os.open(path.parent, flags | os.O_DIRECTORY)
+    try:
+        if (owner := os.fstat(folder).st_uid) not in (os.getuid(), 0):
+            raise PermissionError(errno.EPERM, f"its folder belongs to user {owner}", str(path))
+        descriptor = os.open(path.name, flags, dir_fd=folder)
+    finally:
+        os.close(folder)
+    with open(descriptor, "rb") as handle:  # noqa: PTH123 - a descriptor
+        status = os.fstat(descriptor)
+        if why := _who_may_change(status):
+            raise PermissionError(errno.EPERM, why, str(path))
+        content = handle.read(limit + 1) if stat.S_ISREG(status.st_mode) else b""
+    if not content or len(content) > limit:
+        raise OSError(errno.EINVAL, f"is no file of at most {limit} bytes", str(path))
+    return content
+
+
+def refuse_links(*paths: Path) -> None:
+    """Refuse names of our own folder and files that are symbolic links: they may lead anywhere.
+
+    Raises
+    ------
+    OutputError
+        Naming the link.
+    """
+    for path in paths:
+        if path.is_symlink():
+            problem = "is a symbolic link, expected a folder or file of prc's own"
+            raise OutputError(str(path), problem, "look where it leads, then remove it")
+
+
 def file_state(path: Path | int) -> tuple[int, int, int, int]:
     """Return what changes when a file does: size, time of its content, time of any change, number.
 
@@ -118,9 +165,10 @@ def who_may_change(path: Path, *, may_add: bool = False) -> str:
     OSError
         When it is not there.
     """
-    if not hasattr(os, "getuid"):
-        return ""
-    status = path.lstat()
+    return _who_may_change(path.lstat(), may_add=may_add) if hasattr(os, "getuid") else ""
+
+
+def _who_may_change(status: os.stat_result, *, may_add: bool = False) -> str:
     if status.st_uid not in (os.getuid(), 0):
         return f"it belongs to user {status.st_uid}"
     mode = stat.S_IMODE(status.st_mode)

@@ -267,6 +267,30 @@ def test_retry_obeys_nobody_else_and_no_nonsense(
     command.unlink()
     os.mkfifo(command, 0o600)
     assert prc("retry", "out").code == 2
+    # a name that leads elsewhere is not followed: whoever made the link may change it any time
+    command.unlink()
+    shutil.copy(office[1] / ".prc" / "command.json", tmp_path / "other.json")
+    command.symlink_to(tmp_path / "other.json")
+    assert prc("retry", "out").code == 2
+    command.unlink()
+    shutil.move(tmp_path / "other.json", command)
+    if os.getuid() == 0:  # nobody else can give a folder away
+        os.chown(command.parent, 4321, -1)
+        assert "its folder belongs to user 4321" in prc("retry", "out").err
+
+
+@pytest.mark.parametrize("name", [".prc", ".prc/journal.sqlite", ".prc/lock"])
+def test_our_own_files_are_no_links(prc: Run, tmp_path: Path, name: str) -> None:
+    """SQLite made the target of a dangling link; a linked lock ended with "the result cannot be printed"."""
+    (tmp_path / "archive").mkdir()
+    write_npz(tmp_path / "archive" / "a.npz", street(80))
+    link = tmp_path / "out" / name
+    link.parent.mkdir(parents=True)
+    link.symlink_to(tmp_path / "elsewhere")
+    found = prc(tmp_path / "archive", tmp_path / "out")
+    assert (found.code, found.err.count("\n")) == (1, 1)
+    assert f"{link}: is a symbolic link" in found.err
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import is_left_behind
+from prc_cli.core.files import is_left_behind, refuse_links
 from prc_cli.jobs.batch.journal import Journal, journal_paths, read_entries
 from prc_cli.jobs.batch.lock import Lock
 from prc_cli.jobs.batch.types import OWN_FOLDER
@@ -47,6 +47,7 @@ def own_folder(out: Path) -> Path:
         When no batch run ever worked there.
     """
     folder = out / OWN_FOLDER
+    refuse_links(folder)
     if not journal_paths(folder):
         raise InputError(str(out), "has no journal of prc batch", "name the output folder of a run")
     return folder

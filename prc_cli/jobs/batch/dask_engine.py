@@ -20,6 +20,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from itertools import chain
 from multiprocessing import resource_tracker
@@ -30,6 +31,7 @@ from typing import Any, TypeAlias
 from prc_cli import __version__
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.threads import TICK_S, drain
+from prc_cli.jobs.batch.local import LocalEngine
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     EngineSettings,
@@ -50,6 +52,12 @@ CONNECT_S = 20.0
 """How long the scheduler may take to answer [s]."""
 WORKERS_S = 60.0
 """How long there may be no worker at all [s]."""
+OWN_WORKERS_S = 20.0
+"""The same for workers of our own, which are begun anew in seconds [s]."""
+FETCH_S = 10.0
+"""How long the outcome of a finished order may take to arrive [s]."""
+FETCHES = 5
+"""An outcome that was lost with its worker so often is given up."""
 PROGRESS_S = 1.0
 """Finished lines are reported at most so often [s]: the reports of all workers go through one scheduler."""
 CHECK_S = 2.0
@@ -73,6 +81,10 @@ class StoppedError(BaseException):
 
     Not an Exception, so that no handler takes it for an error of the file.
     """
+
+
+class NoWorkersError(PrcError):
+    """There are no workers, and nobody begins any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,15 +263,24 @@ class DaskEngine:
         jobs = None
         if self._scheduler is not None:
             jobs, settings = self._jobs, replace(settings, threads=self._threads)
-        with _Cluster(self._scheduler, settings, self._notice, first) as cluster:
-            cluster.examine(first)
-            run = _Run(cluster, settings, jobs, self._notice)
-            try:
-                yield from run.events(chain([first], source))
-            except OSError as error:  # whatever it was asked, it does not answer any more
-                raise _lost() from error
-            finally:
-                run.stop()
+        left = [first]
+        try:
+            with _Cluster(self._scheduler, settings, self._notice, first) as cluster:
+                cluster.examine(first)
+                run = _Run(cluster, settings, jobs, self._notice)
+                try:
+                    yield from run.events(chain(left, source))
+                except OSError as error:  # whatever it was asked, it does not answer any more
+                    raise _lost() from error
+                finally:
+                    left = run.tasks
+                    run.stop()
+        except NoWorkersError as error:
+            if self._scheduler is not None:
+                raise
+            # what a dead worker had finished is recognised by its record
+            self._notice(f"{error.problem}; the rest is done without Dask")
+            yield from LocalEngine().run(chain(left, source), settings)
 
 
 def _import() -> Any:
@@ -321,10 +342,16 @@ class _Cluster:
         except TimeoutError as error:
             raise self.no_workers() from error
 
-    def no_workers(self) -> PrcError:
+    @property
+    def patience_s(self) -> float:
+        """How long there may be no worker [s]."""
+        return OWN_WORKERS_S if self._address is None else WORKERS_S
+
+    def no_workers(self) -> NoWorkersError:
         """Return the error of a scheduler without workers."""
-        problem = f"there has been no worker for {WORKERS_S:g} s"
-        return PrcError(f"scheduler {self._address or ''}".strip(), problem, f"start some: dask worker {self._address}")
+        problem = f"there has been no worker for {self.patience_s:g} s"
+        hint = "" if self._address is None else f"start some: dask worker {self._address}"
+        return NoWorkersError(f"scheduler {self._address or ''}".strip(), problem, hint)
 
     def examine(self, first: Task) -> None:
         """Check that scheduler and workers run this version, and that workers see the archive and the outputs.
@@ -385,6 +412,8 @@ class _Job:
     """Last sign of life [s]."""
     n_reported: int = 0
     """Lines reported so far, by the attempt that got farthest."""
+    n_lost: int = 0
+    """How often its outcome could not be fetched."""
 
 
 class _Run:
@@ -407,6 +436,11 @@ class _Run:
         self._checked = 0.0
         self._workers_seen = time.monotonic()
         self._client.subscribe_topic(self._topic, self._queue_event)
+
+    @property
+    def tasks(self) -> list[Task]:
+        """Files that were sent and have no outcome yet."""
+        return [job.task for job in self._pending.values()]
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
         """Keep the workers busy and yield what happens."""
@@ -455,7 +489,7 @@ class _Run:
         self._workers = dict(self._client.nthreads())
         if self._workers:
             self._workers_seen = now
-        elif now - self._workers_seen > WORKERS_S:
+        elif now - self._workers_seen > self._cluster.patience_s:
             raise self._cluster.no_workers()
         for job in self._pending.values():
             if job.worker is not None and job.worker not in self._workers:
@@ -506,20 +540,34 @@ class _Run:
 
     def _on_result(self, key: str) -> Iterator[Event]:
         """Yield the outcome of an order."""
-        job = self._pending.pop(key, None)
-        if job is not None:
-            report = self._report(job)
-            yield from _started(job, report.worker)
-            yield report.result
+        job = self._pending.get(key)
+        if job is None:
+            return
+        report = self._report(job)
+        if report is None:
+            job.future.add_done_callback(self._queue_future)
+            return
+        del self._pending[key]
+        yield from _started(job, report.worker)
+        yield report.result
 
-    def _report(self, job: _Job) -> Report:
-        """Return the outcome of an order, whatever went wrong."""
+    def _report(self, job: _Job) -> Report | None:
+        """Return the outcome of an order, whatever went wrong; None where it died with its worker: it comes again."""
         future, name = job.future, job.task.name
         worker = job.worker or "?"
-        if future.status == "finished":
-            report: Report = future.result()
-            return report
         seconds = time.monotonic() - (job.begun or time.monotonic())
+        if future.status == "finished":
+            with contextlib.suppress(Exception, CancelledError):
+                report: Report = future.result(timeout=FETCH_S)
+                return report
+            if self._client.status != "running":
+                raise _lost()
+        if future.status in ("finished", "pending", "lost"):
+            job.n_lost += 1
+            if job.n_lost < FETCHES:
+                return None
+            problem = Problem("killed", name, f"its outcome was lost {FETCHES} times with the worker that had it", "")
+            return Report(worker, Failed(name, None, seconds, problem))
         if future.status != "error":
             raise _lost()
         error = future.exception()
@@ -591,7 +639,8 @@ def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
                 security=security,
             )
     except (OSError, RuntimeError, TimeoutError) as error:
-        raise PrcError("--engine dask", f"no workers could be started ({_one_line(error)})", "fewer --jobs") from error
+        problem = f"no Dask workers could be started ({_one_line(error)})"
+        raise NoWorkersError("--engine dask", problem, "fewer --jobs") from error
     try:
         yield cluster
     finally:

@@ -26,7 +26,7 @@ from typing import Any, get_args
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
-from prc_cli.core.files import make_folder, temporary_folder
+from prc_cli.core.files import make_folder, refuse_links, temporary_folder
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -137,6 +137,7 @@ class Journal:
         self._database: sqlite3.Connection | None = None
 
     def __enter__(self) -> Journal:
+        refuse_links(self._folder, self.path)  # SQLite would make the target of a link to nothing
         make_folder(self._folder)
         with _errors(self.path):
             # autocommit: every statement is a transaction of its own, whole or not at all
@@ -325,6 +326,7 @@ def read_runs(folder: Path) -> list[Run]:
 
 def _delete(path: Path, keys: list[tuple[bytes]]) -> None:
     """Delete files from a journal that no process has open."""
+    refuse_links(path)
     with _errors(path), contextlib.closing(sqlite3.connect(path, timeout=WAIT_S, isolation_level=None)) as database:
         _check_schema(database, path)
         with _transaction(database):

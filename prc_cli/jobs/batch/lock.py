@@ -33,7 +33,15 @@ from filelock import FileLock, Timeout
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError
-from prc_cli.core.files import atomic_output, make_folder, output_errors, read_small, remove_stale, temporary_name
+from prc_cli.core.files import (
+    atomic_output,
+    make_folder,
+    output_errors,
+    read_small,
+    refuse_links,
+    remove_stale,
+    temporary_name,
+)
 from prc_cli.jobs.batch.types import Shard
 
 LOOK_S = 0.5
@@ -138,6 +146,7 @@ class Lock:
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
     def __enter__(self) -> Lock:
+        refuse_links(self._folder, Path(self._lock.lock_file))
         make_folder(self._folder)
         try:
             with output_errors(self.path):

@@ -308,6 +308,51 @@ def test_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet:
         run(DaskEngine(empty.scheduler_address), tasks_in(tmp_path, {"a.npy": 20}))
 
 
+@pytest.mark.parametrize("when", ["at the start", "in mid run"])
+def test_without_workers_of_its_own_the_rest_is_done_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None, when: str
+) -> None:
+    def dead(*_: Any, **options: Any) -> Any:
+        if when == "at the start":
+            message = "Nanny failed to start."
+            raise RuntimeError(message)
+        return local(n_workers=0, processes=False, dashboard_address=":0")
+
+    local = distributed.LocalCluster
+    monkeypatch.setattr(distributed, "LocalCluster", dead)
+    monkeypatch.setattr(dask_engine, "OWN_WORKERS_S", 0.5)
+    notices: list[str] = []
+    tasks = tasks_in(tmp_path, {"a.npy": 20, "b.npy": 21})
+    found = outcomes(run(DaskEngine(notice=notices.append), tasks, jobs=1))
+    assert {name: type(outcome) for name, outcome in found.items()} == {"a.npy": Done, "b.npy": Done}
+    assert "the rest is done without Dask" in notices[-1]
+
+
+def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_path: Path) -> None:
+    """The scheduler gives the file out again; after a few times it has failed."""
+    (task,) = tasks_in(tmp_path, {"a.npy": 20})
+
+    class Lost:
+        status, n_callbacks = "finished", 0
+
+        def result(self, timeout: float) -> Any:
+            raise TimeoutError
+
+        def add_done_callback(self, call: Any) -> None:
+            self.n_callbacks += 1
+
+    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
+        engine = dask_engine._Run(SimpleNamespace(client=client), EngineSettings(), None, print)
+        future = Lost()
+        engine._pending["key"] = dask_engine._Job(task, future)
+        for _ in range(dask_engine.FETCHES - 1):
+            assert list(engine._on_result("key")) == []
+        assert (future.n_callbacks, engine.tasks) == (dask_engine.FETCHES - 1, [task])
+        _, failed = engine._on_result("key")
+        assert isinstance(failed, Failed)
+        assert (failed.problem.kind, engine.tasks) == ("killed", [])
+
+
 def test_nothing_to_do() -> None:
     assert run(DaskEngine("tcp://127.0.0.1:9"), []) == []
 
