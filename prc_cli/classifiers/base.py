@@ -105,8 +105,6 @@ class Needs:
     """Whether blocks must hold beam angles (``beam_rad``)."""
     most_noise_m: float = math.inf
     """Most range noise that the thresholds stand [m]; more is doubted."""
-    nadir_from_ground: bool = False
-    """Whether nadir may be guessed from the ranges: right to a degree or two in streets, to 10 degrees in forests."""
     confidence_kernels: frozenset[str] | None = None
     """Further loops that it calls where its confidence is wanted; None = it has none."""
 

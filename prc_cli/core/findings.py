@@ -17,8 +17,8 @@ CHECK_NAMES = (
     "thinned",
     "ranges", "rounding", "missing-code", "shot-order", "line-length", "columns-along", "line-order", "standing",
     "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers", "dropouts",
-    "range-noise", "units", "angle-step", "down", "ground-below", "ground-lean", "below-ground", "noise-share",
-    "indoors", "classes-along",
+    "range-noise", "units", "angle-step", "down", "method", "ground-below", "ground-lean", "below-ground",
+    "noise-share", "indoors", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
 LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along")

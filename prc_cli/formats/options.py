@@ -104,6 +104,11 @@ class InputConfig(Params):
     )
     angle_start: float | None = Field(None, description="scan angle of column 0 [deg]; default: found in the input")
     angle_step: float | None = Field(None, description="scan angle between columns [deg], signed; default: found")
+    angles: Literal["auto", "measured"] = Field(
+        "auto",
+        description="auto = scan angles as given, as recorded with the shots, or from coordinates, and where there are "
+        "none, measured from the ranges; measured = from the ranges, column 0 at 0 deg",
+    )
     nadir: float | None = Field(
         None, description="scan angle of the beam that points straight down [deg]; default: found in the input"
     )

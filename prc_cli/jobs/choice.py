@@ -1,8 +1,8 @@
 """Chooses the method for an input where none is named (``method = "auto"``).
 
 What is asked for may leave one method: segment ids, the plain engine and ``--hop`` are PRC's. Otherwise the input
-decides: ``fused`` where the angle of every beam from straight down is known, for streets or for forests as its first
-lines look; else PRC, which needs ranges alone.
+decides: ``fused`` where the angle of every beam from straight down is known or can be measured from the ranges, for
+streets or for forests as its first lines look; else PRC, which needs no angles, with a doubt.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats import open_source
 from prc_cli.kernels import Engine
+from prc_cli.streams.beam_finder import ANGLES
 from prc_cli.streams.beams import BeamStream, with_beams
 from prc_cli.streams.evidence.place import Place, place_of_blocks
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rules import trusting
 
-_NO_ANGLES = "the input gives neither scan angles nor coordinates relative to the scanner"
 LEAST_COSINE = math.cos(math.radians(60.0))
 """Planes that lean more are no scan planes of streets: fused allows 45 degrees, ranges in feet look like 72."""
 _BETTER = "with the angles of the beams fused labels better"
@@ -63,9 +63,8 @@ def choice_by_request(config: RunConfig, *, engine: Engine = "compiled", hops: b
     return MethodChoice("urban", "labels every few lines are those of PRC") if hops else None
 
 
-def choice_by_place(place: Place) -> MethodChoice:
+def choice_by_place(place: Place, known: str = "the angles of the beams are known") -> MethodChoice:
     """Return the choice for an input whose beam directions are known."""
-    known = "the angles of the beams are known"
     if place.kind == "forest":
         return MethodChoice("fused-forest", f"{known}, and the place looks like a forest: {place.why}")
     if place.kind == "street":
@@ -93,21 +92,22 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         first = next(stream.blocks(), None)
         if first is None:
             return MethodChoice("urban", "the input has no lines"), stream
-        if first.angle_rad is None and stream.info.angle_rad is None and first.xyz_m is None:
-            return MethodChoice("urban", f"{_NO_ANGLES}; {_BETTER}"), stream
-        directed = with_beams(stream, config.input, from_ground=True)
+        directed = with_beams(stream, config.input)
         if isinstance(directed, BeamStream) and any(found.is_made_up for found in directed.known.values()):
             return MethodChoice("urban", "no line has two returns"), stream
         if (cosine := least_cosine(directed)) < LEAST_COSINE:
             lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
-            return MethodChoice("urban", f"{lean}, which fused does not stand; look at the unit of the ranges"), stream
+            lacks = f"{lean}, which fused does not stand; look at the unit of the ranges"
+            return MethodChoice("urban", lacks, lacks), stream
         if stream.info.facts.has_scans or config.input.scanner != "none":
             # a later scanner may be refused only when it is reached
             for _ in directed.blocks():
                 pass
-        return choice_by_place(place_of_blocks(directed.blocks())), directed
+        is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
+        known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
+        return choice_by_place(place_of_blocks(directed.blocks()), *known), directed
     except (InputError, ConfigError) as refusal:
-        return MethodChoice("urban", f"{refusal.problem}; {_BETTER}"), stream
+        return MethodChoice("urban", f"{refusal.problem}; {_BETTER}", refusal.problem), stream
 
 
 def least_cosine(stream: ScanStream) -> float:

@@ -32,7 +32,6 @@ from prc_cli.core.threads import close_items, default_threads, read_ahead, write
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.label_files import open_writer
-from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.writing.base import LabelWriter
 from prc_cli.formats.writing.columns import asked_columns
@@ -159,7 +158,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     # imported here: PRC needs no beams, and starts sooner without this module
     from prc_cli.streams.beams import with_beams
 
-    return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
+    return with_beams(stream, config.input)
 
 
 def _open_decided(
@@ -360,7 +359,7 @@ def _classify(
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:
             confidence_kernels(loaded.config.classifier)
-        stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
+        stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m, others=loaded.findings)
     with (
         FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
         placement(source, output, loaded, opened) if is_new else nullcontext() as place,
@@ -539,14 +538,14 @@ def classify_ranges(
         load_classifier(config, engine)
     with use_engine(engine):
         block = _block_of(given, config, beam_rad, xyz_m)
-        if angle_deg is not None:
-            config, block = _directed(config, block, angle_deg, engine)
-        elif config.needs_beams and beam_rad is None:
-            problem = "not given, expected the angle of every column's beam from straight down"
-            raise InputError("beam_rad", problem, "or give angle_deg, the scan angle of every column")
-        config = _decided(config, block, engine)
+        loaded, block = (
+            _decided(config, block, engine)
+            if angle_deg is None and beam_rad is not None
+            else _directed(config, block, angle_deg, engine)
+        )
+        config = loaded.config
         is_judged = block.range_m.size >= LEAST_SHOTS
-        found = _input_findings(block, config.input) if is_judged else ()
+        found = _input_findings(block, loaded) if is_judged else ()
         refuse("range_m", found)
         threads = threads_of(engine, threads)
         wanted = config.output.confidence
@@ -578,20 +577,18 @@ class _InMemory:
         yield self.block
 
 
-def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> RunConfig:
+def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> tuple[LoadedConfig, ScanBlock]:
     """Return a configuration that names a method, chosen for the image where none is named."""
+    loaded = LoadedConfig(config)
     if config.is_decided:
-        return config
+        return loaded, block
     choice = choice_by_request(config, engine=engine)
-    if choice is None and block.beam_rad is None:
-        return config.model_copy(update={"method": "prc"})
-    choice = choice_by_place(place_of_blocks(iter([block]))) if choice is None else choice
-    return decided_by(choice, LoadedConfig(config)).config
+    return decided_by(choice_by_place(place_of_blocks(iter([block]))) if choice is None else choice, loaded), block
 
 
-def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...]:
+def _input_findings(block: ScanBlock, loaded: LoadedConfig) -> tuple[Finding, ...]:
     """Return the answers of all checks of an image."""
-    watch = watched(_InMemory(block), config, refuses=False)
+    watch = watched(_InMemory(block), loaded.config.input, refuses=False, others=loaded.findings)
     for _ in watch.blocks():
         pass
     return watch.findings()
@@ -628,23 +625,32 @@ def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None
     )
 
 
-def _directed(config: RunConfig, block: ScanBlock, angle_deg: ArrayLike, engine: Engine) -> tuple[RunConfig, ScanBlock]:
-    """Find where the beams point, from scan angles, as for a file; return the method, and the block with its beams."""
-    angle = np.deg2rad(np.asarray(angle_deg, np.float64))
+def _directed(
+    config: RunConfig, block: ScanBlock, angle_deg: ArrayLike | None, engine: Engine
+) -> tuple[LoadedConfig, ScanBlock]:
+    """Find where the beams point, as for a file: from angles, coordinates or the ranges; return the method, too."""
     if block.beam_rad is not None:
         raise InputError("angle_deg", "found beam_rad, too, expected one of them", "leave one out")
-    if angle.shape != (block.points_per_line,) or not np.isfinite(angle).all():
-        problem = f"found an array of shape {angle.shape}, expected finite angles of shape ({block.points_per_line},)"
-        raise InputError("angle_deg", problem)
-    stream: ScanStream = _InMemory(replace(block, angle_rad=angle, is_last=True))
-    if config.is_decided or choice_by_request(config, engine=engine) is not None:
-        if config.needs_beams:
+    if angle_deg is not None:
+        angle = np.deg2rad(np.asarray(angle_deg, np.float64))
+        if angle.shape != (block.points_per_line,) or not np.isfinite(angle).all():
+            problem = (
+                f"found an array of shape {angle.shape}, expected finite angles of shape ({block.points_per_line},)"
+            )
+            raise InputError("angle_deg", problem)
+        block = replace(block, angle_rad=angle)
+    loaded = LoadedConfig(config)
+    stream: ScanStream = _InMemory(replace(block, is_last=True))
+    if not config.is_decided and (choice := choice_by_request(config, engine=engine)) is not None:
+        loaded = decided_by(choice, loaded)
+    if loaded.config.is_decided:
+        if loaded.config.needs_beams:
             from prc_cli.streams.beams import with_beams
 
-            stream = with_beams(stream, config.input, from_ground=config.nadir_from_ground)
-        return config, next(iter(stream.blocks()))
+            stream = with_beams(stream, config.input)
+        return loaded, next(iter(stream.blocks()))
     choice, stream = choose(stream, config)
-    return decided_by(choice, LoadedConfig(config)).config, next(iter(stream.blocks()))
+    return decided_by(choice, loaded), next(iter(stream.blocks()))
 
 
 def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:

@@ -66,7 +66,7 @@ def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
     beams: dict[int, F64] = {}
     # what cannot be told upright lies flat
     with contextlib.suppress(InputError, ConfigError):
-        directed = stream if isinstance(stream, BeamStream) else with_beams(stream, config.input, from_ground=True)
+        directed = stream if isinstance(stream, BeamStream) else with_beams(stream, config.input)
         if isinstance(directed, BeamStream):
             beams = {one: found.beam_rad for one, found in directed.known.items() if not found.is_made_up}
     times: list[NDArray[Any]] = []

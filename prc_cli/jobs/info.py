@@ -169,7 +169,9 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     judged = loaded.config.input.order == "require"
     if stream is not None:
         needs = loaded.config.classifier.method().needs
-        stream = watched(stream, loaded.config.input, refuses=False, most_noise_m=needs.most_noise_m)
+        stream = watched(
+            stream, loaded.config.input, refuses=False, most_noise_m=needs.most_noise_m, others=loaded.findings
+        )
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
@@ -326,7 +328,7 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
     if not loaded.config.needs_beams:
         return stream, None
     try:
-        directed = with_beams(stream, inputs, from_ground=loaded.config.nadir_from_ground)
+        directed = with_beams(stream, inputs)
         if stream.info.facts.has_scans or inputs.scanner != "none":
             # the stream may be refused only when a later scan is reached
             for _ in directed.blocks():

@@ -164,11 +164,11 @@ def stream(
         told = choice
     classifier = config.classifier.method()
     if classifier.needs.beams:
-        opened = with_beams(opened, config.input, from_ground=classifier.needs.nadir_from_ground)
+        opened = with_beams(opened, config.input)
     if hop is not None:
         classifier = classifier.hopping(hop)
     pipe.seal()
-    watch = LiveEvidence(watched(opened, config.input), doubted)
+    watch = LiveEvidence(watched(opened, config.input, others=loaded.findings), doubted)
     blocks = _UntilError(watch)
     lookup = config.classes.lookup()
     counts, latency, result, asks_at = Counts.none(), 0.0, ResultWatch(classifier.usual), RESULT_LINES

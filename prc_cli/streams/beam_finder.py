@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
+from prc_cli.streams.angle_step import MOST_OFF, AngleStep, measure_step
 from prc_cli.streams.directions import Beams, fit_beams, forward_steps, turn_evenly
 from prc_cli.streams.down import (
     MIN_TILT_RAD,
@@ -36,7 +37,7 @@ MAX_SAMPLE_CELLS = 1 << 23
 MADE_UP_RAD = (0.1, math.pi - 0.1)
 """Placeholder directions of the outermost columns, where none are known and nothing can be classified [rad]."""
 KEY = "input.nadir"
-_WITH_ANGLES = "input.nadir with scan angles (input.angle_start and input.angle_step where the input has none)"
+ANGLES = "input.angles"
 _ANGLES_ALONE = (
     "scan angles (input.angle_start and input.angle_step where the input has none), and input.nadir if known"
 )
@@ -91,6 +92,8 @@ class Found:
     is_made_up: bool = False
     """Whether the directions are placeholders, allowed only while no line has two returns."""
     note: str = ""
+    angle_rad: F64 | None = None
+    """(M,) float64, scan angle of every column, where it was measured from the ranges [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +105,15 @@ class BeamFinder:
     """Given scan angle of straight down [deg]."""
     split_by: str | None
     """Dimension with the scanner id."""
-    from_ground: bool = False
-    """Whether level ground may be used as a last resort."""
+    measures: bool = False
+    """Whether scan angles are measured from the ranges though there are others."""
 
     def sample(self, first: ScanBlock) -> Sample:
         """Return an empty sample for a scanner, from its first block."""
-        knows = self.down_deg is not None or first.xyz_m is not None or self.info.down(first.scanner)[0] is not None
-        return Sample(n_lines=SAMPLE_LINES if knows or not self.from_ground else SPREAD * SAMPLE_LINES)
+        has_angles = not self.measures and (first.angle_rad is not None or self.info.angle_rad is not None)
+        has_down = self.down_deg is not None or self.info.down(first.scanner)[0] is not None
+        knows = not self.measures and (first.xyz_m is not None or (has_angles and has_down))
+        return Sample(n_lines=SAMPLE_LINES if knows else SPREAD * SAMPLE_LINES)
 
     def put(self, found: Found, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions.
@@ -124,7 +129,8 @@ class BeamFinder:
         xyz_m = block.xyz_m if found.keep_xyz else None
         if xyz_m is None and found.cos_tilt < math.cos(MIN_TILT_RAD):
             xyz_m = _tilted(block.range_m, found.beam_rad, found.cos_tilt)
-        return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m)
+        angle_rad = block.angle_rad if found.angle_rad is None else found.angle_rad
+        return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad)
 
     def find(self, sample: Sample) -> Found:
         """Apply the first applicable method.
@@ -139,6 +145,8 @@ class BeamFinder:
         n = len(sample.range_m)
         range_m = np.stack(sample.range_m) if n else np.empty((0, 0), np.float32)
         xyz = np.stack(sample.xyz_m) if n and len(sample.xyz_m) == n else None
+        if self.measures or (angle is None and xyz is None):
+            return self._measured(sample, range_m)
         off_m = None if xyz is None else _off(xyz, range_m)
         if self.down_deg is not None:
             if angle is None:
@@ -153,10 +161,9 @@ class BeamFinder:
             return self._turned(angle, down_rad, off_m, shown, "the input says where down is", cos_tilt)
         if not (np.isfinite(range_m).sum(axis=1) > 1).any():
             return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
-        if xyz is None and self.from_ground and angle is not None:
+        if xyz is None and angle is not None:
             return self._guessed(scanner, angle, range_m)
-        if xyz is None:
-            raise self._refusal(scanner, self._lacks(scanner, angle), None)
+        assert xyz is not None
         if off_m is not None:
             return self._registered(scanner, angle, range_m, xyz, off_m)
         try:
@@ -167,6 +174,27 @@ class BeamFinder:
         except NoDirectionError as error:
             raise self._refusal(scanner, str(error), error) from error
         return Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), _why(beams)))
+
+    def _measured(self, sample: Sample, range_m: F32) -> Found:
+        """Use angles measured from the ranges; straight down is given, or level ground."""
+        scanner, m = sample.scanner, sample.points_per_line
+        if not (np.isfinite(range_m).sum(axis=1) > 1).any():
+            return self._made_up(scanner, m, has_returns=len(range_m) > 0)
+        step = measure_step(range_m)
+        if step is None or step.off > MOST_OFF:
+            raise self._refusal(scanner, f"{self._lacks(scanner, None)}, and {_no_step(step, m)}", None)
+        angle = step.angles(m)
+        if self.down_deg is not None:
+            found = self._turned(angle, math.radians(self.down_deg), None, "", "")
+        else:
+            found = self._guessed(scanner, angle, range_m)
+        column = int(np.argmin(np.abs(found.beam_rad)))
+        where = f"down at column {column}"
+        why = f"{'given' if self.down_deg is not None else 'from level ground'}: {where}; the input gives no angles"
+        shown = step.shown(m)
+        which = self._which(scanner)
+        note = f"{which + ': ' if which else ''}angles measured from the ranges: {shown}; {where}"
+        return replace(found, assumption=Assumption(ANGLES, f"measured: {shown}", why), note=note, angle_rad=angle)
 
     def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> Found:
         """Return placeholder directions: lines of one return have no angles, and stay unclassified."""
@@ -260,18 +288,13 @@ class BeamFinder:
                 return "check whether lines and columns are exchanged, and that z is up"
             if isinstance(error, WrongOriginError):
                 return "subtract the scanner's position from xyz"
-            return f"add zenith_deg, or xyz relative to the scanner, to an .npz, or give {self._angles}"
+            return f"add zenith_deg, or xyz relative to the scanner, to an .npz, or give {_ANGLES_ALONE}"
         if isinstance(error, LevelLinesError):
             return "check the lines (--lines, -M), and that z is up"
         ways = self._ways_of_coordinates(origin_only=isinstance(error, WrongOriginError))
         if isinstance(error, WrongOriginError):
             return f"give {' or '.join(ways)}"
-        return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{self._angles}"
-
-    @property
-    def _angles(self) -> str:
-        """Return the options to give: only the angles where level ground may give straight down."""
-        return _ANGLES_ALONE if self.from_ground else _WITH_ANGLES
+        return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{_ANGLES_ALONE}"
 
     def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
         has = self.info.dimensions
@@ -281,6 +304,13 @@ class BeamFinder:
         if not has or "time" in has:
             ways.insert(0, "--range trajectory:FILE")
         return ways if origin_only else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
+
+
+def _no_step(step: AngleStep | None, points_per_line: int) -> str:
+    """Return why the ranges do not give the step of the angles."""
+    if step is None:
+        return "too few planes are seen to measure the angles from the ranges"
+    return f"planes do not agree on the angles: {step.shown(points_per_line)}"
 
 
 def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:

@@ -1,9 +1,10 @@
 """Adds the beam direction of every column, for classifiers that need to know where down is.
 
 Sources, in this order: ``input.nadir`` gives the scan angle of straight down; the input gives it (zenith angles, or
-registered heights with range and scan angle); coordinates relative to the scanner are directions. If an error of a
-few degrees is acceptable, level ground is used as well. Without any of them the stream is refused, unless no line has
-two returns: then placeholder directions do, because nothing can be classified.
+registered heights with range and scan angle); coordinates relative to the scanner are directions. Without any of them
+straight down is where level ground is, within a degree or two in streets and up to 10 degrees in forests; where there
+are no scan angles either, they are measured from the ranges (:mod:`.angle_step`). If that fails the stream is refused,
+unless no line has two returns: then placeholder directions do, because nothing can be classified.
 """
 
 from __future__ import annotations
@@ -17,20 +18,17 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.streams.beam_finder import BeamFinder, Found, Sample
 
 
-def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = False) -> ScanStream:
+def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
     """Add the direction of every column's beam to a stream.
 
-    Reads the first lines of the stream where directions come from coordinates.
+    Reads the first lines of the stream where directions come from coordinates or ranges.
 
     Parameters
     ----------
     stream : ScanStream
         Any stream.
     config : InputConfig
-        ``nadir``, and how the stream was opened.
-    from_ground : bool
-        As a last resort, with scan angles, guess straight down from level ground; within a degree or two in streets,
-        up to 10 degrees in forests.
+        ``nadir``, ``angles``, and how the stream was opened.
 
     Returns
     -------
@@ -47,7 +45,7 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
         When ``nadir`` is given and the stream has no scan angles.
     """
     split_by = None if config.scanner == "none" else config.scanner
-    finder = BeamFinder(stream.info, config.nadir, split_by, from_ground)
+    finder = BeamFinder(stream.info, config.nadir, split_by, config.angles == "measured")
     known: dict[int, Found] = {}
     waiting: dict[int, Sample] = {}
     for block in stream.blocks():

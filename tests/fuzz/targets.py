@@ -77,7 +77,7 @@ LAS = (
     ("thin", "{case}", "{out}/o.laz", "--drop", "ground"),
     ("transfer", "{seeds}/pf6.las", "{case}", "{out}/o.las"),
     ("transfer", "{case}", "{seeds}/pf6.laz", "{out}/o.laz"),
-    ("transfer", "{case}", "{seeds}/pf6.laz", "{out}/o.laz", "--match", "record", "--min-matched", "0"),
+    ("transfer", "{case}", "{seeds}/pf6.laz", "{out}/o.laz", "--by", "record", "--min-match", "0"),
 )
 
 LABELS = (

@@ -264,7 +264,7 @@ def test_damaged_copc_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.Ca
     for number in range(16):
         case = put(tmp_path / f"{number}.laz", zeroed(seed("copc7.laz"), number, 30))
         output = tmp_path / f"o{number}.laz"
-        code, printed = run(capfd, "transfer", labels, case, output, "--min-matched", "0", "-q")
+        code, printed = run(capfd, "transfer", labels, case, output, "--min-match", "0", "-q")
         codes[min(code, 1)] += 1
         if code:
             assert "error: " in printed

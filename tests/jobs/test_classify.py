@@ -216,10 +216,13 @@ def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
         prc_cli.classify_ranges(shuffled)
     # too few shots to tell
     prc_cli.classify_ranges(shuffled[:80])
+    few = street()[:, ::2]  # too few columns to measure their angles
+    with pytest.warns(prc_cli.DoubtWarning, match="range_m: method: PRC as published was taken"):
+        prc_cli.classify_ranges(few)
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = image
     with pytest.warns(prc_cli.DoubtWarning, match="range_m: returns: .*input.accept_doubts = ..returns") as told:
-        prc_cli.classify_ranges(thin)
+        prc_cli.classify_ranges(thin, load_config(preset="urban"))
     assert told[0].filename == __file__
     for odd in (thin, shuffled):
         accepting = load_config(options={"input": {"accept_doubts": CHECK_NAMES}})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError, InputError, PrcError
+from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig, Layout
@@ -153,7 +153,7 @@ def test_angles_that_do_not_turn_one_way_are_refused() -> None:
 def test_nothing_tells() -> None:
     ranges = ScanBlock(0, np.full((3, 4), 5.0, np.float32))
     for block, why in (
-        (ranges, "neither scan angles nor coordinates relative to the scanner"),
+        (ranges, "neither scan angles nor coordinates relative to the scanner, and too few planes are seen"),
         (with_angles(np.arange(4.0)), "nothing says which of them points straight down"),
     ):
         with pytest.raises(InputError, match=f"^drive.laz: no vertical direction known: .*{why}") as caught:
@@ -161,7 +161,7 @@ def test_nothing_tells() -> None:
         for way in ("input.nadir", "sensor-xyz", "trajectory:FILE", "origin:X,Y,Z"):
             assert way in caught.value.hint
         assert "\n" not in str(caught.value)
-    with pytest.raises(ConfigError, match=r"^input.nadir: is given, but drive.laz has no scan angles"):
+    with pytest.raises(InputError, match="too few planes are seen to measure the angles"):
         with_beams(stream(ranges), InputConfig(nadir=0.0))
 
 
@@ -321,7 +321,7 @@ def test_down_from_registered_coordinates_beside_range_and_angle() -> None:
 
 
 def shown_beams(config: dict[str, Any], records: dict[str, NDArray[Any]]) -> F64:
-    found = with_beams(open_records(records, **config), InputConfig(**config), from_ground=True)
+    found = with_beams(open_records(records, **config), InputConfig(**config))
     beam = next(iter(found.blocks())).beam_rad
     assert beam is not None
     said = [one for one in found.info.assumptions if one.key == "input.nadir"]

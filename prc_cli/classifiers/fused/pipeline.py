@@ -236,7 +236,6 @@ class Fused(Classifier[FusedScanner, FusedState]):
             self.params.lines_per_block,
             AROUND_LINES if is_forest else FOLLOWING_LINES,
             most_noise_m=most_noise_m,
-            nadir_from_ground=True,
             confidence_kernels=CONFIDENCE_KERNELS,
         )
 

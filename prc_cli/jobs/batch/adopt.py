@@ -81,8 +81,6 @@ def remove_unfinished(task: Task) -> bool:
             for part in tuple(parts_of(path)):
                 if is_same(part, path):
                     path.unlink()
-                    if path == task.output:  # whose temporary name is the last to go: the record may have lost its own
-                        record_path(path).unlink(missing_ok=True)
                     part.unlink()
                     found = True
     return found

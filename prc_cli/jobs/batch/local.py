@@ -26,7 +26,6 @@ from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import remove_stale
 from prc_cli.core.threads import default_threads, drain
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.adopt import remove_unfinished
 from prc_cli.jobs.batch.types import (
     EngineSettings,
     Event,
@@ -123,7 +122,6 @@ class _Worker:
         with contextlib.suppress(OSError):
             self.printed.close()
         if self.task is not None:
-            remove_unfinished(self.task)
             for path in (self.task.output, record_path(self.task.output)):
                 with contextlib.suppress(OSError):
                     remove_stale(path)

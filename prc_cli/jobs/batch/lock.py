@@ -294,10 +294,11 @@ def _file_system_time(path: Path) -> float:
 def _read(path: Path) -> Owner | None:
     """Return the owner that a file names; None if there is no such file.
 
-    A file that is cut, or was edited by hand, has an unknown owner.
+    A file that is cut, or was edited by hand, has an unknown owner. Versions before 3 wrote heartbeats, and no
+    ``beats``.
     """
     try:
-        values = json.loads(read_small(path, _MOST_BYTES))
+        values = {"beats": True} | json.loads(read_small(path, _MOST_BYTES))
         owner = Owner(**{item.name: values[item.name] for item in fields(Owner)})
         if any(type(getattr(owner, item.name)) is not type(getattr(_UNKNOWN, item.name)) for item in fields(Owner)):
             return _UNKNOWN

@@ -500,6 +500,11 @@ def _rate(outcomes: Sequence[Done], source: str) -> Rate:
     return Rate(sum(outcome.seconds for outcome in outcomes) / max(1, size), max(peaks, default=None), source)
 
 
+def sample_rate(outcome: Done, shown: str) -> Rate:
+    """Return the rate of a sample file."""
+    return _rate([outcome], f"measured on a sample of {shown}")
+
+
 def estimate(todo: Sequence[Planned], rates: Mapping[str, Rate], jobs: int) -> Estimate:
     """Estimate time and memory of a plan.
 

@@ -229,9 +229,11 @@ class _Run:
         first = next(stream.blocks(), None)
         # coordinates that come with the directions of a leaning plane are not those of the input
         is_own = first is not None and first.xyz_m is not None
-        stream = with_beams(stream, config.input, from_ground=True)
+        stream = with_beams(stream, config.input)
         self._result = ResultWatch(usual_labels(config, stream.info))
-        self._watch = watched(stream, config.input, most_noise_m=method.needs.most_noise_m)
+        self._watch = watched(
+            stream, config.input, most_noise_m=method.needs.most_noise_m, others=self._loaded.findings
+        )
         if self._takes_classes:
             yield from (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
             return

@@ -163,7 +163,7 @@ def _open(source: Path, loaded: LoadedConfig) -> ScanStream:
         return stream
     # damage is reported when the stream is read
     with suppress(InputError, ConfigError):
-        return with_beams(stream, loaded.config.input, from_ground=True)
+        return with_beams(stream, loaded.config.input)
     return stream
 
 

@@ -289,7 +289,7 @@ class _Run:
                 yield from stream.blocks()
                 return
             if config.needs_beams:
-                stream = with_beams(stream, config.input, from_ground=config.nadir_from_ground)
+                stream = with_beams(stream, config.input)
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
             wanted = self.min_confidence is not None

@@ -147,6 +147,13 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "Damage that laspy reads, and what other libraries refuse.",
     ),
     Check(
+        "method",
+        "Was the method taken that labels such inputs best?",
+        "Doubtful where PRC as published was taken because the angles of the beams are neither told nor to be measured",
+        "On simulated streets of photon-80 the mean F1 of PRC is 0.59, that of fused 0.96",
+        "Nothing where the method is named: that is the user's choice.",
+    ),
+    Check(
         "range-noise",
         "Is the noise of the ranges one that the method stands?",
         "PRC and fused in forests: doubtful above 12 mm, as the twentieth of the shots that lie nearest to the "

@@ -57,6 +57,8 @@ class EvidenceStream(Brief):
         Raise as soon as the evidence is against the input; False = only report it in :meth:`findings`.
     most_noise_m : float
         Most range noise that the method stands [m].
+    others : tuple of Finding
+        What is known before anything is read.
     """
 
     source: ScanStream
@@ -65,6 +67,7 @@ class EvidenceStream(Brief):
     most_noise_m: float = math.inf
     dropped: str = ""
     """What a run record says of shots that were left out."""
+    others: tuple[Finding, ...] = ()
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
     _repeats: LineRepeats = field(default_factory=LineRepeats, init=False)
@@ -138,7 +141,7 @@ class EvidenceStream(Brief):
 
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return what asks all checks of what has been seen so far, now or in another thread."""
-        others = [*([check_repeats(self._repeats)] if is_whole else []), *check_thinned(self.dropped)]
+        others = [*([check_repeats(self._repeats)] if is_whole else []), *check_thinned(self.dropped), *self.others]
         return partial(_ask_of_all, self.seen(is_whole=is_whole), tuple(others), self.accepted)
 
 
@@ -163,8 +166,13 @@ def accepted_by(config: InputConfig) -> tuple[str, ...]:
 
 
 def watched(
-    stream: ScanStream, config: InputConfig, *, refuses: bool = True, most_noise_m: float = math.inf
+    stream: ScanStream,
+    config: InputConfig,
+    *,
+    refuses: bool = True,
+    most_noise_m: float = math.inf,
+    others: tuple[Finding, ...] = (),
 ) -> EvidenceStream:
     """Watch a stream; ``config`` says which findings the user accepts."""
     dropped = stream.info.facts.dropped or dropped_beside(Path(stream.info.path))
-    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m, dropped)
+    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m, dropped, others)

@@ -560,7 +560,7 @@ def test_slurm_job_array(tmp_path: Path) -> None:
 def answers(address: str) -> bool:
     import socket
 
-    host, _, port = address.partition("//")[2].partition(":")
+    host, _, port = address.removeprefix("tcp://").partition(":")
     try:
         socket.create_connection((host, int(port)), timeout=1).close()
     except OSError:

@@ -300,6 +300,15 @@ def test_owners_without_locks_live_by_their_heartbeat(
             lock.check()
 
 
+def test_the_lock_of_an_earlier_version_lives_by_its_heartbeat(folder: Path) -> None:
+    folder.mkdir()
+    table = asdict(beating()) | {"boot": "b", "pid_space": "", "born": "12"}
+    del table["beats"]
+    lock_path(folder).write_text(json.dumps(table))
+    with pytest.raises(BusyError, match="on elsewhere"), Lock(folder):
+        pass
+
+
 @pytest.mark.parametrize("skew_s", [-86_400.0, 86_400.0])
 def test_clocks_of_machines_do_not_matter(
     folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None, skew_s: float

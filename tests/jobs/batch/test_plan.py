@@ -23,6 +23,7 @@ from prc_cli.jobs.batch.plan import (
     estimate,
     journal_rates,
     make_plan,
+    sample_rate,
 )
 from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
 from prc_cli.jobs.batch.types import (
@@ -409,3 +410,4 @@ def test_rates_come_from_the_journal(settings: BatchSettings) -> None:
         "1 earlier file of this archive, of another configuration"
         in journal_rates([planned("x.npz", 1)], other)[".npz"].source
     )
+    assert sample_rate(known[0].outcome, "a.npz").source == "measured on a sample of a.npz"  # type: ignore[arg-type]

@@ -25,6 +25,7 @@ from prc_cli.jobs.batch.reference import ReferenceSettings
 from prc_cli.jobs.batch.run import (
     Again,
     Alarm,
+    Noted,
     Ready,
     RunEvent,
     plan_batch,
@@ -586,12 +587,22 @@ def test_a_reference_tree_is_compared_and_gates_are_held(
     assert summary.exit_code == 0
 
 
-def test_a_dry_run_writes_nothing(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path) -> None:
+def test_a_dry_run_measures_and_writes_nothing(
+    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path
+) -> None:
     archive, found = runs
     settings = BatchSettings(archive, tmp_path / "out", LAYERS, include=("day/*", "*.bin"), jobs=2)
-    plan, estimate = plan_batch(settings)
+    heard: list[RunEvent] = []
+    plan, estimate = plan_batch(settings, listener=heard.append)
+    assert len(plan.todo) == 6
     assert not (tmp_path / "out").exists()
-    assert (len(plan.todo), estimate.seconds, estimate.n_unknown) == (6, None, 6)
+    assert estimate.seconds is not None
+    assert estimate.seconds > 0
+    assert estimate.n_unknown == 1  # the damaged file
+    assert set(estimate.sources) == {
+        "bin: measured on a sample of odd\nname/b.bin", "laz: nothing known", "npz: measured on a sample of day/3.npz",
+    }  # fmt: skip
+    assert all(isinstance(event, Noted) for event in heard)
     before = sorted(found[1][0].rglob("*"))
     _, known = plan_batch(replace(settings, out=found[1][0], config=ConfigLayers(preset="forest"), exclude=("*.laz",)))
     assert sorted(found[1][0].rglob("*")) == before

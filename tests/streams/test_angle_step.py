@@ -1,0 +1,99 @@
+"""The angle between columns out of the ranges alone."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.core.types import F32
+from prc_cli.streams.angle_step import BENT, AngleStep, curvatures, measure_step
+from tests.oracles.angle_step import curvature_of
+from tests.simulated import drive_arrays
+
+
+def room(step_deg: float, m: int, n_lines: int = 60, noise_m: float = 0.0, seed: int = 0) -> F32:
+    """A floor, two walls and a leaning roof, from a place that wanders."""
+    rng = np.random.default_rng(seed)
+    beam = np.deg2rad(step_deg) * (np.arange(m) - m / 2)
+    lines = []
+    for _ in range(n_lines):
+        walls = [(0.0, 2.0), (1.7, 5.0), (-1.5, 7.0), (2.6, 9.0)]
+        with np.errstate(divide="ignore"):
+            depth = [d * rng.uniform(0.9, 1.1) / np.maximum(np.cos(beam - a), 0.05) for a, d in walls]
+        lines.append(np.min(depth, axis=0) + rng.normal(0.0, noise_m, m))
+    return np.array(lines, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("step_deg", "m", "noise_m", "usual"),
+    [
+        (0.1, 2500, 0.002, ""),
+        (0.1, 2500, 0.01, ""),
+        (0.072, 5000, 0.003, "360 deg / M"),
+        (0.25, 1079, 0.005, "1/4 deg"),
+        (0.5, 361, 0.005, "1/2 deg"),
+        (0.47, 361, 0.005, ""),
+    ],
+)
+def test_the_step_is_in_the_ranges(step_deg: float, m: int, noise_m: float, usual: str) -> None:
+    found = measure_step(room(step_deg, m, noise_m=noise_m))
+    assert found is not None
+    assert math.degrees(found.step_rad) == pytest.approx(step_deg, rel=0.005)
+    assert found.usual == usual
+    assert found.off < 0.02
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_of_every_other_column_the_step_is_twice_as_large(every: int) -> None:
+    found = measure_step(room(0.1, 2500, noise_m=0.002)[:, ::every])
+    assert found is not None
+    assert math.degrees(found.step_rad) == pytest.approx(0.1 * every, rel=0.005)
+
+
+def test_a_simulated_street_is_enough() -> None:
+    block, _ = drive_arrays(64, 1500, 7)
+    assert block.angle_rad is not None
+    found = measure_step(block.range_m)
+    assert found is not None
+    assert found.step_rad == pytest.approx(float(np.diff(block.angle_rad)[0]), rel=0.01)
+
+
+def test_where_no_planes_are_there_is_no_step() -> None:
+    lines = room(0.1, 2500)
+    shuffled = np.random.default_rng(1).permuted(lines, axis=1)
+    for tells_nothing in (shuffled, lines[:, :150], lines[:0], np.full_like(lines, np.nan), np.full_like(lines, 5.0)):
+        assert measure_step(tells_nothing) is None
+
+
+def test_lines_of_more_than_a_turn_have_no_step() -> None:
+    """Three lines that are told as one turn by 750 degrees."""
+    lines = room(0.1, 2500, noise_m=0.002)
+    assert measure_step(lines.reshape(20, 7500)) is None
+
+
+def test_windows_are_those_of_the_twin() -> None:
+    rng = np.random.default_rng(3)
+    pieces = 0.2 + rng.normal(0.0, 3e-4, (400, 1)) * np.arange(13) + rng.normal(0.0, 1e-3, (400, 13))
+    twin = [found for piece in pieces.tolist() if (found := curvature_of(piece, BENT)) is not None]
+    curvature, error = curvatures(pieces)
+    assert 20 < len(twin) < len(pieces)
+    np.testing.assert_allclose(np.stack([curvature, error], axis=1), twin, rtol=1e-6, atol=1e-12)
+
+
+def test_real_push_brooms(real_data: Path) -> None:
+    """Half a degree, on real roads, which have a crown."""
+    assert real_data.is_dir()
+    from benchmarks.contest_data import oakland
+
+    for strip in (1, 2, 3):
+        found = measure_step(oakland(strip).range_m)
+        assert found is not None
+        assert math.degrees(found.step_rad) == pytest.approx(0.5, rel=0.03)
+
+
+def test_texts() -> None:
+    found = AngleStep(math.radians(0.1442), 0.0014, 2951)
+    assert found.shown(2154) == "0.1442 deg ± 0.0002 deg (2951 pieces of planes), a field of 310.6 deg"
