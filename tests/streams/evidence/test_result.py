@@ -179,6 +179,16 @@ def test_noise_in_a_part_of_the_stream() -> None:
     assert found["classes-along"].found.startswith("much noise in lines ")
 
 
+def test_noise_of_empty_shots_in_a_part_of_the_stream() -> None:
+    range_m, labels = street(512)
+    sky = np.zeros(range_m.shape, np.uint8)
+    sky[300:370] = Label.NOISE
+    range_m = np.hstack([range_m, np.where(sky > 0, 30.0, np.nan)]).astype(np.float32)
+    found = asked(range_m, np.hstack([labels, sky]), None, angle_rad=None)
+    assert not doubted(found)
+    assert found["classes-along"].found.startswith("much noise between whole surfaces in lines ")
+
+
 @pytest.mark.parametrize("preset", ["urban", "forest"])
 def test_prc_loses_the_ground_of_some_rightly_told_scans(preset: str) -> None:
     range_m, labels = street(512)

@@ -101,13 +101,20 @@ def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, s
     usually = float(np.quantile(ground_shares, 0.75)) if ground_shares else 0.0
     gone = [bool(k) and a / b < usual.vanished_share * usually for (a, b, _, _), k in zip(pooled, known, strict=True)]
     noisy = [d >= 375 and c / d > usual.noise_share for _, _, c, d in pooled]
+    solid = [d - c for _, _, c, d in pooled]
+    least = 0.8 * float(np.median([n for n, bad in zip(solid, noisy, strict=True) if not bad] or [np.inf]))
+    bare = [bad and n < least for n, bad in zip(solid, noisy, strict=True)]
     found["classes-along"] = FINE, "ground and noise are even along the stream"
-    for bad, said in ((gone, "hardly any ground"), (noisy, "much noise")):
+    for bad, said, verdict in (
+        (gone, "hardly any ground", DOUBTFUL),
+        (bare, "much noise", DOUBTFUL),
+        (noisy, "much noise between whole surfaces", FINE),
+    ):
         runs = [(i, j) for i in range(len(bad)) for j in range(i + 1, len(bad) + 1) if all(bad[i:j])]
         first, last = max(runs, key=lambda run: (run[1] - run[0], -run[0]), default=(0, 0))
         if 0 < last - first < len(bad):
             start, stop = one.line[first * 16], one.line[(last + 2) * 16 - 1] + 1
-            found["classes-along"] = DOUBTFUL, f"{said} in lines {start} to {stop}"
+            found["classes-along"] = verdict, f"{said} in lines {start} to {stop}"
             break
     return found
 
