@@ -31,6 +31,9 @@ from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
 from prc_cli.jobs.classify import classify as classify_file
 from prc_cli.kernels import ENGINES, Engine
 
+FEW_SHOTS = 100
+"""Fewer are too few for the checks, and for a rate."""
+
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
@@ -126,9 +129,10 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     for notice in record.notices:
         if not is_doubt(notice):
             console().print(f"note: {notice}", soft_wrap=True)
-    rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
+    rate = f"{counts.n_shots / seconds / 1e6 if seconds else 0.0:.2g} million shots a second"
+    if counts.n_shots < FEW_SHOTS:
+        rate = "too few to check the labels"
     console().print(
-        f"{summary.output}: {counts.n_lines:,} lines of {record.points_per_line:,} shots "
-        f"in {seconds:.1f} s ({rate:.2g} million shots a second)",
+        f"{summary.output}: {counts.n_lines:,} lines of {record.points_per_line:,} shots in {seconds:.1f} s ({rate})",
         soft_wrap=True,
     )

@@ -31,6 +31,8 @@ LEAST_ASIDE = 3.0
 """Where it does not, the ground must be so many times the runner-up."""
 LEAST_WINDOWS = 2
 """Windows that look elsewhere for the drive to contradict itself; also at least a quarter of all."""
+LEAST_TURN_COLUMNS = 180
+"""Columns of a line of a quarter turn or more; rings of a spinning scanner, which may lie as close, are fewer."""
 ELSEWHERE_RAD = math.radians(40.0)
 """From here on a window looks elsewhere."""
 
@@ -157,6 +159,10 @@ def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
 
 def check_angle_step(seen: Seen) -> Finding | None:
     """Compare the angle between shots with how the ground bends: at distance d its ranges are ``d / cos(angle)``."""
+    if seen.angle_rad is not None and _are_radians(seen.angle_rad):
+        found = f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
+        hint = "if they are radians, name them angle_rad"
+        return Finding(ANGLE_STEP, Verdict.AGAINST, found, "degrees: the numbers of a turn in radians span 6.28", hint)
     if seen.beam_rad is None:
         return None
     fit = fit_step(seen.beam_rad, _lines(seen))
@@ -173,6 +179,11 @@ def check_angle_step(seen: Seen) -> Finding | None:
         found = f"the ground does not tell the angle step (flat with {fit.factor:.2f} times, but not for sure)"
     hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M" if verdict else ""
     return Finding(ANGLE_STEP, verdict, found, f"{LOW_FACTOR:g} to {HIGH_FACTOR:g}", hint)
+
+
+def _are_radians(angle_rad: F64) -> bool:
+    """Return whether so many columns lie so close that the numbers of a half or whole turn are those of radians."""
+    return len(angle_rad) >= LEAST_TURN_COLUMNS and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
 
 
 def fit_step(beam_rad: F64, range_m: F32) -> StepFit | None:
@@ -303,7 +314,8 @@ GEOMETRY_CHECKS: tuple[Check, ...] = (
         "Is the ground flat with the angles in use?",
         "Over 50 deg to either side. Doubtful where angles 1.08 times as large, or 0.83 times, make most of the "
         "ground a "
-        "plane that is none with those in use; refused from 1.6 times",
+        "plane that is none with those in use; refused from 1.6 times, and where 180 columns or more span "
+        "1.6 to 6.3 deg (radians)",
         "Good streets give 0.97 to 1.03; ground that rises on both sides, as in forests, down to 0.9. Half the step "
         "was "
         "refused in 158 of 158 drives, nine tenths doubted in 123",

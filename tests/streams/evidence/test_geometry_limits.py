@@ -310,3 +310,12 @@ def test_few_columns_do_not_tell_the_step(n: int, wide_deg: float, is_told: bool
     assert (fit_step(beam, lines) is not None) is is_told
     lines[:3, 0] = np.nan
     assert (fit_step(beam, lines) is not None) is (is_told and n == 200)
+
+
+@pytest.mark.parametrize(("columns", "span", "is_told"), [(180, 6.283, True), (180, 6.3, False), (179, 6.283, False),
+                                                          (180, 3.14, True), (180, 1.5, False)])  # fmt: skip
+def test_radians_taken_for_degrees(columns: int, span: float, is_told: bool) -> None:
+    angle_rad = np.deg2rad(np.linspace(-1.0, span - 1.0, columns))
+    info = StreamInfo(path="a.npz", format="array", points_per_line=columns, n_records=0, n_lines=0)
+    found = check_angle_step(Seen(info, 0, (), angle_rad=angle_rad))
+    assert (found is not None and found.verdict is AGAINST and "angle_rad" in found.hint) is is_told
