@@ -132,7 +132,7 @@ def test_info_doubts_what_classify_doubts_where_heights_explain_it(prc: Prc, tmp
     points["range"] = points["range"] / 0.3048
     points.write(feet)
     found = json.loads(prc("info", feet, "--json").out)
-    assert found["doubts"] == ["units"]
+    assert found["doubts"] == ["units", "method"]
     assert prc("classify", feet, tmp_path / "o.npy", "-q").code == 4
     assert "--set input.range_scale=0.3048" in found["command"]
     assert prc(*found["command"].split()[1:], "-q").code == 0

@@ -97,14 +97,14 @@ def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
     las.classification[:] = 1
     las.remove_extra_dim("confidence")
     las.write(folder / "registered.laz")
-    command = ("transfer", labels, folder / "registered.laz", folder / "moved.laz", "--by", "record")
+    command = ("transfer", labels, folder / "registered.laz", folder / "moved.laz", "--match", "record")
     result = prc(*command, "--min-confidence", "95", "--carry", "confidence")
     assert result.code == 0
     assert "their label has a confidence below 95 %" in result.err
     moved = laspy.read(folder / "moved.laz")
     np.testing.assert_array_equal(moved.classification, np.where(sure >= 95, found, 1))
     np.testing.assert_array_equal(moved["confidence"], np.where(sure >= 95, sure, 0))
-    plain = ("transfer", folder / "registered.laz", labels, folder / "no.laz", "--by", "record")
+    plain = ("transfer", folder / "registered.laz", labels, folder / "no.laz", "--match", "record")
     refused = prc(*plain, "--min-confidence", "95")
     assert (refused.code, "output.confidence=true" in refused.err) == (2, True)
 

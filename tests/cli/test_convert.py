@@ -75,7 +75,7 @@ def test_options_find_the_stream(prc: Prc, tmp_path: Path) -> None:
 def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     for output, code, said in (
-        ("a.ptx", 2, "found suffix '.ptx', expected one of .las"),
+        ("a.ptx", 2, "found suffix '.ptx', expected one of .bin"),
         ("none/a.csv", 1, "output folder does not exist"),
         ("drive.npz", 2, "the output is the input itself"),
     ):

@@ -98,7 +98,7 @@ def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
     m = ("-M", len(BEAM))
     for given, words in (
         ((*m, "--preset", "urban"), "which tells none of: stem, pole, car, curb"),
-        ((*m, "--preset", "fused"), "no vertical direction known"),
+        (("-M", 10, "--preset", "fused"), "no vertical direction known"),
         ((*m, "--preset", "fused", "-o", tmp_path / "o.txt"), "expected one of .csv, .geojson, .parquet"),
     ):
         result = prc("objects", tmp_path / "s.bin", *given)

@@ -111,7 +111,7 @@ def test_help_tells_what_a_scene_is(prc: Prc) -> None:
 def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
     (tmp_path / "there.npz").write_text("mine")
     for options, code, said in (
-        (["street", "-o", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .las"),
+        (["street", "-o", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .bin"),
         (["street", "-o", tmp_path / "there.npz"], 2, "exists already"),
         (["street", "-o", tmp_path / "none" / "a.npz"], 1, "output folder does not exist"),
         (["street", "-o", tmp_path / "a.npz", "--trajectory", tmp_path / "w.txt"], 2, ".csv or .sbet or .out"),

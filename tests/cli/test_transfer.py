@@ -59,8 +59,8 @@ def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
     )
     drive.time = drive.time + 100.0000004
     registered = write_las(tmp_path / "registered.las", drive, np.arange(N), head=(rest % 3).astype(np.uint8))
-    options = ["--by", "time", "--tolerance", "1e-6", "--time-offset", "100", "--same", "head", "--dimension", "mine",
-               "--carry", "segment_id", "--min-match", "0.9"]  # fmt: skip
+    options = ["--match", "time", "--tolerance", "1e-6", "--time-offset", "100", "--same", "head",
+               "--dimension", "mine", "--carry", "segment_id", "--min-matched", "0.9"]  # fmt: skip
     result = prc("transfer", labels, registered, tmp_path / "out.laz", "-q", *options)
     assert (result.code, result.err) == (0, "")
     las = laspy.read(tmp_path / "out.laz")
@@ -69,8 +69,8 @@ def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
     result = prc("transfer", labels, registered, tmp_path / "other.las", "-q", "--time-offset", "100")
     assert (result.code, result.err.count("\n")) == (1, 1)
     assert "--tolerance 1e-06" in result.err
-    result = prc("transfer", labels, registered, tmp_path / "other.las", "-q", "--ignore-return", "--by", "record:head",
-                 "--min-match", "0.1")  # fmt: skip
+    result = prc("transfer", labels, registered, tmp_path / "other.las", "-q", "--ignore-return",
+                 "--match", "record:head", "--min-matched", "0.1")  # fmt: skip
     assert result.code == 0
 
 
@@ -86,7 +86,7 @@ def test_a_layout_and_wrong_usage(prc: Prc, inputs: tuple[Drive, Path, Path, Pat
                  "--points", tmp_path / "drive.bin", "--layout", layout)  # fmt: skip
     assert (result.code, result.err) == (0, "")
     for options, code, text in (
-        (["--by", "space"], 2, "--match: found 'space'"),
+        (["--match", "space"], 2, "--match: found 'space'"),
         (["--tolerance", "-1"], 2, "--tolerance"),
         ([], 1, "--points RAW"),
     ):

@@ -22,6 +22,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.writing.record import dropped_beside
 from prc_cli.streams.evidence.cells import check_thinned
 from prc_cli.streams.evidence.checks import ask_all
+from prc_cli.streams.evidence.lines import LEAST_LINES
 from prc_cli.streams.evidence.misread import with_other_reading
 from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats
 from prc_cli.streams.evidence.sample import LineSample
@@ -141,7 +142,12 @@ class EvidenceStream(Brief):
 
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return what asks all checks of what has been seen so far, now or in another thread."""
-        others = [*([check_repeats(self._repeats)] if is_whole else []), *check_thinned(self.dropped), *self.others]
+        is_long = sum(one.n_lines for one in self._scanners.values()) >= LEAST_LINES  # short streams are not judged
+        others = [
+            *([check_repeats(self._repeats)] if is_whole else []),
+            *check_thinned(self.dropped),
+            *(self.others if is_long else ()),
+        ]
         return partial(_ask_of_all, self.seen(is_whole=is_whole), tuple(others), self.accepted)
 
 

