@@ -44,6 +44,8 @@ MOST_OFF = 0.1
 """A step that is known less well is not used."""
 LEAST_OFF = 0.001
 """Least uncertainty, where all pieces agree."""
+LEAST_FIELD_RAD = math.radians(20.0)
+"""Least angle of a line: ranges that hardly change have a curvature of next to nothing."""
 TURN_OFF = 0.03
 """How much longer than a turn a line may seem, as a share."""
 USUAL = {"1 deg": math.radians(1.0), **{f"1/{n} deg": math.radians(1.0) / n for n in (2, 3, 4)}}
@@ -145,7 +147,7 @@ def _of_window(inverse: F64, window: int) -> _Reading | None:
         if middle <= 0 or len(certain) < LEAST_PIECES:
             return None
         middle = float(np.median(certain))
-    if middle <= 0:
+    if middle <= 0 or math.sqrt(middle) * inverse.shape[1] < LEAST_FIELD_RAD:
         return None
     # the step is the root of the curvature: half the relative error
     spread = 0.5 * 1.4826 * float(np.median(np.abs(certain - middle))) / middle

@@ -63,7 +63,7 @@ def run(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int,
         ("x = 1\n['a'.\"b\" . " + "c." * 80 + "d]", "line 2: a key of more than 64 parts"),
         ("x = {" + "a." * 70 + "a = 1}", "a key of more than 64 parts"),
         ("seed = " + "9" * 5_000, "not valid TOML: Exceeds the limit"),
-        ("#" * (MAX_TOML_BYTES + 1), "more than 1048576 bytes"),
+        ("#" * (MAX_TOML_BYTES + 1), "is longer than 1048576 bytes"),
     ],
 )
 def test_toml_that_its_parser_cannot_take(tmp_path: Path, text: str, message: str) -> None:
@@ -264,7 +264,7 @@ def test_damaged_copc_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.Ca
     for number in range(16):
         case = put(tmp_path / f"{number}.laz", zeroed(seed("copc7.laz"), number, 30))
         output = tmp_path / f"o{number}.laz"
-        code, printed = run(capfd, "transfer", labels, case, output, "--min-match", "0", "-q")
+        code, printed = run(capfd, "transfer", labels, case, output, "--min-matched", "0", "-q")
         codes[min(code, 1)] += 1
         if code:
             assert "error: " in printed
