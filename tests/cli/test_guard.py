@@ -143,13 +143,15 @@ from prc_cli.cli import guard
 from prc_cli.core import limits
 
 def work(arguments, debug):
-    ended = threading.Event()
-    threading.Thread(target=decode, args=(Path(arguments[1]), ended)).start()
+    begun, ended = threading.Event(), threading.Event()
+    threading.Thread(target=decode, args=(Path(arguments[1]), begun, ended)).start()
     with contextlib.suppress(KeyboardInterrupt, SystemExit):
+        begun.set()  # a signal before this would end the work
         ended.wait()
     ended.wait()
 
-def decode(path, ended):
+def decode(path, begun, ended):
+    begun.wait()
     base = sqlite3.connect(":memory:", check_same_thread=False)
     print("works", flush=True)
     with limits.step(path):
