@@ -108,7 +108,7 @@ def classify(
         click.echo(json.dumps(result, indent=2, sort_keys=True))
     if not quiet:
         _print_summary(summary, seconds, verbose=verbose)
-        for command in after_classify(source, output, summary.record.config["method"], options):
+        for command in after_classify(source, output, options):
             console().print(printable(command), soft_wrap=True)
     if profile is not None and not (quiet and as_json):
         print_profile(profile, summary.counts.n_shots, threads)

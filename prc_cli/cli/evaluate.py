@@ -190,7 +190,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     form = "json" if options["as_json_flag"] else options["form"] or "table"
     how = _how(options)
     left, right = zip((predicted, reference), *options["pairs"], strict=True)
-    name, why = (options["mapping"], "") if options["mapping"] else mapping_of_runs(files_of(left))
+    name, why = (options["mapping"], "") if options["mapping"] else mapping_of_runs(files_of(left), files_of(right))
     mapping = load_mapping(name)
     demanded = [parse_gate(text, mapping) for text in options["gates"]]
     if options["outputs"]:

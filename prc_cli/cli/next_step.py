@@ -9,6 +9,7 @@ from typing import Any
 
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.labels import KITTI_SUFFIX
 from prc_cli.formats.registry import is_dump
 
 _CLOUDS = (".ply", ".pcd")
@@ -64,21 +65,19 @@ def _stem(path: Path) -> str:
     return path.name[: len(path.name) - len(suffix_of(path))]
 
 
-def after_classify(source: Path, output: Path, method: str, options: dict[str, Any]) -> list[str]:
+def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[str]:
     """Return the commands that draw the result and compare it with a reference, if the output allows it.
 
     Parameters
     ----------
     source, output : Path
         Of the run.
-    method : str
-        The classifier that ran.
     options : dict
         As given to ``prc classify``.
 
     Examples
     --------
-    >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), "prc", {})[0]
+    >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), {})[0]
     'draw it: prc render drive.v2.npy out.v2.png --labels out.v2.csv.gz'
     """
     kinds = [_kind(source), _kind(output)]
@@ -93,13 +92,9 @@ def after_classify(source: Path, output: Path, method: str, options: dict[str, A
     if not has_records:
         return [f"draw it: {shlex.join(draw)}"]
     draw = [*draw[:4], "--labels", str(output), *given_words(options, ("--method", "--preset"))]
-    reference = source.with_suffix(".label")
-    compare = ["prc", "evaluate", str(output)]
-    if is_dump(source) and reference.is_file():
-        mapping = "street_scan_kitti" if method == "sequential-angle" else "semantic_kitti"
-        compare += [str(reference), "--mapping", mapping]
-    else:
-        compare.append("REFERENCE")
+    reference = source.with_suffix(KITTI_SUFFIX)
+    found = is_dump(source) and reference.is_file()
+    compare = ["prc", "evaluate", str(output), str(reference) if found else "REFERENCE"]
     return [f"draw it: {shlex.join(draw)}", f"compare it: {shlex.join(compare)}"]
 
 

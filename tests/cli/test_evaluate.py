@@ -232,6 +232,21 @@ def test_the_run_record_beside_the_predicted_file_names_the_mapping(
     assert prc(*paths, "-q") == (0, "", "")
 
 
+def test_labels_of_semantic_kitti_have_the_mapping_of_the_method(prc: Prc, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([2, 5, 65], np.uint8))
+    np.array([40, 70, 10], "<u4").tofile(tmp_path / "a.label")
+    for method, mapping in (
+        (None, "semantic_kitti"),
+        ("fused", "street_kitti"),
+        ("sequential-angle", "street_scan_kitti"),
+    ):
+        if method:
+            record(tmp_path / "a.npy", method, fused={"environment": "urban"})
+        code, out, err = prc(tmp_path / "a.npy", tmp_path / "a.label", "--json")
+        assert (code, json.loads(out)["mapping"]) == (0, mapping)
+        assert "the reference holds labels of SemanticKITTI" in err
+
+
 def test_files_of_different_methods_are_compared_in_the_classes_of_prc(prc: Prc, tmp_path: Path) -> None:
     for name in ("a", "b"):
         save(tmp_path, name, [2, 2, 65, 66], [2, 2, 65, 5])

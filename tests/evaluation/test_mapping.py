@@ -22,6 +22,7 @@ PRESETS = (
     "semantic_kitti",
     "sequential_angle",
     "street",
+    "street_kitti",
     "street_oakland",
     *STREET_SCAN,
 )
@@ -129,7 +130,12 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
         ("prc", [1001, 1203], "reference", "street_oakland or oakland or street_scan_oakland"),
         ("street", [1001, 1203], "reference", "street_oakland or street_scan_oakland"),
         # asprs lists them too, all but a truck as other: it would score nothing
-        ("street", [10, 18, 40, 48, 50, 70, 72, 80], "reference", "semantic_kitti or street_scan_kitti"),
+        (
+            "street",
+            [10, 18, 40, 48, 50, 70, 72, 80],
+            "reference",
+            "street_kitti or semantic_kitti or street_scan_kitti",
+        ),
     ],
 )
 def test_a_refusal_names_the_presets_that_list_the_codes(name: str, codes: list[int], side: Side, fits: str) -> None:

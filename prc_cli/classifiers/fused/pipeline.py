@@ -592,6 +592,8 @@ def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
         "flanks": rings.flank(params.flanks),
         "leaves": rings.leaves(params.leaves),
         "cars": rings.car(params.cars),
+        # rings lie wider apart than a curb's face is high: what looks like one follows a ring that leans by .1 degrees
+        "curbs": CurbParams(enabled=False),
     }
     return params.model_copy(update=own)
 

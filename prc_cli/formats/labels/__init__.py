@@ -2,8 +2,9 @@
 
 from prc_cli.formats.registry import Format
 
+KITTI_SUFFIX = ".label"
 FORMATS = (
     Format(
-        name="SemanticKITTI labels", codes=(".label",), open_codes="prc_cli.formats.labels.read:open_semantic_codes"
+        name="SemanticKITTI labels", codes=(KITTI_SUFFIX,), open_codes="prc_cli.formats.labels.read:open_semantic_codes"
     ),
 )

@@ -104,7 +104,7 @@ def evaluate_all(
     check_options(options)
     why = ""
     if mapping is None:
-        mapping, why = mapping_of_runs(files_of([Path(path) for path in predicted]))
+        mapping, why = mapping_of_runs(*(files_of([Path(path) for path in side]) for side in (predicted, reference)))
     found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
     pools = open_pools(*paths, options)

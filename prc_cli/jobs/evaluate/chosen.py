@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from prc_cli.core.files import read_small
+from prc_cli.formats.labels import KITTI_SUFFIX
 from prc_cli.formats.writing.record import LARGEST_RECORD, PROGRAM, record_path
 
 DEFAULT_MAPPING = "prc"
@@ -14,14 +15,16 @@ DEFAULT_MAPPING = "prc"
 
 MAPPINGS = {"sequential-angle": "street_scan", "fused": "street"}
 """Preset by method; forests have the classes of PRC, whatever the method."""
+KITTI_MAPPINGS = {"street_scan": "street_scan_kitti", "street": "street_kitti", DEFAULT_MAPPING: "semantic_kitti"}
+"""The same for labels of SemanticKITTI."""
 
 
-def mapping_of_runs(predicted: Sequence[Path]) -> tuple[str, str]:
-    """Choose the preset that has the classes of the method that wrote the predicted files.
+def mapping_of_runs(predicted: Sequence[Path], reference: Sequence[Path] = ()) -> tuple[str, str]:
+    """Choose the preset that has the classes of the method that wrote the predicted files, and the reference's codes.
 
     Parameters
     ----------
-    predicted : sequence of path
+    predicted, reference : sequence of path
         The files, no folders.
 
     Returns
@@ -29,13 +32,15 @@ def mapping_of_runs(predicted: Sequence[Path]) -> tuple[str, str]:
     str
         Name of the preset; :data:`DEFAULT_MAPPING` unless every file has a record, and all ask for one mapping.
     str
-        Why, a sentence; empty for :data:`DEFAULT_MAPPING`.
+        Why; empty for :data:`DEFAULT_MAPPING`.
     """
     asked = {_asked_by(path) for path in predicted}
-    if len(asked) != 1:
-        return DEFAULT_MAPPING, ""
-    name, method = asked.pop()
-    return (name, "") if name == DEFAULT_MAPPING else (name, f"the run record says {method}")
+    name, method = asked.pop() if len(asked) == 1 else (DEFAULT_MAPPING, "")
+    why = [f"the run record says {method}"] if method else []
+    if reference and all(path.suffix == KITTI_SUFFIX for path in reference):
+        name = KITTI_MAPPINGS[name]
+        why.append("the reference holds labels of SemanticKITTI")
+    return name, ", ".join(why)
 
 
 def _asked_by(path: Path) -> tuple[str, str]:

@@ -12,6 +12,9 @@ from prc_cli.streams.evidence.seen import Seen
 
 MANY = 0.01
 """Share of records that are lost or meet before doubt begins."""
+MANY_OF_RINGS = 0.05
+"""Share of records that meet before doubt begins in frames of rings: shots of a ring stray in azimuth, and where they
+meet, are labelled like further returns."""
 MOST = 0.2
 """Share of records from which an input is refused."""
 LEAST_RECORDS = 100
@@ -47,9 +50,13 @@ def check_collisions(seen: Seen) -> Finding | None:
     share = _share(seen, seen.tally.n_collisions)
     if share is None:
         return None
+    of_rings = any(one.key == "input.azimuth_step" for one in seen.info.assumptions)
     found = f"{share:.1%} of the records met another shot in their cell"
     hint = "check --lines, --columns and -M; several scanners in one file: --scanner point_source_id"
-    return Finding("collisions", _by_share(share), found, f"at most {MANY:.0%}", hint)
+    if of_rings:
+        hint = "one frame a file; or give the angle between lines: --set input.azimuth_step=DEGREES"
+    many = MANY_OF_RINGS if of_rings else MANY
+    return Finding("collisions", _by_share(share, many), found, f"at most {many:.0%}", hint)
 
 
 def check_unplaced(seen: Seen) -> Finding | None:
@@ -82,8 +89,8 @@ def _share(seen: Seen, count: int) -> float | None:
     return count / n_records if n_records >= LEAST_RECORDS else None
 
 
-def _by_share(share: float) -> Verdict:
-    return Verdict.AGAINST if share > MOST else Verdict.DOUBTFUL if share > MANY else Verdict.FINE
+def _by_share(share: float, many: float = MANY) -> Verdict:
+    return Verdict.AGAINST if share > MOST else Verdict.DOUBTFUL if share > many else Verdict.FINE
 
 
 def check_returns(seen: Seen) -> Finding | None:

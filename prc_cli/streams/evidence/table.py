@@ -114,7 +114,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "collisions",
         "Has every shot a cell of its own?",
-        "Doubtful above 1 % of the records, refused above 20 %",
+        "Doubtful above 1 % of the records (5 % in frames of rings), refused above 20 %",
         "Rounded times and angles bring two shots into a cell now and then; two scanners do it all the time",
         "Records that overwrite nothing because their cells lie elsewhere.",
     ),

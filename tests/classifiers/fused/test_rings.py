@@ -28,5 +28,6 @@ def test_rings_take_the_place_of_other_parameters_and_of_no_more() -> None:
     assert (own.smoothness.noise_sigmas, own.smoothness.per_step) == (1.5, 0.0)
     assert (own.walls.height_m, own.walls.share) == (0.8, 0.2)
     assert (own.leaves.share, own.leaves.share_before_walls) == (0.7, 0.1)
+    assert (given.curbs.enabled, own.curbs.enabled) == (True, False)
     assert own.ground.known_m == given.ground.known_m
     assert given.ground.memory_lines == 60

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,15 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
         f"unplaced: {share} of the records found no cell and stay unclassified, expected at most 1%; check --lines, "
         "--columns and -M; a recording that was begun anew: split the file there",
     )
+
+
+@pytest.mark.parametrize(("n", "verdict"), [(50, FINE), (51, DOUBTFUL), (201, AGAINST)])
+def test_shots_of_a_ring_meet_more_often(n: int, verdict: Verdict) -> None:
+    one = seen(tally=ReadTally(n_records=1000, n_collisions=n))
+    frame = replace(one.info, assumptions=(Assumption("input.azimuth_step", "0.16 deg", "as they are"),))
+    found = check_collisions(replace(one, info=frame))
+    assert found is not None
+    assert (found.verdict, "--set input.azimuth_step" in found.hint) == (verdict, True)
 
 
 def test_of_images_the_shots_count_as_records() -> None:
