@@ -38,6 +38,7 @@ from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
+from prc_cli.streams.reading import first_ranges
 from prc_cli.streams.rules import MEASURED, only_times_tell, trusting
 from prc_cli.streams.sorting import sorted_by_time
 
@@ -197,7 +198,7 @@ def _inspect_records(
             path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
         )
         if "range" in source.dimensions:
-            inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(_sample(source)))
+            inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(first_ranges(source)))
         if not inspection.mend and _lacks_lines(source, loaded.config.input):
             inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection
@@ -457,19 +458,6 @@ def _line_order(stream: ScanStream) -> OrderEvidence | None:
         watch.see(own, None)
     found = [watch.evidence() for watch in watches.values()]
     return max(found, key=lambda one: (one.n_back, one.n_steps), default=None)
-
-
-def _sample(source: RecordSource) -> F32:
-    """Ranges at the start of a source, missing ones as NaN."""
-    parts: list[F32] = []
-    kept = 0
-    for chunk in source.chunks(("range",)):
-        parts.append(np.asarray(chunk.values["range"], np.float32)[: SAMPLE_SHOTS - kept])
-        kept += parts[-1].size
-        if kept >= SAMPLE_SHOTS:
-            break
-    flat = np.concatenate(parts)
-    return np.where(np.isfinite(flat) & (flat > 0), flat, np.float32(np.nan))
 
 
 class _UnitRanges(DerivedSource):

@@ -89,7 +89,7 @@ def open_grid(
     m, assumption = given_points_per_line(rules, facts.points_per_line)
     counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
     if counts_records and m is not None and n_records is not None and config.window is None:
-        check_partial_line(source.path, n_records, m)
+        check_partial_line(source.path, n_records, m, source=records)
     end = None
     if config.window is not None and rules.scanner is None:
         end = WindowEnd(config.window, rules.line_hz if rules.line_hz is not None else line_hz)

@@ -10,7 +10,9 @@ import numpy as np
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.stream import ReadTally
+from prc_cli.core.types import F32
 from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.streams.evidence.estimates import MAX_SHOTS, WEAK_PERIOD, estimate_points_per_line
 from prc_cli.streams.lines import FixedLines
 from prc_cli.streams.order import OrderWatch, Policy
 from prc_cli.streams.rules import GridRules
@@ -194,13 +196,33 @@ def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
         raise InputError(path, problem, "choose another dimension for --scanner, or none")
 
 
-def check_partial_line(path: str, n_shots: int, points_per_line: int, what: str = "records") -> None:
-    """Refuse a last line that is cut short."""
+def check_partial_line(
+    path: str, n_shots: int, points_per_line: int, what: str = "records", source: RecordSource | None = None
+) -> None:
+    """Refuse a last line that is cut short; the hint names another M where the ranges of a source repeat with it."""
     n_over = n_shots % points_per_line
-    if n_over:
-        problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
-        hint = 'check points_per_line (prc info estimates it), or pad the last line: --set input.partial_line="pad"'
-        raise InputError(path, problem, hint)
+    if not n_over:
+        return
+    problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
+    hint = 'check points_per_line (prc info estimates it), or pad the last line: --set input.partial_line="pad"'
+    if source is not None and "range" in source.dimensions:
+        period = estimate_points_per_line(first_ranges(source))
+        if period.strength >= WEAK_PERIOD and period.points_per_line != points_per_line:
+            hint = f"the ranges repeat after {period.points_per_line} shots: give -M {period.points_per_line}"
+    raise InputError(path, problem, hint)
+
+
+def first_ranges(source: RecordSource) -> F32:
+    """Return ranges at the start of a source, missing ones as NaN, (n,) float32, in the units of the source."""
+    parts: list[F32] = []
+    kept = 0
+    for chunk in source.chunks(("range",)):
+        parts.append(np.asarray(chunk.values["range"], np.float32)[: MAX_SHOTS - kept])
+        kept += parts[-1].size
+        if kept >= MAX_SHOTS:
+            break
+    flat = np.concatenate(parts)
+    return np.where(np.isfinite(flat) & (flat > 0), flat, np.float32(np.nan))
 
 
 def nothing_placed(path: str) -> InputError:

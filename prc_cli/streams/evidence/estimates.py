@@ -19,6 +19,8 @@ MIN_LINES = 16
 """Least number of lines for an estimate."""
 WEAK = 0.35
 """Least strength of an estimate: random ranges, random walks and streams of too few lines stay below."""
+WEAK_PERIOD = 0.5
+"""Least strength of a period that is offered as M."""
 RANDOM_PAIRS = 1_000_000
 """Most pairs compared by :func:`range_correlation`."""
 _MULTIPLES = 6

@@ -12,7 +12,7 @@ import numpy as np
 
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.types import F32
-from prc_cli.streams.evidence.estimates import estimate_points_per_line
+from prc_cli.streams.evidence.estimates import WEAK_PERIOD, estimate_points_per_line
 from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold, lag_likeness, likeness
 from prc_cli.streams.evidence.seen import Seen
 
@@ -74,8 +74,6 @@ STANDING_LINES = 200
 """Lines of a stream before standing is told: a stop at a light is none."""
 LONELY = 0.085
 """Share of missing shots amid smooth surfaces: at most 0.06 in all scans at hand, 0.1 if a tenth of them is lost."""
-WEAK_PERIOD = 0.5
-"""Least strength of a period that is offered as M."""
 
 _ORDER_HINT = "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
 

@@ -1,0 +1,35 @@
+"""Drives that the journeys begin with, simulated through the command line; nothing else uses their seeds."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.journeys.shell import Shell
+
+STREET = "--scene boulevard --lines 300 --seed 8801"
+M = 2154
+
+
+@pytest.fixture(scope="session")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A street (``drive.npz``, its ranges alone ``drive.bin``) a forest and a static scan, with reference classes."""
+    shell = Shell(tmp_path_factory.mktemp("drives"))
+    shell(f"prc simulate street -o drive.npz -q {STREET}")
+    shell("prc simulate forest -o forest.npz -q --lines 240 --seed 8802")
+    shell("prc simulate street-scan -o scan.npz -q --seed 8804 --set scanner.azimuth_step_deg=0.6")
+    with np.load(shell.here / "drive.npz") as drive:
+        drive["range_m"].astype("<f4").tofile(shell.here / "drive.bin")
+    return shell.here
+
+
+@pytest.fixture
+def prc(drives: Path, tmp_path: Path) -> Shell:
+    """A folder with the drives, and what is typed there."""
+    for path in drives.iterdir():
+        if path.is_file():
+            shutil.copy(path, tmp_path)
+    return Shell(tmp_path)

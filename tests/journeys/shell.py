@@ -1,0 +1,60 @@
+"""The installed command, typed in a folder as a user types it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+COMMAND = Path(sys.executable).with_name("prc.exe" if os.name == "nt" else "prc")
+CLASSES = ("ground", "building", "vegetation", "noise")
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What a command printed, and its exit code."""
+
+    code: int
+    out: str
+    err: str
+
+    def told(self, what: str) -> str:
+        """Return the command line that is offered behind a word: ``type:``, ``draw it:``, ``compare it:``."""
+        found = re.search(rf"^{what}: (prc .*)$", self.out + self.err, re.MULTILINE)
+        assert found, f"no {what!r} in:\n{self.out}{self.err}"
+        return found[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Shell:
+    """A folder in which commands are typed."""
+
+    here: Path
+
+    def __call__(self, line: str, code: int = 0, stdin: bytes | None = None) -> Said:
+        """Run a command line that begins with ``prc``; it must end with this exit code."""
+        words = [str(COMMAND), *shlex.split(line)[1:]]
+        done = subprocess.run(words, cwd=self.here, input=stdin, capture_output=True, timeout=120, check=False)
+        said = Said(done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode())
+        assert said.code == code, (
+            f"{line}\nexit code {said.code}, expected {code}\n{said.out[-3000:]}{said.err[-3000:]}"
+        )
+        return said
+
+    def labels(self, name: str) -> NDArray[np.uint8]:
+        """Return labels that were written as ``.npy``."""
+        found: NDArray[np.uint8] = np.load(self.here / name).ravel()
+        return found
+
+    def f1(self, predicted: str, reference: str, more: str = "") -> dict[str, float]:
+        """Return F1 by class, as ``prc evaluate`` has it."""
+        said = self(f"prc evaluate {predicted} {reference} --json -q {more}")
+        return {name: one["f1"] or 0.0 for name, one in json.loads(said.out)["classes"].items()}
