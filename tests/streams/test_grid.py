@@ -618,11 +618,12 @@ def test_a_partial_line_is_refused_or_padded(extra: dict[str, NDArray[Any]]) -> 
     assert whole.range_m[2, :2].tolist() == [9.0, 10.0]
 
 
-def test_a_partial_line_is_refused_before_anything_is_read() -> None:
-    source = MemorySource({"range": np.ones(10)})
-    with pytest.raises(InputError, match="left over"):
-        open_grid(source, InputConfig(points_per_line=4))
-    assert source.reads == []
+def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named() -> None:
+    with pytest.raises(InputError, match='left over.*input.partial_line="pad"'):
+        open_grid(MemorySource({"range": np.ones(10)}), InputConfig(points_per_line=4))
+    line = np.random.default_rng(5).uniform(2, 20, 50)
+    with pytest.raises(InputError, match="repeat after 50 shots: give -M 50"):
+        open_grid(MemorySource({"range": np.tile(line, 40)}), InputConfig(points_per_line=49))
 
 
 def test_m_recorded_in_the_file_is_taken() -> None:
