@@ -21,29 +21,35 @@ from numpy.lib.stride_tricks import sliding_window_view
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.down import spread_rows
 
-MOST_SHOTS = 200_000
+MOST_SHOTS = 600_000
 """Shots that are looked at, in lines spread over those that are given."""
 LEAST_COLUMNS = 160
 """Lines of fewer shots may be those of a spinning scanner, whose beams are uneven."""
-WINDOWS = (9, 13, 19, 27, 39, 55, 79, 111, 159)
+WINDOWS = (9, 13, 19, 27, 39, 55, 79, 111, 159, 223)
 """Columns of a window: those that span some degrees tell most."""
+LEAST_TURN = 1 / 80
+"""A window spans this part of a line at least: in narrower ones u hardly bends."""
 HOP = 3
 """Windows begin every third of their length."""
-BENT = 0.004
-"""A window whose inverse ranges are farther off the quadratic than this share, root mean square, is no plane."""
+BENT, ROUGH = 0.004, 0.02
+"""A window whose inverse ranges are farther off the quadratic than this share, root mean square, is no plane. The
+second where the first leaves too few: noise of 3 cm."""
 CERTAIN = 0.08
 """Windows are taken whose curvature is known to this share: at 0.15 leaves bias forests by 8 %."""
 LEAST_PIECES = 30
 """Fewer pieces of planes tell nothing."""
 WIDEST_RAD = math.radians(16.0)
 """Windows that are wider see bent surfaces as one (roads have a crown): they count where there are no others."""
+PEAK_WIDTH = 0.03
+"""Planes agree, bent surfaces do not: the step is where most pieces lie within this share or their own error."""
 SPREAD_SHARE = 0.25
-"""What pieces differ by stands for bent ones among them: this part of it is added to the uncertainty. In 17 scans the
-error is at most 1.8 times the uncertainty."""
+"""What pieces differ by stands for bent ones among them: this part of it is added to the uncertainty."""
+WIDTHS_SHARE = 0.5
+"""The same of what the two most certain widths of windows differ by: crowns of roads and bent walls show in it."""
 MOST_OFF = 0.1
 """A step that is known less well is not used."""
-LEAST_OFF = 0.001
-"""Least uncertainty, where all pieces agree."""
+LEAST_OFF = 0.005
+"""Least uncertainty, where all pieces agree: they may all lie on one road."""
 LEAST_FIELD_RAD = math.radians(20.0)
 """Least angle of a line: ranges that hardly change have a curvature of next to nothing."""
 TURN_OFF = 0.03
@@ -109,12 +115,18 @@ def measure_step(range_m: F32) -> AngleStep | None:
         return None
     rows = range_m[spread_rows(n_lines, max(MOST_SHOTS // m, 1))]
     inverse = 1.0 / rows.astype(np.float64)
-    found = [one for window in WINDOWS if 2 * window <= m and (one := _of_window(inverse, window))]
-    if not found:
+    for bent in (BENT, ROUGH):
+        windows = (window for window in WINDOWS if m * LEAST_TURN <= window <= m // 2)
+        found = [one for window in windows if (one := _of_window(inverse, window, bent))]
+        if found:
+            break
+    else:
         return None
     narrow = [one for one in found if one.step_rad * one.window <= WIDEST_RAD]
     best = min(narrow or found, key=lambda one: one.off)
-    off = float(f"{max(best.off, LEAST_OFF):.2g}")
+    other = min((one for one in found if one is not best), key=lambda one: one.off, default=best)
+    off = math.hypot(best.off, WIDTHS_SHARE * (other.step_rad / best.step_rad - 1.0))
+    off = float(f"{max(off, LEAST_OFF):.2g}")
     for name, usual in {"360 deg / M": _TURN / m, **USUAL}.items():
         if abs(usual / best.step_rad - 1.0) <= off and usual * m < _TURN * (1.0 + 1e-9):
             return AngleStep(usual, off, best.n_pieces, name)
@@ -133,20 +145,22 @@ class _Reading(NamedTuple):
     window: int
 
 
-def _of_window(inverse: F64, window: int) -> _Reading | None:
+def _of_window(inverse: F64, window: int, bent: float) -> _Reading | None:
     """Return what windows of a width say; None with too few pieces."""
     every = max(window // HOP, 1)
     pieces = sliding_window_view(inverse, window, axis=1)[:, ::every].reshape(-1, window)
-    curvature, error = curvatures(pieces[np.isfinite(pieces).all(axis=1)])
+    curvature, error = curvatures(pieces[np.isfinite(pieces).all(axis=1)], bent)
     if len(curvature) < LEAST_PIECES:
         return None
     # the most certain half first, then all that are certain beside what these say
     middle = float(np.median(curvature[np.argsort(error)[: max(len(error) // 2, LEAST_PIECES)]]))
     for _ in range(5):
-        certain = curvature[error < CERTAIN * middle]
+        is_certain = error < CERTAIN * middle
+        certain = curvature[is_certain]
         if middle <= 0 or len(certain) < LEAST_PIECES:
             return None
         middle = float(np.median(certain))
+    middle = _peak(certain, error[is_certain], middle)
     if middle <= 0 or math.sqrt(middle) * inverse.shape[1] < LEAST_FIELD_RAD:
         return None
     # the step is the root of the curvature: half the relative error
@@ -156,20 +170,36 @@ def _of_window(inverse: F64, window: int) -> _Reading | None:
     return _Reading(float(np.interp(middle, ratios, steps)), off, len(certain), window)
 
 
-def curvatures(pieces: F64) -> tuple[F64, F64]:
+def _peak(curvature: F64, error: F64, at: float) -> float:
+    """Return where most curvatures lie, from a value near to it."""
+    for _ in range(30):
+        width = np.maximum(error, PEAK_WIDTH * at)
+        weight = np.exp(-0.5 * ((curvature - at) / width) ** 2) / width**2
+        if not weight.any():
+            break
+        at = float((weight * curvature).sum() / weight.sum())
+    return at
+
+
+def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
     """Return ``-u''/u`` amid windows of inverse ranges that a quadratic fits, (n,), and its standard error, (n,).
+
+    Windows of one range are left out: it is a code, such as 60 m for no return.
 
     Parameters
     ----------
     pieces : (windows, W) float64
         Inverse ranges without NaN [1/m].
+    bent : float
+        Largest deviation from the quadratic, as a share, root mean square.
     """
     window = pieces.shape[1]
     design, fit = _quadratic(window)
     found = pieces @ fit.T
     off = np.sqrt(((pieces - found @ design.T) ** 2).sum(axis=1) / (window - 3))
     amid = found[:, 0]
-    use = off < BENT * amid
+    use = off < bent * amid
+    use[use] = np.ptp(pieces[use], axis=1) > 0
     error = 2.0 * off[use] * math.sqrt(float((fit[2] ** 2).sum())) / amid[use]
     return -2.0 * found[use, 2] / amid[use], error
 

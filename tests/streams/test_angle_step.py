@@ -32,6 +32,7 @@ def room(step_deg: float, m: int, n_lines: int = 60, noise_m: float = 0.0, seed:
     [
         (0.1, 2500, 0.002, ""),
         (0.1, 2500, 0.01, ""),
+        (0.1, 2500, 0.03, ""),
         (0.072, 5000, 0.003, "360 deg / M"),
         (0.25, 1079, 0.005, "1/4 deg"),
         (0.5, 361, 0.005, "1/2 deg"),
@@ -61,6 +62,28 @@ def test_a_simulated_street_is_enough() -> None:
     assert found.step_rad == pytest.approx(float(np.diff(block.angle_rad)[0]), rel=0.01)
 
 
+def test_a_code_for_no_return_is_no_plane() -> None:
+    """Windows of one range do not bend, whatever the step: of 60 m in half a line they were the most certain."""
+    lines = room(0.25, 1079, noise_m=0.005)
+    lines[:, 500:] = 60.0
+    found = measure_step(lines)
+    assert found is not None
+    assert math.degrees(found.step_rad) == pytest.approx(0.25, rel=0.01)
+
+
+def test_bent_surfaces_do_not_move_the_step() -> None:
+    """Round columns spread the curvatures to one side; the median of all moves with them."""
+    rng = np.random.default_rng(5)
+    lines = room(0.0714, 4270, noise_m=0.001)
+    for line in lines:
+        for at in rng.integers(0, 4000, 20):
+            x = np.linspace(-1.0, 1.0, 200)
+            line[at : at + 200] = 4.0 - rng.uniform(0.0, 0.4) * np.sqrt(1.2 - x * x) + rng.normal(0.0, 0.001, 200)
+    found = measure_step(lines.astype(np.float32))
+    assert found is not None
+    assert math.degrees(found.step_rad) == pytest.approx(0.0714, rel=0.001)
+
+
 def test_where_no_planes_are_there_is_no_step() -> None:
     lines = room(0.1, 2500)
     shuffled = np.random.default_rng(1).permuted(lines, axis=1)
@@ -78,7 +101,7 @@ def test_windows_are_those_of_the_twin() -> None:
     rng = np.random.default_rng(3)
     pieces = 0.2 + rng.normal(0.0, 3e-4, (400, 1)) * np.arange(13) + rng.normal(0.0, 1e-3, (400, 13))
     twin = [found for piece in pieces.tolist() if (found := curvature_of(piece, BENT)) is not None]
-    curvature, error = curvatures(pieces)
+    curvature, error = curvatures(pieces, BENT)
     assert 20 < len(twin) < len(pieces)
     np.testing.assert_allclose(np.stack([curvature, error], axis=1), twin, rtol=1e-6, atol=1e-12)
 
