@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator
+import shutil
+import textwrap
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
 from prc_cli.cli.next_step import given_words, output_for
 from prc_cli.cli.options import config_from, output_options, stream_options
-from prc_cli.cli.report import results, tally_rows
+from prc_cli.cli.report import tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.cli.sections import Sectioned
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
-from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
+from prc_cli.core.findings import LABEL_CHECKS, Verdict
 from prc_cli.formats.contents import Contents
 from prc_cli.formats.las.crs import short_crs
 from prc_cli.jobs.draft import draft as write_draft
@@ -36,14 +38,15 @@ from prc_cli.jobs.info import Inspection, inspect
     help="Write a layout that reads FILE, from its header, its first records or the period of its bytes.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing draft.")
+@click.option("--checks", is_flag=True, help="List every check, with what it found and what it expects.")
 @output_options
 def info(
-    files: tuple[Path, ...], deep: bool, draft: Path | None, overwrite: bool, as_json: bool, quiet: bool,
-    verbose: bool, **options: Any,
+    files: tuple[Path, ...], deep: bool, draft: Path | None, overwrite: bool, checks: bool, as_json: bool,
+    quiet: bool, verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """Say what FILE holds, what would be taken for granted, and whether it can be classified.
+    """Say whether FILE can be classified, what to type, and what it holds.
 
-    The same options as for classify say how lines, columns and ranges are found.
+    The same options as for classify say how lines, columns and ranges are found. --verbose tells all that is known.
 
     \b
     Example: prc info drive.laz --lines time:200 --columns time:1000000
@@ -65,7 +68,7 @@ def info(
         command = _command(inspection, options)
         found.append(inspection.as_dict() | {"command": command})
         if not as_json and not quiet:
-            _print(inspection, command, verbose=verbose)
+            _print(inspection, command, checks=checks, verbose=verbose)
     if as_json:
         click.echo(json.dumps(found[0] if len(files) == 1 else found, indent=2))
     if code:
@@ -81,15 +84,26 @@ def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, ove
     return load_config(output)
 
 
-def _print(inspection: Inspection, command: str, *, verbose: bool) -> None:
-    table = Table(title=inspection.path, show_header=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for key, value in _rows(inspection, verbose=verbose):
-        table.add_row(key, value)
-    results().print(table)
+def _print(inspection: Inspection, command: str, *, checks: bool, verbose: bool) -> None:
+    """Print a file on one screen: the verdict, what to type, doubts, facts, and how many checks are fine."""
+    method = {"prc": "PRC"}.get(inspection.method, inspection.method)
+    doubted = [one for one in inspection.doubts if one.problem != inspection.problem]
+    verdict = f"yes, {method} can classify it" + (", but look at:" if doubted else " as it is")
+    if inspection.problem:
+        verdict = f"no, {method} cannot classify it: {inspection.problem}"
+        verdict += f"; {inspection.hint}" if inspection.hint else ""
+    click.echo(printable(f"{inspection.path}: {verdict}"))
+    for one in doubted:
+        click.echo(printable(f"  {one.sentence()}"))
     if command:
-        results().print(f"type: {printable(command)}", soft_wrap=True)
+        click.echo(printable(f"type: {command}"))
+    click.echo()
+    rows = [*_rows(inspection, verbose=verbose), *_check_rows(inspection, listed=checks or verbose)]
+    wide = min(max(len(name) for name, _ in rows), MOST_NAME) + 2
+    width = max(shutil.get_terminal_size((100, 24)).columns, wide + LEAST_WIDTH)
+    for name, value in rows:
+        head = f"{name:{wide - 2}}  "
+        click.echo(textwrap.fill(printable(head + value), width, subsequent_indent=" " * wide))
 
 
 LISTED = ("bag", "packets")
@@ -102,8 +116,13 @@ ASPRS = {
     22: "temporal exclusion",
 }  # fmt: skip
 """Names of the standard codes (ASPRS, LAS 1.4 R15, table 17); codes from 64 on mean what the file's maker says."""
-MOST_SHOWN = 12
-"""Classes, returns and point sources that are printed; ``--json`` has them all."""
+MOST_SHOWN = 8
+"""Classes, returns and point sources that are printed; ``--verbose`` and ``--json`` have them all."""
+FLAGS = ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line")
+"""Dimensions of every LAS file that tell nothing of a scan."""
+MOST_NAME, LEAST_WIDTH = 24, 40
+"""Columns of the screen for the name of a fact, at most, and for the fact, at least."""
+LIST_THEM = " (--checks lists them)"
 
 
 def _command(inspection: Inspection, options: dict[str, Any]) -> str:
@@ -123,54 +142,68 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
             return ""
     path = Path(inspection.path)
     words = ["prc", "classify", str(path), str(output_for(path))]
-    if inspection.choice is not None and not inspection.missing:  # with all of it another method may be chosen
+    if inspection.choice is not None and not inspection.problem:  # without it another method may be chosen
         words += ["--preset", inspection.choice.preset]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
     return shlex.join([*words, *given_words(options, mended)]) + "".join(f" {mend}" for mend in mends)
 
 
-def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
-    rows = [("format", f"{inspection.format}, {inspection.size:,} bytes")]
+def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
     head = inspection.header
+    las = ""
     if "point_format" in head:
-        rows[0] = (rows[0][0], f"{rows[0][1]}, LAS {head['version']}, point format {head['point_format']}")
-        rows.append(("CRS", short_crs(head["crs"]) if head.get("crs") else "none in the file"))
+        las = f", LAS {head['version']}, point format {head['point_format']}, "
+        las += f"CRS {short_crs(head['crs'])}" if head.get("crs") else "no CRS"
+    counted = "" if inspection.n_records is None else f", {inspection.n_records:,} records"
+    yield "format", f"{inspection.format}, {inspection.size:,} bytes{counted}{las}"
     if inspection.format in LISTED:
-        rows.extend((key, str(value)) for key, value in head.items())
-    if inspection.n_records is not None:
-        rows.append(("records", f"{inspection.n_records:,}"))
-    if inspection.dimensions:
-        rows.append(("dimensions", ", ".join(inspection.dimensions)))
+        yield from ((key, str(value)) for key, value in head.items())
+    if shown := [name for name in inspection.dimensions if verbose or name not in FLAGS]:
+        yield "dimensions", ", ".join(shown)
     if inspection.contents is not None:
-        rows.extend(_contents_rows(inspection.contents))
-    rows.extend(_stream_rows(inspection))
+        yield from _contents_rows(inspection.contents, verbose=verbose)
     if inspection.order is not None:
-        rows.append(("time order", inspection.order.sentence()))
-    rows.extend((f"taken: {item.key}", f"{item.value} ({item.why})") for item in inspection.assumptions)
-    rows.extend(("note", note) for note in inspection.notes)
+        yield "time order", inspection.order.sentence()
+    yield from _stream_rows(inspection, verbose=verbose)
+    # how many shots a line has is said with the lines
+    taken = [one for one in inspection.assumptions if verbose or one.key != "input.points_per_line"]
+    for why, alike in groupby(taken, lambda one: one.why):
+        keys, values = zip(*((one.key.removeprefix("input."), one.value) for one in alike), strict=True)
+        yield ", ".join(keys), f"{', '.join(values)} ({why})"
+    yield from (("note", note) for note in inspection.notes)
     if inspection.facts is not None:
-        tally = tally_rows(inspection.facts.tally, everything=verbose)
-        rows.extend((name, f"{count:,}") for name, count in tally)
-    if verbose and inspection.header and inspection.format not in LISTED:
-        rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
-    rows.extend((f"check: {one.check}", _said(one)) for one in inspection.findings)
-    if inspection.findings and not inspection.problem:
-        if inspection.not_asked:
-            rows.append(
-                ("checks not asked", f"they need more lines, times or scan angles: {', '.join(inspection.not_asked)}")
-            )
-        rows.append(("checks of the labels", f"asked by prc classify, when they are there: {', '.join(LABEL_CHECKS)}"))
-    hint = f"; {inspection.hint}" if inspection.hint else ""
-    names = ", ".join(one.check for one in inspection.doubts)
-    verdict = f"yes, but look at: {names}" if names else "yes, as it is"
-    if inspection.problem:
-        verdict = f"no: {inspection.problem}{hint}"
-    name = {"prc": "PRC"}.get(inspection.method, inspection.method)
-    rows.append((f"{name} can classify it", verdict))
-    return rows
+        for name, count in tally_rows(inspection.facts.tally, everything=verbose):
+            yield name, f"{count:,}"
+    if verbose and inspection.format not in LISTED:
+        yield from ((f"header: {key}", str(value)) for key, value in head.items())
 
 
-def _contents_rows(contents: Contents) -> Iterator[tuple[str, str]]:
+def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, str]]:
+    """Tell how many checks are fine, or what each of them found."""
+    if not inspection.findings:
+        return
+    fine = sum(one.verdict is Verdict.FINE for one in inspection.findings)
+    accepted = [one.check for one in inspection.findings if one.is_accepted]
+    if not listed:
+        yield "checks", f"{fine} fine" + (f", accepted: {', '.join(accepted)}" if accepted else "") + LIST_THEM
+        return
+    for one in inspection.findings:
+        verdict = "accepted" if one.is_accepted else one.verdict.name.lower()
+        hint = "" if one.verdict is Verdict.FINE else f"; {one.hint}"
+        yield f"check: {one.check}", f"{verdict}: {one.problem}{hint}"
+    if inspection.not_asked:
+        yield "not asked", f"they need more lines, times or scan angles: {', '.join(inspection.not_asked)}"
+    yield "asked later", f"by prc classify, of the labels: {', '.join(LABEL_CHECKS)}"
+
+
+def _some(words: Sequence[str], *, verbose: bool) -> list[str]:
+    """Return words, so many as are printed."""
+    if verbose or len(words) <= MOST_SHOWN:
+        return list(words)
+    return [*words[:MOST_SHOWN], f"and {len(words) - MOST_SHOWN} more"]
+
+
+def _contents_rows(contents: Contents, *, verbose: bool) -> Iterator[tuple[str, str]]:
     """Tell what the records hold, as surveyors know it from lasinfo."""
     if contents.bounds_m:
         spans = ", ".join(f"{axis} {low:,.2f} to {high:,.2f}" for axis, (low, high) in contents.bounds_m.items())
@@ -185,46 +218,33 @@ def _contents_rows(contents: Contents) -> Iterator[tuple[str, str]]:
         ("returns", dict(sorted(contents.returns.items(), key=lambda item: [float(n) for n in item[0].split(" of ")]))),
         ("point sources", {str(code): n for code, n in sorted(contents.sources.items())}),
     ):
-        if counts:
-            shown = [f"{what}: {n:,}" for what, n in list(counts.items())[:MOST_SHOWN]]
-            more = [f"and {len(counts) - MOST_SHOWN} more"] if len(counts) > MOST_SHOWN else []
-            yield name, ", ".join(shown + more)
+        # one return a shot, and one source, are what everybody expects
+        if counts and (verbose or name == "classes" or len(counts) > 1):
+            yield name, ", ".join(_some([f"{what}: {n:,}" for what, n in counts.items()], verbose=verbose))
 
 
-def _said(finding: Finding) -> str:
-    """Return a finding as a cell of the table."""
-    verdict = "accepted" if finding.is_accepted else finding.verdict.name.lower()
-    if finding.verdict is Verdict.FINE:
-        return f"{verdict}: {finding.problem}"
-    return f"{verdict}: {finding.problem}; {finding.hint}"
-
-
-def _stream_rows(inspection: Inspection) -> list[tuple[str, str]]:
-    rows = []
+def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
     facts, period = inspection.facts, inspection.period
     if facts is not None:
-        rows.append(("scan lines", f"{facts.n_lines:,} of {inspection.points_per_line:,} shots"))
+        rate = "" if facts.line_hz is None else f", {facts.line_hz:.6g} lines a second"
+        missing = f"{facts.n_missing:,} of {facts.n_shots:,} missing ({_share(facts.n_missing, facts.n_shots)})"
+        yield "scan lines", f"{facts.n_lines:,} of {inspection.points_per_line:,} shots{rate}; {missing}"
         if len(facts.scanners) > 1:
-            rows.append(("scanners", ", ".join(map(str, facts.scanners))))
-        rows.append(
-            ("missing", f"{facts.n_missing:,} of {facts.n_shots:,} shots ({_share(facts.n_missing, facts.n_shots)})")
-        )
-        if facts.line_hz is not None:
-            rows.append(("line frequency", f"{facts.line_hz:.6g} Hz"))
+            yield "scanners", ", ".join(map(str, facts.scanners))
         if facts.range_m is not None:
             low, median, high = facts.range_m
-            rows.append(("ranges", f"{low:.3f} to {high:.3f} m, median {median:.3f} m"))
-        if facts.correlation is not None:
-            rows.append(("spatial correlation", facts.correlation.verdict))
-    if period is not None:
+            yield "ranges", f"{low:.3f} to {high:.3f} m, median {median:.3f} m"
+        if facts.correlation is not None and verbose:
+            yield "spatial correlation", facts.correlation.verdict
+    # where M is known, the check line-length judges it
+    if period is not None and (verbose or facts is None):
         estimate = "none" if period.points_per_line is None else f"{period.points_per_line:,}"
-        rows.append(("M estimated", f"{estimate} ({period.reason})"))
+        yield "M estimated", f"{estimate} ({period.reason})"
     if inspection.rates is not None:
         rates = inspection.rates
-        rows.append(("shots a second", f"{rates.shot_hz:.8g}, from the times ({rates.share:.0%} return)"))
-        rows.append(("lines a second", f"{rates.line_hz:.6g}, of M = {rates.points_per_line:,} shots"))
-        rows.append(("a line begins", f"{rates.time_origin_s!r} s, in the middle of what rarely returns"))
-    return rows
+        yield "shots a second", f"{rates.shot_hz:.8g}, from the times ({rates.share:.0%} return)"
+        yield "lines a second", f"{rates.line_hz:.6g}, of M = {rates.points_per_line:,} shots"
+        yield "a line begins", f"{rates.time_origin_s!r} s, in the middle of what rarely returns"
 
 
 def _share(part: int, whole: int) -> str:

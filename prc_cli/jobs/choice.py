@@ -135,18 +135,27 @@ def decide(path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", tru
     LoadedConfig
         Its ``choice`` says what was taken and why. An input that cannot be opened is left to PRC, which says why.
     """
+    return decide_and_open(path, loaded, engine=engine, trust_order=trust_order)[0]
+
+
+def decide_and_open(
+    path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False
+) -> tuple[LoadedConfig, ScanStream | None]:
+    """Return :func:`decide`, and the stream with its beam directions where it was opened and the method needs them."""
     loaded = with_layout_beside(path, loaded)
     config = loaded.config
     if config.is_decided:
-        return loaded
+        return loaded, None
     asked = choice_by_request(config, engine=engine)
     if asked is not None:
-        return decided_by(asked, loaded)
+        return decided_by(asked, loaded), None
     inputs = config.input
     try:
         if trust_order:
             inputs = trusting(open_source(path, config.layout), inputs)
         stream = open_input(path, inputs, config.layout)
     except (InputError, ConfigError) as refusal:
-        return decided_by(MethodChoice("urban", refusal.problem), loaded)
-    return decided_by(choose(stream, config)[0], loaded)
+        return decided_by(MethodChoice("urban", refusal.problem), loaded), None
+    choice, stream = choose(stream, config)
+    decided = decided_by(choice, loaded)
+    return decided, stream if decided.config.needs_beams else None

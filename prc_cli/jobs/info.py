@@ -23,7 +23,7 @@ from prc_cli.formats.las.lookup import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.formats.returns import continues_run, mark_shots
-from prc_cli.jobs.choice import decide
+from prc_cli.jobs.choice import decide_and_open
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.estimates import (
     PeriodEstimate,
@@ -46,6 +46,8 @@ RATE_OFF = 1e-3
 """Rates that differ by more are told: a line would be off by some columns."""
 SAMPLE_SHOTS = 4_000_000
 """Number of ranges kept from the start of a file, for the median, the correlation and the estimate of M."""
+SOME_SHOTS = 1 << 18
+"""Of these, for the estimate of M where M is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +146,10 @@ def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspecti
     InputError
         When the file is damaged. An intact file that the classifier cannot process is described.
     """
-    loaded = decide(path, loaded, trust_order=True)
+    loaded, opened = decide_and_open(path, loaded, trust_order=True)
     if deep:
         _decode(path, loaded)
-    found = _inspect(path, loaded)
+    found = _inspect(path, loaded, opened)
     choice = loaded.choice
     assumptions = found.assumptions if choice is None else (choice.assumption, *found.assumptions)
     return replace(
@@ -164,9 +166,9 @@ def _decode(path: Path, loaded: LoadedConfig) -> None:
             pass
 
 
-def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
+def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None) -> Inspection:
     source = open_source(path, loaded.config.layout)
-    stream, refusal = _try_open(path, loaded)
+    stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
     judged = loaded.config.input.order == "require"
     if stream is not None:
         needs = loaded.config.classifier.method().needs
@@ -370,7 +372,8 @@ def _describe(
         n_records=n_records if n_records is not None else None if info is None else info.n_records,
         dimensions=() if source is None else source.dimensions,
         points_per_line=None if info is None else info.points_per_line,
-        period=None if sample is None else estimate_points_per_line(sample),
+        # where M is known a part is enough to say that it is another
+        period=None if sample is None else estimate_points_per_line(sample[:SOME_SHOTS]),
         order=order,
         facts=facts,
         assumptions=() if info is None else info.assumptions,

@@ -36,6 +36,9 @@ Engine: TypeAlias = Literal["compiled", "reference"]
 """Which form of the kernels runs: the compiled loops, or their plain twins."""
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
+PLAIN = frozenset({"clean_ranges"})
+"""Kernels whose twins do until the compiler is loaded: to look at a file takes half the time without it."""
+
 # of a thread and what it starts: a run beside this one keeps its own
 _engine: ContextVar[Engine] = ContextVar("engine", default="compiled")
 _loaded: dict[tuple[Engine, str], Callable[..., Any]] = {}
@@ -76,6 +79,8 @@ def find_kernel(name: str) -> Callable[..., Any]:
         When the compiler cannot be loaded.
     """
     engine = _engine.get()
+    if name in PLAIN and "numba" not in sys.modules:
+        engine = "reference"
     if (engine, name) not in _loaded:
         if engine == "compiled":
             load_compiler()

@@ -95,7 +95,7 @@ def test_info_describes_a_stream(prc: Prc, tmp_path: Path) -> None:
     result = prc("info", source)
     assert result.code == 0
     assert f"{N_LINES} of {POINTS_PER_LINE} shots" in result.out
-    assert "yes, as it is" in result.out
+    assert "yes, fused can classify it as it is\ntype: prc classify" in result.out
     found = json.loads(prc("info", source, "--json").out)
     assert found["classifiable"] is True
     assert found["facts"]["n_lines"] == N_LINES
@@ -372,3 +372,27 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     source.write_text("scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(90)))
     result = prc("classify", source, tmp_path / "e.npy", "-q")
     assert (result.code, "100.00% of the ranges lie beyond 20 km" in result.err) == (1, True)
+
+
+def test_info_fits_one_screen(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verdict, what to type, facts, and how many checks are fine; nothing says two lengths of a line."""
+    monkeypatch.setenv("COLUMNS", "100")
+    assert prc("simulate", "street", "-o", tmp_path / "drive.laz", "--lines", 60, "-q").code == 0
+    said = prc("info", tmp_path / "drive.laz").out.splitlines()
+    assert said[0] == f"{tmp_path / 'drive.laz'}: yes, fused can classify it as it is"
+    assert said[1].startswith("type: prc classify ")
+    assert said[-1].startswith("checks ")
+    assert said[-1].endswith(" fine (--checks lists them)")
+    assert len(said) <= 26
+    assert max(map(len, said[3:])) <= 100
+    assert not any("M estimated" in line for line in said)
+    listed = prc("info", tmp_path / "drive.laz", "--checks").out
+    assert listed.count("\ncheck: ") == int(said[-1].split()[1])
+
+
+def test_info_of_a_dump_types_no_method_that_lacked_m(prc: Prc, tmp_path: Path) -> None:
+    source = write_raw(tmp_path / "drive.bin", street())
+    assert (
+        f"\ntype: prc classify {source} {tmp_path / 'drive_labels.npy'} -M {POINTS_PER_LINE}\n"
+        in prc("info", source).out
+    )

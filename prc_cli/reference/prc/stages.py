@@ -6,7 +6,6 @@ The whole method is in :mod:`prc_cli.reference.prc.method`.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable
 
@@ -22,22 +21,6 @@ CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
 
 
 # II-A. From range image to binary image
-
-
-def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
-    """Make ranges out of bounds missing; see :func:`prc_cli.kernels.prc.support.clean_ranges`."""
-    cleaned = np.full_like(ranges, np.nan)
-    counts = [0, 0, 0]
-    for i, value in enumerate(ranges.tolist()):
-        if float(low) < value <= float(high):
-            cleaned[i] = ranges[i]
-        elif math.isinf(value):
-            counts[0] += 1
-        elif value <= 0:
-            counts[1] += 1
-        elif value > 0:
-            counts[2] += 1
-    return cleaned, counts[0], counts[1], counts[2]
 
 
 def _inside(window: F32, image: Mask) -> F32:

@@ -96,5 +96,5 @@ def test_the_refusal_names_the_options_that_mend_it(tmp_path: Path, capsys: pyte
     assert run(command) == 1
     assert "; its bytes are ranges of a scan with --set layout.endian=big, or insist" in capsys.readouterr().err
     assert run(["info", str(dump), "-M", str(M)]) == 0
-    assert capsys.readouterr().out.rstrip().endswith(f"-M {M} --set layout.endian=big")
+    assert f"-M {M} --set layout.endian=big\n" in capsys.readouterr().out
     assert run([*command, "--set", "layout.endian=big"]) == 0
