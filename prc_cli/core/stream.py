@@ -57,6 +57,8 @@ class StreamInfo(Brief):
     """Cosine of the tilt of the scan plane from the vertical: height per metre of range along that beam."""
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
     """Down angle and cosine by scanner, where found per scanner; if not empty, unknown for all other scanners."""
+    angles_off: float = 0.0
+    """Uncertainty of scan angles that were measured from the ranges, as a share; 0 = the input gives them."""
     assumptions: tuple[Assumption, ...] = ()
     facts: SourceFacts = field(default_factory=SourceFacts)
     """Metadata of the file."""

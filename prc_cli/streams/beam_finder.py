@@ -94,6 +94,8 @@ class Found:
     note: str = ""
     angle_rad: F64 | None = None
     """(M,) float64, scan angle of every column, where it was measured from the ranges [rad]."""
+    angles_off: float = 0.0
+    """Their uncertainty, as a share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +196,8 @@ class BeamFinder:
         shown = step.shown(m)
         which = self._which(scanner)
         note = f"{which + ': ' if which else ''}angles measured from the ranges: {shown}; {where}"
-        return replace(found, assumption=Assumption(ANGLES, f"measured: {shown}", why), note=note, angle_rad=angle)
+        taken = Assumption(ANGLES, f"measured: {shown}", why)
+        return replace(found, assumption=taken, note=note, angle_rad=angle, angles_off=step.off)
 
     def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> Found:
         """Return placeholder directions: lines of one return have no angles, and stay unclassified."""

@@ -79,7 +79,8 @@ class BeamStream(Brief):
         found = dict.fromkeys(one.assumption for one in every if one.assumption is not None)
         notes = dict.fromkeys(one.note for one in every if one.note)
         facts = replace(info.facts, notes=(*info.facts.notes, *notes))
-        return replace(info, assumptions=(*info.assumptions, *found), facts=facts)
+        off = max((one.angles_off for one in every), default=0.0)
+        return replace(info, assumptions=(*info.assumptions, *found), facts=facts, angles_off=off)
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.

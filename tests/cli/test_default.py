@@ -66,6 +66,19 @@ def test_the_default_is_a_preset_and_says_so(
     assert f"--preset {preset}" in found["command"]
 
 
+def test_measured_angles_that_are_uncertain_are_a_doubt(prc: Prc, scans: Path) -> None:
+    """Ranges that wave by 6 mm a metre leave the step to 3.5 %; what is labelled is said, and what to type."""
+    ranges = street_lines(140)[0]
+    wave = np.sin(np.arange(M) / 40 + 0.05 * np.arange(140)[:, None])
+    (ranges * (1 + 0.006 * wave)).astype(np.float32).tofile(scans / "waves.bin")
+    result = prc("classify", scans / "waves.bin", scans / "o.npy", "-M", M)
+    assert result.code == 4, result.err
+    assert "angle-step: the angles were measured from the ranges to ± 3.5%" in result.err
+    assert "--set input.angle_start=0 --set input.angle_step=DEG" in result.err
+    accepted = ("--accept-doubt", "angle-step", "--overwrite")
+    assert prc("classify", scans / "waves.bin", scans / "o.npy", "-M", M, *accepted).code == 0
+
+
 def test_a_las_file_holds_the_choice(prc: Prc, scans: Path) -> None:
     assert prc("classify", scans / "street.npz", scans / "o.laz", "--set", "input.nadir=0", "-q").code == 0
     header = laspy.read(scans / "o.laz").header

@@ -12,9 +12,10 @@ import pytest
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import StreamInfo
 from prc_cli.core.types import F32, F64
+from prc_cli.streams.angle_step import AngleStep
 from prc_cli.streams.down import DownGuess, wrap
 from prc_cli.streams.evidence import geometry
-from prc_cli.streams.evidence.geometry import StepFit, check_angle_step, check_down, check_height, fit_step
+from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.sample import Window
 from prc_cli.streams.evidence.seen import Seen
 
@@ -145,30 +146,43 @@ def test_windows_that_look_elsewhere(
 
 
 @pytest.mark.parametrize(
-    ("factor", "share", "with_one", "verdict"),
+    ("factor", "off", "verdict"),
     [
-        # usual, whatever the rest
-        (1.0, 1.0, 0.0, FINE), (1.08, 1.0, 0.0, FINE), (0.83, 1.0, 0.0, FINE),
-        # the ground is clear
-        (1.081, 0.81, 0.89, DOUBTFUL), (1.081, 0.8, 0.89, FINE), (1.081, 0.81, 0.9, FINE),
-        (0.829, 0.96, 0.89, DOUBTFUL), (0.829, 0.95, 0.89, FINE), (0.829, 0.96, 0.9, FINE),
-        # it is not, but the angles are far off
-        (1.21, 0.1, 0.39, DOUBTFUL), (1.2, 0.1, 0.39, FINE), (1.21, 0.1, 0.4, FINE),
-        (1.61, 0.1, 0.39, AGAINST), (1.6, 0.1, 0.39, DOUBTFUL), (1.61, 0.9, 0.4, DOUBTFUL),
+        (1.0, 0.005, FINE), (1.079, 0.005, FINE), (0.921, 0.005, FINE),
+        (1.081, 0.005, DOUBTFUL), (0.919, 0.005, DOUBTFUL),
+        # three times the uncertainty
+        (1.149, 0.05, FINE), (1.151, 0.05, DOUBTFUL),
+        (1.59, 0.05, DOUBTFUL), (1.61, 0.05, AGAINST), (0.63, 0.05, DOUBTFUL), (0.62, 0.05, AGAINST),
     ],
 )  # fmt: skip
-def test_angle_step(
-    monkeypatch: pytest.MonkeyPatch, factor: float, share: float, with_one: float, verdict: Verdict
-) -> None:
-    monkeypatch.setattr(geometry, "fit_step", lambda *_: StepFit(factor, share, with_one))
-    said = f"the ground is flat with angles {factor:.2f} times as large"
-    if not verdict and not 0.83 <= factor <= 1.08:
-        said = f"the ground does not tell the angle step (flat with {factor:.2f} times, but not for sure)"
+def test_angle_step(monkeypatch: pytest.MonkeyPatch, factor: float, off: float, verdict: Verdict) -> None:
+    step = AngleStep(math.radians(factor), off, 100)
+    monkeypatch.setattr(geometry, "measure_step", lambda _: step)
+    said = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use ({factor:.4g} deg, known to "
     hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M" if verdict else ""
-    assert told(check_angle_step(seen())) == (verdict, f"angle-step: {said}, expected 0.83 to 1.08{hint}")
+    assert told(check_angle_step(seen())) == (
+        verdict,
+        f"angle-step: {said}{off:.1%}), expected 0.92 to 1.08{hint}",
+    )
     assert check_angle_step(seen(beam_rad=None)) is None
-    monkeypatch.setattr(geometry, "fit_step", lambda *_: None)
+    # uneven beams, and a single one
+    assert check_angle_step(seen(beam_rad=np.sign(BEAM) * BEAM**2)) is None
+    assert check_angle_step(seen(beam_rad=BEAM[:1])) is None
+    monkeypatch.setattr(geometry, "measure_step", lambda _: None)
     assert check_angle_step(seen()) is None
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(0.03, FINE), (0.031, DOUBTFUL)])
+def test_a_measured_step_that_is_uncertain_is_a_doubt(
+    monkeypatch: pytest.MonkeyPatch, off: float, verdict: Verdict
+) -> None:
+    monkeypatch.setattr(geometry, "measure_step", lambda _: AngleStep(math.radians(1.0), off, 100))
+    one = seen()
+    found = told(check_angle_step(replace(one, info=replace(one.info, angles_off=off))))
+    assert found[0] is verdict
+    if verdict:
+        assert found[1].startswith("angle-step: the angles were measured from the ranges to ± 3.1%: 1 deg a shot")
+        assert found[1].endswith("--set input.angle_start=0 --set input.angle_step=DEG")
 
 
 @pytest.mark.parametrize(
@@ -255,61 +269,6 @@ def test_depths_within_50_deg_of_down_are_scaled_to_2_m() -> None:
     many = np.zeros(500)
     values = np.arange(500, dtype=np.float32)[None] + 1
     assert geometry._scale(many, values) == 2.0 / np.median(values[0, np.arange(180) * 499 // 179])
-
-
-def slow_fit(beam: F64, line: F64) -> StepFit:
-    """Fit a plane to the inverse ranges with every factor, by least squares, without those that are off."""
-    near = 1.0 / line
-    near = near / np.median(near)
-    counts = []
-    factors = [0.4 * (2.5 / 0.4) ** (k / 64) for k in range(65)]
-    for factor in factors:
-        turned = factor * beam
-        possible = np.abs(turned) < np.deg2rad(80.0)
-        waves = np.stack([np.cos(turned), np.sin(turned)], axis=1)
-        use = possible
-        for _ in range(6):
-            ab = np.linalg.lstsq(waves[use], near[use], rcond=None)[0] if use.any() else np.zeros(2)
-            off = np.abs(waves @ ab - near) / max(np.hypot(*ab), 1e-9)
-            use = (off < max(2.5 * np.median(off), 0.012)) & possible
-        counts.append(int(np.count_nonzero((off < 0.012) & possible)))
-    best = max(counts)
-    factor = np.mean([one for one, n in zip(factors, counts, strict=True) if n >= 0.97 * best])
-    nearest = min(range(65), key=lambda k: abs(factors[k] - 1.0))
-    return StepFit(float(factor), best / len(beam), counts[nearest] / best)
-
-
-@pytest.mark.parametrize("factor", [0.6, 1.0, 1.3])
-@pytest.mark.parametrize("lean", [0.0, 0.1])
-def test_the_fit_of_the_step_equals_one_by_one(factor: float, lean: float) -> None:
-    rng = np.random.default_rng(3)
-    beam = np.deg2rad(np.sort(rng.uniform(-49.9, 49.9, 150)))
-    line = 2.0 / np.cos(factor * beam + lean) * rng.normal(1.0, 0.004, 150)
-    # a kerb, a wall and what is missing
-    line[:20] *= 0.95
-    line[120:130] = 4.0
-    line[60:70] = np.nan
-    lines = np.tile(line, (5, 1)).astype(np.float32)
-    held = np.isfinite(line)
-    expected, found = slow_fit(beam[held], lines[0, held].astype(np.float64)), fit_step(beam, lines)
-    assert found is not None
-    assert (found.factor, found.share, found.with_one) == pytest.approx(
-        (expected.factor, expected.share, expected.with_one), rel=1e-6
-    )
-    # what is farther from straight down takes no part
-    wide = np.concatenate([np.deg2rad([-70.0, -50.1]), beam, np.deg2rad([50.1])])
-    assert fit_step(wide, np.pad(lines, ((0, 0), (2, 1)), constant_values=2.0)) == found
-
-
-@pytest.mark.parametrize(
-    ("n", "wide_deg", "is_told"), [(10, 25.1, True), (9, 25.1, False), (10, 24.9, False), (200, 60.0, True)]
-)
-def test_few_columns_do_not_tell_the_step(n: int, wide_deg: float, is_told: bool) -> None:
-    beam = np.deg2rad(np.linspace(-10.0, wide_deg - 10.0, n))
-    lines = np.tile(2.0 / np.cos(beam), (5, 1)).astype(np.float32)
-    assert (fit_step(beam, lines) is not None) is is_told
-    lines[:3, 0] = np.nan
-    assert (fit_step(beam, lines) is not None) is (is_told and n == 200)
 
 
 @pytest.mark.parametrize(("columns", "span", "is_told"), [(180, 6.283, True), (180, 6.3, False), (179, 6.283, False),
