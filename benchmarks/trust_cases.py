@@ -6,6 +6,7 @@ arguments of ``prc classify`` and the reference class of every label that comes 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,6 +43,7 @@ _TYPES = {
     "range": "<f4", "intensity": "<f4", "time": "<f8", "x": "<f8", "y": "<f8", "z": "<f8", "angle": "<f8",
     "scan_line": "<u4", "column": "<u4", "user_data": "<u1",
 }  # fmt: skip
+NOISE = 7
 WEEK_S = 604_800.0
 PLACE_M = (650_000.0, 6_860_000.0, 40.0)
 """Where the scans lie in registered coordinates [m]."""
@@ -324,6 +326,36 @@ def step_times(factor: float) -> Callable[[Window, Context], Made]:
     return make
 
 
+def radians(window: Window, context: Context) -> Made:
+    """Write radians under the name of degrees, in an array or in text."""
+    if context.random.random() < 0.5:
+        return array(window, context, step=math.pi / 180.0, nadir=None)
+    turned = replace(window, start_deg=math.radians(window.start_deg), step_deg=math.radians(window.step_deg))
+    return replace(text(turned, context), options=())
+
+
+def angles_in_text(window: Window, context: Context) -> Made:
+    """Nothing wrong: returns alone, with nothing but their angle and range."""
+    shots = shots_of(window, returns_only=True)
+    path = context.folder / "scan.csv"
+    table = pa.table({"theta_deg": shots["angle"].round(6), "range_m": shots["range"]})
+    csv.write_csv(table, path)
+    return Told(path, (), shots["truth"])
+
+
+def angles_in_extra_bytes(window: Window, context: Context) -> Made:
+    """Nothing wrong: LAS whose own scan angle is empty, with the angle beside line, column and range."""
+    if window.world_m is None:
+        return None
+    told = las(window, context)
+    cloud = laspy.read(told.path)
+    cloud.add_extra_dim(laspy.ExtraBytesParams("angle_deg", "f8"))
+    cloud["angle_deg"] = shots_of(window, returns_only=True)["angle"]
+    cloud["scan_angle"][:] = 0
+    cloud.write(told.path)
+    return replace(told, options=())
+
+
 def angles_mirrored(window: Window, context: Context) -> Made:
     told = plain(window, context)
     aimed = _set("angle_start", window.start_deg) + _set("angle_step", -window.step_deg)
@@ -343,12 +375,12 @@ def m_beside(window: Window, context: Context) -> Made:
     return wrong_m(window, context, window.points_per_line + int(context.random.choice([-1, 1])))
 
 
-def m_half(window: Window, context: Context) -> Made:
-    return wrong_m(window, context, window.points_per_line // 2)
+def m_times(factor: float) -> Callable[[Window, Context], Made]:
+    def make(window: Window, context: Context) -> Made:
+        m = round(window.points_per_line * factor)
+        return wrong_m(window, context, m) if window.range_m.size >= 24 * m else None
 
-
-def m_double(window: Window, context: Context) -> Made:
-    return wrong_m(window, context, window.points_per_line * 2)
+    return make
 
 
 # Units and bytes
@@ -582,6 +614,32 @@ def two_scanners(window: Window, context: Context) -> Made:
 # Platform and sensor
 
 
+def each_line_again(times: int, every: int) -> Callable[[Window, Context], Made]:
+    """Repeat each line with fresh noise, and take every so many columns: a platform that stands again and again."""
+
+    def make(window: Window, context: Context) -> Made:
+        lines = slice(0, max(window.n_lines // times, 12))
+        ranges, codes = (np.repeat(one[lines, ::every], times, axis=0) for one in (window.range_m, window.codes))
+        ranges = (ranges + context.random.normal(0.0, 0.003, ranges.shape)).astype(np.float32)
+        path = context.folder / "scan.npz"
+        np.savez(path, range_m=ranges, angle_deg=window.angle_deg()[::every])
+        return Told(path, aim(window, context, angles=False), codes.ravel())
+
+    return make
+
+
+def noise_of_sky(window: Window, context: Context) -> Made:
+    """Nothing wrong: half of the empty shots of a sixth of the lines return noise."""
+    if window.world_m is None or window.mapping not in ("street", "forest"):
+        return None
+    ranges, codes = window.range_m.copy(), window.codes.copy()
+    lines = slice(window.n_lines // 3, window.n_lines // 2)
+    struck = np.isnan(ranges[lines]) & (context.random.random(ranges[lines].shape) < 0.5)
+    ranges[lines][struck] = context.random.uniform(2.0, 70.0, int(struck.sum()))
+    codes[lines][struck] = NOISE
+    return array(replace(window, range_m=ranges, codes=codes), context)
+
+
 def driven(lowest_m: float, highest_m: float) -> Callable[[Window, Context], Made]:
     def make(window: Window, context: Context) -> Made:
         if context.slower is None:
@@ -625,10 +683,14 @@ ROWS: tuple[Row, ...] = (
     Row("trajectory a second late", trajectory_late),
     Row("angle step × 0.9", step_times(0.9), aimed_only=True),
     Row("angle step × 0.5", step_times(0.5), aimed_only=True),
+    Row("radians named degrees", radians, aimed_only=True),
     Row("angles the other way", angles_mirrored, aimed_only=True),
     Row("M wrong by one", m_beside),
-    Row("M halved", m_half),
-    Row("M doubled", m_double),
+    Row("M halved", m_times(1 / 2)),
+    Row("M doubled", m_times(2)),
+    Row("M × 3", m_times(3)),
+    Row("M × 10", m_times(10)),
+    Row("M ÷ 3", m_times(1 / 3)),
     Row("ranges × 100", ranges_times(100.0)),
     Row("ranges × 0.001", ranges_times(0.001)),
     Row("ranges in feet", ranges_times(FEET)),
@@ -659,12 +721,18 @@ ROWS: tuple[Row, ...] = (
     Row("two scanners, not split", two_scanners),
     Row("lines 2–12 cm apart", driven(*SLOW_M)),
     Row("standing", driven(*STANDING_M)),
+    Row("each line 20 times", each_line_again(20, 1)),
+    Row("every fourth column", each_line_again(1, 4)),
+    Row("each line 20 times, every fourth column", each_line_again(20, 4)),
     Row("10 % of the shots lost", dropouts(0.1)),
     Row("30 % of the shots lost", dropouts(0.3)),
     Row("forest, range noise 1 cm", noisier(0.01)),
     Row("forest, range noise 3 cm", noisier(0.03)),
     Row("right: seam elsewhere", seam_elsewhere, aimed_only=True, is_right=True),
     Row("right: with times", with_times, is_right=True),
+    Row("right: angles alone, text", angles_in_text, is_right=True),
+    Row("right: angles in extra bytes", angles_in_extra_bytes, is_right=True),
+    Row("right: noise of the sky", noise_of_sky, is_right=True),
 )
 
 

@@ -21,6 +21,8 @@ LEAST_RECORDS = 100
 """Fewer records are not judged."""
 NEAR_M = 0.02
 """Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
+LEAST_MEDIAN_M = 0.15
+"""Least median range that a unit is offered for [m]."""
 NOTHING_ELSE = 0.95
 """Where nearly all ranges are equal nothing was measured, or the scan was made up."""
 CODED = 0.01
@@ -163,8 +165,9 @@ def check_ranges(seen: Seen) -> Finding | None:
     found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
-    if HIGH_M < median <= 1000 * HIGH_M:
-        hint = f"if they are millimetres: --set {KEY}=0.001; else {hint}"
+    for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
+        if not LEAST_MEDIAN_M <= median <= HIGH_M and LEAST_MEDIAN_M <= scale * median <= HIGH_M:
+            hint = f"if they are {unit}: --set {KEY}={scale:g}; else {hint}"
     if not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST:
         return Finding("ranges", Verdict.AGAINST, found, expected, hint)
     verdict = Verdict.DOUBTFUL if far > COUNTED or median > HIGH_M else Verdict.FINE

@@ -28,6 +28,9 @@ MOVED = 0.9
 """Share of the pairs that are more alike than those that tell whether anything moves."""
 SMOOTH = 0.01
 """Ranges that differ by less than a hundredth lie on the same surface."""
+ROUGH, AS_FAR, LEAST_ROUGH = 0.05, 0.2, 100
+"""Shots off the middle of their neighbours by so much are leaves or edges; they are seen again where the next line is
+nearer than so much of that; fewer tell nothing."""
 AROUND = 5
 """A shot and two on either side."""
 _SEED = 7
@@ -54,6 +57,8 @@ class Figures:
     the middle of their neighbours."""
     roughness: float
     """Median distance of a range from the middle of its two neighbours in the line."""
+    again: float
+    """Share of the shots unlike their neighbours in the line that the next line sees again."""
     lonely_missing: float
     """Share of missing shots among those between two equal ranges on either side."""
     n_between: int
@@ -110,6 +115,7 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
         ),
         noise_m=middle(_noise(window) for window in spread(windows)),
         roughness=middle(_roughness(rows) for rows in logs),
+        again=middle(_again(rows) for rows in logs),
         lonely_missing=sum(lonely for lonely, _ in missing) / n_between if n_between else float("nan"),
         n_between=n_between,
     )
@@ -160,6 +166,17 @@ def _random_likeness(rows: F32) -> float:
 
 def _roughness(rows: F32) -> float:
     return likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2)
+
+
+def _again(rows: F32) -> float:
+    """Return the share of the rough shots whose next line is as far."""
+    rough = np.abs(rows[:-1, 1:-1] - (rows[:-1, :-2] + rows[:-1, 2:]) / 2)
+    off = np.abs(rows[1:, 1:-1] - rows[:-1, 1:-1])
+    with np.errstate(invalid="ignore"):
+        counted = (rough > ROUGH) & np.isfinite(off)
+        n_again = np.count_nonzero(counted & (off < AS_FAR * rough))
+    n = np.count_nonzero(counted)
+    return n_again / n if n >= LEAST_ROUGH else float("nan")
 
 
 def _noise(range_m: F32) -> float:

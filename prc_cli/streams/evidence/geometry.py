@@ -194,6 +194,12 @@ def _are_radians(angle_rad: F64) -> bool:
     return len(angle_rad) >= LEAST_TURN_COLUMNS and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
 
 
+UNITS_M = (0.001, 0.01, 0.3048, 1000.0)
+"""Units that ranges are stored in by mistake [m]."""
+USUAL_M = 2.0
+"""Of the units that are possible, the one that brings the scanner nearest to this height is offered [m]."""
+
+
 def check_height(seen: Seen) -> Finding | None:
     """Compare the depth of the ground below the scanner with what platforms have: ranges may be in another unit."""
     lines = _lines(seen)
@@ -218,8 +224,9 @@ def check_height(seen: Seen) -> Finding | None:
     is_usual, is_possible = low <= depth <= high, LOWEST_M <= depth <= HIGHEST_M
     verdict = _verdict(is_doubtful=not is_usual, is_against=not is_possible)
     found = f"the scanner is {depth:.3g} m above the ground"
-    scales = [scale for scale in (0.001, 0.01, 0.3048) if low <= scale * depth <= high] if verdict else []
-    option = f"--set input.range_scale={scales[0]:g}" if scales else ""
+    scales = [scale for scale in UNITS_M if low <= scale * depth <= high] if verdict else []
+    best = min(scales, key=lambda scale: abs(math.log(scale * depth / USUAL_M)), default=None)
+    option = f"--set input.range_scale={best:g}" if best else ""
     hint = (
         f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}" if verdict else ""
     )

@@ -92,7 +92,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "standing",
         "Does the platform move?",
-        "Doubtful where, in 200 lines or more, lines far apart differ as neighbours do, and both no more than noise",
+        "Doubtful where, in 200 lines or more, lines far apart differ as neighbours do, both no more than noise; or "
+        "where the next line sees 85 % of the leaves and edges again",
         "A standing scanner sees the same line again and again; methods that compare lines then take noise for shape",
         "A stop that is shorter than most of the stream.",
     ),

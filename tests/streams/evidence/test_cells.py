@@ -176,7 +176,10 @@ def test_nearly_all_ranges_are_rounded(share: float, off: float, is_rounded: boo
     ],
 )  # fmt: skip
 def test_median_range(median_m: float, verdict: Verdict) -> None:
-    unit = "if they are millimetres: --set input.range_scale=0.001; else " if median_m > 150.0 else ""
+    unit = ""
+    if not 0.15 <= median_m <= 150.0:
+        name, scale = ("millimetres", "0.001") if median_m > 1.0 else ("kilometres", "1000")
+        unit = f"if they are {name}: --set input.range_scale={scale}; else "
     assert told(check_ranges(seen(np.full(100, median_m)))) == (
         verdict,
         f"ranges: the median range is {np.float32(median_m):.4g} m, and 0.00% of the ranges lie beyond 20 km, expected "
