@@ -128,7 +128,10 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
         i = int(np.argmax(late))
         offset = state.offset or 0
         problem = f"goes back from {before[i] + offset} to {line[i] + offset} at record {record[i]}"
-        hint = "sort with --sort-by-time, or leave such records unclassified with --trust-order"
+        hint = (
+            "split the file there, give --lines angle-wrap or --lines time:HZ, or, where its times go back as well, "
+            "--sort-by-time; --trust-order leaves such records unclassified"
+        )
         raise OrderError(rule.where, f"{problem}; expected lines in the order they were scanned", hint)
     ahead = known & (seen - before > rule.max_gap_lines + 1)
     first_ahead = int(np.argmax(ahead)) if ahead.any() else len(ahead)

@@ -136,7 +136,8 @@ def test_lines_may_go_back_by_the_slack_alone() -> None:
         admit([0, 1, 2, 0], state=LineState(offset=40))
     assert str(caught.value) == (
         "drive.laz: scan_line: goes back from 42 to 40 at record 103; expected lines in the order they were scanned; "
-        "sort with --sort-by-time, or leave such records unclassified with --trust-order"
+        "split the file there, give --lines angle-wrap or --lines time:HZ, or, where its times go back as well, "
+        "--sort-by-time; --trust-order leaves such records unclassified"
     )
     with pytest.raises(OrderError, match="goes back from 9 to 4 at record 100"):
         admit([4], state=LineState(top=9))

@@ -54,7 +54,7 @@ def check_collisions(seen: Seen) -> Finding | None:
         return None
     of_rings = any(one.key == "input.azimuth_step" for one in seen.info.assumptions)
     found = f"{share:.1%} of the records met another shot in their cell"
-    hint = "check --lines, --columns and -M; several scanners in one file: --scanner point_source_id"
+    hint = "check --lines, --columns and -M; several scanners in one file: --scanner DIMENSION"
     if of_rings:
         hint = "one frame a file; or give the angle between lines: --set input.azimuth_step=DEGREES"
     many = MANY_OF_RINGS if of_rings else MANY

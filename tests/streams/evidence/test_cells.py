@@ -48,7 +48,7 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     assert told(check_collisions(one)) == (
         verdict,
         f"collisions: {share} of the records met another shot in their cell, expected at most 1%; check --lines, "
-        "--columns and -M; several scanners in one file: --scanner point_source_id",
+        "--columns and -M; several scanners in one file: --scanner DIMENSION",
     )
     assert told(check_unplaced(one)) == (
         verdict,
