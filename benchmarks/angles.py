@@ -1,9 +1,9 @@
 """The step of the angles measured from the ranges: how exact it is, and how exact it must be.
 
-    python -m benchmarks.angles > docs/angles_figures.md        # reads ../shared/data or $PRC_DATA; 8 minutes
+    python -m benchmarks.angles > docs/angles_figures.md        # reads ../shared/data or $PRC_DATA; 5 minutes
     python -m benchmarks.angles docs/images/angles.svg          # the picture of docs/fused.md
 
-Seeds 9311-9350, on which nothing was chosen; the limits of the estimator were chosen on 9401-9442 and the real scans.
+Seeds 9311-9350, on which nothing was chosen; the limits of the estimator were chosen on 9401-9618 and the real scans.
 """
 
 from __future__ import annotations

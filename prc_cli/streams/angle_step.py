@@ -32,10 +32,11 @@ LEAST_TURN = 1 / 80
 HOP = 3
 """Windows begin every third of their length."""
 BENT, ROUGH = 0.004, 0.02
-"""A window whose inverse ranges are farther off the quadratic than this share, root mean square, is no plane. The
-second where the first leaves too few: noise of 3 cm."""
+"""A window whose inverse ranges are farther off the quadratic than this share, root mean square, is no plane."""
 CERTAIN = 0.08
-"""Windows are taken whose curvature is known to this share: at 0.15 leaves bias forests by 8 %."""
+"""Windows are taken whose curvature is known to this share."""
+LEVELS = ((BENT, CERTAIN), (ROUGH, CERTAIN), (ROUGH, 0.15), (ROUGH, 0.3))
+"""Both limits, the next ones where the first leave too few: streets with noise of 3 cm, forests with 3 mm."""
 LEAST_PIECES = 30
 """Fewer pieces of planes tell nothing."""
 WIDEST_RAD = math.radians(16.0)
@@ -115,9 +116,9 @@ def measure_step(range_m: F32) -> AngleStep | None:
         return None
     rows = range_m[spread_rows(n_lines, max(MOST_SHOTS // m, 1))]
     inverse = 1.0 / rows.astype(np.float64)
-    for bent in (BENT, ROUGH):
-        windows = (window for window in WINDOWS if m * LEAST_TURN <= window <= m // 2)
-        found = [one for window in windows if (one := _of_window(inverse, window, bent))]
+    every = [_curvatures_of(inverse, window) for window in WINDOWS if m * LEAST_TURN <= window <= m // 2]
+    for level in LEVELS:
+        found = [one for pieces in every if (one := _read(pieces, m, *level))]
         if found:
             break
     else:
@@ -145,23 +146,38 @@ class _Reading(NamedTuple):
     window: int
 
 
-def _of_window(inverse: F64, window: int, bent: float) -> _Reading | None:
-    """Return what windows of a width say; None with too few pieces."""
+class _Pieces(NamedTuple):
+    """Windows of one width."""
+
+    window: int
+    curvature: F64
+    error: F64
+
+
+def _curvatures_of(inverse: F64, window: int) -> _Pieces:
+    """Return the curvatures of all windows of a width that may be planes."""
     every = max(window // HOP, 1)
     pieces = sliding_window_view(inverse, window, axis=1)[:, ::every].reshape(-1, window)
-    curvature, error = curvatures(pieces[np.isfinite(pieces).all(axis=1)], bent)
+    return _Pieces(window, *curvatures(pieces[np.isfinite(pieces).all(axis=1)], ROUGH))
+
+
+def _read(pieces: _Pieces, points_per_line: int, bent: float, most_error: float) -> _Reading | None:
+    """Return what windows of a width say; None with too few pieces."""
+    window, curvature, error = pieces
+    is_straight = error < bent * _error_of_one(window)
+    curvature, error = curvature[is_straight], error[is_straight]
     if len(curvature) < LEAST_PIECES:
         return None
     # the most certain half first, then all that are certain beside what these say
     middle = float(np.median(curvature[np.argsort(error)[: max(len(error) // 2, LEAST_PIECES)]]))
     for _ in range(5):
-        is_certain = error < CERTAIN * middle
+        is_certain = error < most_error * middle
         certain = curvature[is_certain]
         if middle <= 0 or len(certain) < LEAST_PIECES:
             return None
         middle = float(np.median(certain))
     middle = _peak(certain, error[is_certain], middle)
-    if middle <= 0 or math.sqrt(middle) * inverse.shape[1] < LEAST_FIELD_RAD:
+    if middle <= 0 or math.sqrt(middle) * points_per_line < LEAST_FIELD_RAD:
         return None
     # the step is the root of the curvature: half the relative error
     spread = 0.5 * 1.4826 * float(np.median(np.abs(certain - middle))) / middle
@@ -200,8 +216,12 @@ def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
     amid = found[:, 0]
     use = off < bent * amid
     use[use] = np.ptp(pieces[use], axis=1) > 0
-    error = 2.0 * off[use] * math.sqrt(float((fit[2] ** 2).sum())) / amid[use]
-    return -2.0 * found[use, 2] / amid[use], error
+    return -2.0 * found[use, 2] / amid[use], _error_of_one(window) * off[use] / amid[use]
+
+
+def _error_of_one(window: int) -> float:
+    """Return the standard error of the curvature where inverse ranges are as uncertain as they are large."""
+    return 2.0 * math.sqrt(float((_quadratic(window)[1][2] ** 2).sum()))
 
 
 @lru_cache(maxsize=16)

@@ -47,6 +47,8 @@ MOST_DOUBTLESS = 0.08
 """The step in use may be off by this share, or by :data:`SURE` times the uncertainty of the step measured: of 64 lines
 this is up to 6 % off."""
 SURE = 3.0
+UNSURE = 0.05
+"""A step that is measured less well says nothing of one that is told."""
 FAR_FACTOR = 1.6
 """Steps that are off by this factor are against."""
 UNEVEN_RAD = math.radians(2.0)
@@ -167,7 +169,7 @@ def check_angle_step(seen: Seen) -> Finding | None:
         hint = "give the step of the scanner: --set input.angle_start=0 --set input.angle_step=DEG"
         return Finding(ANGLE_STEP, Verdict.DOUBTFUL, found, expected, hint)
     measured = measure_step(_lines(seen))
-    if measured is None:
+    if measured is None or measured.off > UNSURE:
         return None
     factor = measured.step_rad / step_rad
     is_doubtful = abs(factor - 1.0) > max(MOST_DOUBTLESS, SURE * measured.off)
