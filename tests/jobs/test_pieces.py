@@ -141,28 +141,6 @@ def test_options_that_a_thinned_file_needs(given: dict[str, Any], told: tuple[st
     assert _needed(rules(**given)) == told
 
 
-@pytest.mark.parametrize("span", [12, 16])
-@pytest.mark.parametrize("step_deg", [0.5, 1.5])
-def test_steps_of_straight_walls_are_their_angles(span: int, step_deg: float) -> None:
-    angle = np.deg2rad(np.arange(-40, 41) * step_deg) + 0.1
-    wall = np.where(np.abs(angle) < 1.2, 5.0 / np.cos(np.clip(angle, -1.2, 1.2)), np.nan)
-    other = np.where(np.arange(81) < 40, wall, 1.5 * wall)
-    ranges = np.stack([wall, other]).astype(np.float32)
-    near = 1.0 / ranges.astype(np.float64)
-    expected = []
-    for row in near:
-        for k in range(span, 81 - span):
-            wide = (row[k - span] + row[k + span]) / (2 * row[k])
-            narrow = (row[k - span // 2] + row[k + span // 2]) / (2 * row[k])
-            if 0 < wide < 1 - sensor._MIN_BEND and 0 < narrow < 1:
-                one, half = math.acos(wide) / span, math.acos(narrow) / (span // 2)
-                if abs(one - half) < sensor._STEP_AGREEMENT * one:
-                    expected.append(one)
-    found = sensor.angular_steps(ranges, span)
-    np.testing.assert_allclose(found, expected)
-    assert np.rad2deg(np.median(found)) == pytest.approx(step_deg, rel=1e-2)
-
-
 def test_noise_is_fitted_as_a_constant_and_a_part_that_grows() -> None:
     def item(range_m: float, sigma_m: float, n: int, flat: bool = True) -> Any:
         return sensor.NoiseBin(range_m, sigma_m, n, flat=flat)
@@ -248,7 +226,7 @@ def test_edges_of_bins_cover_all_scanners() -> None:
     """Four bins for twice the range, forty for ten times the deviation."""
     for edges, low, high, ratio in (
         (sensor._RANGE_EDGES, 0.25, 512.0, 2.0 ** (1 / 4)), (sensor._NOISE_EDGES, 1e-6, 10.0, 10.0 ** (1 / 40)),
-        (sensor._LENGTH_EDGES, 1e-9, 1e39, 10.0 ** (1 / 100)), (sensor._STEP_EDGES, 1e-5, 0.2, 20_000.0 ** (1 / 860)),
+        (sensor._LENGTH_EDGES, 1e-9, 1e39, 10.0 ** (1 / 100)),
     ):  # fmt: skip
         assert (edges[0], edges[-1]) == pytest.approx((low, high))
         np.testing.assert_allclose(edges[1:] / edges[:-1], ratio)

@@ -14,7 +14,9 @@ from scipy.optimize import nnls
 
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
+from prc_cli.streams.angle_step import measure_step
 from prc_cli.streams.evidence.estimates import estimate_line_frequency, first_times
+from prc_cli.streams.evidence.sample import LineSample
 
 STRETCH = 9
 """Successive shots in a stretch that is tested for flatness."""
@@ -40,16 +42,6 @@ _NOISE_EDGES: F64 = np.geomspace(1e-6, 10.0, 281)
 """Deviation bins, forty per decade [m]."""
 _LENGTH_EDGES: F64 = np.geomspace(1e-9, 1e39, 4801)
 """Bins for ranges and range differences, a hundred per decade [m]."""
-_STEP_EDGES: F64 = np.geomspace(1e-5, 0.2, 861)
-"""Bins for the angular step, two hundred per decade [rad]."""
-_STEP_SPANS = (8, 16, 32, 64, 128, 256, 512)
-"""Shots on either side that the angular step is measured over."""
-_STEP_AGREEMENT = 0.1
-"""Relative difference up to which the step over a span and over half of it agree: the three shots lie on a line."""
-_SPAN_AGREEMENT = 0.15
-"""Relative difference up to which the steps over a span and over the next shorter one agree."""
-_MIN_BEND = 0.003
-"""Least 1 - cos of the angle of a span; below it noise dominates the step."""
 _ROUNDINGS = tuple(sorted((factor * 10.0**power for power in range(-4, 1) for factor in (1, 2, 2.5, 5)), reverse=True))
 """Candidate roundings of stored ranges, coarse ones first [m]."""
 _ROUNDED_SHARE = 0.99
@@ -140,7 +132,6 @@ class SensorMeter:
     n_shots: int = 0
     n_missing: int = 0
     _noise: I64 = field(default_factory=lambda: np.zeros((len(_RANGE_EDGES) - 1, len(_NOISE_EDGES) - 1), np.int64))
-    _steps: I64 = field(default_factory=lambda: np.zeros((len(_STEP_SPANS), len(_STEP_EDGES) - 1), np.int64))
     _ranges: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
     _in_line: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
     _across: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
@@ -148,6 +139,9 @@ class SensorMeter:
     _n_sampled: int = 0
     _n_blocks: int = 0
     _angle_rad: F64 | None = None
+    _lines: LineSample | None = None
+    """Lines of the first scanner, which tell the angular step."""
+    _scanner: int = 0
     _line_times: list[F64] = field(default_factory=list)
 
     def add(self, block: ScanBlock) -> None:
@@ -159,6 +153,10 @@ class SensorMeter:
         self._n_blocks += 1
         if block.time_s is not None and self.n_lines <= TIMED_LINES:
             self._line_times.append(first_times(block.time_s))
+        if self._lines is None:
+            self._lines, self._scanner = LineSample(block.points_per_line), block.scanner
+        if block.scanner == self._scanner:
+            self._lines.add(block)
         if self.n_shots > ALL_SHOTS and self._n_blocks % EVERY:
             return
         if self._angle_rad is None:
@@ -168,9 +166,6 @@ class SensorMeter:
         self._across += _log_counts(np.abs(np.diff(ranges, axis=0)), _LENGTH_EDGES)
         middle, deviation = stretch_deviations(ranges)
         self._noise += np.histogram2d(middle, deviation, (_RANGE_EDGES, _NOISE_EDGES))[0].astype(np.int64)
-        for place, span in enumerate(_STEP_SPANS):
-            if 4 * span <= block.points_per_line:
-                self._steps[place] += _log_counts(angular_steps(ranges, span), _STEP_EDGES)
         self._count_rounding(ranges)
 
     def finish(self) -> SensorEstimate:
@@ -203,18 +198,17 @@ class SensorMeter:
 
     def _step(self) -> tuple[float | None, str]:
         angle = self._angle_rad if self._angle_rad is not None else self.info.angle_rad
+        windows = self._lines.windows() if self._lines is not None else ()
+        measured = measure_step(np.concatenate([one.range_m for one in windows])) if windows else None
+        shown = "" if measured is None else measured.shown(windows[0].range_m.shape[1])
         if angle is not None and len(angle) > 1:
-            return float(np.median(np.abs(np.diff(np.unwrap(angle))))), "the angles in the file"
-        modes = {
-            place: _log_mode(counts, _STEP_EDGES, smooth=9)
-            for place, counts in enumerate(self._steps)
-            if counts.sum() >= MIN_STRETCHES
-        }
-        # the longest span suffers least from noise; in foliage the estimated step falls with the span
-        for place in sorted(modes, reverse=True):
-            if place - 1 in modes and abs(modes[place - 1] / modes[place] - 1) < _SPAN_AGREEMENT:
-                return modes[place], f"straight lines in the ranges, over {2 * _STEP_SPANS[place]} shots"
-        return None, "the file holds no angles, and no line in it is straight enough to measure the step"
+            told = "the angles in the file"
+            if shown:
+                told += f"; the ranges show {shown}"
+            return float(np.median(np.abs(np.diff(np.unwrap(angle))))), told
+        if measured is None:
+            return None, "the file holds no angles, and too few planes are seen to measure the step"
+        return measured.step_rad, f"planes in the ranges, {shown}"
 
     def _count_rounding(self, ranges: F32) -> None:
         values = ranges.ravel()[::_SAMPLE_STEP]
@@ -270,43 +264,6 @@ def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
     middle = stretches[:, STRETCH // 2]
     deviation: F64 = np.sqrt((residual**2).sum(axis=1) / (STRETCH - 3)) * middle**2
     return middle, deviation
-
-
-def angular_steps(ranges: F32, span: int) -> F64:
-    """Measure the angle between successive shots where the surface is straight.
-
-    Of three shots on a straight line, ``span`` shots apart, the reciprocals of the ranges satisfy
-    ``1/a + 1/b = 2 cos(span * step) / r``. Half the span must give the same step.
-
-    Parameters
-    ----------
-    ranges : (lines, M) float32, metres
-    span : int
-        Shots from the middle to either end.
-
-    Returns
-    -------
-    (n,) float64, radians
-        Steps of the triples on straight lines.
-
-    Examples
-    --------
-    >>> wall = 5.0 / np.cos(np.deg2rad(np.arange(-40.0, 41.0)))
-    >>> step = np.rad2deg(angular_steps(wall[None].astype(np.float32), 16))
-    >>> bool(np.allclose(step, 1.0, rtol=1e-3))
-    True
-    """
-    near = 1.0 / ranges.astype(np.float64)
-    half = span // 2
-    m = ranges.shape[1]
-    middle = near[:, span : m - span]
-    with np.errstate(invalid="ignore"):
-        wide = (near[:, : m - 2 * span] + near[:, 2 * span :]) / (2 * middle)
-        narrow = (near[:, span - half : m - span - half] + near[:, span + half : m - span + half]) / (2 * middle)
-        usable = (wide < 1 - _MIN_BEND) & (wide > 0) & (narrow < 1) & (narrow > 0)
-        step, other = np.arccos(wide[usable]) / span, np.arccos(narrow[usable]) / half
-    straight: F64 = step[np.abs(step - other) < _STEP_AGREEMENT * step]
-    return straight
 
 
 def _log_counts(values: F32 | F64, edges: F64) -> I64:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64
-from prc_cli.jobs.calibrate.sensor import SensorEstimate, angular_steps
-from tests.jobs.test_calibrate import corridor, measure
+from prc_cli.jobs.calibrate.sensor import SensorEstimate
+from tests.jobs.test_calibrate import measure
 
 N = 60
 """Stretches of a level; 50 make a range bin usable."""
@@ -107,19 +107,3 @@ def test_quantiles_of_the_ranges() -> None:
     image = np.linspace(10.0, 110.0, 20_000).reshape(100, 200)
     found = measure(image.astype(np.float32)).range_quantiles_m
     assert found == pytest.approx({"5%": 15.0, "25%": 35.0, "50%": 60.0, "75%": 85.0, "95%": 105.0}, rel=0.02)
-
-
-def test_foliage_behind_a_line_does_not_shorten_the_step() -> None:
-    """The step over a span counts where the next shorter span gives the same within 15 %."""
-    found = measure(corridor(0.002, 0.0, 0.5))
-    assert found.step_source.startswith("straight lines in the ranges, over ")
-    assert found.step_rad == pytest.approx(np.deg2rad(0.5), rel=0.02)
-
-
-@pytest.mark.parametrize("span", [8, 16, 32])
-@pytest.mark.parametrize("metres", [0.7, 5.0, 300.0])
-def test_every_triple_on_a_wall_gives_the_step(span: int, metres: float) -> None:
-    wall = metres / np.cos(np.deg2rad(np.arange(-70.0, 70.1, 0.7)))
-    found = np.rad2deg(angular_steps(np.tile(wall, (3, 1)).astype(np.float32), span))
-    assert found.shape == (3 * (len(wall) - 2 * span),)
-    np.testing.assert_allclose(found, 0.7, rtol=1e-3)
