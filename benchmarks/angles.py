@@ -172,7 +172,7 @@ def wrong_steps() -> None:
     print(
         "## How exact it must be\n\nThe step is told wrong, with `input.angle_start` and `input.angle_step`; straight"
     )
-    print("down is found from the ground. Positive errors of scanners that turn nearly a whole turn are refused.\n")
+    print("down is found from the ground.\n")
     print(f"| scans | error | {' | '.join(CLASSES)} | mean | doubted | refused |\n|---|---:|" + "---:|" * 8)
     for name, specs in (("streets", STREETS[:4]), ("push-brooms", PUSH_BROOMS[:2]), ("forests", FORESTS[:2])):
         scans = [made(spec) for spec in specs]

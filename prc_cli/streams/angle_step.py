@@ -5,7 +5,7 @@ whatever the plane and wherever down is. With even columns, ``b = b0 + s j``, so
 s can be read off every piece of a plane. Pieces are windows of adjacent returns with a quadratic fitted to u: one that
 does not fit (leaves, edges, mixed returns) is dropped, one whose curvature is uncertain is not taken.
 
-We know of no publication that does this; the relation itself is the polar equation of a straight line.
+docs/fused.md derives it; we found no publication that does this.
 """
 
 from __future__ import annotations
