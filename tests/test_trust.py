@@ -57,6 +57,16 @@ def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name: str, form: int
     assert result.f1 > MACRO
 
 
+def test_a_trajectory_that_is_late_is_named(tmp_path: Path) -> None:
+    """The hint was another unit of the ranges, which are computed."""
+    row = next(row for row in ROWS if row.name == "trajectory a second late")
+    context = Context(tmp_path, "prc", random_of())
+    result = try_row(Trial(tmp_path), row, window_of("street"), context, 0.9, seed=0)
+    assert result is not None
+    assert "input.trajectory_time_offset" in result.said
+    assert "range_scale" not in result.said
+
+
 def test_a_run_in_this_process_is_a_run_of_the_command(tmp_path: Path) -> None:
     window = window_of("push-broom")
     told = plain(window, Context(tmp_path, "fused", random_of()))

@@ -48,7 +48,7 @@ class RangeRule:
         if self.trajectory is None:
             return scale_told(self.scale)
         first, last = self.trajectory.span
-        value = f"{self.trajectory.n_positions} positions from {first:.3f} to {last:.3f} s"
+        value = f"trajectory of {self.trajectory.n_positions} positions from {first:.3f} to {last:.3f} s"
         why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
         if self.trajectory.lever_arm_m is not None:
             shown = ", ".join(f"{one:g}" for one in self.trajectory.lever_arm_m)

@@ -78,7 +78,7 @@ def test_ranges_from_a_trajectory_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(whole.range_m, [[5, 6, 7]])
     assert whole.blocks[0].xyz_m is not None
     (taken,) = opened(config.range).assumptions
-    assert taken.value == "2 positions from 0.000 to 10.000 s"
+    assert taken.value == "trajectory of 2 positions from 0.000 to 10.000 s"
     assert "no lever arm" in taken.why
     shifted = InputConfig(
         range=f"trajectory:{tmp_path / 'drive.csv'}",

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.streams.evidence.cells import (
@@ -37,10 +38,16 @@ CHECKS: tuple[Check, ...] = tuple(
 )
 """All checks, in the order in which they are reported."""
 
+BY_PLACE = ("units", "down", "angle-step")
+"""Checks that a wrong trajectory fails first of all."""
+LATE = "look at the trajectory: its clock (input.trajectory_time_offset), its frame and its lever arm"
+
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
     """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
-    yield from _known(*_of_ranges(seen))
+    along = any(one.key == "input.range" and one.value.startswith("trajectory") for one in seen.info.assumptions)
+    for finding in _known(*_of_ranges(seen)):
+        yield replace(finding, hint=LATE, option="") if along and finding.check in BY_PLACE else finding
     yield from _known(check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen))
     yield from _known(check_other_readers(seen))
 

@@ -43,6 +43,8 @@ PERIOD_SHOTS = 1 << 17
 FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
 """How much better another line length must agree along the stream: at most 0.9 in all scans at hand, with M off by one
 1.16 to 7."""
+SHIFTS = 400
+"""A scene that shifts from line to line moves the period by a share of it up to this."""
 FOLD_REACH = 4
 """Line lengths tried on either side of M."""
 TURNED_AGAINST = 0.45
@@ -262,7 +264,7 @@ def _exact(seen: Seen, period: int) -> int:
     m = seen.points_per_line
     times = round(max(m / period, period / m))
     for length in (m // times, m * times):
-        if abs(length - period) <= FOLD_REACH and max(length, m) % min(length, m) == 0:
+        if abs(length - period) <= max(FOLD_REACH, period // SHIFTS) and max(length, m) % min(length, m) == 0:
             return length
     near = range(max(period - FOLD_REACH, 2), period + FOLD_REACH + 1)
     off = {length: period if period <= FRAME_SHOTS else _or_inf(fold(seen.windows, length)) for length in near}
