@@ -49,8 +49,9 @@ WIDTHS_SHARE = 0.5
 """The same of what the two most certain widths of windows differ by: crowns of roads and bent walls show in it."""
 MOST_OFF = 0.1
 """A step that is known less well is not used."""
-LEAST_OFF = 0.005
-"""Least uncertainty, where all pieces agree: they may all lie on one road."""
+LEAST_OFF, LEAST_OFF_WIDE = 0.005, 0.02
+"""Least uncertainty, where all pieces agree: they may all lie on one road. The second where all windows are wider than
+:data:`WIDEST_RAD`: real roads bend them."""
 LEAST_FIELD_RAD = math.radians(20.0)
 """Least angle of a line: ranges that hardly change have a curvature of next to nothing."""
 TURN_OFF = 0.03
@@ -127,7 +128,7 @@ def measure_step(range_m: F32) -> AngleStep | None:
     best = min(narrow or found, key=lambda one: one.off)
     other = min((one for one in found if one is not best), key=lambda one: one.off, default=best)
     off = math.hypot(best.off, WIDTHS_SHARE * (other.step_rad / best.step_rad - 1.0))
-    off = float(f"{max(off, LEAST_OFF):.2g}")
+    off = float(f"{max(off, LEAST_OFF if narrow else LEAST_OFF_WIDE):.2g}")
     for name, usual in {"360 deg / M": _TURN / m, **USUAL}.items():
         if abs(usual / best.step_rad - 1.0) <= off and usual * m < _TURN * (1.0 + 1e-9):
             return AngleStep(usual, off, best.n_pieces, name)
