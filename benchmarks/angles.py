@@ -50,7 +50,7 @@ PUSH_BROOMS = (
     Simulated("residential, push-broom", 9321, 100, "residential", "sick-push-broom"),
     Simulated("suburb, push-broom that looks down", 9322, 100, "suburb", "sick-push-broom",
               mount={"centre_deg": 0.0, "height_m": 2.8}),
-    Simulated("terraces, push-broom of 0.4675°", 9323, 100, "terraces", "sick-push-broom",
+    Simulated("terraces, push-broom of 0.47°", 9323, 100, "terraces", "sick-push-broom",
               mount={"points_per_line": 385}),
 )  # fmt: skip
 FORESTS = (
