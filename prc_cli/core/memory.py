@@ -1,31 +1,39 @@
-"""Lets the C library reuse freed memory for the next block instead of returning it to the system."""
+"""Tells the C library when to return freed memory to the system, and when to reuse it for the next block."""
 
 from __future__ import annotations
 
 import ctypes
 import os
-from functools import lru_cache
 
-import numpy as np
-
-_JUST_BELOW_LIMIT = (1 << 25) - (1 << 16)
-"""Bytes; the GNU C library adapts its threshold to freed blocks of up to 32 MiB."""
-_M_ARENA_MAX = -8
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 """From glibc's ``malloc.h``."""
+_SMALL, _LARGE, _KEPT = 1 << 17, (1 << 25) - (1 << 16), 1 << 26
+"""Bytes: what glibc maps by itself at the start, the most that it may be told to, and the most that it keeps."""
 
 
-@lru_cache(maxsize=1)
-def keep_memory() -> None:
-    """Let the C library keep up to 64 MiB of freed memory for the next arrays; once per process.
+def return_memory() -> None:
+    """Let the C library return every large array as it is freed; the first time before any thread.
 
-    The GNU C library returns arrays above 128 KiB to the system when they are freed. Requesting the pages again takes
-    longer than the computation on images of a few hundred kilobytes. The library raises that limit after a large
-    array is freed; one is allocated and freed here, never written, so it costs nothing. The library also keeps a
-    separate arena per thread, up to eight per core, which would add up; threads started after this call share one.
-    Other C libraries are not affected.
+    What is read to look at an input does not stay beside the blocks then. The library also keeps a separate arena per
+    thread, up to eight per core, which would add up; threads started after this call share one. Other C libraries are
+    not affected.
     """
-    np.empty(_JUST_BELOW_LIMIT, np.uint8)
-    if os.name == "posix":
-        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-        if mallopt is not None:
-            mallopt(_M_ARENA_MAX, 1)
+    _tell(_M_ARENA_MAX, 1)
+    _tell(_M_MMAP_THRESHOLD, _SMALL)
+    _tell(_M_TRIM_THRESHOLD, _SMALL)
+
+
+def keep_memory() -> None:
+    """Let the C library keep up to 64 MiB of freed memory for the next arrays.
+
+    Requesting the pages of a block again takes longer than the computation on images of a few hundred kilobytes.
+    """
+    _tell(_M_ARENA_MAX, 1)
+    _tell(_M_MMAP_THRESHOLD, _LARGE)
+    _tell(_M_TRIM_THRESHOLD, _KEPT)
+
+
+def _tell(what: int, value: int) -> None:
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    if mallopt is not None:
+        mallopt(what, value)

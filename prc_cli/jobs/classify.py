@@ -25,7 +25,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
 from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
-from prc_cli.core.memory import keep_memory
+from prc_cli.core.memory import return_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
@@ -338,7 +338,7 @@ def _classify(
     """Classify one file with the engine that is set; see :func:`classify`."""
     loaded = with_layout_beside(source, loaded)
     trajectory = loaded.trajectory
-    keep_memory()  # before any thread
+    return_memory()  # before any thread
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
     check_output(output, overwrite=overwrite, inputs=inputs)  # also that it has a name, before the record's
     check_output(record_path(output), overwrite=overwrite, inputs=inputs)

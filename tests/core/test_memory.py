@@ -27,6 +27,34 @@ faults()
 print(faults())
 """
 
+RETURNED = """
+import numpy as np
+from prc_cli.core.memory import keep_memory, return_memory
+
+def resident():
+    with open("/proc/self/statm") as file:
+        return 4 * int(file.read().split()[1]) // 1024
+
+def left(mib=24):
+    before = resident()
+    kept = [np.ones(mib << 20, np.uint8), np.ones(1000, np.uint8)]
+    del kept[0]
+    return resident() - before
+
+return_memory()
+first = left()
+keep_memory()
+print(first, left())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library")
+def test_what_is_read_to_look_at_an_input_is_returned() -> None:
+    done = patience.run([sys.executable, "-c", RETURNED], capture_output=True, text=True, check=True)
+    returned, kept = map(int, done.stdout.split())
+    assert returned < 2
+    assert kept > 20
+
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library")
 def test_arrays_that_follow_each_other_share_memory() -> None:

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 from prc_cli.core.interrupts import raise_or_hold
 from prc_cli.core.limits import hold_limits
-from prc_cli.core.memory import keep_memory
+from prc_cli.core.memory import return_memory
 from prc_cli.core.process import claim_process
 from prc_cli.jobs.batch.types import Outcome, Task
 from prc_cli.jobs.batch.work import run_task
@@ -192,7 +192,7 @@ def main(threads: int, limit_mib: int | None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     hold_limits()
     claim_process()
-    keep_memory()  # before any thread: else every file's threads keep memory of their own
+    return_memory()  # before any thread: else every file's threads keep memory of their own
     with contextlib.suppress(OSError):  # when memory is short, the system kills a worker, not its parent
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
     # what libraries print goes to stderr, which the parent keeps for error messages

@@ -352,7 +352,7 @@ def test_time_in_which_nobody_listened_is_no_stall(tmp_path: Path, monkeypatch: 
 FIRST = """
 import os, sys, threading
 from prc_cli.jobs.batch import worker
-worker.keep_memory = lambda: print(threading.active_count(), file=sys.stderr, flush=True)
+worker.return_memory = lambda: print(threading.active_count(), file=sys.stderr, flush=True)
 worker._receive = lambda *_: None
 worker._serve = lambda *_: os._exit(0)
 worker.main(1, None)
