@@ -57,13 +57,19 @@ def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name: str, form: int
     assert result.f1 > MACRO
 
 
-def test_a_trajectory_that_is_late_is_named(tmp_path: Path) -> None:
-    """The hint was another unit of the ranges, which are computed."""
-    row = next(row for row in ROWS if row.name == "trajectory a second late")
-    context = Context(tmp_path, "prc", random_of())
-    result = try_row(Trial(tmp_path), row, window_of("street"), context, 0.9, seed=0)
+@pytest.mark.parametrize(
+    ("name", "method", "seed", "told"),
+    [
+        ("trajectory a second late", "prc", 0, "input.trajectory_time_offset"),  # it was another unit of the ranges
+        ("radians named degrees", "fused", 0, "name them angle_rad"),
+        ("radians named degrees", "fused", 1, "name them angle_rad"),
+    ],
+)
+def test_what_is_wrong_is_named(name: str, method: str, seed: int, told: str, tmp_path: Path) -> None:
+    row = next(row for row in ROWS if row.name == name)
+    result = try_row(Trial(tmp_path), row, window_of("street"), Context(tmp_path, method, random_of()), 0.9, seed=seed)
     assert result is not None
-    assert "input.trajectory_time_offset" in result.said
+    assert told in result.said
     assert "range_scale" not in result.said
 
 

@@ -25,6 +25,8 @@ SEAM_RAD = math.radians(10.0)
 """Larger steps beyond the usual one are dead angles within the line."""
 _SHARE_OF_COLUMN = 0.05
 _TURN = 2 * math.pi
+LEAST_TURN_COLUMNS = 180
+"""Columns of a line of a quarter turn or more; rings of a spinning scanner, which may lie as close, are fewer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,15 @@ class Sweep:
     """Angle between the ends of the longest lines [rad]."""
     noise_rad: float
     """Tolerance for steps back within a line [rad]."""
+
+
+def are_radians(angle_rad: F64) -> bool:
+    """Return whether so many columns lie so close that the numbers of a half or whole turn are those of radians.
+
+    >>> are_radians(np.deg2rad(np.linspace(0, 4.7, 1080))), are_radians(np.linspace(0, 4.7, 1080))
+    (True, False)
+    """
+    return len(angle_rad) >= LEAST_TURN_COLUMNS and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
 
 
 def find_sweep(angle: NDArray[Any], where: str) -> Sweep:

@@ -12,6 +12,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import MOST_OFF, AngleStep, measure_step
+from prc_cli.streams.angles import are_radians
 from prc_cli.streams.directions import Beams, fit_beams, forward_steps, turn_evenly
 from prc_cli.streams.down import (
     MIN_TILT_RAD,
@@ -221,6 +222,10 @@ class BeamFinder:
 
     def _guessed(self, scanner: int, angle: F64, range_m: F32) -> Found:
         """Use the direction of level ground, where no other comes near."""
+        if are_radians(angle):
+            span = math.degrees(float(np.ptp(angle)))
+            problem = f"the angles of a line span {span:.3g} deg, as radians of a turn do: name them angle_rad"
+            raise InputError(self._where(scanner), problem, f"if they are degrees, give {KEY}")
         range_m = range_m[spread_rows(len(range_m), SAMPLE_LINES)]
         guess = guess_down(angle, range_m)
         if guess is None:

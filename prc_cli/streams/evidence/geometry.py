@@ -16,6 +16,7 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import measure_step
+from prc_cli.streams.angles import are_radians
 from prc_cli.streams.down import MOST_LINES, DownGuess, guess_down, spread_rows, wrap
 from prc_cli.streams.evidence.seen import Seen
 from prc_cli.streams.evidence.table import Check
@@ -32,8 +33,6 @@ LEAST_ASIDE = 3.0
 """Where it does not, the ground must be so many times the runner-up."""
 LEAST_WINDOWS = 2
 """Windows that look elsewhere for the drive to contradict itself; also at least a quarter of all."""
-LEAST_TURN_COLUMNS = 180
-"""Columns of a line of a quarter turn or more; rings of a spinning scanner, which may lie as close, are fewer."""
 ELSEWHERE_RAD = math.radians(40.0)
 """From here on a window looks elsewhere."""
 
@@ -155,7 +154,7 @@ def check_angle_step(seen: Seen) -> Finding | None:
     >>> [check_angle_step(Seen(info, 0, windows, beam_rad=k * beam)).verdict.name for k in (1.0, 0.9, 0.5)]
     ['FINE', 'DOUBTFUL', 'AGAINST']
     """
-    if seen.angle_rad is not None and _are_radians(seen.angle_rad):
+    if seen.angle_rad is not None and are_radians(seen.angle_rad):
         found = f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
         hint = "if they are radians, name them angle_rad"
         return Finding(ANGLE_STEP, Verdict.AGAINST, found, "degrees: the numbers of a turn in radians span 6.28", hint)
@@ -189,11 +188,6 @@ def _even_step(beam_rad: F64) -> float | None:
     step = float(beam[-1] - beam[0]) / (len(beam) - 1)
     is_even = step != 0.0 and float(np.abs(beam - beam[0] - step * column).max()) < UNEVEN_RAD
     return abs(step) if is_even else None
-
-
-def _are_radians(angle_rad: F64) -> bool:
-    """Return whether so many columns lie so close that the numbers of a half or whole turn are those of radians."""
-    return len(angle_rad) >= LEAST_TURN_COLUMNS and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
 
 
 UNITS_M = (0.001, 0.01, 0.3048, 1000.0)
