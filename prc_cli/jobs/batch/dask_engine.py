@@ -30,7 +30,9 @@ from typing import Any, TypeAlias
 
 from prc_cli import __version__
 from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.files import remove_stale
 from prc_cli.core.threads import TICK_S, drain
+from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.local import LocalEngine
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
@@ -414,6 +416,8 @@ class _Job:
     """Lines reported so far, by the attempt that got farthest."""
     n_lost: int = 0
     """How often its outcome could not be fetched."""
+    is_again: bool = False
+    """Whether a second worker began it, as the first one died."""
 
 
 class _Run:
@@ -531,6 +535,7 @@ class _Run:
             return
         job.seen = time.monotonic()
         if kind == BEGUN:
+            job.is_again = job.is_again or job.begun is not None
             job.worker = worker
             yield from _started(job, worker)
         elif n_lines > job.n_reported:
@@ -548,6 +553,10 @@ class _Run:
             job.future.add_done_callback(self._queue_future)
             return
         del self._pending[key]
+        if job.is_again:  # the dead worker may have been alive yet when the other one looked
+            for path in (job.task.output, record_path(job.task.output)):
+                with contextlib.suppress(OSError):
+                    remove_stale(path)
         yield from _started(job, report.worker)
         yield report.result
 

@@ -24,6 +24,7 @@ import pytest
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.files import temporary_name
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.batch import dask_engine
 from prc_cli.jobs.batch.dask_engine import (
@@ -38,6 +39,7 @@ from prc_cli.jobs.batch.types import (
     EngineSettings,
     Event,
     Failed,
+    Problem,
     Progress,
     Started,
     Task,
@@ -351,6 +353,34 @@ def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_pa
         _, failed = engine._on_result("key")
         assert isinstance(failed, Failed)
         assert (failed.problem.kind, engine.tasks) == ("killed", [])
+
+
+def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_path: Path) -> None:
+    """It may have been alive yet when the second worker looked for what the first one left."""
+    (task,) = tasks_in(tmp_path, {"a.npy": 20})
+    task.output.parent.mkdir(parents=True, exist_ok=True)
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    own = temporary_name(task.output)
+    left = own.with_name(own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-"))
+    left.write_bytes(b"half")
+    report = dask_engine.Report("tcp://b", Failed("a.npy", None, 1.0, Problem("damaged", "a.npy", "cut", "")))
+
+    class Finished:
+        status = "finished"
+
+        def result(self, timeout: float) -> Any:
+            return report
+
+    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
+        engine = dask_engine._Run(SimpleNamespace(client=client), EngineSettings(), None, print)
+        for workers in (("tcp://a",), ("tcp://a", "tcp://b")):
+            engine._pending["key"] = dask_engine._Job(task, Finished())
+            for worker in workers:
+                list(engine._on_event(dask_engine.BEGUN, "key", worker, 0))
+            assert left.exists()
+            list(engine._on_result("key"))
+    assert not left.exists()
 
 
 def test_nothing_to_do() -> None:
