@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 
 class _State:
@@ -27,3 +31,21 @@ def is_own_process() -> bool:
     False
     """
     return _State.own
+
+
+@contextmanager
+def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
+    """Let modules seem not to be installed while a package is loaded that does without them.
+
+    Those that are unneeded are only hidden in the command's own process, and where nobody has loaded them.
+    """
+    modules: dict[str, Any] = sys.modules
+    hidden = always + tuple(name for name in unneeded if is_own_process() and name not in modules)
+    before = {name: modules[name] for name in hidden if name in modules}
+    modules.update(dict.fromkeys(hidden))
+    try:
+        yield
+    finally:
+        for name in hidden:
+            modules.pop(name, None)
+        modules.update(before)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from importlib import import_module
 from importlib.util import find_spec
@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, get_args
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.garbage import no_collecting
 from prc_cli.core.interrupts import held
-from prc_cli.core.process import is_own_process
+from prc_cli.core.process import absent
 
 _TABLE = Path(__file__).with_name("__init__.pyi")
 _HOME = "prc_cli.kernels."
@@ -114,19 +114,9 @@ _UNNEEDED = ("cffi", "coverage", "scipy.linalg")
 """What numba looks for and does without in the command's own process: a fifth of a short run."""
 
 
-@contextmanager
-def _unneeded_absent() -> Iterator[None]:
+def _unneeded_absent() -> AbstractContextManager[None]:
     """Let what numba is to do without seem not to be installed."""
-    modules: dict[str, Any] = sys.modules
-    hidden = _SETTINGS + tuple(name for name in _UNNEEDED if is_own_process() and name not in modules)
-    before = {name: modules[name] for name in hidden if name in modules}
-    modules.update(dict.fromkeys(hidden))
-    try:
-        yield
-    finally:
-        for name in hidden:
-            modules.pop(name, None)
-        modules.update(before)
+    return absent(*_UNNEEDED, always=_SETTINGS)
 
 
 def reference_home(name: str) -> str:

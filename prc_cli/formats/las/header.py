@@ -15,12 +15,14 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import file_state
+from prc_cli.core.process import absent
 from prc_cli.formats.writing.record import dropped_of
 
 STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
@@ -293,12 +295,16 @@ def damaged(path: Path, byte: int, problem: str, hint: str = DAMAGED) -> InputEr
     return InputError(f"{path}: byte {byte}", problem, hint)
 
 
+def load_laspy() -> Any:
+    """Load laspy without its readers of the web and of projections, which take half of the time."""
+    with absent("requests", "pyproj"):
+        return import_module("laspy")
+
+
 @cache
 def standard_bytes(point_format: int) -> int:
     """Return the bytes of a record of a point format, without extra bytes."""
-    import laspy
-
-    return int(laspy.PointFormat(point_format).size)
+    return int(load_laspy().PointFormat(point_format).size)
 
 
 def read_header(path: Path) -> LasHeader:
@@ -421,8 +427,7 @@ def _read_by_laspy(fields: HeaderFields, point_format: int) -> Any:
     Left out are the VLRs, because laspy requires UTF-8 texts and extra bytes that fill the record, and the compression
     bit, because it requires lazrs.
     """
-    import laspy
-
+    laspy = load_laspy()
     copy = HeaderFields(bytes(fields.data[: STANDARD_HEADER[fields.data[25]]]))
     copy.set("header_size", len(copy.data))
     copy.set("point_offset", len(copy.data))
@@ -437,8 +442,7 @@ def refused_by_laspy(header: LasHeader) -> str:
 
     Waveforms are an EVLR that laspy would read whole.
     """
-    import laspy
-
+    laspy = load_laspy()
     logging.getLogger("laspy").addHandler(logging.NullHandler())  # else its warnings are printed
     try:
         with header.path.open("rb") as handle:
