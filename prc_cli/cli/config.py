@@ -98,7 +98,7 @@ def presets(as_json: bool) -> None:
     click.echo("\nsample configurations, for --config:")
     for file, purpose in sample_summaries():
         click.echo(f"{file.name:{width}}  {purpose}")
-    click.echo("\nWithout a preset the input decides: prc info FILE says how, and ends with the command to type.")
+    click.echo("\nWithout a preset the input decides: prc info FILE says how, and prints the command to type.")
 
 
 @config.command()

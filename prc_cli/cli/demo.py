@@ -80,7 +80,7 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
         console().print(f"{what}: {output / name}", markup=False, soft_wrap=True)
     others = f"the other scans, labels and configurations: {output / MORE}"
     console().print(others, markup=False, soft_wrap=True)
-    console().print("your own file: prc info FILE ends with the command to type", markup=False, soft_wrap=True)
+    console().print("your own file: prc info FILE prints the command to type", markup=False, soft_wrap=True)
 
 
 def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:

@@ -15,7 +15,6 @@ import click
 
 from prc_cli.cli.next_step import given_words, output_for
 from prc_cli.cli.options import config_from, output_options, stream_options
-from prc_cli.cli.report import tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.cli.sections import Sectioned
 from prc_cli.config import LoadedConfig, load_config
@@ -23,8 +22,8 @@ from prc_cli.core.errors import PrcError
 from prc_cli.core.findings import LABEL_CHECKS, Verdict
 from prc_cli.formats.contents import Contents
 from prc_cli.formats.las.crs import short_crs
-from prc_cli.jobs.draft import draft as write_draft
 from prc_cli.jobs.info import Inspection, inspect
+from prc_cli.streams.evidence.checks import CHECKS
 
 
 @click.command(cls=Sectioned)
@@ -80,6 +79,8 @@ def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, ove
     if len(files) != 1 or loaded.files:
         message = "--draft takes one file, and no --config or --layout"
         raise click.UsageError(message)
+    from prc_cli.jobs.draft import draft as write_draft  # the only one that needs it
+
     write_draft(files[0], output, loaded, overwrite=overwrite)
     return load_config(output)
 
@@ -88,16 +89,17 @@ def _print(inspection: Inspection, command: str, *, checks: bool, verbose: bool)
     """Print a file on one screen: the verdict, what to type, doubts, facts, and how many checks are fine."""
     method = {"prc": "PRC"}.get(inspection.method, inspection.method)
     doubted = [one for one in inspection.doubts if one.problem != inspection.problem]
-    verdict = f"yes, {method} can classify it" + (", but look at:" if doubted else " as it is")
+    verdict = f"yes, {method} can classify it" + (
+        f", but look at {', '.join(one.check for one in doubted)}" if doubted else " as it is"
+    )
     if inspection.problem:
         verdict = f"no, {method} cannot classify it: {inspection.problem}"
         verdict += f"; {inspection.hint}" if inspection.hint else ""
     click.echo(printable(f"{inspection.path}: {verdict}"))
-    for one in doubted:
-        click.echo(printable(f"  {one.sentence()}"))
     if command:
         click.echo(printable(f"type: {command}"))
-    click.echo()
+    for one in doubted:
+        click.echo(printable(f"look at {one.sentence()}"))
     rows = [*_rows(inspection, verbose=verbose), *_check_rows(inspection, listed=checks or verbose)]
     wide = min(max(len(name) for name, _ in rows), MOST_NAME) + 2
     width = max(shutil.get_terminal_size((100, 24)).columns, wide + LEAST_WIDTH)
@@ -162,38 +164,40 @@ def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]
         yield "dimensions", ", ".join(shown)
     if inspection.contents is not None:
         yield from _contents_rows(inspection.contents, verbose=verbose)
-    if inspection.order is not None:
+    if inspection.order is not None and inspection.order.sentence() not in inspection.problem:
         yield "time order", inspection.order.sentence()
     yield from _stream_rows(inspection, verbose=verbose)
     # how many shots a line has is said with the lines
     taken = [one for one in inspection.assumptions if verbose or one.key != "input.points_per_line"]
     for why, alike in groupby(taken, lambda one: one.why):
-        keys, values = zip(*((one.key.removeprefix("input."), one.value) for one in alike), strict=True)
-        yield ", ".join(keys), f"{', '.join(values)} ({why})"
+        values = (f"{one.key.removeprefix('input.')} {one.value}" for one in alike)
+        yield "taken", f"{', '.join(values)} ({why})"
     yield from (("note", note) for note in inspection.notes)
     if inspection.facts is not None:
-        for name, count in tally_rows(inspection.facts.tally, everything=verbose):
+        for name, count in inspection.facts.tally.counts(everything=verbose):
             yield name, f"{count:,}"
     if verbose and inspection.format not in LISTED:
         yield from ((f"header: {key}", str(value)) for key, value in head.items())
 
 
 def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, str]]:
-    """Tell how many checks are fine, or what each of them found."""
-    if not inspection.findings:
-        return
-    fine = sum(one.verdict is Verdict.FINE for one in inspection.findings)
-    accepted = [one.check for one in inspection.findings if one.is_accepted]
+    """Tell how many checks are fine; or what each found and expected, and the limit of those that found nothing."""
+    found = {one.check: one for one in inspection.findings}
     if not listed:
-        yield "checks", f"{fine} fine" + (f", accepted: {', '.join(accepted)}" if accepted else "") + LIST_THEM
+        fine = sum(one.verdict is Verdict.FINE for one in found.values())
+        accepted = [one.check for one in found.values() if one.is_accepted]
+        if found:
+            yield "checks", f"{fine} fine" + (f", accepted: {', '.join(accepted)}" if accepted else "") + LIST_THEM
         return
-    for one in inspection.findings:
+    for check in CHECKS:
+        one = found.get(check.name)
+        if one is None:
+            asked = "asked of the labels, by prc classify" if check.name in LABEL_CHECKS else "not asked of this input"
+            yield f"check: {check.name}", f"{asked}. {check.limit}"
+            continue
         verdict = "accepted" if one.is_accepted else one.verdict.name.lower()
-        hint = "" if one.verdict is Verdict.FINE else f"; {one.hint}"
+        hint = f"; {one.hint}" if one.hint and one.verdict is not Verdict.FINE else ""
         yield f"check: {one.check}", f"{verdict}: {one.problem}{hint}"
-    if inspection.not_asked:
-        yield "not asked", f"they need more lines, times or scan angles: {', '.join(inspection.not_asked)}"
-    yield "asked later", f"by prc classify, of the labels: {', '.join(LABEL_CHECKS)}"
 
 
 def _some(words: Sequence[str], *, verbose: bool) -> list[str]:
@@ -224,7 +228,7 @@ def _contents_rows(contents: Contents, *, verbose: bool) -> Iterator[tuple[str, 
 
 
 def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
-    facts, period = inspection.facts, inspection.period
+    facts, period, rates = inspection.facts, inspection.period, inspection.rates
     if facts is not None:
         rate = "" if facts.line_hz is None else f", {facts.line_hz:.6g} lines a second"
         missing = f"{facts.n_missing:,} of {facts.n_shots:,} missing ({_share(facts.n_missing, facts.n_shots)})"
@@ -239,12 +243,13 @@ def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str
     # where M is known, the check line-length judges it
     if period is not None and (verbose or facts is None):
         estimate = "none" if period.points_per_line is None else f"{period.points_per_line:,}"
-        yield "M estimated", f"{estimate} ({period.reason})"
-    if inspection.rates is not None:
-        rates = inspection.rates
-        yield "shots a second", f"{rates.shot_hz:.8g}, from the times ({rates.share:.0%} return)"
-        yield "lines a second", f"{rates.line_hz:.6g}, of M = {rates.points_per_line:,} shots"
-        yield "a line begins", f"{rates.time_origin_s!r} s, in the middle of what rarely returns"
+        is_used = facts is None or period.points_per_line == inspection.points_per_line
+        used = "" if is_used else f"; not used: the lines have {inspection.points_per_line:,} shots"
+        yield "M estimated", f"{estimate} ({period.reason}){used}"
+    if rates is not None and (verbose or facts is None):  # where lines were told, a note says what does not fit them
+        found = f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second, M = {rates.points_per_line:,}"
+        begins = f"a line begins at {rates.time_origin_s!r} s, in the middle of what rarely returns"
+        yield "rates", f"{found}, from the times ({rates.share:.0%} return); {begins}"
 
 
 def _share(part: int, whole: int) -> str:

@@ -7,7 +7,6 @@ import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -147,13 +146,5 @@ def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> No
         for item in assumptions:
             table.add_row(item.key, item.value, item.why)
         console().print(table)
-    for name, count in tally_rows(tally):
+    for name, count in tally.counts():
         console().print(f"{name}: {count:,} records")
-
-
-def tally_rows(tally: ReadTally, *, everything: bool = False) -> Iterator[tuple[str, int]]:
-    """Yield the counts of a reader, with descriptions; zero counts only with ``everything``."""
-    for name, count in asdict(tally).items():
-        # the number of records is printed elsewhere
-        if name != "n_records" and (count or everything):
-            yield name.removeprefix("n_").replace("_", " "), count

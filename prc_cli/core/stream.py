@@ -97,6 +97,12 @@ class ReadTally:
             return self
         return other if self == _NO_TALLY else ReadTally(*map(add, _counts_of(self), _counts_of(other)))
 
+    def counts(self, *, everything: bool = False) -> Iterator[tuple[str, int]]:
+        """Yield the counts but that of the records, with descriptions; zero counts only with ``everything``."""
+        for name, count in zip((one.name for one in fields(self)), _counts_of(self), strict=True):
+            if name != "n_records" and (count or everything):
+                yield name.removeprefix("n_").replace("_", " "), count
+
 
 _NO_TALLY = ReadTally()
 _counts_of = attrgetter(*(one.name for one in fields(ReadTally)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -12,10 +13,12 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main, report
+from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.demo import DemoResult
+from prc_cli.streams.evidence.estimates import PeriodEstimate
 from tests import patience
 from tests.patience import HANGS_S, wait_until
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
+from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_endless, write_npz, write_raw
 
 
 class Result:
@@ -262,7 +265,7 @@ def test_demo_ends_with_what_to_open(prc: Prc, tmp_path: Path, monkeypatch: pyte
     lines = prc("demo", "--output", folder).err.splitlines()
     assert lines[-6] == f"look around in it, in a browser: {folder / 'street.html'}"
     assert lines[-2] == f"the other scans, labels and configurations: {folder / 'more'}"
-    assert lines[-1] == "your own file: prc info FILE ends with the command to type"
+    assert lines[-1] == "your own file: prc info FILE prints the command to type"
 
 
 def test_unknown_commands_and_options_are_usage_errors(prc: Prc) -> None:
@@ -383,11 +386,35 @@ def test_info_fits_one_screen(prc: Prc, tmp_path: Path, monkeypatch: pytest.Monk
     assert said[1].startswith("type: prc classify ")
     assert said[-1].startswith("checks ")
     assert said[-1].endswith(" fine (--checks lists them)")
-    assert len(said) <= 26
-    assert max(map(len, said[3:])) <= 100
+    assert len(said) <= 24
+    assert max(map(len, said[2:])) <= 100
     assert not any("M estimated" in line for line in said)
     listed = prc("info", tmp_path / "drive.laz", "--checks").out
-    assert listed.count("\ncheck: ") == int(said[-1].split()[1])
+    assert re.findall(r"^check: (\S+)", listed, re.MULTILINE) == list(CHECK_NAMES)
+    assert len(re.findall(r"^check: \S+ +fine: ", listed, re.MULTILINE)) == int(said[-1].split()[1])
+    assert "asked of the labels, by prc classify. Doubtful above" in " ".join(listed.split())
+
+
+def test_info_says_doubts_behind_the_command(prc: Prc, tmp_path: Path) -> None:
+    np.savez(tmp_path / "drive.npz", range_m=street() / 0.3048, angle_deg=np.rad2deg(angles()))
+    said = prc("info", tmp_path / "drive.npz").out.splitlines()
+    doubts = json.loads(prc("info", tmp_path / "drive.npz", "--json").out)["doubts"]
+    assert doubts
+    assert said[0].endswith(f"can classify it, but look at {', '.join(doubts)}")
+    assert said[1].startswith("type: ")
+    assert [line.split(":")[0] for line in said[2 : 2 + len(doubts)]] == [f"look at {name}" for name in doubts]
+
+
+def test_info_says_which_of_two_lengths_of_a_line_is_used(
+    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    assert "not used" not in prc("info", source, "-v").out
+    other = PeriodEstimate(POINTS_PER_LINE // 2, 1.0, 9000, "as an example")
+    monkeypatch.setattr("prc_cli.jobs.info.estimate_points_per_line", lambda _: other)
+    assert "M estimated" not in prc("info", source).out
+    told = " ".join(prc("info", source, "-v").out.split())
+    assert f"(as an example); not used: the lines have {POINTS_PER_LINE} shots" in told
 
 
 def test_info_of_a_dump_types_no_method_that_lacked_m(prc: Prc, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def test_organised_scans_become_laz_with_the_stages(prc: Prc, tmp_path: Path, ma
 def test_info_says_where_down_is_and_who_can_classify(prc: Prc, tmp_path: Path) -> None:
     result = prc("info", ptx(tmp_path), "--preset", "street-scan")
     assert result.code == 0, result.err
-    assert "\nnadir " in result.out
+    assert "nadir " in result.out
     assert "yes, sequential-angle can classify it as it is" in result.out
 
 
