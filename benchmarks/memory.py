@@ -26,9 +26,9 @@ LIMIT_MIB = 256
 WITH_M = ("-M", str(POINTS_PER_LINE))
 
 
-def classify(source: Path, output: Path) -> float:
+def classify(source: Path, output: Path, preset: str = "urban") -> float:
     """Peak resident size of one run [MiB]."""
-    options = ["--preset", "urban", "--quiet", "--overwrite", *(() if source.suffix == ".npz" else WITH_M)]
+    options = ["--preset", preset, "--quiet", "--overwrite", *(() if source.suffix == ".npz" else WITH_M)]
     return peak_mib(["classify", str(source), str(output), *options])
 
 
@@ -37,6 +37,8 @@ def measure(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
     raw, array, text = folder / "street.bin", folder / "street.npz", folder / "street.csv"
     write_raw(raw, n_lines)
     yield "raw → npy", classify(raw, folder / "labels.npy")
+    yield "raw → npy, fused", classify(raw, folder / "labels.npy", "fused")
+    yield "raw → npy, street-scan", classify(raw, folder / "labels.npy", "street-scan")
     yield "raw → laz", classify(raw, folder / "built.laz")
     yield (
         "raw → calibrate",

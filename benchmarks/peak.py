@@ -1,4 +1,4 @@
-"""Peak memory of a ``prc`` command in a separate process."""
+"""Peak memory of a ``prc`` command, as it is typed: with its guard, in processes of its own."""
 
 from __future__ import annotations
 
@@ -7,19 +7,10 @@ import sys
 from collections.abc import Sequence
 
 CHILD = """
-import resource, sys
-from prc_cli.cli import main
-try:
-    main(sys.argv[1:])
-except SystemExit as stop:
-    code = stop.code or 0
-try:
-    # getrusage would count the process that started this one
-    with open("/proc/self/status") as status:
-        peak = next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
-except OSError:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
-print(peak)
+import resource, subprocess, sys
+# a process takes over the peak of the one that starts it: this one is small
+code = subprocess.run([sys.executable, "-m", "prc_cli", *sys.argv[1:]], stdout=sys.stderr).returncode
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024))
 sys.exit(code)
 """
 
