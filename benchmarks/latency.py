@@ -1,9 +1,9 @@
-"""Latency of ``prc stream``: line by line through real pipes.
+"""Latency of ``prc stream``: block by block through real pipes.
 
     python -m benchmarks.latency
 
-Every line is written after the labels of the line before have arrived, so that nothing queues: the latency is the time
-from the last byte of a line to the labels that waited for it.
+Every block is written after the labels of the block before have arrived, so that nothing queues: the latency is the
+time from the last byte of a block to the labels that waited for it.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ from prc_cli.simulation.simulation import open_simulation
 LINES = 900
 WARM = 300
 """Lines at the start that are not counted, while kernels load and the block fills."""
-JOBS: tuple[tuple[str, Kind, str, tuple[str, ...], int], ...] = (
-    ("urban, k 99, M 2154, one line at a time", "street", "photon-80", ("--preset", "urban", "--hop", "1"), 1),
-    ("urban, five lines at a time", "street", "photon-80", ("--preset", "urban", "--hop", "5"), 5),
-    ("urban, blocks of k lines", "street", "photon-80", ("--preset", "urban"), 99),
-    ("forest, k 255, M 4270, one line at a time", "forest", "focus3d-120", ("--preset", "forest", "--hop", "1"), 1),
+JOBS: tuple[tuple[str, Kind, str, str, int], ...] = (
+    ("urban, blocks of 99 lines, M 2154", "street", "photon-80", "urban", 99),
+    ("urban, blocks of 16 lines", "street", "photon-80", "urban", 16),
+    ("forest, blocks of 255 lines, M 4270", "forest", "focus3d-120", "forest", 255),
 )
 
 
@@ -37,9 +36,10 @@ def lines_of(kind: Kind, scanner: str, n_lines: int) -> tuple[F32, float]:
     return np.concatenate([block.range_m for block in blocks]), settings.scanner.line_hz
 
 
-def waits(ranges: F32, options: tuple[str, ...], hop: int) -> list[float]:
+def waits(ranges: F32, preset: str, block: int) -> list[float]:
     """Seconds from the last byte that labels need to their arrival, line by line."""
     n_lines, width = ranges.shape
+    options = ["--preset", preset, "--set", f"prc.lines_per_block={block}"]
     command = [sys.executable, "-m", "prc_cli", "stream", "-q", "-M", str(width), *options]
     found: list[float] = []
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as process:
@@ -47,9 +47,9 @@ def waits(ranges: F32, options: tuple[str, ...], hop: int) -> list[float]:
         assert process.stdout is not None
         # the first labels need two lines more than their own
         process.stdin.write(ranges[:2].tobytes())
-        for first in range(2, n_lines - hop + 1, hop):
-            process.stdin.write(ranges[first : first + hop].tobytes())
-            start, missing = time.perf_counter(), hop * width
+        for first in range(2, n_lines - block + 1, block):
+            process.stdin.write(ranges[first : first + block].tobytes())
+            start, missing = time.perf_counter(), block * width
             while missing:
                 missing -= len(os.read(process.stdout.fileno(), missing))
             found.append(time.perf_counter() - start)
@@ -62,9 +62,9 @@ def main() -> None:
     """Print the table."""
     print("| labels leave | median [ms] | 99 % [ms] | longest [ms] | a line of the scanner takes [ms] |")
     print("|---|---:|---:|---:|---:|")
-    for name, kind, scanner, options, hop in JOBS:
+    for name, kind, scanner, preset, block in JOBS:
         ranges, line_hz = lines_of(kind, scanner, LINES)
-        found = 1e3 * np.array(waits(ranges, options, hop)[max(1, WARM // hop) :])
+        found = 1e3 * np.array(waits(ranges, preset, block)[max(1, WARM // block) :])
         middle, high = np.percentile(found, [50, 99])
         print(f"| {name} | {middle:.2f} | {high:.2f} | {found.max():.2f} | {1e3 / line_hz:.1f} |")
 

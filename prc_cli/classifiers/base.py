@@ -207,16 +207,6 @@ class Classifier(Protocol[ScannerT, StateT_co]):
             lines of earlier blocks.
         """
 
-    def hopping(self, hop: int) -> Classifier[Any, Any]:
-        """Return the method set to output labels every ``hop`` lines; by default the method itself.
-
-        Raises
-        ------
-        ConfigError
-            When the number of lines is not possible.
-        """
-        return self
-
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Return sentences on what a finished run could not do.
 

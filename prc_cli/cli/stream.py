@@ -24,13 +24,6 @@ from prc_cli.jobs.stream import stream as label_stream
 @click.command(cls=Sectioned)
 @live_options
 @click.option(
-    "--hop",
-    type=click.IntRange(min=1),
-    metavar="LINES",
-    help="PRC: label so many new lines at a time, each within the k lines up to it; default: blocks of k.",
-)
-@click.option("--continuous", is_flag=True, help="The same as --hop 1: every line leaves as soon as it can.")
-@click.option(
     "--line-hz",
     type=click.FloatRange(min=0, min_open=True),
     metavar="HZ",
@@ -47,25 +40,22 @@ from prc_cli.jobs.stream import stream as label_stream
 )
 @output_options
 def stream(
-    hop: int | None, continuous: bool, line_hz: float | None, every: float,
-    as_json: bool, quiet: bool, verbose: bool, **options: Any,
+    line_hz: float | None, every: float, as_json: bool, quiet: bool, verbose: bool, **options: Any
 ) -> None:  # fmt: skip
     """Label a live stream: ranges in on stdin, one byte a shot out on stdout.
 
     Without a layout the input is float32 ranges, -M of them a line; the output is the class code of every shot, 0 = no
-    return, the same bytes that prc classify writes as an array. Labels leave block by block (k lines), with --hop
-    sooner. Where no method is named it is chosen as prc classify does, with angles measured from the ranges where there
-    are none; a line on stderr says so. The rate is reported on stderr, and every doubt about the input as soon as it is
-    known (exit code 4); with --json a line of JSON each, the last one with the labels' counts and all doubts.
+    return, the same bytes that prc classify writes as an array. Labels leave block by block (prc.lines_per_block,
+    fused.lines_per_block). Where no method is named it is chosen as prc classify does, with angles measured from the
+    ranges where there are none; a line on stderr says so. The rate is reported on stderr, and every doubt about the
+    input as soon as it is known (exit code 4); with --json a line of JSON each, the last one with the labels' counts
+    and all doubts.
 
     \b
     Examples:
       scanner | prc stream --preset urban -M 2154 > labels.bin
-      cat drive.bin | prc stream --layout profiler.toml --hop 1 | logger
+      cat drive.bin | prc stream --layout profiler.toml | logger
     """
-    if continuous and hop not in (None, 1):
-        message = f"--continuous and --hop {hop} contradict each other"
-        raise click.UsageError(message)
     for name, file, own in (("stdin", sys.stdin, sys.__stdin__), ("stdout", sys.stdout, sys.__stdout__)):
         if own is None:
             message = f"{name} is closed, expected a pipe or a file"
@@ -74,12 +64,6 @@ def stream(
             message = f"{name} is a terminal, expected a pipe or a file: ranges and labels are bytes, not text"
             raise click.UsageError(message)
     loaded = config_from(options)
-    if (continuous or hop is not None) and loaded.config.method not in ("auto", "prc"):
-        message = (
-            "--hop and --continuous are for PRC: the sequential-angle classifier goes line by line as it is, and "
-            "labels of the fused one leave sooner with a smaller fused.lines_per_block"
-        )
-        raise click.UsageError(message)
     if loaded.config.is_decided:
         with compiling_note(quiet=quiet or as_json):
             load_classifier(loaded)
@@ -87,9 +71,8 @@ def stream(
     # unbuffered: labels must not wait until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
-    hop = 1 if continuous else hop
     summary = label_stream(
-        source, sink, loaded, hop=hop, report=report, doubted=_tell_json if as_json else _tell,
+        source, sink, loaded, report=report, doubted=_tell_json if as_json else _tell,
         chosen=_choice_json if as_json else lambda choice: None if quiet else print_choice(choice.assumption),
     )  # fmt: skip
     if as_json:

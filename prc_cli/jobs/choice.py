@@ -1,6 +1,6 @@
 """Chooses the method for an input where none is named (``method = "auto"``).
 
-What is asked for may leave one method: segment ids, the plain engine and ``--hop`` are PRC's. Otherwise the input
+What is asked for may leave one method: segment ids and the plain engine are PRC's. Otherwise the input
 decides: ``fused`` where the angle of every beam from straight down is known or can be measured from the ranges, for
 streets or for forests as its first lines look; else PRC, which needs no angles, with a doubt.
 """
@@ -50,7 +50,7 @@ def possible_configs(loaded: LoadedConfig) -> list[RunConfig]:
     return [decided_by(MethodChoice(preset, ""), loaded).config for preset in get_args(ChosenPreset)]
 
 
-def choice_by_request(config: RunConfig, *, engine: Engine = "compiled", hops: bool = False) -> MethodChoice | None:
+def choice_by_request(config: RunConfig, *, engine: Engine = "compiled") -> MethodChoice | None:
     """Return the choice where what is asked for leaves one method; None = the input decides.
 
     >>> choice_by_request(RunConfig(output={"segment_ids": True})).preset
@@ -60,7 +60,7 @@ def choice_by_request(config: RunConfig, *, engine: Engine = "compiled", hops: b
         return MethodChoice("urban", "segment ids are those of PRC")
     if engine == "reference":
         return MethodChoice("urban", "the plain engine has the papers' methods alone")
-    return MethodChoice("urban", "labels every few lines are those of PRC") if hops else None
+    return None
 
 
 def choice_by_place(place: Place, known: str = "the angles of the beams are known") -> MethodChoice:

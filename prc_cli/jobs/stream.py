@@ -100,7 +100,6 @@ def stream(
     sink: ByteSink,
     config: LoadedConfig | RunConfig | None = None,
     *,
-    hop: int | None = None,
     report: Callable[[Rate], None] | None = None,
     doubted: Callable[[Finding], None] = _ignore,
     chosen: Callable[[MethodChoice], None] = _ignore,
@@ -114,11 +113,8 @@ def stream(
     sink : ByteSink
         Receives one byte per shot, its class code, in chronological order; 0 = no return.
     config : LoadedConfig or RunConfig, optional
-        Default: what labels the stream best: PRC where it has no angles, else fused. An incomplete last line is padded
+        Default: what labels the stream best, as for files. An incomplete last line is padded
         for processing, and cut again.
-    hop : int, optional
-        PRC: lines labelled together, 1 to k (:func:`prc_cli.classifiers.prc.continuous.classify_lines`); default: the
-        paper's blocks of k lines, with the same labels as ``prc classify``.
     report : callable, optional
         Called with the :class:`Rate` whenever labels were written.
     doubted : callable
@@ -155,7 +151,7 @@ def stream(
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
     told = None
     if not config.is_decided:
-        choice = choice_by_request(config, hops=hop is not None)
+        choice = choice_by_request(config)
         if choice is None:
             choice, _ = choose(opened, config)
         loaded = decided_by(choice, loaded)
@@ -165,8 +161,6 @@ def stream(
     classifier = config.classifier.method()
     if classifier.needs.beams:
         opened = with_beams(opened, config.input)
-    if hop is not None:
-        classifier = classifier.hopping(hop)
     pipe.seal()
     watch = LiveEvidence(watched(opened, config.input, others=loaded.findings), doubted)
     blocks = _UntilError(watch)

@@ -69,8 +69,6 @@ def test_what_lacks_is_said_in_one_line(prc: Prc, dump: Path, preset: str) -> No
     result = prc("classify", dump, out, "--preset", preset, *ANGLES)
     assert result.code == 0, result.err
     assert "straight down is taken to be at scan angle 0.0 deg (guessed" in result.err
-    result = prc("stream", "--preset", preset, "--hop", "1", *ANGLES)
-    assert result.code == 2
 
 
 @pytest.mark.parametrize("value", [-1.0, 2.0])

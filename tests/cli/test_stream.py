@@ -76,22 +76,6 @@ def test_the_bytes_of_classify_with_the_other_classifier(tmp_path: Path) -> None
     assert angles()[0] == 0
 
 
-def test_labels_leave_while_the_scanner_goes_on() -> None:
-    """With --hop 1 the label of a line is there when two more lines are, and the scanner has not stopped."""
-    image = street()
-    process = start(*URBAN, "--continuous", "-q")
-    assert process.stdin is not None
-    assert process.stdout is not None
-    process.stdin.write(image[:5].tobytes())
-    assert len(take(process, 3 * POINTS_PER_LINE)) == 3 * POINTS_PER_LINE
-    process.stdin.close()
-    assert len(process.stdout.read()) == 2 * POINTS_PER_LINE  # the rest, at the end
-    assert process.wait(HANGS_S) == 0
-    process.stdout.close()
-    assert process.stderr is not None
-    process.stderr.close()
-
-
 def test_a_block_leaves_when_two_more_lines_are_there() -> None:
     image = street()
     process = start(*URBAN, "-q")
@@ -157,10 +141,10 @@ def test_the_reader_of_the_labels_goes() -> None:
 
 
 def test_a_signal_ends_it_within_seconds() -> None:
-    process = start(*URBAN, "-q", "--continuous")
+    process = start(*URBAN, "-q")
     assert process.stdin is not None
-    process.stdin.write(street()[:9].tobytes())
-    assert len(take(process, 7 * POINTS_PER_LINE)) == 7 * POINTS_PER_LINE
+    process.stdin.write(street()[:18].tobytes())
+    assert len(take(process, 16 * POINTS_PER_LINE)) == 16 * POINTS_PER_LINE
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=HANGS_S)
     assert (process.returncode, out) == (128 + signal.SIGTERM, b"")
@@ -199,8 +183,6 @@ def test_doubts_are_told_and_end_with_exit_code_4() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--hop", "17"), "hop: found 17, expected 1 to prc.lines_per_block = 16 lines"),
-        (("--hop", "2", "--continuous"), "--continuous and --hop 2 contradict each other"),
         (("--scanner", "user_data"), "labels of one scanner leave in the order of its shots"),
         (("--set", "input.order=sort-time"), "a pipe cannot be sorted by time"),
     ],

@@ -226,8 +226,8 @@ TARGETS: dict[str, Target] = {
         ("a.bin", "f4.bin", "a.npz"),
         (
             ("stream", "-M", "24", "--preset", "urban", "-v"),
-            ("stream", "--layout", "{seeds}/layout.toml", "--hop", "1", "--json"),
-            ("stream", "-M", "24", "--method", "sequential-angle", "--hop", "1"),
+            ("stream", "--layout", "{seeds}/layout.toml", "--json"),
+            ("stream", "-M", "24", "--method", "sequential-angle"),
             ("stream", "-M", "24", "--method", "sequential-angle"),
         ),
     ),

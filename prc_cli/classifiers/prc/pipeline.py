@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -28,7 +28,7 @@ from prc_cli.classifiers.prc.surfaces import (
 from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
 from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import CriticalZetas, LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
 
@@ -151,15 +151,6 @@ class Prc(Classifier[int, PrcState]):
         """Report thresholds that the paper advises against."""
         found = unusual(self.params.support)
         return () if found is None else (found,)
-
-    def hopping(self, hop: int) -> Classifier[Any, Any]:
-        """Return PRC that labels ``hop`` lines at a time, within the block of k lines that ends with them."""
-        from prc_cli.classifiers.prc.continuous import ContinuousPrc
-
-        if not 1 <= hop <= self.params.lines_per_block:
-            problem = f"found {hop}, expected 1 to prc.lines_per_block = {self.params.lines_per_block} lines"
-            raise ConfigError("hop", problem)
-        return ContinuousPrc(self.params, hop)
 
 
 def initial_state(points_per_line: int) -> PrcState:
