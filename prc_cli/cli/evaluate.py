@@ -64,8 +64,8 @@ _OPTIONS = [
         default="order",
         show_default=True,
         metavar="HOW",
-        help="How records find their partner: order, time, dimension:NAME or nearest. Files of different length are "
-        "matched by line and column, not by order, where both know them.",
+        help="How records find their partner: order, time, dimension:NAME or nearest. Files of another length or "
+        "order are matched by line and column, where both know them.",
     ),
     click.option(
         "--several", is_flag=True, help="With nearest: a reference record may be the partner of several predicted ones."

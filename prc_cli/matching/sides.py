@@ -104,8 +104,12 @@ class SideFile:
     @property
     def knows_cells(self) -> bool:
         """Whether the scan line and the column of every record are known."""
-        own = self.find((_LINE,)) is not None and self.find((_COLUMN,)) is not None
-        return own or self.dense_line is not None
+        return self.has_cells or self.dense_line is not None
+
+    @property
+    def has_cells(self) -> bool:
+        """Whether the records themselves hold their scan line and column."""
+        return self.find((_LINE,)) is not None and self.find((_COLUMN,)) is not None
 
     @property
     def is_las(self) -> bool:

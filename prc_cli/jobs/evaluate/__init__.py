@@ -223,7 +223,7 @@ def _compare(
                     cells, beside = cells[sure], {name: values[sure] for name, values in beside.items()}
                 count_pairs(found, beside, cells, options, by_lines=by_lines)
         except _UnequalError:
-            counts.note("the files hold different numbers of records: matched by cell (scan line, column)")
+            counts.note("the files hold other records, or others first: matched by cell (scan line, column)")
             options = replace(options, match="cell")
             left, right = _keyed(left, right, KeyRule("cell"))
             plan = _plan(left, right, options, by_lines=by_lines)
@@ -247,7 +247,7 @@ def _keyed(left: Side, right: Side, key: KeyRule) -> tuple[Side, Side]:
 
 
 class _UnequalError(Exception):
-    """Files to be matched by order differ in length, but both know their cells."""
+    """Files to be matched by order differ in length or in their order, but both know their cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,21 +302,32 @@ def _pairs(
     left: Side, right: Side, plan: _Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions
 ) -> Iterator[tuple[Columns, Columns]]:
     """Yield matched pairs of records."""
-    columns = (CODE, *plan.keys, *plan.predicted), (CODE, *plan.keys, *plan.reference)
+    knows_cells = all(len(side.files) == 1 and side.files[0].knows_cells for side in (left, right))
+    compared = options.match == "order" and knows_cells and any(side.files[0].has_cells for side in (left, right))
+    if compared:
+        left, right = _keyed(left, right, KeyRule("cell"))
+    keys = (*plan.keys, *([KEY] if compared else []))
+    columns = (CODE, *keys, *plan.predicted), (CODE, *keys, *plan.reference)
     one, other = (
         columns_of(side, names, sort=sort, with_record=False)
         for side, names, sort in zip((left, right), columns, on_disk, strict=True)
     )
     names = left.path, right.path
     if options.match == "order":
-        knows_cells = all(len(side.files) == 1 and side.files[0].knows_cells for side in (left, right))
 
         def check(n: Sequence[int]) -> None:
             if n[0] != n[1] and knows_cells:
                 raise _UnequalError
             refuse_poor_match(n[0], n[1], *names)
 
+        off = None
         for pair in in_step((one, other), check):
+            if compared and len(pair[0][KEY]):
+                # cells that are counted from other numbers are in the same order all the same
+                apart = pair[1][KEY] - pair[0][KEY]
+                off = apart[0] if off is None else off
+                if np.any(apart != off):
+                    raise _UnequalError
             tally.n_pairs += len(pair[0][CODE])
             tally.n_right += len(pair[0][CODE])
             yield pair[0], pair[1]

@@ -26,7 +26,7 @@ class EvaluateOptions:
 
     match: str = "order"
     """``order``; ``time``; ``dimension:NAME``, or ``dimension:PREDICTED=REFERENCE`` where the names differ; or
-    ``nearest``. Files of different length are matched by cell instead of by order, where both know line and column.
+    ``nearest``. Files of other length or order are matched by cell instead, where both know line and column.
     The dimension ``record`` is the record's index where a file has no such column (not in LAS)."""
     tolerance: float | None = None
     """Largest difference of a pair: seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`,
