@@ -8,7 +8,7 @@ import pytest
 
 from tests.golden.run import GOLDEN, differences, run
 
-QUICK = ("help-classify", "config-urban", "classify-channels", "convert-las-scanners", "damaged-ptx-half", "stream-blocks")
+QUICK = ("help-classify", "config-urban", "classify-channels", "convert-las-scanners", "damaged-ptx-half", "stream")
 
 
 def check(only: tuple[str, ...], jobs: int) -> dict[str, dict[str, object]]:
