@@ -146,12 +146,7 @@ class MethodChoice:
 
 
 def refuse_window(config: RunConfig, command: str) -> None:
-    """Refuse a part of a stream where whole ones are needed.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Refuse a part of a stream where whole ones are needed."""
     if config.input.window is not None:
         problem = f"found {config.input.window.option}, but {command} takes files whole"
         raise ConfigError("[input]", problem, "leave it out; prc classify, convert, calibrate and objects take a part")
@@ -230,20 +225,7 @@ def load_config(
 
 
 def from_layers(layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Path, ...] = ()) -> LoadedConfig:
-    """Build a configuration from named nested tables; later ones win.
-
-    Parameters
-    ----------
-    layers : sequence of (str, mapping)
-        Name of the source, and its table.
-    files : tuple of Path
-        Files that were read for it.
-
-    Raises
-    ------
-    ConfigError
-        Naming the layer, the key, what was found and what was expected; without a method, several methods' tables.
-    """
+    """Build a configuration from named nested tables; later ones win."""
     merged: dict[str, Any] = {}
     sources: dict[str, str] = {}
     for name, layer in layers:
@@ -350,26 +332,7 @@ def sample_summaries() -> list[tuple[Path, str]]:
 
 
 def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
-    """Add the layout that lies beside a dump (``drive.bin.toml`` or ``drive.toml``), if none was given.
-
-    Parameters
-    ----------
-    path : Path
-        Input file; other files than raw dumps and text have no layout.
-    loaded : LoadedConfig
-        What was told; values that were given win over those of the file beside the dump.
-
-    Returns
-    -------
-    LoadedConfig
-        With ``[layout]`` and ``[input]`` of the file, and a note that says so; or with a note that a layout that was
-        given is of no use to this format. A frame as KITTI stores it gets the rules of its sample configuration.
-
-    Raises
-    ------
-    ConfigError
-        When the file is no valid configuration.
-    """
+    """Add the layout that lies beside a dump (``drive.bin.toml`` or ``drive.toml``), if none was given."""
     layout = loaded.config.layout
     if layout is not None and layout.fields and not has_layout(path):
         if loaded.sources.get("layout.fields") == "option" and path.is_file():
@@ -453,8 +416,6 @@ def options_of(loaded: LoadedConfig) -> list[str]:
 
     Presets are left out, and so is what only shapes the output.
 
-    Examples
-    --------
     >>> options_of(load_config(options={"method": "prc", "input": {"points_per_line": 2154, "lines": "fixed"}}))
     ['--method', 'prc', '--set', 'input.points_per_line=2154', '--set', 'input.lines=fixed']
     """
@@ -476,32 +437,13 @@ def options_of(loaded: LoadedConfig) -> list[str]:
 
 
 def to_toml(loaded: LoadedConfig, *, comments: bool = True) -> str:
-    """Write an effective configuration as TOML that :func:`load_config` reads back.
-
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        The configuration.
-    comments : bool
-        Whether to write the description of every key and the source of every value that is not its default.
-    """
+    """Write an effective configuration as TOML that :func:`load_config` reads back."""
     return params_to_toml(loaded.config, loaded.sources, comments=comments)
 
 
 def params_to_toml(params: Params, sources: Mapping[str, str] | None = None, *, comments: bool = True) -> str:
     """Write any parameter table as TOML.
 
-    Parameters
-    ----------
-    params : Params
-        The table, including nested ones.
-    sources : mapping, optional
-        Source by dotted key, or by table, for the comments.
-    comments : bool
-        Whether to write the description of every key.
-
-    Examples
-    --------
     >>> print(params_to_toml(ClassCodes(noise=18), comments=False).splitlines()[1])
     noise = 18
     """

@@ -13,25 +13,7 @@ def check_block(
 ) -> None:
     """Refuse arrays that cannot be the next block of a stream.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        The block.
-    next_m : (lines, M) float32, metres, optional
-        The lines that follow.
-    points_per_line : int
-        M.
-    lines_per_block : int
-        k, the largest number of lines in a block.
-    columns : str
-        Why a line has M columns, for the message.
-    key : str
-        The parameter that holds k, for the message.
-
-    Raises
-    ------
-    InputError
-        When the block is empty, too long or of another width.
+    ``range_m`` (lines, M) float32, metres; ``next_m`` (lines, M) float32, metres.
     """
     for array in (range_m,) if next_m is None else (range_m, next_m):
         if array.ndim != 2 or array.shape[1] != points_per_line:

@@ -36,29 +36,9 @@ def label_extra_returns(
     difference is below the support thresholds of Lehtola et al. (2019), eqs. 5 and 6. Only cells of the block are
     compared.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        The block; NaN = missing, never agrees.
-    labels : (lines, M) uint8
-        Its labels.
-    line, column : (n,) int32
-        Cell of every further return.
-    range_m_extra : (n,) float32, metres
-        Its range.
-    zeta_p, zeta_s : float, metres
-        Differences must be below these, in the line and in the lines before and after.
-    alone : Label
-        Label of a further return that agrees with no shot.
+    ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; ``line, column`` (n,) int32; ``range_m_extra``
+    (n,) float32, metres; returns (n,) uint8.
 
-    Returns
-    -------
-    (n,) uint8
-        ``alone`` where no shot agrees, MISSING where the further return has no range (NaN). On ties, cells of the
-        same line come first, then the order of the stream.
-
-    Examples
-    --------
     A second return behind a leaf agrees with the wall beside it:
 
     >>> image = np.array([[20.0, 20.0, 6.0, 20.0, 20.0]], dtype=np.float32)

@@ -28,27 +28,7 @@ def run_blocks(
     wanted: Wanted = LABELS_ALONE,
     shots_at_once: int = SHOTS_AT_ONCE,
 ) -> Iterator[LabelledBlock]:
-    """Classify a stream block by block, with one state per scanner.
-
-    Parameters
-    ----------
-    blocks : iterator of ScanBlock
-        Blocks of any number of lines; with ``beam_rad`` where the classifier needs beams.
-    classifier : Classifier
-        A method and its parameters.
-    threads : int
-        Classifying threads; results do not depend on it. At most one more block than threads is held at a time.
-    wanted : Wanted
-        Optional results to compute, where the method provides them.
-    shots_at_once : int
-        Approximate shots per block, in whole lines, for methods that take any number of lines; labels do not depend
-        on it.
-
-    Yields
-    ------
-    LabelledBlock
-        In order for each scanner: blocks of k lines (fewer at the end), or the lines that became final.
-    """
+    """Classify a stream block by block, with one state per scanner."""
     needs = classifier.needs
     scanners: dict[int, _Scanner] = {}
     firsts: dict[int, int] = {}

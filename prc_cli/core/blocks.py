@@ -38,29 +38,7 @@ def regroup(
     shots_per_block: int = 1 << 18,
     look_ahead: int | None = None,
 ) -> Iterator[ScanBlock]:
-    """Cut a stream into blocks of ``lines_per_block`` lines, each with the lines that follow it.
-
-    Parameters
-    ----------
-    blocks : iterator of ScanBlock
-        Blocks of any number of lines, in order for each scanner.
-    lines_per_block : int, optional
-        k; only the last block of a scanner may hold fewer lines.
-    shots_per_block : int
-        Approximate shots per block where ``lines_per_block`` is not given; at least one line.
-    look_ahead : int, optional
-        Following lines that each block carries in ``next_m``; default: :func:`look_ahead_lines`.
-
-    Yields
-    ------
-    ScanBlock
-        With ``next_m`` set. The result does not depend on how the input was cut into blocks.
-
-    Raises
-    ------
-    InputError
-        When a block would hold more than :data:`MOST_WAITING` shots.
-    """
+    """Cut a stream into blocks of ``lines_per_block`` lines, each with the lines that follow it."""
     buffers: dict[int, LineBuffer] = {}
     for block in blocks:
         buffer = buffers.setdefault(block.scanner, LineBuffer())

@@ -15,8 +15,6 @@ LONGEST = 120
 class Brief:
     """Base of dataclasses whose representation is a line; they are decorated with ``repr=False``.
 
-    Examples
-    --------
     >>> from dataclasses import dataclass
     >>> @dataclass(repr=False)
     ... class Run(Brief):

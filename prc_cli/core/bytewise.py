@@ -15,16 +15,6 @@ _SMALL = 16
 def count_bytes(values: U8) -> I64:
     """Return how often every value occurs, five times as fast as :func:`numpy.bincount` where most are below 16.
 
-    Parameters
-    ----------
-    values : uint8 array of any shape
-
-    Returns
-    -------
-    (256,) int64
-
-    Examples
-    --------
     >>> count_bytes(np.array([[1, 1], [7, 200]], np.uint8))[[1, 7, 200]].tolist()
     [2, 1, 1]
     """
@@ -43,18 +33,6 @@ def count_bytes(values: U8) -> I64:
 def recode(values: U8, table: U8) -> U8:
     """Look up every value in a table: ``table[values]`` in half the time.
 
-    Parameters
-    ----------
-    values : uint8 array of any shape
-    table : (256,) uint8
-
-    Returns
-    -------
-    uint8 array of the same shape
-        New.
-
-    Examples
-    --------
     >>> recode(np.array([2, 0], np.uint8), np.arange(256, dtype=np.uint8)[::-1]).tolist()
     [253, 255]
     """

@@ -45,13 +45,7 @@ _DEEP_KEY = re.compile(
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises
-    ------
-    ConfigError
-        When the file is absent, unreadable, too large, or not TOML (the message carries line and column).
-    """
+    """Read a TOML file."""
     try:
         raw = read_small(path, MAX_TOML_BYTES)
         text = raw.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")  # any line end
@@ -64,21 +58,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Parse TOML from an untrusted source.
-
-    Parameters
-    ----------
-    text : str
-        TOML.
-    where : str
-        File or option that it came from, for the message.
-
-    Raises
-    ------
-    ConfigError
-        When it is not TOML, or exceeds what Python's parser can handle: very deep nesting, keys of many parts,
-        numbers of thousands of digits.
-    """
+    """Parse TOML from an untrusted source."""
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise ConfigError(where, f"line {line}: a key of more than {MAX_DEPTH} parts, expected a few")
@@ -119,22 +99,7 @@ def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 
 
 def build(model: type[ParamsT], table: Mapping[str, Any], where: str) -> ParamsT:
-    """Validate a nested table against a parameter model.
-
-    Parameters
-    ----------
-    model : type
-        A :class:`Params` class.
-    table : mapping
-        Nested keys and values.
-    where : str
-        File or option that the table came from, for the message.
-
-    Raises
-    ------
-    ConfigError
-        Names the first wrong key, what was found and what was expected; for an unknown key also the nearest known one.
-    """
+    """Validate a nested table against a parameter model."""
     try:
         return model.model_validate(table)
     except ValidationError as error:

@@ -15,13 +15,6 @@ of reproducible-builds.org)."""
 def today() -> str:
     """Return the day in UTC, of ``SOURCE_DATE_EPOCH`` if it is set.
 
-    Raises
-    ------
-    ConfigError
-        When the variable holds no time.
-
-    Examples
-    --------
     >>> len(today())
     10
     """

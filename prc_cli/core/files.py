@@ -36,13 +36,7 @@ _NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSY
 
 @contextlib.contextmanager
 def open_to_read(path: Path) -> Iterator[IO[bytes]]:
-    """Open an input file.
-
-    Raises
-    ------
-    InputError
-        When it cannot be opened, or is no regular file.
-    """
+    """Open an input file."""
     try:
         handle = _open_regular(path)
     except OSError as error:
@@ -62,13 +56,7 @@ def _open_regular(path: Path) -> IO[bytes]:
 
 
 def read_small(path: Path, limit: int) -> bytes:
-    """Return the content of a small file.
-
-    Raises
-    ------
-    OSError
-        When it cannot be read, is no regular file, or is longer than the limit.
-    """
+    """Return the content of a small file."""
     with _open_regular(path) as handle:
         content = handle.read(limit + 1)
     if len(content) > limit:
@@ -81,13 +69,6 @@ def read_own(path: Path, limit: int) -> bytes:
 
     Folder and file are opened once and asked by their descriptors, so that nobody exchanges them in between; links
     are not followed.
-
-    Raises
-    ------
-    PermissionError
-        When somebody else could have written it; the text says why.
-    OSError
-        As :func:`read_small`, and for a link.
     """
     if not hasattr(os, "getuid"):
         return read_small(path, limit)
@@ -110,13 +91,7 @@ def read_own(path: Path, limit: int) -> bytes:
 
 
 def refuse_links(*paths: Path) -> None:
-    """Refuse names of our own folder and files that are symbolic links: they may lead anywhere.
-
-    Raises
-    ------
-    OutputError
-        Naming the link.
-    """
+    """Refuse names of our own folder and files that are symbolic links: they may lead anywhere."""
     for path in paths:
         if path.is_symlink():
             problem = "is a symbolic link, expected a folder or file of prc's own"
@@ -127,11 +102,6 @@ def file_state(path: Path | int) -> tuple[int, int, int, int]:
     """Return what changes when a file does: size, time of its content, time of any change, number.
 
     Who edits a file in place can put the first time back, but not the second.
-
-    Raises
-    ------
-    OSError
-        When it cannot be looked at.
     """
     found = os.fstat(path) if isinstance(path, int) else path.stat()
     return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
@@ -143,15 +113,6 @@ def who_may_change(path: Path, *, may_add: bool = False) -> str:
     Members of a group may not, unless it is the user's own, as many systems give every user one. Always empty on
     systems without such permissions.
 
-    Parameters
-    ----------
-    path : Path
-        File or folder; a link is looked at itself.
-    may_add : bool
-        Whether others may write into it where it is a folder that protects what is in it (the sticky bit).
-
-    Examples
-    --------
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
     >>> who_may_change(folder)
@@ -159,11 +120,6 @@ def who_may_change(path: Path, *, may_add: bool = False) -> str:
     >>> folder.chmod(0o777)
     >>> who_may_change(folder)
     'its mode is 777'
-
-    Raises
-    ------
-    OSError
-        When it is not there.
     """
     return _who_may_change(path.lstat(), may_add=may_add) if hasattr(os, "getuid") else ""
 
@@ -208,15 +164,7 @@ def suffix_of(path: Path) -> str:
 
 
 def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
-    """Refuse an output before any work is done.
-
-    Raises
-    ------
-    OutputExistsError
-        When the output exists and may not be replaced, or is one of the inputs.
-    OutputError
-        When its folder is missing or cannot be written.
-    """
+    """Refuse an output before any work is done."""
     n_bytes = len(os.fsencode(path.name))
     if n_bytes > NAME_BYTES:
         problem = f"a name of {n_bytes} bytes, expected at most {NAME_BYTES}"
@@ -237,13 +185,7 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder of ours and those above it where they are missing.
-
-    Raises
-    ------
-    OutputError
-        When that fails.
-    """
+    """Make a folder of ours and those above it where they are missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -382,22 +324,6 @@ def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
 def atomic_output(path: Path, *, overwrite: bool | None = None) -> Iterator[Path]:
     """Give a temporary path to write; give it its name on success, remove it on any failure.
 
-    Parameters
-    ----------
-    path : Path
-        Output.
-    overwrite : bool, optional
-        Whether a file of this name is replaced; default: one that is there now, none that appears meanwhile.
-
-    Raises
-    ------
-    OutputExistsError
-        When a file of this name is there at the end and is not to be replaced.
-    OutputError
-        When the file cannot be created, filled (disk full) or renamed.
-
-    Examples
-    --------
     >>> import tempfile
     >>> target = Path(tempfile.mkdtemp()) / "labels.bin"
     >>> with atomic_output(target) as temporary:
@@ -425,13 +351,7 @@ def atomic_outputs(*paths: Path, overwrite: bool | None = None) -> Iterator[tupl
 
 
 def place_all(files: Sequence[tuple[Path, Path, bool]]) -> None:
-    """Flush finished temporary files and give them their names; if one fails, remove those that got theirs before.
-
-    Parameters
-    ----------
-    files : sequence of (Path, Path, bool)
-        Temporary name, name, and whether a file of this name is replaced.
-    """
+    """Flush finished temporary files and give them their names; if one fails, remove those that got theirs before."""
     for temporary, _, _ in files:
         flush(temporary)
     made: list[Path] = []
@@ -458,11 +378,6 @@ def place(temporary: Path, path: Path, *, overwrite: bool) -> None:
 
     Unless it replaces a file, it may keep its temporary name beside the new one: the caller removes that when all files
     of an output are in place. So a process that dies in between leaves a proof that the output is its own.
-
-    Raises
-    ------
-    OutputExistsError
-        When a file of this name is there and is not to be replaced.
     """
     if overwrite:
         temporary.replace(path)
@@ -513,13 +428,6 @@ def begin_flush(handle: IO[bytes], first: int, stop: int) -> None:
     """Ask the system to start writing part of a file to the disk, without waiting; does nothing where unsupported.
 
     The final flush then has less to wait for. No guarantee is given.
-
-    Parameters
-    ----------
-    handle : file
-        Open; bytes still in its buffer are not included.
-    first, stop : int
-        Byte range, ``stop`` exclusive; name each byte only once.
     """
     advise = getattr(os, "posix_fadvise", None)
     if advise is not None:

@@ -125,12 +125,7 @@ def doubts(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def refuse(path: str, findings: Iterable[Finding]) -> None:
-    """Raise the first finding that speaks against the input, if there is one.
-
-    Raises
-    ------
-    EvidenceError
-    """
+    """Raise the first finding that speaks against the input, if there is one."""
     for one in doubts(findings):
         if one.verdict is Verdict.AGAINST:
             insist = f"or insist with --accept-doubt {one.check}"

@@ -27,13 +27,7 @@ _STATE = _Held()
 
 
 def raise_or_hold(error: BaseException) -> None:
-    """Raise now, or when the running compiled code has ended; for signal handlers.
-
-    Parameters
-    ----------
-    error : BaseException
-        ``KeyboardInterrupt()`` or ``SystemExit(code)``.
-    """
+    """Raise now, or when the running compiled code has ended; for signal handlers."""
     if _STATE.depth:
         _STATE.pending = error
         return
@@ -43,8 +37,6 @@ def raise_or_hold(error: BaseException) -> None:
 def held(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Wrap a function so that interrupts are raised only after it has ended.
 
-    Examples
-    --------
     >>> def work() -> str:
     ...     raise_or_hold(SystemExit(143))
     ...     return "done, though the caller never gets it"

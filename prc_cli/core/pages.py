@@ -13,19 +13,7 @@ def render_page(
     filters: Mapping[str, Callable[..., Any]] | None = None,
     tests: Mapping[str, Callable[..., bool]] | None = None,
 ) -> str:
-    """Return a page.
-
-    Parameters
-    ----------
-    package : str
-        Package with a folder ``templates``.
-    name : str
-        File in it.
-    values : mapping
-        Values for the template. Control characters in texts become blanks.
-    filters, tests : mapping, optional
-        Functions for the template.
-    """
+    """Return a page."""
     # imported here, so that only commands that write a page load it
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -92,8 +92,6 @@ class _Active:
 def profiling() -> Iterator[Profile]:
     """Time the stages that run inside the ``with`` block, in all threads.
 
-    Examples
-    --------
     >>> with profiling() as profile:
     ...     with timed("adding"):
     ...         _ = sum(range(1000))
@@ -117,8 +115,6 @@ def timed(name: str) -> AbstractContextManager[None]:
 def stage(name: str) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Decorate a function so that its calls are timed as a stage.
 
-    Examples
-    --------
     >>> @stage("doubling")
     ... def double(n: int) -> int:
     ...     return 2 * n

@@ -10,13 +10,6 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 def samples_folder(package: Path = _PACKAGE) -> Path:
     """Return the folder of the sample configurations: inside an installed package, beside the package in a checkout.
 
-    Parameters
-    ----------
-    package : Path
-        Folder of the package.
-
-    Examples
-    --------
     >>> (samples_folder() / "urban.toml").is_file()
     True
     """
@@ -27,18 +20,6 @@ def samples_folder(package: Path = _PACKAGE) -> Path:
 def or_sample(path: Path) -> Path:
     """Return a file, or where there is none the sample configuration of this name.
 
-    Parameters
-    ----------
-    path : Path
-        As given, for example ``kitti_frame.toml`` or ``sample_configs/layouts/ranges_f32.toml``.
-
-    Returns
-    -------
-    Path
-        The sample only if no file of the name exists; other names are returned as they are.
-
-    Examples
-    --------
     >>> or_sample(Path("kitti_frame.toml")).is_file(), or_sample(Path("no_sample.toml")).is_file()
     (True, False)
     """

@@ -62,25 +62,6 @@ def ordered(
 ) -> Iterator[_B]:
     """Apply a function to items in worker threads; yield the results in the order of the items.
 
-    Parameters
-    ----------
-    function : callable
-        Called once per item. Calls start in the order of the items.
-    items : iterable
-        Iterated in the caller's thread; closed at the end if it has ``close``.
-    threads : int
-        Worker threads; with 1 or fewer, items are processed in the caller's thread on demand.
-    ahead : int, optional
-        Most items taken but not yet returned as results; default: twice the threads.
-
-    Yields
-    ------
-    result
-        Of every item. An error of ``function`` or ``items`` is raised at its place in the order; no further calls
-        start. Closing the generator cancels calls that have not started and waits for those that have.
-
-    Examples
-    --------
     >>> list(ordered(lambda n: n * n, range(5), threads=2))
     [0, 1, 4, 9, 16]
     """
@@ -136,11 +117,6 @@ class Relay(Generic[_A]):
 
     Jobs have turns 0, 1, 2 ... and must start in that order, as :func:`ordered` starts them; then the job that the
     others wait for is always running.
-
-    Parameters
-    ----------
-    value : object
-        Before the first turn.
     """
 
     def __init__(self, value: _A) -> None:
@@ -150,17 +126,7 @@ class Relay(Generic[_A]):
         self._changed = threading.Condition()
 
     def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> tuple[_B, _A]:
-        """Wait for a turn, then call the function with the value; it returns a result and the value for the next turn.
-
-        Returns
-        -------
-        result, value
-
-        Raises
-        ------
-        RelayBrokenError
-            When a job before this one failed.
-        """
+        """Wait for a turn, then call the function with the value; it returns a result and the next turn's value."""
         with self._changed:
             while self._turn != turn and not self._is_broken(turn):
                 with timed("waiting for the block before"):
@@ -245,22 +211,6 @@ class _Channel(Generic[_A]):
 def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIENCE_S) -> Iterator[_A]:
     """Run an iterator in its own thread, a few items ahead of the consumer.
 
-    Parameters
-    ----------
-    items : iterable
-        Run, and closed at the end if it can be, in the other thread, with the context variables of this one.
-    depth : int
-        Most items that wait ready; one more is in progress.
-    patience_s : float, seconds
-        How long closing waits for an item in progress; after that the thread ends on its own later.
-
-    Yields
-    ------
-    item
-        In order; an error is raised at its place. The thread starts when the first item is requested.
-
-    Examples
-    --------
     >>> list(read_ahead(iter("abc")))
     ['a', 'b', 'c']
     """
@@ -292,15 +242,6 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
 class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
     """Pass items to a sink that runs in its own thread.
 
-    Parameters
-    ----------
-    sink : callable
-        Called with every item, in order, in the other thread.
-    depth : int
-        Most waiting items; :meth:`put` blocks while the queue is full.
-
-    Examples
-    --------
     >>> written: list[int] = []
     >>> with write_behind(written.append) as queue:
     ...     for n in range(3):

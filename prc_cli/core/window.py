@@ -38,22 +38,6 @@ class Window:
 def parse_window(only_lines: str | None, only_time: str | None, first: str | None) -> Window | None:
     """Read a window; at most one text may be given.
 
-    Parameters
-    ----------
-    only_lines : str or None
-        ``A:B``, lines A to B - 1 from 0; either end may be left out.
-    only_time : str or None
-        ``A:B``, from A until just before B, in the stream's own seconds; with a ``+`` since its first time.
-    first : str or None
-        ``30s``, ``2min``, ``500lines``.
-
-    Raises
-    ------
-    ValueError
-        Saying what is expected.
-
-    Examples
-    --------
     >>> parse_window("200:", None, None)
     Window(option='--only-lines 200:', in_lines=True, first=200.0, stop=inf, first_is_relative=False, \
 stop_is_relative=False)

@@ -76,30 +76,7 @@ def line_chart(
     ticks: Sequence[str],
     breaks: Collection[int] = (),
 ) -> str:
-    """Draw curves over the parts of a split, and bars for the number of records in each part.
-
-    Parameters
-    ----------
-    title : str
-        Description for screen readers.
-    axis : str
-        Title of the horizontal axis.
-    names : sequence of str
-        Parts, for the tooltips.
-    counts : sequence of int
-        Scored records of every part.
-    curves : sequence of Curve
-        From back to front.
-    ticks : sequence of str
-        Labels of the parts on the axis; omitted where they would touch.
-    breaks : collection of int
-        Parts that begin something new, such as the next file: curves are interrupted before them.
-
-    Returns
-    -------
-    str
-        An ``svg`` element; the page sets the colours of text, grid and outlines.
-    """
+    """Draw curves over the parts of a split, and bars for the number of records in each part."""
     n = len(names)
     parts = [
         f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(title)}">',

@@ -53,13 +53,7 @@ class ConfusionMatrix(Brief):
         return int(sum(right))
 
     def __add__(self, other: ConfusionMatrix) -> ConfusionMatrix:
-        """Add the counts of two matrices of the same classes.
-
-        Raises
-        ------
-        InputError
-            When rows or columns differ.
-        """
+        """Add the counts of two matrices of the same classes."""
         names, others = (self.reference_names, self.predicted_names), (other.reference_names, other.predicted_names)
         if names != others:
             problem = f"found the classes {others}, expected {names}"
@@ -68,30 +62,16 @@ class ConfusionMatrix(Brief):
         return ConfusionMatrix(*names, self.counts + other.counts, self.n_ignored + other.n_ignored)
 
     def row_shares(self) -> F64:
-        """Divide every row by its sum: shares of a reference class, with recall on the diagonal.
-
-        Returns
-        -------
-        (rows, columns) float64
-            NaN in rows without records.
-        """
+        """Divide every row by its sum: shares of a reference class, with recall on the diagonal."""
         return shares(self.counts, self.counts.sum(axis=1, keepdims=True))
 
     def column_shares(self) -> F64:
-        """Divide every column by its sum: shares of a predicted class, with precision on the diagonal.
-
-        Returns
-        -------
-        (rows, columns) float64
-            NaN in columns without records.
-        """
+        """Divide every column by its sum: shares of a predicted class, with precision on the diagonal."""
         return shares(self.counts, self.counts.sum(axis=0, keepdims=True))
 
     def trimmed(self) -> ConfusionMatrix:
         """Leave out the classes without scored records on both sides; for display.
 
-        Examples
-        --------
         >>> matrix = ConfusionMatrix(("ground", "stem"), ("ground", "stem"), np.array([[5, 0], [0, 0]]))
         >>> matrix.trimmed().reference_names
         ('ground',)
@@ -117,22 +97,6 @@ def accumulate(
 ) -> ConfusionMatrix:
     """Return the matrix with one more chunk of records.
 
-    Parameters
-    ----------
-    state : ConfusionMatrix
-        Counts so far, :meth:`ConfusionMatrix.empty` at the start.
-    predicted_codes, reference_codes : (n,) integer
-        Class codes of the same records in the same order.
-    mapping : ClassMapping
-        The mapping that ``state`` was made for.
-
-    Raises
-    ------
-    InputError
-        When the lengths differ, or the mapping does not list a code.
-
-    Examples
-    --------
     >>> mapping = ClassMapping(ignore=[0], predicted={"ground": [2]}, reference={"ground": [2], "car": [65]})
     >>> matrix = accumulate(ConfusionMatrix.empty(mapping), np.array([2, 2, 0]), np.array([2, 65, 0]), mapping)
     >>> matrix.counts, matrix.n_ignored
@@ -155,20 +119,7 @@ def accumulate(
 def refuse_poor_match(
     n_predicted: int, n_reference: int, predicted_name: str = "predicted", reference_name: str = "reference"
 ) -> None:
-    """Refuse two inputs that cannot be matched by order.
-
-    Parameters
-    ----------
-    n_predicted, n_reference : int
-        Number of records.
-    predicted_name, reference_name : str
-        Files, for the message.
-
-    Raises
-    ------
-    InputError
-        When the numbers differ; both are named.
-    """
+    """Refuse two inputs that cannot be matched by order."""
     if n_predicted != n_reference:
         problem = (
             f"{n_predicted} records, but {reference_name} holds {n_reference}; matched by order needs equal counts"

@@ -39,13 +39,6 @@ class GateResult:
 def parse_gate(text: str, mapping: ClassMapping) -> Gate:
     """Parse a gate; refuse a score that an evaluation with this mapping cannot have.
 
-    Raises
-    ------
-    ConfigError
-        No number, a number above 1 or below -1, an unknown score or class, a class of one side only.
-
-    Examples
-    --------
     >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": [2]})
     >>> parse_gate("recall.ground=0.95", mapping)
     Gate(name='recall.ground', limit=0.95)
@@ -63,24 +56,12 @@ def parse_gate(text: str, mapping: ClassMapping) -> Gate:
 
 
 def check_gates(found: Scores, gates: Iterable[Gate]) -> tuple[GateResult, ...]:
-    """Compare scores with gates.
-
-    Raises
-    ------
-    ConfigError
-        Unknown score or class.
-    """
+    """Compare scores with gates."""
     return tuple(GateResult(gate.name, gate.limit, gate_value(found, gate.name)) for gate in gates)
 
 
 def refuse_failed(results: Iterable[GateResult]) -> None:
-    """Raise if any gate failed, naming all failed ones.
-
-    Raises
-    ------
-    GateError
-        Exit code 3.
-    """
+    """Raise if any gate failed, naming all failed ones."""
     failed = [item for item in results if not item.passed]
     if failed:
         told = [f"found {_found(item.value)}, demanded at least {item.limit:.4f}" for item in failed]

@@ -61,28 +61,7 @@ def as_html(
     title: str = "Predicted against reference classes",
     origin: Sequence[str] = (),
 ) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    found : Evaluation or ConfusionMatrix
-        What to show.
-    gates : sequence of GateResult
-        Gates, shown with their results.
-    mapping : ClassMapping, optional
-        The mapping of the evaluation; its codes are listed.
-    pictures : sequence of (title, PNG)
-        Pictures to put into the page, whole files as bytes.
-    title : str
-        Heading of the page.
-    origin : sequence of str
-        Day, version, method, input: whatever is known of them.
-
-    Raises
-    ------
-    InputError
-        When a picture is no PNG.
-    """
+    """Return the page."""
     shown = matrix_of(found).trimmed()
     evaluation = found if isinstance(found, Evaluation) else None
     for name, content in pictures:
@@ -123,13 +102,7 @@ def as_html(
 
 
 def check_picture(name: str, content: bytes) -> None:
-    """Refuse pictures that are not PNG.
-
-    Raises
-    ------
-    InputError
-        When the content is no PNG.
-    """
+    """Refuse pictures that are not PNG."""
     if not content.startswith(_PNG):
         raise InputError(name, "is no PNG picture", "give pictures as prc render writes them")
 

@@ -22,25 +22,7 @@ _AT_ONCE = 1 << 22
 
 
 def block_intervals(blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]) -> dict[str, Interval]:
-    """Compute intervals of every score that is defined: the spread without one block at a time, times Student's t.
-
-    Parameters
-    ----------
-    blocks : (blocks, rows, columns) int64
-        Confusion counts by block, reference by predicted.
-    names : (row names, column names)
-        Classes.
-
-    Returns
-    -------
-    dict of Interval
-        By the score's name as in ``--fail-under``; clipped to the possible values of the score.
-
-    Raises
-    ------
-    InputError
-        With fewer than two blocks.
-    """
+    """Compute intervals of every score that is defined: the spread without one block at a time, times Student's t."""
     if len(blocks) < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
         raise InputError("intervals", problem, "make the blocks shorter with --interval-lines, or give -M")
@@ -75,20 +57,7 @@ def _jackknife(
 def all_scores(
     counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
 ) -> dict[str, F64]:
-    """Compute every score of many confusion matrices at once; see :func:`prc_cli.evaluation.scores.scores`.
-
-    Parameters
-    ----------
-    counts : (n, rows, columns) integer
-        Confusion counts, reference by predicted.
-    reference_names, predicted_names : tuple of str
-        Classes of rows and columns.
-
-    Returns
-    -------
-    dict of (n,) float64
-        By ``recall.ground``, ``accuracy`` and so on; NaN where undefined.
-    """
+    """Compute every score of many confusion matrices at once; see :func:`prc_cli.evaluation.scores.scores`."""
     # float64: the product of two sums of 1e10 does not fit 64 bits
     rows, columns = counts.sum(axis=2, dtype=np.float64), counts.sum(axis=1, dtype=np.float64)
     total = rows.sum(axis=1)

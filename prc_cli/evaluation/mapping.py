@@ -38,8 +38,6 @@ class ClassMapping(Params):
     Classes with the same name on both sides are scored. A class of one side only is kept as a row or a
     column and never agrees with anything, like the row "Other" of Lehtola et al. (2019), Table I.
 
-    Examples
-    --------
     >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": ["1200-1206"], "car": [1501]})
     >>> mapping.scored_names
     ('ground',)
@@ -95,25 +93,7 @@ class ClassMapping(Params):
         return scored_names(self.names("reference"), self.names("predicted"))
 
     def class_indices(self, codes: NDArray[np.integer], side: Side) -> I64:
-        """Look up the class of every code.
-
-        Parameters
-        ----------
-        codes : (n,) integer
-            Class codes as stored in a file; :data:`NO_CODE` = none, never scored.
-        side : {"predicted", "reference"}
-            Whose lists to use.
-
-        Returns
-        -------
-        (n,) int64
-            Index into :meth:`names`, -1 = not scored.
-
-        Raises
-        ------
-        InputError
-            When the codes are no integers, or one is not listed and ``unlisted = "error"``.
-        """
+        """Look up the class of every code."""
         codes = np.asarray(codes)
         if not np.issubdtype(codes.dtype, np.integer):
             where = f"{side} codes"
@@ -214,20 +194,6 @@ def preset_names() -> tuple[str, ...]:
 def load_mapping(source: str | Path) -> ClassMapping:
     """Load a class mapping by preset name, or from a TOML file.
 
-    Parameters
-    ----------
-    source : str or path
-        One of :func:`preset_names`, or the path of a ``.toml`` file.
-
-    Raises
-    ------
-    ConfigError
-        Unknown preset; file that is not TOML; unknown key, code or name that makes no sense, overlapping lists.
-    InputError
-        When the file cannot be read.
-
-    Examples
-    --------
     >>> load_mapping("lehtola_urban").names("reference")
     ('noise', 'ground', 'vegetation', 'building', 'other')
     """

@@ -34,17 +34,7 @@ _SPECIAL = re.compile(r"([\\`*_\[\]<>|#~])")
 
 
 def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
-    """Return counts and scores with names; undefined scores are None.
-
-    Returns
-    -------
-    dict
-        ``n_scored``, ``n_ignored``, ``overall`` (score by name), ``classes`` (scores by class name) and
-        ``confusion`` (``reference`` row names, ``predicted`` column names, ``counts``). Of an evaluation also
-        ``files``, ``mapping``, ``match``, ``intervals`` (low and high by ``score.class``), ``interval_method``,
-        ``doubts`` (sentences), ``splits`` (lists of parts, each with ``name``, ``low``, ``high`` and the keys above)
-        and ``gates``.
-    """
+    """Return counts and scores with names; undefined scores are None."""
     table = _matrix_dict(matrix_of(found))
     if isinstance(found, Evaluation):
         table |= {
@@ -180,15 +170,7 @@ def doubts(found: Evaluation) -> tuple[str, ...]:
 
 
 def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of a split: part, scored records, accuracy, recall and precision of every class.
-
-    Parameters
-    ----------
-    parts : sequence of SplitPart
-        The parts of one split.
-    shown : ConfusionMatrix
-        The whole matrix without empty classes; classes on both sides get columns.
-    """
+    """Return header and rows of a split: part, scored records, accuracy, recall and precision of every class."""
     names = shown.scored_names
     header = [
         "part",

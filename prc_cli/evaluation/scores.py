@@ -59,8 +59,6 @@ class Scores:
 def scores(matrix: ConfusionMatrix) -> Scores:
     """Compute all scores of a confusion matrix.
 
-    Examples
-    --------
     Ground and building, with two cars that have no predicted class:
 
     >>> import numpy as np
@@ -100,20 +98,6 @@ def scores(matrix: ConfusionMatrix) -> Scores:
 def gate_value(found: Scores, name: str) -> float:
     """Look up one score by its name as in ``--fail-under``.
 
-    Parameters
-    ----------
-    found : Scores
-        All scores.
-    name : str
-        ``accuracy``, ``balanced_accuracy``, ``kappa``, or a class score such as ``recall.ground``.
-
-    Raises
-    ------
-    ConfigError
-        Unknown score or class, or a class of one side only, which has no scores; the message lists valid names.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> matrix = ConfusionMatrix(("ground",), ("ground", "noise"), np.array([[3, 1]]))
     >>> gate_value(scores(matrix), "recall.ground")

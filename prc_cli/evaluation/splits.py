@@ -21,15 +21,7 @@ _MAX_FILES, _MAX_INDEX = 1 << 20, 1 << 40
 
 
 class GroupedCounts:
-    """Confusion counts by group, filled chunk by chunk.
-
-    Parameters
-    ----------
-    mapping : ClassMapping
-        Of the codes.
-    what : str
-        Name of the groups, for messages.
-    """
+    """Confusion counts by group, filled chunk by chunk."""
 
     def __init__(self, mapping: ClassMapping, what: str) -> None:
         self._names = mapping.names("reference"), mapping.names("predicted")
@@ -43,20 +35,7 @@ class GroupedCounts:
         return tuple(sorted(self._row))
 
     def add(self, groups: I64, cells: I64) -> None:
-        """Count pairs.
-
-        Parameters
-        ----------
-        groups : (n,) int64
-            Group of every pair.
-        cells : (n,) int64
-            From :func:`cells_of`.
-
-        Raises
-        ------
-        ConfigError
-            When there are more groups than bounded memory allows.
-        """
+        """Count pairs."""
         if not len(groups):
             return
         n_cells = self._counts.shape[1]
@@ -108,24 +87,6 @@ class GroupedCounts:
 def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], reference: NDArray[np.integer]) -> I64:
     """Return the cell of the confusion matrix that every pair falls in.
 
-    Parameters
-    ----------
-    mapping : ClassMapping
-    predicted, reference : (n,) integer
-        Class codes of the pairs.
-
-    Returns
-    -------
-    (n,) int64
-        ``row * columns + column``; ``rows * columns`` = not scored.
-
-    Raises
-    ------
-    InputError
-        When the lengths differ, or the mapping does not list a code.
-
-    Examples
-    --------
     >>> mapping = ClassMapping(ignore=[0], predicted={"ground": [2]}, reference={"ground": [2], "car": [65]})
     >>> cells_of(mapping, np.array([2, 2, 0]), np.array([2, 65, 2]))
     array([0, 1, 2])
@@ -138,13 +99,7 @@ def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], reference: N
 
 
 def check_edges(edges: Sequence[float]) -> F64:
-    """Return the edges of range bins.
-
-    Raises
-    ------
-    ConfigError
-        When they do not ascend from 0 or above.
-    """
+    """Return the edges of range bins."""
     found = np.asarray(edges, np.float64)
     if not np.isfinite(found).all() or (found < 0).any() or (np.diff(found) <= 0).any():
         shown = ", ".join(f"{edge:g}" for edge in edges)
@@ -173,17 +128,7 @@ def range_bounds(group: int, edges: F64) -> tuple[str, float, float]:
 
 
 def block_groups(file: I64, index: I64, per_block: int) -> I64:
-    """Return one number for file and block; :data:`UNKNOWN` where the index is.
-
-    Parameters
-    ----------
-    file : (n,) int64
-        Index of the file.
-    index : (n,) int64
-        Scan line or record in the file, -1 = not known.
-    per_block : int
-        Lines or records of a block.
-    """
+    """Return one number for file and block; :data:`UNKNOWN` where the index is."""
     block = np.minimum(index // per_block, _MAX_INDEX - 1)
     return np.where(index < 0, UNKNOWN, np.minimum(file, _MAX_FILES - 1) * _MAX_INDEX + block)
 

@@ -42,21 +42,6 @@ def cloud_header(
 ) -> bytes:
     """Return a header, as long for any number of points.
 
-    Parameters
-    ----------
-    suffix : str
-        ``.ply`` or ``.pcd``.
-    dtype : dtype
-        Little-endian record.
-    n : int
-        Points.
-    comments : tuple of str
-        Lines of comment.
-    width : int, optional
-        PCD: points of a row where the cloud is organised.
-
-    Examples
-    --------
     >>> print(cloud_header(".ply", np.dtype([("x", "<f4")]), 7).decode())
     ply
     format binary_little_endian 1.0

@@ -56,13 +56,7 @@ class BinaryBody:
     n_records: int
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
-        """Yield index of the first record, stored values by property, and number of records.
-
-        Raises
-        ------
-        InputError
-            When the file cannot be read or is shorter than it was when opened.
-        """
+        """Yield index of the first record, stored values by property, and number of records."""
         each = max(1, min(CHUNK_RECORDS, CHUNK_BYTES // self.dtype.itemsize))
         with open_to_read(self.path) as handle:
             handle.seek(self.start)
@@ -107,24 +101,7 @@ class CloudHead:
 
 
 class CloudSource:
-    """A cloud as a :class:`prc_cli.formats.records.RecordSource`.
-
-    Parameters
-    ----------
-    head : CloudHead
-        From the header.
-    body : Body
-        Where the records lie.
-    layout : Layout, optional
-        Which property is what; ``source`` names the property. Without fields, names are recognised.
-
-    Raises
-    ------
-    ConfigError
-        When the layout contradicts itself.
-    InputError
-        When the layout names a property that the file does not have.
-    """
+    """A cloud as a :class:`prc_cli.formats.records.RecordSource`."""
 
     def __init__(self, head: CloudHead, body: Body, layout: Layout | None = None) -> None:
         self.path = str(head.path)
@@ -181,15 +158,7 @@ class CloudSource:
         return standard_first(self._own)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named properties in bounded memory, in the order of the file.
-
-        Raises
-        ------
-        ConfigError
-            When a name is none of :attr:`dimensions`.
-        InputError
-            When the file is damaged or cut short.
-        """
+        """Decode the named properties in bounded memory, in the order of the file."""
         unknown = [name for name in names if name not in self._own]
         if unknown:
             raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the file", f"it has: {_shown(self._own)}")
@@ -221,13 +190,7 @@ class CloudSource:
         return tuple(found)
 
     def stored(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
-        """Yield index of the first record, stored values by property, and number of records.
-
-        Raises
-        ------
-        InputError
-            When the file is damaged or cut short.
-        """
+        """Yield index of the first record, stored values by property, and number of records."""
         return self._body.chunks(names or self.head.names[:1])
 
     @property
@@ -278,21 +241,6 @@ class _Runs:
 def find_runs(same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArray[Any], count: NDArray[Any]) -> _Runs:
     """Find the rows of every shot; a shot may be listed again with every return that was added.
 
-    Parameters
-    ----------
-    same : list of (n,) arrays
-        Equal for all returns of a shot: time, and angle if there is one.
-    place : list of (n,) arrays
-        Equal where a return is listed again: range or a coordinate.
-    number, count : (n,) arrays
-        Number of the return, and of the returns as listed.
-
-    Returns
-    -------
-    _Runs
-
-    Examples
-    --------
     One shot listed with one return, then with two; then a shot of its own:
 
     >>> found = find_runs([np.array([1., 1., 1., 2.])], [np.array([5., 5., 9., 5.])], np.array([1, 1, 2, 1]),

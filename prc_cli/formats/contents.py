@@ -85,25 +85,7 @@ class Contents:
 
 
 def watched_contents(source: RecordSource, contents: Contents, also: tuple[str, ...] = ()) -> Iterator[RecordChunk]:
-    """Read a source once and count its records on the way.
-
-    Parameters
-    ----------
-    source : RecordSource
-    contents : Contents
-        Filled while the chunks pass.
-    also : tuple of str
-        Dimensions wanted beside those that are counted.
-
-    Yields
-    ------
-    RecordChunk
-
-    Raises
-    ------
-    InputError
-        When the file is damaged.
-    """
+    """Read a source once and count its records on the way."""
     there = set(source.dimensions)
     classes = next((name for name in CLASS_NAMES if name in there), None)
     counted = (*AXES, "time", "return_number", "number_of_returns", "point_source_id")

@@ -62,20 +62,7 @@ class GuessedRecords:
 
 
 def is_frame(path: Path) -> bool:
-    """Tell whether a dump is a frame of a spinning scanner as KITTI stores it: x, y, z, intensity, ring after ring.
-
-    Parameters
-    ----------
-    path : Path
-        Dump without a layout.
-
-    Returns
-    -------
-    bool
-        True where the first records are little-endian float32 quadruples: coordinates within 300 m of the scanner on
-        all sides of it, or zeros, azimuths that go on by less than 10 degrees, and an intensity of up to 16 bits. No
-        stream of ranges looks like this: its values are not negative.
-    """
+    """Tell whether a dump is a frame of a spinning scanner as KITTI stores it: x, y, z, intensity, ring after ring."""
     with open_to_read(path) as handle:
         n_bytes = handle.seek(0, 2)
         handle.seek(0)
@@ -109,23 +96,7 @@ def _mostly(mask: Mask) -> bool:
 
 
 def guess_records(path: Path) -> GuessedRecords | None:
-    """Guess header, byte order and fields of a dump from the period of its bytes.
-
-    Parameters
-    ----------
-    path : Path
-        Dump of fixed-size records.
-
-    Returns
-    -------
-    GuessedRecords or None
-        None where nothing repeats.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read.
-    """
+    """Guess header, byte order and fields of a dump from the period of its bytes."""
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
         # without what may be the header
@@ -277,8 +248,6 @@ def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
     three columns in a row that are large or go below 0 are coordinates; neighbouring ranges are alike, positive, not
     even and not as large as an easting.
 
-    Examples
-    --------
     >>> shot = np.arange(2000)
     >>> range_m = 9 + 3 * np.sin(shot % 100 / 9.0)
     >>> guess_names({"a": shot * 1e-5, "b": shot // 100, "c": shot % 100, "d": range_m})

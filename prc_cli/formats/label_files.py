@@ -13,17 +13,6 @@ from prc_cli.formats.writing.record import record_path
 def open_writer(output: LabelOutput, *, overwrite: bool) -> LabelWriter:
     """Choose and check a writer; nothing is created before its ``with`` block.
 
-    Raises
-    ------
-    ConfigError
-        When the suffix is unknown, or a class code is above 31 where ``codes = "below-32"``.
-    OutputExistsError, OutputError
-        When the output exists, is the input, or its folder is missing or read-only.
-    InputError
-        When the header of a LAS or LAZ input is damaged.
-
-    Examples
-    --------
     >>> from pathlib import Path
     >>> from prc_cli.core.classes import ClassCodes
     >>> tif = LabelOutput(path=Path("a.tif"), source=Path("a.bin"), n_records=0, points_per_line=4, codes=ClassCodes())

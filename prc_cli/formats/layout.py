@@ -32,24 +32,6 @@ UNITS = {
 def record_dtype(layout: Layout) -> np.dtype[np.void]:
     """Return a layout as a numpy record type.
 
-    Parameters
-    ----------
-    layout : Layout
-        At least one field.
-
-    Returns
-    -------
-    dtype
-        One member per field, in order and unaligned, in the byte order of the layout; ``record_bytes`` long if given.
-
-    Raises
-    ------
-    ConfigError
-        When there are no fields, the fields do not fit into ``record_bytes``, a unit does not belong to its
-        field, or a missing value cannot be stored in its field's type.
-
-    Examples
-    --------
     >>> layout = Layout(endian="big", record_bytes=8, fields=(LayoutField(name="range", type="u2", scale=0.01),))
     >>> dtype = record_dtype(layout)
     >>> dtype.itemsize, dtype["range"].str
@@ -77,13 +59,7 @@ def record_dtype(layout: Layout) -> np.dtype[np.void]:
 
 
 def check_fields(layout: Layout) -> None:
-    """Refuse units that do not belong to their field.
-
-    Raises
-    ------
-    ConfigError
-        Naming the field, its unit and the units it may have.
-    """
+    """Refuse units that do not belong to their field."""
     for item in layout.fields:
         known = UNITS.get(item.name)
         if known is not None and item.unit not in known:
@@ -111,20 +87,6 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
 
     Values are in metres, seconds and radians.
 
-    Parameters
-    ----------
-    stored : (n,) integers or floats, any byte order, any stride
-    item : LayoutField
-
-    Returns
-    -------
-    (n,) array
-        A new or contiguous array in native byte order. float64, with two exceptions: ranges stored as float32 or
-        float16 without scale and offset are float32, and integers of other fields without scale and offset (lines,
-        columns, intensities, counters) stay integers.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> decode(np.array([12_345, 0], "<i4"), LayoutField(name="range", type="i4", scale=0.001, missing=0))
     array([12.345,    nan])

@@ -202,13 +202,6 @@ def parse_rate(rule: str) -> float:
 def parse_origin(rule: str) -> tuple[float, float, float]:
     """Return the coordinates in ``origin:X,Y,Z`` [m].
 
-    Raises
-    ------
-    ValueError
-        When they are not three finite numbers.
-
-    Examples
-    --------
     >>> parse_origin("origin:1,2,3.5")
     (1.0, 2.0, 3.5)
     """

@@ -46,17 +46,7 @@ class Pose:
         return cls(np.eye(3), np.zeros(3))
 
     def apply(self, xyz: F64) -> F64:
-        """Return sensor-centred coordinates with z up.
-
-        Parameters
-        ----------
-        xyz : (n, 3) float64
-            Coordinates of the file [m].
-
-        Returns
-        -------
-        (n, 3) float64
-        """
+        """Return sensor-centred coordinates with z up."""
         placed = np.empty_like(xyz)
         # no matrix product: its rounding depends on the number of points per call
         with np.errstate(over="ignore", invalid="ignore"):
@@ -120,19 +110,7 @@ def lines_per_block(points_per_line: int) -> int:
 
 
 def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
-    """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges.
-
-    Parameters
-    ----------
-    path : Path
-    config : InputConfig
-    what : str
-        What the file holds, for messages.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges."""
     allowed = {
         "lines": (config.lines, ("auto",)),
         "columns": (config.columns, ("auto",)),
@@ -151,12 +129,7 @@ def check_rules(path: Path, config: InputConfig, what: str = "organised scans") 
 
 
 def check_width(path: Path, points_per_line: int, config: InputConfig) -> None:
-    """Refuse another line length than ``input.points_per_line``, where the file says its own.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse another line length than ``input.points_per_line``, where the file says its own."""
     wanted = config.points_per_line
     if wanted is not None and wanted != points_per_line:
         problem = f"found {points_per_line} points per line, expected {wanted} as input.points_per_line says"
@@ -164,12 +137,7 @@ def check_width(path: Path, points_per_line: int, config: InputConfig) -> None:
 
 
 def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> None:
-    """Refuse a file without shots, or with another line length than ``input.points_per_line``.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse a file without shots, or with another line length than ``input.points_per_line``."""
     if not any(shape.n_cells for shape in shapes):
         found = "no scans" if not shapes else f"{_scans(len(shapes))} without points"
         raise InputError(str(path), f"found {found}, expected scan data", "export it again")

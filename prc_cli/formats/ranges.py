@@ -24,24 +24,6 @@ def clean_ranges(
 
     Checked after rounding to float32, so that float32, float64 and decimal text give the same result.
 
-    Parameters
-    ----------
-    range_m : array of any shape, float or integer
-        Slant ranges [m]; NaN = missing, not counted. Never modified.
-    min_range : float
-        Ranges at or below are missing [m].
-    max_range : float, optional
-        Ranges beyond are missing [m]; None = no bound.
-
-    Returns
-    -------
-    ranges : array of the same shape, float32
-        A new C-contiguous array [m]; NaN = missing.
-    tally : ReadTally
-        ``n_not_finite`` (infinite, or too large for float32), ``n_not_positive``, ``n_beyond``.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> ranges, tally = clean_ranges(np.array([2.5, np.nan, 0.0, -1.0, np.inf, 300.0]), max_range=120.0)
     >>> ranges.tolist()
@@ -64,11 +46,6 @@ def scale_told(scale: float) -> tuple[Assumption, ...]:
 
 
 def refuse_scale(config: InputConfig, path: str, why: str) -> None:
-    """Refuse a scale of ranges that would do nothing.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Refuse a scale of ranges that would do nothing."""
     if config.range_scale != 1.0:
         raise ConfigError(KEY, f"found {config.range_scale:g}, which does nothing for {path}: {why}", "leave it out")

@@ -14,20 +14,7 @@ ReturnRule: TypeAlias = Literal["strongest", "first", "last"]
 
 
 def continues_run(keys: tuple[NDArray[Any], ...], number_of_returns: NDArray[Any]) -> Mask:
-    """Mark records that may belong to the same shot as the record before.
-
-    Parameters
-    ----------
-    keys : tuple of (n,) arrays
-        Values equal for all returns of a shot: time, and line or column number where the input has them.
-    number_of_returns : (n,) array
-        Returns of the shot; records of single-return shots are never marked.
-
-    Returns
-    -------
-    (n,) bool
-        True where all keys equal those of the record before; the first is False.
-    """
+    """Mark records that may belong to the same shot as the record before."""
     several = number_of_returns > 1
     same: Mask = np.zeros(len(several), np.bool_)
     same[1:] = several[1:] & (number_of_returns[1:] == number_of_returns[:-1])
@@ -39,20 +26,6 @@ def continues_run(keys: tuple[NDArray[Any], ...], number_of_returns: NDArray[Any
 def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
     """Mark the first record of every shot.
 
-    Parameters
-    ----------
-    continues : (n,) bool
-        From :func:`continues_run`.
-    return_number : (n,) array or None
-        Separates shots with equal time stamps: a new shot begins where the first number of the run comes again, or
-        where a number repeats.
-
-    Returns
-    -------
-    (n,) bool
-
-    Examples
-    --------
     Two shots of two returns with one coarse time stamp:
 
     >>> mark_shots(np.array([False, True, True, True]), np.array([1, 2, 1, 2]))
@@ -80,25 +53,6 @@ def choose_returns(
 
     Returns without range are chosen only if no return of the shot has one; ties go to the earlier return.
 
-    Parameters
-    ----------
-    starts : (n,) bool
-        First record of every shot; the first is True.
-    range_m : (n,) float32
-        Ranges [m], NaN = missing.
-    intensity : (n,) array or None
-        Used by ``strongest``; None = as ``first``.
-    return_number : (n,) array or None
-        Used by ``first`` and ``last``; None = order in the file.
-    rule : {"strongest", "first", "last"}
-
-    Returns
-    -------
-    (n,) bool
-        One True per shot.
-
-    Examples
-    --------
     >>> starts = np.array([True, False, True])
     >>> choose_returns(starts, np.array([5.0, 9.0, 7.0], np.float32), np.array([10, 30, 5]), None, "strongest")
     array([False,  True,  True])

@@ -14,13 +14,6 @@ from prc_cli.formats.writing.stream_writer import StreamShape, StreamWriter
 def stream_suffix(path: Path) -> str:
     """Return the suffix, which decides the writer.
 
-    Raises
-    ------
-    ConfigError
-        When it is unknown.
-
-    Examples
-    --------
     >>> stream_suffix(Path("drive.CSV.gz"))
     '.csv.gz'
     >>> stream_suffix(Path("drive.xyz"))
@@ -45,15 +38,7 @@ def outputs_of(path: Path) -> tuple[Path, ...]:
 
 
 def check_stream_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
-    """Refuse an output before any work is done.
-
-    Raises
-    ------
-    ConfigError
-        When its suffix is unknown.
-    OutputExistsError, OutputError
-        As :func:`prc_cli.core.files.check_output`, for every file of the output.
-    """
+    """Refuse an output before any work is done."""
     for each in outputs_of(path):
         check_output(each, overwrite=overwrite, inputs=inputs)
 

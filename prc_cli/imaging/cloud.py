@@ -82,14 +82,7 @@ def bounds(sample: F64) -> tuple[F64, F64]:
 def fullest_azimuth(sample: F64, elevation_deg: float, width: int, height: int) -> float:
     """Return the azimuth from which points fill a perspective best, clockwise from north [deg].
 
-    Parameters
-    ----------
-    sample : (n, 3) float64
-        Points [m].
-    elevation_deg : float
-        Direction of the eye above the horizontal [deg].
-    width, height : int
-        Largest picture [pixels].
+    ``sample`` (n, 3) float64.
     """
     points = sample[:: max(1, len(sample) // _TRIED)]
     coarse = 160, max(1, 160 * height // width)
@@ -170,14 +163,7 @@ class Perspective:
     def around(cls, sample: F64, azimuth_deg: float, elevation_deg: float, width: int, height: int) -> Perspective:
         """Return the view from a direction that holds nearly all points of a sample.
 
-        Parameters
-        ----------
-        sample : (n, 3) float64
-            Points [m].
-        azimuth_deg, elevation_deg : float
-            Direction of the viewpoint from the points: clockwise from north (+y), and above the horizontal [deg].
-        width, height : int
-            Largest picture [pixels].
+        ``sample`` (n, 3) float64.
         """
         low, high = bounds(sample)
         inside = sample[((sample >= low) & (sample <= high)).all(axis=1)]
@@ -218,15 +204,7 @@ class Perspective:
 
 
 class DepthBuffer:
-    """A picture of points with depth test.
-
-    Parameters
-    ----------
-    camera : Camera
-        The projection.
-    splat : int
-        Width of a point [pixels].
-    """
+    """A picture of points with depth test."""
 
     def __init__(self, camera: Camera, splat: int = 1) -> None:
         self._camera, self._splat = camera, splat
@@ -237,11 +215,7 @@ class DepthBuffer:
     def add(self, xyz: F64, colours: U8) -> None:
         """Draw points.
 
-        Parameters
-        ----------
-        xyz : (n, 3) float64
-            Coordinates [m]; NaN = none.
-        colours : (n, 3) uint8
+        ``xyz`` (n, 3) float64; ``colours`` (n, 3) uint8.
         """
         width, height = self._size
         right, down, depth = self._camera.project(xyz)
@@ -261,15 +235,7 @@ class DepthBuffer:
                 np.minimum.at(self._keys, (y * width + x)[kept], keys[kept])
 
     def picture(self, *, close: int = 2, shade: bool = True) -> U8:
-        """Return the picture, (height, width, 3) uint8; white where there is nothing.
-
-        Parameters
-        ----------
-        close : int
-            Passes that fill gaps in surfaces from their nearest neighbour.
-        shade : bool
-            Darken points behind their neighbours to show edges and shapes (eye-dome lighting, Boucheny 2009).
-        """
+        """Return the picture, (height, width, 3) uint8; white where there is nothing."""
         width, height = self._size
         keys = self._keys.reshape(height, width)
         for _ in range(close):

@@ -13,19 +13,7 @@ from prc_cli.imaging.sheet import Key, Panel, draw_panel
 
 
 def html_page(title: str, head: str, sections: Iterable[tuple[str, Sequence[Panel]]], key: Key, foot: str) -> str:
-    """Return an HTML page of pictures with captions under headings, without external files.
-
-    Parameters
-    ----------
-    title, head : str
-        Heading of the page and the line below it.
-    sections : iterable of (heading, panels)
-        An empty heading is left out.
-    key : sequence of (text, colour)
-        Shown at the top, where it stays in sight.
-    foot : str
-        Last line.
-    """
+    """Return an HTML page of pictures with captions under headings, without external files."""
     values = {"title": title, "head": head, "sections": sections, "key": key, "foot": foot}
     return render_page("prc_cli.imaging", "pictures.html", values, {"png": _png_text})
 

@@ -40,23 +40,7 @@ def range_limits(range_m: NDArray[np.floating]) -> tuple[float, float]:
 def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] | None = None) -> U8:
     """Colour ranges from near (bright yellow) to far (dark blue) on a logarithmic scale.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float
-        Range [m]; NaN = missing, drawn white.
-    limits_m : (near, far), optional
-        Ranges at the ends of the colour scale [m]; default: :func:`range_limits`. Use the same limits for pictures
-        to compare.
-
-    Returns
-    -------
-    (lines, M, 3) uint8
-        sRGB.
-
-    Raises
-    ------
-    InputError
-        When the limits are not 0 < near < far.
+    ``range_m`` (lines, M) float; returns (lines, M, 3) uint8.
     """
     seen = np.isfinite(range_m) & (range_m > 0)
     near, far = range_limits(range_m) if limits_m is None else limits_m
@@ -96,16 +80,7 @@ def value_limits(values: NDArray[np.floating]) -> tuple[float, float]:
 def value_picture(values: NDArray[np.floating], limits: tuple[float, float]) -> U8:
     """Colour any quantity linearly from low (dark blue) to high (bright yellow); NaN = white.
 
-    Parameters
-    ----------
-    values : (...) float
-    limits : (low, high)
-        Values at the ends of the colour scale.
-
-    Returns
-    -------
-    (..., 3) uint8
-        sRGB.
+    ``values`` (...) float; returns (..., 3) uint8.
     """
     seen = np.isfinite(values)
     low, high = limits
@@ -148,20 +123,7 @@ NOT_SCORED_COLOUR = (196, 180, 224)
 def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int | None = None) -> U8:
     """Show where two classifications differ.
 
-    Parameters
-    ----------
-    predicted, reference : (lines, M) uint8
-        Places in the table of classes; 0 = none.
-    colours : (n, 3) uint8
-        Colour of every class.
-    unscored : int, optional
-        Place in the table that means not scored.
-
-    Returns
-    -------
-    (lines, M, 3) uint8
-        Pale grey where both agree, the colour of the predicted class where they do not, :data:`NOT_SCORED_COLOUR`
-        where either is not scored, white where either has none.
+    ``predicted, reference`` (lines, M) uint8; ``colours`` (n, 3) uint8; returns (lines, M, 3) uint8.
     """
     picture = colours[predicted]
     picture[predicted == reference] = AGREE_COLOUR
@@ -174,20 +136,7 @@ def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int 
 def label_picture(labels: NDArray[np.integer]) -> U8:
     """Colour labels as in :data:`prc_cli.core.classes.LABEL_COLOURS`.
 
-    Parameters
-    ----------
-    labels : (lines, M) integer
-        :class:`prc_cli.core.classes.Label`.
-
-    Returns
-    -------
-    (lines, M, 3) uint8
-        sRGB.
-
-    Raises
-    ------
-    InputError
-        When a number is no label (class codes of a file are not labels).
+    ``labels`` (lines, M) integer; returns (lines, M, 3) uint8.
     """
     table = np.array([LABEL_COLOURS[label] for label in Label], dtype=np.uint8)
     if labels.size and not 0 <= int(labels.min()) <= int(labels.max()) < len(table):
@@ -201,15 +150,7 @@ def label_picture(labels: NDArray[np.integer]) -> U8:
 def segment_picture(segments: NDArray[np.integer]) -> U8:
     """Colour segments by id, the same in every picture; 0 = none is black.
 
-    Parameters
-    ----------
-    segments : (lines, M) integer
-        Segment ids.
-
-    Returns
-    -------
-    (lines, M, 3) uint8
-        sRGB, never darker than a third of full brightness.
+    ``segments`` (lines, M) integer; returns (lines, M, 3) uint8.
     """
     # golden-ratio steps separate the hues of consecutive ids; two more sequences vary saturation and value
     hue, saturation, value = (np.mod(segments * step, 1.0) for step in (0.6180339887, 0.7548776662, 0.5698402910))
@@ -230,10 +171,7 @@ def colour_map() -> U8:
     Equal steps of lightness in the OKLab space (Ottosson 2020) and a constant change of hue, so that the order is
     visible without a legend and to colour-blind readers.
 
-    Returns
-    -------
-    (256, 3) uint8
-        sRGB.
+    Returns (256, 3) uint8.
     """
     place = np.linspace(0.0, 1.0, 256)
     lightness = 0.22 + 0.74 * place

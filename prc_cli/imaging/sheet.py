@@ -137,13 +137,7 @@ def zoom_for(width: int, height: int, least: tuple[int, int] = (1000, 180), most
 
 
 def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
-    """Draw one picture with its axes and its colour bar.
-
-    Raises
-    ------
-    InputError
-        When the picture is empty or not (height, width, 3) uint8.
-    """
+    """Draw one picture with its axes and its colour bar."""
     picture = panel.picture
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or not picture.size:
         problem = f"found {picture.dtype} of shape {picture.shape}, expected uint8 (lines, points per line, 3)"
@@ -228,29 +222,7 @@ def _draw_bar(canvas: Image.Image, draw: ImageDraw.ImageDraw, bar: Bar, left: in
 
 
 def draw_sheet(head: str, panels: Sequence[Panel], key: Key = (), *, columns: int = 1) -> Image.Image:
-    """Stack pictures under each other below a headline, a key at the bottom.
-
-    Parameters
-    ----------
-    head : str
-        What is shown, in one line.
-    panels : sequence of Panel
-        From top to bottom.
-    key : sequence of (text, colour)
-        Colours that are explained once for the whole sheet.
-    columns : int
-        Pictures beside each other.
-
-    Returns
-    -------
-    PIL.Image.Image
-        RGB.
-
-    Raises
-    ------
-    InputError
-        When there is no picture, or one is invalid.
-    """
+    """Stack pictures under each other below a headline, a key at the bottom."""
     if not panels:
         where = "pictures"
         raise InputError(where, "found none, expected at least one")

@@ -28,17 +28,7 @@ def critical_limits(zeta_m: NDArray[np.floating]) -> tuple[float, float]:
 def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]) -> U8:
     """Colour critical thresholds from low (dark blue) to high (bright yellow) on a logarithmic scale.
 
-    Parameters
-    ----------
-    zeta_m : (lines, M) float
-        Critical threshold [m]; infinite = never supported, NaN = missing.
-    limits_m : (low, high)
-        Values at the ends of the scale [m].
-
-    Returns
-    -------
-    (lines, M, 3) uint8
-        sRGB; :data:`NEVER_COLOUR` where infinite, white where missing.
+    ``zeta_m`` (lines, M) float; returns (lines, M, 3) uint8.
     """
     low, high = limits_m
     never = np.isposinf(zeta_m)
@@ -78,18 +68,8 @@ def trigger_key() -> tuple[tuple[str, tuple[int, int, int]], ...]:
 def trigger_picture(packed: U8) -> U8:
     """Mark the triggers over pale classes; thinned images still show them.
 
-    Parameters
-    ----------
-    packed : (lines, M) uint8
-        From :func:`trigger_codes`.
+    ``packed`` (lines, M) uint8; returns (lines, M, 3) uint8.
 
-    Returns
-    -------
-    (lines, M, 3) uint8
-        sRGB.
-
-    Examples
-    --------
     A line that triggers at its third shot, although that shot is not among those drawn:
 
     >>> packed = trigger_codes(np.full((1, 9), 3, np.uint8), np.array([[1, 1, 1, 1, 1, 3, 3, 3, 3]], np.uint8))

@@ -85,21 +85,7 @@ class Shots:
 
 
 def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], foot: str, why: str = "") -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    shots : Shots
-        What is shown.
-    title, head : str
-        Heading, and the line below it.
-    notes : sequence of str
-        Sentences that say where the data come from and what is left out.
-    foot : str
-        Last line.
-    why : str
-        A command that ends before ``LINE,COLUMN`` and explains the class of that shot; empty = none.
-    """
+    """Return the page."""
     n_lines, n_columns = shots.classes.shape
     near, far = range_limits(shots.range_m)
     planes: dict[str, dict[str, Any]] = {"class": {"bytes": 1, "n": shots.classes.size, "title": "class"}}

@@ -73,21 +73,7 @@ def choice_by_place(place: Place, known: str = "the angles of the beams are know
 
 
 def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStream]:
-    """Choose the method for an opened stream.
-
-    Parameters
-    ----------
-    stream : ScanStream
-        Opened with its geometry. Its first lines are read; with several scanners all, because each must have
-        directions.
-    config : RunConfig
-        How it was opened.
-
-    Returns
-    -------
-    MethodChoice, ScanStream
-        And the stream with beam directions, or as it was if they are not known.
-    """
+    """Choose the method for an opened stream."""
     try:
         first = next(stream.blocks(), None)
         if first is None:
@@ -117,24 +103,7 @@ def least_cosine(stream: ScanStream) -> float:
 
 
 def decide(path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False) -> LoadedConfig:
-    """Return a configuration that names a method: the given one, or with the method chosen for a file.
-
-    Parameters
-    ----------
-    path : Path
-        Any readable input.
-    loaded : LoadedConfig
-        A configuration that names a method is returned as it is, with the layout beside the file.
-    engine : str
-        The plain engine leaves PRC.
-    trust_order : bool
-        Look at an input that is not in order, too.
-
-    Returns
-    -------
-    LoadedConfig
-        Its ``choice`` says what was taken and why. An input that cannot be opened is left to PRC, which says why.
-    """
+    """Return a configuration that names a method: the given one, or with the method chosen for a file."""
     return decide_and_open(path, loaded, engine=engine, trust_order=trust_order)[0]
 
 

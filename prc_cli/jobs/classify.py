@@ -193,30 +193,7 @@ def label_blocks(
     confidence: bool = False,
     shots_at_once: int = SHOTS_AT_ONCE,
 ) -> Iterator[LabelledBlock]:
-    """Classify a stream block by block, with one state per scanner.
-
-    Parameters
-    ----------
-    blocks : iterator of ScanBlock
-        Blocks of any number of lines; with ``beam_rad`` for all classifiers but PRC.
-    params : MethodParams
-        Parameters of a classifier; their class decides which one runs.
-    threads : int
-        Classifying threads; results do not depend on it. At most one more block than threads is held at a time.
-    segments : bool
-        Also compute segment ids, where the method has them.
-    stages : bool
-        Also return intermediate results, where the method has them.
-    confidence : bool
-        Also return how sure every label is, where the method tells.
-    shots_at_once : int
-        Sequential-angle: approximate shots per block, in whole lines; labels do not depend on it.
-
-    Yields
-    ------
-    LabelledBlock
-        In order for each scanner: blocks of k lines (fewer at the end), or the lines that became final.
-    """
+    """Classify a stream block by block, with one state per scanner."""
     wanted, method = Wanted(segments, stages, confidence), params.method()
     if confidence:
         load_kernels(confidence_kernels(params))  # before threads need them
@@ -226,13 +203,6 @@ def label_blocks(
 def confidence_kernels(params: MethodParams) -> frozenset[str]:
     """Return the loops that a method calls where confidence is wanted.
 
-    Raises
-    ------
-    ConfigError
-        When the method cannot tell how sure its labels are.
-
-    Examples
-    --------
     >>> confidence_kernels(RunConfig().prc)
     Traceback (most recent call last):
     ...
@@ -251,13 +221,6 @@ def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engi
     """Load the loops of the classifier; after installation they are compiled once, which takes a while.
 
     Where no method is named, those of all methods that an input may decide on are loaded.
-
-    Raises
-    ------
-    ConfigError
-        When the engine is the reference and the method is not written there.
-    PrcError
-        When the compiler is needed and cannot be loaded.
     """
     chosen = _loaded(config).config
     methods = [chosen.classifier]

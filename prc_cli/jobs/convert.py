@@ -308,17 +308,6 @@ def open_items(
     """Open a stream whose blocks come with the classes and registered coordinates of their records.
 
     Values that blocks do not hold are read separately and kept in a temporary file beside ``output``.
-
-    Parameters
-    ----------
-    source, output : Path
-    loaded : LoadedConfig
-    blocks_of : callable, optional
-        Returns the blocks of the stream; default: its own.
-    codes, xyz : bool
-        Whether to include the classes and the registered coordinates of the input.
-    points : bool
-        Only returns are wanted: :attr:`StreamShape.points`.
     """
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)

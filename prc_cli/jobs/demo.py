@@ -112,26 +112,6 @@ def run_demo(
     """Simulate the scans of :data:`PARTS`, then classify, evaluate and draw them.
 
     The folder holds the drive, classified by default; everything else is in its folder :data:`MORE`.
-
-    Parameters
-    ----------
-    folder : Path
-        Output folder; created if it does not exist.
-    seed : int
-        Seed of the simulated scenes.
-    lines : int, optional
-        Scan lines of the drive.
-    overwrite : bool
-        Use a folder that is there already and holds files.
-    progress : callable, optional
-        Called with the number of lines that were just classified.
-
-    Raises
-    ------
-    OutputExistsError
-        When the folder holds files already.
-    OutputError
-        When it cannot be written.
     """
     _prepare(folder, overwrite=overwrite)
     (folder / MORE).mkdir(exist_ok=True)

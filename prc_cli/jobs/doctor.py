@@ -77,20 +77,7 @@ class Check:
 
 
 def examine(out: Path | None = None, *, run: bool = True) -> Iterator[Check]:
-    """Run all checks, one after the other.
-
-    Parameters
-    ----------
-    out : Path, optional
-        Folder for outputs, existing or not; checked for the needs of a batch run.
-    run : bool
-        At the end simulate, classify and evaluate a small scan, and compare the compiled loops with the reference.
-
-    Yields
-    ------
-    Check
-        As soon as it is finished. A check that raises counts as bad, and the others go on.
-    """
+    """Run all checks, one after the other."""
     checks: list[tuple[str, Callable[[], Iterator[Check]]]] = [
         ("python", _python),
         ("packages", _packages),

@@ -23,31 +23,7 @@ _KEPT = ("lines", "columns", "range")
 
 
 def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = False) -> str:
-    """Write a configuration with what a file says of itself, and what its numbers show.
-
-    Parameters
-    ----------
-    path : Path
-        Input.
-    output : Path
-        TOML file, for ``--config``; its ``[layout]`` serves as ``--layout`` too.
-    loaded : LoadedConfig
-        Options given.
-    overwrite : bool
-        Replace an existing file.
-
-    Returns
-    -------
-    str
-        What was written.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, or shows no records.
-    OutputError
-        When the draft cannot be written.
-    """
+    """Write a configuration with what a file says of itself, and what its numbers show."""
     check_output(output, overwrite=overwrite, inputs=(path, *loaded.files))
     lines, layout = _layout_lines(path, loaded)
     told = loaded if layout is None else _with_layout(loaded, layout)

@@ -130,22 +130,7 @@ class Inspection:
 
 
 def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspection:
-    """Read a file once or twice and describe its contents.
-
-    Parameters
-    ----------
-    path : Path
-        Any readable input.
-    loaded : LoadedConfig
-        Rules for lines, columns and ranges, as for ``prc classify``.
-    deep : bool
-        Decode all records whole, too: LAZ has layers that nothing else asks for.
-
-    Raises
-    ------
-    InputError
-        When the file is damaged. An intact file that the classifier cannot process is described.
-    """
+    """Read a file once or twice and describe its contents."""
     loaded, opened = decide_and_open(path, loaded, trust_order=True)
     if deep:
         _decode(path, loaded)

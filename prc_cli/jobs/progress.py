@@ -21,18 +21,7 @@ class Reached(Protocol):
 def advance(
     progress: Callable[[int], object] | None, block: ScanBlock, info: StreamInfo, window: Window | None = None
 ) -> None:
-    """Tell that the lines of a block are finished.
-
-    Parameters
-    ----------
-    progress : callable or None
-        Called with the number of lines; asked for the share if it is :class:`Reached`.
-    block : ScanBlock
-    info : StreamInfo
-        Its numbers of lines and records say how much there is.
-    window : Window, optional
-        The part of the stream that is read.
-    """
+    """Tell that the lines of a block are finished."""
     if progress is None:
         return
     if is_asked(progress):

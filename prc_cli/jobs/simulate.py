@@ -285,17 +285,7 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
 
 
 def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, overwrite: bool = False) -> Beside:
-    """Refuse outputs before any work is done.
-
-    Returns
-    -------
-    Beside
-        The additional files; the label file has a name where one is needed.
-
-    Raises
-    ------
-    ConfigError, OutputError, OutputExistsError
-    """
+    """Refuse outputs before any work is done."""
     beside = beside or Beside()
     if beside.labels is None and stream_suffix(output) in _BESIDE:
         beside = replace(beside, labels=reference_path(output))

@@ -61,18 +61,7 @@ class Rate:
     far [s]."""
 
     def real_time(self, line_hz: float | None = None) -> float | None:
-        """Return the throughput as a multiple of the scanner's line rate.
-
-        Parameters
-        ----------
-        line_hz : float, optional
-            Lines per second [Hz]; replaces the value of the stream.
-
-        Returns
-        -------
-        float or None
-            None = line frequency not known.
-        """
+        """Return the throughput as a multiple of the scanner's line rate."""
         hz = self.line_hz if line_hz is None else line_hz
         return None if hz is None or not self.seconds else self.n_lines / self.seconds / hz
 

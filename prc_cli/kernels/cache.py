@@ -40,16 +40,6 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
     No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
     NumPy, since a test for it keeps loops from being vectorised. The lock of the interpreter is released,
     so that blocks of several scanners or files run in parallel in threads.
-
-    Parameters
-    ----------
-    signatures : str or numba signature
-        Arguments of other types are converted or refused, never compiled anew.
-
-    Returns
-    -------
-    callable
-        Decorator that keeps the signature of the function.
     """
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -144,11 +134,6 @@ def writable_cache() -> Path | None:
 
     Compiled code is loaded from pickles, which run what is in them: only this user may be able to write there, and the
     folder is used by the name that was checked, without links.
-
-    Raises
-    ------
-    PrcError
-        When others can write into the folder that ``NUMBA_CACHE_DIR`` names.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:

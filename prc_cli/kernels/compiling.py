@@ -38,13 +38,7 @@ _WHOLE = "compiled"
 
 
 def compile_missing(modules: Sequence[str]) -> None:
-    """Compile the kernels of modules that are not in the cache.
-
-    Parameters
-    ----------
-    modules : sequence of str
-        Full names.
-    """
+    """Compile the kernels of modules that are not in the cache."""
     folder = writable_cache()
     if folder is None or numba.config.DISABLE_JIT or not _missing(modules, folder):  # type: ignore[attr-defined]
         return

@@ -48,16 +48,9 @@ _loaded: dict[tuple[Engine, str], Callable[..., Any]] = {}
 def use_engine(engine: Engine) -> Iterator[None]:
     """Let the kernels inside this context be of one engine; with ``reference`` the compiler is never loaded.
 
-    Examples
-    --------
     >>> with use_engine("reference"):
     ...     find_kernel("dilate").__module__
     'prc_cli.reference.prc.stages'
-
-    Raises
-    ------
-    ConfigError
-        When there is no such engine.
     """
     if engine not in ENGINES:
         raise ConfigError("engine", f"found {engine!r}, expected {' or '.join(ENGINES)}")
@@ -69,15 +62,7 @@ def use_engine(engine: Engine) -> Iterator[None]:
 
 
 def find_kernel(name: str) -> Callable[..., Any]:
-    """Return a kernel, loaded at its first use, from the cache if compiled before.
-
-    Raises
-    ------
-    ConfigError
-        When the engine is the reference, and the kernel has no twin there.
-    PrcError
-        When the compiler cannot be loaded.
-    """
+    """Return a kernel, loaded at its first use, from the cache if compiled before."""
     engine = _engine.get()
     if name in PLAIN and "numba" not in sys.modules:
         engine = "reference"
@@ -93,13 +78,7 @@ def find_kernel(name: str) -> Callable[..., Any]:
 
 
 def load_compiler() -> None:
-    """Load numba.
-
-    Raises
-    ------
-    PrcError
-        When it cannot be loaded.
-    """
+    """Load numba."""
     try:
         with _unneeded_absent():
             import_module("numba")
@@ -137,18 +116,6 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
     """Compile kernels, on all cores and in one process at a time, or load them from the cache.
 
     Call it before worker processes or threads start.
-
-    Parameters
-    ----------
-    modules : set of str, optional
-        Folders or modules of kernels, such as ``simulation`` or ``prc.support``; default: all.
-
-    Raises
-    ------
-    ConfigError
-        When the engine is the reference, and a kernel has no twin there.
-    PrcError
-        When the compiler cannot be loaded.
     """
     wanted = {name: home for name, home in KERNELS.items() if modules is None or _is_in(home, modules)}
     with no_collecting():

@@ -39,13 +39,7 @@ _USED = "used"
 
 
 class UnsortedError(Exception):
-    """A stream is not sorted by its key; the caller sorts it and starts again.
-
-    Parameters
-    ----------
-    side : int
-        0 = left, 1 = right.
-    """
+    """A stream is not sorted by its key; the caller sorts it and starts again."""
 
     def __init__(self, side: int) -> None:
         super().__init__(side)
@@ -143,35 +137,7 @@ def merge_join(
     *,
     spare: int = 0,
 ) -> Iterator[Joined]:
-    """Match two sorted streams.
-
-    Parameters
-    ----------
-    left, right : iterator of Columns
-        With :data:`KEY`, ascending, and what the matcher reads.
-    match : Matcher
-        Pairs the records of a window.
-    tolerance : float
-        Largest difference of the keys of a pair, in their unit.
-    tally : JoinTally
-        Added to; complete when the iterator has ended.
-    names : (str, str)
-        Files, for messages.
-    spare : int
-        Right records beyond the tolerance that the matcher sees at both ends of a window, to measure distances.
-
-    Yields
-    ------
-    Joined
-        Every left record once, by ascending key.
-
-    Raises
-    ------
-    UnsortedError
-        When keys go back.
-    InputError
-        When more records lie within the tolerance of a key than memory is meant for.
-    """
+    """Match two sorted streams."""
     # a record is decided by candidates within the tolerance, and a candidate by the records within the tolerance of it
     reach = 2.0 * tolerance * (1 + 1e-9)
     sides = _Window(_in_steps(left, 0), names[0]), _Window(_in_steps(right, 1), names[1])

@@ -45,14 +45,7 @@ class KeyedSource(DerivedSource):
         return (KEY, SAME, CODE, *self.source.dimensions)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode; every chunk carries ``record``.
-
-        Raises
-        ------
-        InputError
-            As the source does; when labels and records differ in number, a key is not finite (a time) or no whole
-            number (a dimension), or a code does not fit a LAS class.
-        """
+        """Decode; every chunk carries ``record``."""
         carried = tuple(name for name in names if name not in (KEY, SAME, CODE))
         own = () if self.codes is not None else (self.code_dimension,)
         wanted = tuple(dict.fromkeys((*self.rule.names, *own, *carried)))
@@ -173,13 +166,7 @@ class Survey:
 
 
 def survey(source: KeyedSource) -> Survey:
-    """Read all keys and codes once.
-
-    Raises
-    ------
-    InputError
-        As :meth:`KeyedSource.chunks` does, so that a damaged side is refused before any work is done.
-    """
+    """Read all keys and codes once."""
     n = n_read = 0
     low, high, last, in_order = np.inf, -np.inf, -np.inf, True
     for chunk in source.chunks((KEY, SAME, CODE)):

@@ -31,8 +31,6 @@ class MutualKeys:
     The nearest is found by the key alone; of two as near, the lower. Records of one key are paired as
     :func:`prc_cli.matching.ties.pair_in_order` says, those with equal :data:`SAME` where both sides have it.
 
-    Examples
-    --------
     >>> left, right = {KEY: np.array([1.0, 2.0, 3.0])}, {KEY: np.array([0.9, 2.8])}
     >>> found = MutualKeys(0.5)(left, right, slice(0, 3))
     >>> found.left, found.right

@@ -15,23 +15,6 @@ def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False)
     """Pair two files, or the files of two folders with the same name except the suffix.
 
     Files of a folder that cannot hold class codes, by their suffix, are left alone; folders inside it too.
-
-    Parameters
-    ----------
-    predicted, reference : Path
-        Two files or two folders.
-    allow_missing : bool
-        Leave out files without a partner instead of refusing them.
-
-    Returns
-    -------
-    tuple of (predicted, reference)
-        By name.
-
-    Raises
-    ------
-    InputError
-        A file against a folder; an empty folder; files without partner, or two of one name on one side.
     """
     if not (predicted.is_dir() or reference.is_dir()):
         return ((predicted, reference),)
@@ -56,13 +39,7 @@ def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False)
 
 
 def files_of(paths: Iterable[Path]) -> list[Path]:
-    """Return files as they are, and in place of a folder those in it that can hold class codes.
-
-    Raises
-    ------
-    InputError
-        When a folder holds none.
-    """
+    """Return files as they are, and in place of a folder those in it that can hold class codes."""
     found: list[Path] = []
     for path in paths:
         inside = list(_label_files(path)) if path.is_dir() else [path]

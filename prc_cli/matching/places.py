@@ -23,8 +23,6 @@ class NearestPlaces:
 
     Records of one place are paired as :func:`prc_cli.matching.ties.pair_in_order` says.
 
-    Examples
-    --------
     Both left points are near the right one, which is nearer to the second:
 
     >>> left, right = ({"x": np.array(x), "y": np.zeros(len(x)), "z": np.zeros(len(x))} for x in ([0, 0.1], [0.11]))

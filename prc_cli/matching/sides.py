@@ -67,15 +67,7 @@ class SideFile:
 
     @classmethod
     def open(cls, path: Path, dimension: str | None, points: Path | None) -> SideFile:
-        """Open a file and the points it belongs to.
-
-        Raises
-        ------
-        ConfigError
-            When the dimension is not in the file.
-        InputError
-            When a file cannot be read or holds no codes or no columns.
-        """
+        """Open a file and the points it belongs to."""
         codes = open_codes(path, dimension)
         table = open_table(path)
         beside = None
@@ -146,15 +138,6 @@ class Side:
 
     Chunks of :meth:`chunks` carry ``record``, the index in all files together; records without a finite key are
     left out and counted in ``tally``, which begins anew with every reading.
-
-    Parameters
-    ----------
-    files : sequence of SideFile
-        One after the other.
-    key : KeyRule, optional
-        A time, a dimension, or a place: then records need all three coordinates. None = no key.
-    points_per_line : int, optional
-        M, for lines of dense streams: record // M.
     """
 
     files: Sequence[SideFile]
@@ -196,13 +179,7 @@ class Side:
         return (*key, CODE, FILE, ROW, *names, *axes)
 
     def check(self) -> None:
-        """Refuse files without the key.
-
-        Raises
-        ------
-        ConfigError
-            Naming the file and what it has.
-        """
+        """Refuse files without the key."""
         for file in self.files:
             for name in self._key_names:
                 if self._place(file, name) is None:
@@ -212,13 +189,7 @@ class Side:
                     raise ConfigError(file.codes.path, problem, hint)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Read all files from the first record on.
-
-        Raises
-        ------
-        InputError
-            When a file is damaged, an id is no whole number, or labels and points differ in number.
-        """
+        """Read all files from the first record on."""
         for item in fields(SideTally):
             setattr(self.tally, item.name, item.default)
         first = 0

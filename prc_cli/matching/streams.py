@@ -35,15 +35,7 @@ def columns_of(
 def in_step(
     streams: Sequence[Iterator[Columns]], check_lengths: Callable[[Sequence[int]], None]
 ) -> Iterator[tuple[Columns, ...]]:
-    """Walk streams of the same records in equal steps.
-
-    Parameters
-    ----------
-    streams : sequence of iterator of Columns
-        Every chunk with one column at least.
-    check_lengths : callable
-        Called at the end with the number of records of every stream; refuses different numbers.
-    """
+    """Walk streams of the same records in equal steps."""
     rest: list[Columns] = [{} for _ in streams]
     seen = [0] * len(streams)
     while True:

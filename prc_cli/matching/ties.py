@@ -36,17 +36,6 @@ def pair_in_order(
 
     If one side has more members, it is unknown which of them the other side lacks. They are left out, unless all
     members of the larger side have one class: then the choice makes no difference.
-
-    Parameters
-    ----------
-    left_group, right_group : (n,), (m,) int64
-        Group of every record, from 0.
-    partner : (left groups,) int64
-        Right group that belongs to a left one, -1 = none; no right group twice.
-    same : (left, right), optional
-        Small whole numbers that must be equal in a pair.
-    classes : (left, right), optional
-        Class codes.
     """
     group_of_right = np.full(int(right_group.max(initial=-1)) + 1, -1, np.int64)
     paired = np.flatnonzero(partner >= 0)
@@ -83,21 +72,7 @@ def pair_in_order(
 
 
 def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask]:
-    """Return, for runs of records, the first one with the most frequent code, and whether codes differ.
-
-    Parameters
-    ----------
-    codes : (n,) integer
-        Of all records.
-    first, last : (k,) int64
-        Runs: records ``first`` to ``last - 1``; a run may come several times.
-
-    Returns
-    -------
-    chosen : (k,) int64
-        Index of a record; of equally frequent codes, the one that comes first.
-    differ : (k,) bool
-    """
+    """Return, for runs of records, the first one with the most frequent code, and whether codes differ."""
     starts, group = np.unique(first, return_inverse=True)
     lengths = np.zeros(len(starts), np.int64)
     lengths[group] = last - first

@@ -40,28 +40,6 @@ def cast(
 
     Results do not depend on how lines are cut into blocks, nor on bodies that no shot can meet; of surfaces at the
     very same range, that of the first body is met. The work is done with the lock of the interpreter released.
-
-    Parameters
-    ----------
-    bodies : Bodies
-        What is in sight.
-    origin_m : (lines, M, 3) float64
-        Where every shot begins, world coordinates [m]; finite, as all but ``t_min_m``.
-    direction : (lines, M, 3) float64
-        Where it goes, unit vectors. Any will do; it is quick where the shots of a line lie nearly in one plane and
-        turn one way.
-    time_s : (lines, M) or (lines,) float64
-        When it is shot [s]; moving bodies are where they are at that time.
-    first_shot : int
-        Number of the first shot since the beginning of the scan (first line times M).
-    t_min_m : (lines, M) float64, optional
-        Only what lies behind this range is met [m]: a second cast that begins behind the first hit finds what is seen
-        through glass, or a further return. Infinite: the shot is not cast. Default: 0.
-
-    Returns
-    -------
-    Hits
-        Range, body and cosine of incidence of every shot.
     """
     shape = origin_m.shape[:2]
     times = np.asarray(time_s, dtype=np.float64)
@@ -87,18 +65,7 @@ def _plain(numbers: F64) -> F64:
 
 @lru_cache(maxsize=8)  # by identity: the blocks of a scan often see the same bodies
 def search_order(bodies: Bodies) -> I64:
-    """Put neighbours of about one size beside each other, so that they can be left out together.
-
-    Parameters
-    ----------
-    bodies : Bodies
-        Any.
-
-    Returns
-    -------
-    (n,) int64
-        Row of every body, moving ones last, small ones first, then along a curve through space (Morton 1966).
-    """
+    """Put neighbours of about one size beside each other, so that they can be left out together."""
     if not len(bodies):
         return np.empty(0, np.int64)
     x, y, z, a, b, c, e, f, g = bodies.numbers.T

@@ -55,26 +55,6 @@ class SimulatedScan:
     """A simulated scan; a :class:`prc_cli.core.stream.ScanStream` whose reference labels are known.
 
     Nothing is kept: every call of :meth:`blocks` simulates again, some lines at a time.
-
-    Parameters
-    ----------
-    name : str
-        What is simulated.
-    bodies_near : callable
-        The scene.
-    scanner : Scanner
-    platform : Platform
-        What carries the scanner.
-    seed : int
-        Of the noise, from 0 to below 2^63.
-    n_lines : int
-        Scan lines.
-    sight_m : float
-        Nothing farther is simulated [m].
-    threads : int
-        They change the time that it takes and nothing else.
-    with_xyz, with_world : bool
-        Whether coordinates relative to the scanner and registered coordinates are worked out.
     """
 
     name: str
@@ -112,24 +92,7 @@ class SimulatedScan:
         return (item.block for item in self.labelled_blocks(lines))
 
     def labelled_blocks(self, lines: int = LINES_AT_ONCE) -> Iterator[LabelledBlock]:
-        """Simulate from the start, with reference labels.
-
-        Parameters
-        ----------
-        lines : int
-            Lines in a block at most, at least 1.
-
-        Yields
-        ------
-        LabelledBlock
-            Labels of the materials (:data:`prc_cli.simulation.world.PROPERTIES`), of a static scanner those of
-            :mod:`prc_cli.simulation.upright`, NOISE where the range has nothing to do with a surface, MISSING.
-
-        Raises
-        ------
-        ConfigError
-            When ``lines`` is below 1.
-        """
+        """Simulate from the start, with reference labels."""
         if lines < 1:
             where = "lines"
             raise ConfigError(where, f"found {lines}, expected at least 1 line in a block")
@@ -138,13 +101,7 @@ class SimulatedScan:
                 yield _cut(item.labelled, first, first + lines)
 
     def simulated(self) -> Iterator[SimulatedBlock]:
-        """Simulate from the start, with reference labels and registered coordinates.
-
-        Yields
-        ------
-        SimulatedBlock
-            Of :data:`LINES_AT_ONCE` lines, the last one of fewer.
-        """
+        """Simulate from the start, with reference labels and registered coordinates."""
         load_simulator()
         return ordered(self._lines, range(0, self.n_lines, LINES_AT_ONCE), threads=self.threads)
 
@@ -208,13 +165,7 @@ def load_simulator() -> None:
 
 
 def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
-    """Return how many whole lines a platform makes until it has gone so far, at least 1.
-
-    Raises
-    ------
-    ConfigError
-        When it takes more lines than can be counted.
-    """
+    """Return how many whole lines a platform makes until it has gone so far, at least 1."""
     first = 0
     while first < MOST_LINES:
         start_s = scanner.line_time_s(first, LINES_LOOKED_AT)
@@ -278,15 +229,7 @@ def _cut(item: LabelledBlock, start: int, stop: int) -> LabelledBlock:
 
 
 def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
-    """Return the height of what lies under a place [m]; ``z_m`` where nothing does.
-
-    Parameters
-    ----------
-    bodies_near : callable
-        The scene.
-    x_m, y_m, z_m : float
-        The place, about at the ground [m]: what is higher than a metre above it is not looked at.
-    """
+    """Return the height of what lies under a place [m]; ``z_m`` where nothing does."""
     origin = np.array([[[x_m, y_m, z_m + 1.0]] * 2])
     down = np.array([[[0.0, 0.0, -1.0]] * 2])
     t = cast(bodies_near(x_m, y_m, 1.0, 0.0), origin, down, np.zeros((1, 2))).t
@@ -294,15 +237,7 @@ def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) ->
 
 
 def room_around(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
-    """Return how far everything is from a place, between knee and head, at time 0 [m].
-
-    Parameters
-    ----------
-    bodies_near : callable
-        The scene.
-    x_m, y_m, z_m : float
-        The place, on the ground [m].
-    """
+    """Return how far everything is from a place, between knee and head, at time 0 [m]."""
     heights, turns = np.array([0.5, 1.0, 1.5]), np.arange(0.0, 2.0 * np.pi, np.pi / 90.0)
     origin = np.empty((len(heights), len(turns), 3))
     origin[:] = np.array([x_m, y_m, z_m])

@@ -10,19 +10,6 @@ from prc_cli.core.types import F64, I64
 def hashed(seed: int, purpose: int, number: I64) -> F64:
     """Hash whole numbers to 0..1 (finaliser of SplitMix64, Steele et al. 2014).
 
-    Parameters
-    ----------
-    seed, purpose : int
-        At least 0.
-    number : (n,) int64
-
-    Returns
-    -------
-    (n,) float64
-        At least 0, below 1.
-
-    Examples
-    --------
     >>> hashed(7, 0, np.array([1, 2, 1])).round(3).tolist()
     [0.772, 0.246, 0.772]
     """

@@ -108,13 +108,7 @@ class Scanner(Params):
         return angle
 
     def directions(self) -> F64:
-        """Return where every column points on an even platform.
-
-        Returns
-        -------
-        (M, 3) float64
-            Unit vectors, x forward, y left, z up; of a static scanner those of a line at azimuth 0.
-        """
+        """Return where every column points on an even platform."""
         angle = self.angle_rad()
         zero = np.zeros_like(angle)
         if self.is_static:
@@ -137,13 +131,7 @@ class Scanner(Params):
         return np.arange(first_line, first_line + n_lines, dtype=np.float64) / self.line_hz
 
     def changed(self, **values: Any) -> Scanner:
-        """Return the scanner with other values for some keys.
-
-        Raises
-        ------
-        pydantic.ValidationError
-            When a key is unknown or a value is out of its bounds.
-        """
+        """Return the scanner with other values for some keys."""
         return Scanner(**{**self.model_dump(), **values})
 
 

@@ -81,22 +81,6 @@ def goes_behind(hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int,
 
     They see through glass, or pass by a leaf with a scanner of several returns. Cast them again from just behind
     their first surface and give the result to :func:`scan`, ranges counted from the scanner.
-
-    Parameters
-    ----------
-    hits : Struck
-        Nearest surface of every shot, (lines, M).
-    bodies : Bodies
-        What the hits count.
-    scanner : Scanner
-    first_line : int
-        Number of the first line.
-    seed : int
-        From 0 to below 2^63; the same as for :func:`scan`.
-
-    Returns
-    -------
-    (lines, M) bool
     """
     _, kind = _about(bodies)
     mask: Mask = kernels.goes_behind(_arrays(hits), kind, _model(scanner), first_line, seed)
@@ -106,28 +90,7 @@ def goes_behind(hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int,
 def scan(
     hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int, seed: int, behind: Struck | None = None
 ) -> Measured:
-    """Turn what the beams meet into what the scanner says.
-
-    Parameters
-    ----------
-    hits : Struck
-        Nearest surface of every shot, (lines, M).
-    bodies : Bodies
-        What the hits count.
-    scanner : Scanner
-    first_line : int
-        Number of the first line, at least 0; with the seed it decides all that is random.
-    seed : int
-        From 0 to below 2^63.
-    behind : Struck, optional
-        Next surface of the shots that :func:`goes_behind` marks, (lines, M); what it holds for others is not read.
-        Without it nothing is seen through glass.
-
-    Returns
-    -------
-    Measured
-        (lines, M).
-    """
+    """Turn what the beams meet into what the scanner says."""
     surface, kind = _about(bodies)
     nothing = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
     second = nothing if behind is None else _arrays(behind)

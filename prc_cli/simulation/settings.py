@@ -117,27 +117,6 @@ KINDS: tuple[Kind, ...] = tuple(_MODELS)
 def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[str, Any] | None = None) -> Settings:
     """Build the parameters of a simulation.
 
-    Parameters
-    ----------
-    kind : {"street", "forest", "street-scan"}
-        What is simulated.
-    path : path, optional
-        TOML file with the tables ``[scene]``, ``[scanner]`` and ``[trajectory]`` (``[station]`` for a static scan);
-        ``name`` in a table is the preset that its other keys are laid over.
-    options : mapping, optional
-        Nested table laid over the file.
-
-    Returns
-    -------
-    DriveSettings, WalkSettings or StationSettings
-
-    Raises
-    ------
-    ConfigError
-        Unknown kind, preset or key, or a value out of its bounds.
-
-    Examples
-    --------
     >>> load_settings("street", options={"scanner": {"name": "profiler-1mhz", "slant_deg": 30}}).scanner.line_hz
     200.0
     """
@@ -177,20 +156,6 @@ def preset_notes(
 ) -> dict[str, str]:
     """Tell which preset every table of a simulation's parameters came from, and what was changed in it.
 
-    Parameters
-    ----------
-    kind, path, options
-        As given to :func:`load_settings`.
-    settings : DriveSettings, WalkSettings or StationSettings
-        What it made of them.
-
-    Returns
-    -------
-    dict
-        By the name of the table. One that was given whole, without a preset's name, has a note only if it is a preset.
-
-    Examples
-    --------
     >>> options = {"scanner": {"slant_deg": 30.0}}
     >>> preset_notes("street", load_settings("street", options=options), options=options)["scanner"]
     'preset photon-80; changed: slant_deg'

@@ -53,26 +53,6 @@ def open_simulation(
 ) -> Simulation:
     """Prepare a simulation; nothing is simulated before its blocks are asked for.
 
-    Parameters
-    ----------
-    kind : {"street", "forest", "street-scan"}
-    settings : optional
-        From :func:`load_settings`.
-    reference : {"truth", "cylinders"}
-        Labels of what was hit; or, in forests, those of the paper's reference of cylinders around stems
-        (:func:`prc_cli.simulation.forest.reference.reference_labels`).
-    threads : int, optional
-        Default: as many as there are cores.
-    with_xyz, with_world : bool
-        Whether coordinates relative to the scanner (default: for static scans) and registered ones are worked out.
-
-    Returns
-    -------
-    Simulation
-        ``.scan`` is a :class:`prc_cli.core.stream.ScanStream`.
-
-    Examples
-    --------
     >>> found = open_simulation("street", load_settings("street", options={"lines": 2}))
     >>> [block.range_m.shape for block in found.scan.blocks()]
     [(2, 2154)]

@@ -136,18 +136,7 @@ class Station:
 
 
 class Trajectory:
-    """A drive or walk along a scene's path.
-
-    Parameters
-    ----------
-    path_point : callable
-        Ground and heading at distances, :data:`PathPoint`.
-    motion : MotionParams
-    height_m : float
-        Scanner above the ground, along the platform's own z [m].
-    seed : int
-        From 0 to below 2^63.
-    """
+    """A drive or walk along a scene's path."""
 
     def __init__(self, path_point: PathPoint, motion: MotionParams, height_m: float, seed: int) -> None:
         self.path_point = path_point
@@ -159,18 +148,7 @@ class Trajectory:
         self._gait_drift = _Wobble(seed, 4, 0.02, 0.1)
 
     def progress(self, time_s: F64) -> tuple[F64, F64, F64]:
-        """Return how far the platform is.
-
-        Parameters
-        ----------
-        time_s : (n,) float64
-            At least 0 [s].
-
-        Returns
-        -------
-        distance_m, speed_m_s, acceleration_m_s2 : (n,) float64
-            Along the path, never backwards; at time 0 it is at 0 and cruising.
-        """
+        """Return how far the platform is."""
         distance, speed, acceleration = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
         share, phase = self.motion.speed_variation, hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
         around = distance / _WAVE_M + phase
@@ -179,18 +157,7 @@ class Trajectory:
         return distance + share * _WAVE_M * (np.sin(around) - np.sin(phase)), speed * faster, acceleration
 
     def pose(self, time_s: F64) -> Pose:
-        """Return where the scanner is and how its platform is turned.
-
-        Parameters
-        ----------
-        time_s : (n,) float64
-            At least 0, in any order [s].
-
-        Returns
-        -------
-        Pose
-            Of n times.
-        """
+        """Return where the scanner is and how its platform is turned."""
         time_s = np.ascontiguousarray(time_s, dtype=np.float64)
         motion = self.motion
         distance, speed, acceleration = self.progress(time_s)
@@ -305,18 +272,6 @@ def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> 
     """Return the rays of consecutive lines, the same whatever lines are asked for together.
 
     Poses are worked out every few milliseconds and shots are placed between them in a straight line.
-
-    Parameters
-    ----------
-    platform : Platform
-        What carries the scanner.
-    scanner : Scanner
-    first_line, n_lines : int
-
-    Returns
-    -------
-    Shots
-        (n_lines, M).
     """
     m = scanner.points_per_line
     line_s = scanner.shot_s * m

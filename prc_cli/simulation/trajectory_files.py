@@ -67,30 +67,6 @@ def write_trajectory(
     above the ellipsoid, heading from true north, velocities to the north, east and down; accelerations and rates are
     left at 0. Any other becomes CSV with a header, angles in degrees as in
     :mod:`prc_cli.simulation.trajectory`.
-
-    Parameters
-    ----------
-    path : Path
-        Output, replaced whole or not at all.
-    platform : Platform
-        What carries the scanner.
-    duration_s : float
-        Last time that must be covered [s].
-    hz : float
-        Positions a second [Hz].
-    start_s : float
-        What is added to all times, such as seconds of the GPS week [s].
-    frame : Frame
-        Coordinate system of the file.
-    into : Path, optional
-        Temporary file that is filled instead, by a caller who puts it in place together with others.
-
-    Raises
-    ------
-    ConfigError
-        When an SBET is asked for in a frame that is not on earth, or without pyproj.
-    OutputError
-        When the file cannot be written.
     """
     is_sbet = path.suffix.lower() in (".sbet", ".out")
     earth = _earth(path, frame) if is_sbet else None
@@ -118,13 +94,7 @@ def _positions(platform: Platform, duration_s: float, hz: float) -> Iterator[tup
 
 
 def check_frame(path: Path, frame: Frame) -> None:
-    """Refuse a coordinate system that coordinates in metres cannot have, as far as pyproj is there to know it.
-
-    Raises
-    ------
-    ConfigError
-        Naming the file that was to be in it.
-    """
+    """Refuse a coordinate system that coordinates in metres cannot have, as far as pyproj is there to know it."""
     if frame.crs and find_spec("pyproj") is not None:
         _earth(path, frame)
 

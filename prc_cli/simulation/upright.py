@@ -39,22 +39,7 @@ _ASKED = (
 
 
 def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
-    """Return the labels of a static scan.
-
-    Parameters
-    ----------
-    label : (n,) uint8
-        Labels by material, as the sensor gives them; NOISE and MISSING stay.
-    bodies : Bodies
-    body : (n,) int32
-        What the range is of, row in the bodies; -1 = nothing.
-    place_m : (n, 3) float64
-        Where it was measured, world coordinates [m]; read for what does not move only.
-
-    Returns
-    -------
-    (n,) uint8
-    """
+    """Return the labels of a static scan."""
     of_material = np.array([PROPERTIES[material].label for material in Material], np.uint8)
     own = np.array([_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8)
     # a shot split between two surfaces has the label of the one that its range is of, which may be the neighbour's
@@ -71,20 +56,7 @@ def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
 
 
 def is_level(bodies: Bodies, body: I32, place_m: F64) -> Mask:
-    """Tell level faces of boxes and triangles; poles, balls and what is filled with bars or leaves have none.
-
-    Parameters
-    ----------
-    bodies : Bodies
-    body : (n,) int32
-        Row in the bodies.
-    place_m : (n, 3) float64
-        Place on the surface, or within noise of it [m].
-
-    Returns
-    -------
-    (n,) bool
-    """
+    """Tell level faces of boxes and triangles; poles, balls and what is filled with bars or leaves have none."""
     shape, numbers = bodies.shape[body], bodies.numbers[body]
     level = np.zeros(len(body), np.bool_)
     flat = np.flatnonzero(shape == Shape.TRIANGLE)

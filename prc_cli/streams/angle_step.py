@@ -94,18 +94,6 @@ class AngleStep:
 def measure_step(range_m: F32) -> AngleStep | None:
     """Measure the angle between columns.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        Some lines, best spread over a drive; NaN = missing.
-
-    Returns
-    -------
-    AngleStep or None
-        None where too few planes are seen, or what they say makes a line of more than a turn.
-
-    Examples
-    --------
     >>> angle = np.deg2rad(np.arange(-60.0, 60.0, 0.25))
     >>> ground, wall = 2 / np.maximum(np.cos(angle), 1e-9), 5 / np.maximum(np.sin(angle), 1e-9)
     >>> found = measure_step(np.tile(np.minimum(ground, wall), (40, 1)).astype(np.float32))
@@ -202,13 +190,6 @@ def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
     """Return ``-u''/u`` amid windows of inverse ranges that a quadratic fits, (n,), and its standard error, (n,).
 
     Windows of one range are left out: it is a code, such as 60 m for no return.
-
-    Parameters
-    ----------
-    pieces : (windows, W) float64
-        Inverse ranges without NaN [1/m].
-    bent : float
-        Largest deviation from the quadratic, as a share, root mean square.
     """
     window = pieces.shape[1]
     design, fit = _quadratic(window)

@@ -53,20 +53,6 @@ def are_radians(angle_rad: F64) -> bool:
 def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     """Find direction and span of the sweep from the first shots.
 
-    Parameters
-    ----------
-    angle : (n,) float
-        Scan angles in input order [rad]; NaN is ignored.
-    where : str
-        File, for messages.
-
-    Raises
-    ------
-    InputError
-        When angles do not vary, or run back and forth (as with an oscillating mirror).
-
-    Examples
-    --------
     >>> find_sweep(np.tile(np.linspace(1.0, -1.0, 50), 20), "strip.laz")  # doctest: +ELLIPSIS
     Sweep(direction=-1, span_rad=2.0, noise_rad=0.081...)
     """
@@ -101,24 +87,6 @@ def find_angle_grid(
     """Estimate columns from the angles of the first shots.
 
     The step between neighbours is refined over increasing distances, so that it fits whole lines.
-
-    Parameters
-    ----------
-    angle : (n,) float
-        Scan angles [rad].
-    line : (n,) int64
-        Line of every shot, not decreasing.
-    where : str
-        File, for messages.
-    start_rad, step_rad : float, optional
-        Known values, used as they are.
-    whole_turn : bool
-        Whether lines are known to be whole turns, though shots of some angles never return.
-
-    Raises
-    ------
-    InputError
-        When there are too few angles, or they are rounded so coarsely that shots share them.
     """
     finite = np.isfinite(angle)
     value, line = np.asarray(angle, np.float64)[finite], line[finite]
@@ -210,23 +178,7 @@ def _grid(
 
 
 def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64 | None:
-    """Mean scan angle of every column, from the first shots; columns not seen are interpolated.
-
-    Parameters
-    ----------
-    angle : (n,) float
-        Scan angles [rad].
-    column : (n,) int64
-        Columns of the shots.
-    points_per_line : int
-        M.
-
-    Returns
-    -------
-    (M,) float64 or None
-        [rad], continuous over the columns but for dead angles; None if fewer than half of the columns are seen, or
-        the angles within columns differ.
-    """
+    """Mean scan angle of every column, from the first shots; columns not seen are interpolated."""
     value = np.asarray(angle, np.float64)
     use: Mask = np.isfinite(value) & (column >= 0) & (column < points_per_line)
     where = column[use]

@@ -119,13 +119,7 @@ class BeamFinder:
         return Sample(n_lines=SAMPLE_LINES if knows else SPREAD * SAMPLE_LINES)
 
     def put(self, found: Found, block: ScanBlock) -> ScanBlock:
-        """Return a block with its directions.
-
-        Raises
-        ------
-        InputError
-            When directions are placeholders and a line has returns in several columns.
-        """
+        """Return a block with its directions."""
         if found.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
             where, problem = self._where(block.scanner), f"the first {MAX_SAMPLE_CELLS} shots tell nothing"
             raise InputError(where, f"no vertical direction known: {problem}", self._hint(None))
@@ -136,13 +130,7 @@ class BeamFinder:
         return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad)
 
     def find(self, sample: Sample) -> Found:
-        """Apply the first applicable method.
-
-        Raises
-        ------
-        InputError, ConfigError
-            See :func:`with_beams`.
-        """
+        """Apply the first applicable method."""
         scanner = sample.scanner
         angle = sample.angle_rad if sample.angle_rad is not None else self.info.angle_rad
         n = len(sample.range_m)
@@ -334,25 +322,6 @@ def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
 def from_angles(angle_rad: F64, down_rad: float) -> F64:
     """Turn scan angles so that straight down is 0.
 
-    Parameters
-    ----------
-    angle_rad : (M,) float64
-        Scan angle of every column [rad].
-    down_rad : float
-        Scan angle of straight down [rad].
-
-    Returns
-    -------
-    (M,) float64
-        In (-pi, pi]; they turn strictly one way, even where rounded angles are equal.
-
-    Raises
-    ------
-    NoDirectionError
-        When the angles do not turn in one direction, or by more than a full turn.
-
-    Examples
-    --------
     >>> np.rad2deg(from_angles(np.deg2rad([100.0, 90.0, 80.0]), np.deg2rad(90.0))).round(6)
     array([ 10.,   0., -10.])
     """

@@ -22,27 +22,6 @@ def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
     """Add the direction of every column's beam to a stream.
 
     Reads the first lines of the stream where directions come from coordinates or ranges.
-
-    Parameters
-    ----------
-    stream : ScanStream
-        Any stream.
-    config : InputConfig
-        ``nadir``, ``angles``, and how the stream was opened.
-
-    Returns
-    -------
-    ScanStream
-        The same blocks with ``beam_rad``; its info reports the source as an assumption. Coordinates that are not
-        relative to the scanner are left out of the blocks.
-
-    Raises
-    ------
-    InputError
-        When straight down is unknown, the lines are horizontal, the origin of coordinates is not the scanner, or the
-        directions do not turn with the column.
-    ConfigError
-        When ``nadir`` is given and the stream has no scan angles.
     """
     split_by = None if config.scanner == "none" else config.scanner
     finder = BeamFinder(stream.info, config.nadir, split_by, config.angles == "measured")
@@ -83,13 +62,7 @@ class BeamStream(Brief):
         return replace(info, assumptions=(*info.assumptions, *found), facts=facts, angles_off=off)
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
-
-        Raises
-        ------
-        InputError
-            Also when a scanner met late is one that :func:`with_beams` refuses.
-        """
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         known = dict(self.known)
         waiting: dict[int, Sample] = {}
         for block in self.source.blocks():

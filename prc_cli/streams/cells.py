@@ -49,15 +49,7 @@ class _Cells:
 
 
 def blocks_of(whole: WholeLines, rules: CellRules) -> Iterator[ScanBlock]:
-    """Yield whole lines as blocks of bounded size; the first has the tally.
-
-    Parameters
-    ----------
-    whole : WholeLines
-        Its records carry ``slant range`` (cleaned), and ``time``, ``intensity`` and ``sensor xyz`` where known.
-    rules : CellRules
-        Of the scanner.
-    """
+    """Yield whole lines as blocks of bounded size; the first has the tally."""
     m = rules.points_per_line
     cells, n_unplaced = _place(whole, rules)
     tally = whole.tally + ReadTally(n_unplaced=n_unplaced)
@@ -157,18 +149,7 @@ def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.nd
 
 
 def dense_block(table: Table, first_line: int, rules: CellRules, tally: ReadTally) -> ScanBlock:
-    """Make a block of dense records, one per cell in order, by reshaping.
-
-    Parameters
-    ----------
-    table : Table
-        Records of whole lines, with ``slant range`` (cleaned), and ``time`` and ``intensity`` where known.
-    first_line : int
-        Index of their first line.
-    rules : CellRules
-    tally : ReadTally
-        Counts of the block.
-    """
+    """Make a block of dense records, one per cell in order, by reshaping."""
     shape = (-1, rules.points_per_line)
     time_s: F64 | None = np.asarray(table["time"], np.float64).reshape(shape) if rules.with_time else None
     intensity: F32 | None = table[INTENSITY].astype(np.float32).reshape(shape) if rules.with_intensity else None

@@ -57,21 +57,7 @@ class ColumnRule:
 
 
 def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I64:
-    """Return the column of every shot of whole lines.
-
-    Parameters
-    ----------
-    records : Table
-        Sorted by line, with the columns that :mod:`prc_cli.streams.whole_lines` adds.
-    rule : ColumnRule
-    origin_s : float or None
-        Time of line 0 [s] where lines are found by time.
-
-    Returns
-    -------
-    (n,) int64
-        Below 0 or at least M = none.
-    """
+    """Return the column of every shot of whole lines."""
     starts = records[START]
     shots = records if starts.all() else take(records, starts)
     line: I64 = shots[LINE]
@@ -108,24 +94,6 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
     Many files round times more coarsely than the time between shots; shots with equal stamps were fired one after
     another from that time on.
 
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Time stamps of the shots [s].
-    shot_hz : float
-        Shots a second.
-    state : StampState
-
-    Returns
-    -------
-    spread_s : (n,) float64
-        Estimated times [s].
-    ordinal : (n,) int64
-        Number of shots before this one with the same stamp.
-    state : StampState
-
-    Examples
-    --------
     >>> spread_stamps(np.array([1.0, 1.0, 2.0]), 10.0, StampState())[0]
     array([1. , 1.1, 2. ])
     """
@@ -180,8 +148,6 @@ def columns_by_order(line: I64) -> I64:
 def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
     """Round to the nearest step; angles are equal modulo a turn.
 
-    Examples
-    --------
     >>> columns_by_angle(np.deg2rad([0.0, 90.4, -90.0, 359.9]), AngleGrid(0.0, np.deg2rad(90.0), 4, True))
     array([0, 1, 3, 0])
     """
@@ -202,8 +168,6 @@ def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
 def spread_columns(column: I64, line: I64) -> I64:
     """Move one of two neighbouring shots in one column to the column beside, where that is free.
 
-    Examples
-    --------
     >>> spread_columns(np.array([1, 2, 2, 4, 6, 6, 7, 9]), np.array([0, 0, 0, 0, 0, 0, 0, 1]))
     array([1, 2, 3, 4, 5, 6, 7, 9])
     """
@@ -227,25 +191,7 @@ def spread_columns(column: I64, line: I64) -> I64:
 
 
 def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64) -> I64:
-    """Round the time since the start of the line to shots; shots with equal stamps get strictly rising columns.
-
-    Parameters
-    ----------
-    spread_s, stamp_s : (n,) float64
-        Estimated times and stamps as stored [s].
-    ordinal : (n,) int64
-        From :func:`spread_stamps`.
-    line : (n,) int64
-        Line of every shot, not decreasing.
-    shot_hz : float
-        Shots a second.
-    line_start_s : (n,) float64
-        Time of column 0 of every shot's line [s].
-
-    Returns
-    -------
-    (n,) int64
-    """
+    """Round the time since the start of the line to shots; shots with equal stamps get strictly rising columns."""
     limit = float(1 << 31)
     with np.errstate(invalid="ignore", over="ignore"):
         column = np.rint((spread_s - line_start_s) * shot_hz)

@@ -71,24 +71,6 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     the column is within half a step of nearly all medians it is used (profilers turn evenly), else the medians, made
     monotone.
 
-    Parameters
-    ----------
-    xyz : (lines, M, 3) float
-        Relative to the scanner, z up [m]; NaN = missing.
-
-    Returns
-    -------
-    Beams
-        Growing with the column.
-
-    Raises
-    ------
-    NoDirectionError
-        When there are too few returns, the origin is not the scanner, the planes are horizontal or differently tilted,
-        or the columns share no direction.
-
-    Examples
-    --------
     >>> angle = np.deg2rad([20.0, 50.0, 80.0])
     >>> line = 5.0 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
     >>> np.rad2deg(fit_beams(line[None]).beam_rad).round(6)
@@ -247,31 +229,7 @@ def forward_steps(angle: F64) -> F64:
 
 
 def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
-    """Return angles of all columns from those of some, growing with the column.
-
-    Parameters
-    ----------
-    columns : (n,) int64
-        Columns that have an angle, ascending; at least two.
-    angle : (n,) float64
-        Their angles, modulo a turn, growing with the column except for scatter [rad].
-    weight : (n,) float64
-        Weight of each.
-    points_per_line : int
-        M.
-
-    Returns
-    -------
-    beam_rad : (M,) float64
-        In (-pi, pi]; it grows strictly, modulo a turn. Column 0 may lie anywhere in the sector that is measured.
-    is_straight : bool
-        Whether they are linear in the column.
-
-    Raises
-    ------
-    NoDirectionError
-        When the angles do not grow, or by more than a full turn.
-    """
+    """Return angles of all columns from those of some, growing with the column."""
     step = forward_steps(angle)
     along = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
     if along[-1] - along[0] > MAX_TURNS * _TURN:

@@ -119,20 +119,6 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
     cos(angle)`` and ``range sin(angle)``. The height of the scanner is an unknown of every line, so that hills do not
     matter. Outliers are trimmed.
 
-    Parameters
-    ----------
-    angle, range_m, z : (n,) float
-        Scan angle [rad], range [m] and height [m] of every shot; values that are not finite are ignored.
-    line : (n,) int64
-        Its line.
-
-    Raises
-    ------
-    NoDirectionError
-        When too few shots have all three values, or the fit is poor.
-
-    Examples
-    --------
     >>> angle, range_m = np.deg2rad([60.0, 80.0, 100.0, 120.0] * 10), np.arange(2.0, 42.0)
     >>> z = 100 - range_m * np.cos(angle - np.deg2rad(90.0))
     >>> bool(abs(np.rad2deg(fit_heights(angle, range_m, z, np.zeros(40, int)).down_rad) - 90) < 1e-6)
@@ -232,23 +218,6 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
     the share of lines that show this plane by themselves (facades come and go), times the share of missing shots
     around the opposite direction. A dead angle may be sky or not, and counts half.
 
-    Parameters
-    ----------
-    angle_rad : (M,) float64
-        Scan angle of every column [rad].
-    range_m : (lines, M) float32, metres
-        Lines with returns, best spread over a stretch of the drive; NaN = missing. :data:`MOST_LINES` of them and
-        :data:`MOST_COLUMNS` columns, evenly spread, are used.
-    is_coarse : bool
-        Use a third of these columns and of the directions: nine times as fast, and good to some degrees.
-
-    Returns
-    -------
-    DownGuess or None
-        None if no plane fills enough of the lines.
-
-    Examples
-    --------
     >>> angle = np.deg2rad(np.linspace(0, 180, 361))
     >>> down = np.cos(angle - np.deg2rad(100))
     >>> lines = np.tile(np.where(down > 0.2, 2.0 / np.maximum(down, 0.2), np.nan), (10, 1)).astype(np.float32)
@@ -329,17 +298,7 @@ def middle_of_lines(range_m: F32) -> F64:
 
 
 def _planes(along: F64, middle_m: F64, step_rad: float) -> tuple[F64, F64, Mask]:
-    """Return the fullest plane across every direction: angle filled [rad], distance [m], columns.
-
-    Parameters
-    ----------
-    along : (directions, columns) float64
-        Cosine of the angle between direction and column.
-    middle_m : (columns,) float64
-        Median ranges [m].
-    step_rad : float
-        Angle between columns [rad].
-    """
+    """Return the fullest plane across every direction: angle filled [rad], distance [m], columns."""
     near = (along > math.cos(REACH_RAD)) & np.isfinite(middle_m)
     row, column = np.nonzero(near)
     depth = middle_m[column] * along[near]

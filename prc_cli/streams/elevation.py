@@ -25,21 +25,7 @@ _LINE = "line by elevation"
 
 
 def with_elevation(source: RecordSource, config: InputConfig) -> tuple[RecordSource, InputConfig]:
-    """Return the source with elevations as ``angle`` [rad] and line numbers, and the configuration to use them.
-
-    Parameters
-    ----------
-    source : RecordSource
-        With x, y, z relative to the scanner, z up.
-    config : InputConfig
-        ``lines = "elevation:DEG"``: a line ends where the elevation drops by more than so many degrees, or, below
-        zero, where it rises by more.
-
-    Raises
-    ------
-    ConfigError
-        When the number is invalid, or the source has no coordinates relative to the scanner.
-    """
+    """Return the source with elevations as ``angle`` [rad] and line numbers, and the configuration to use them."""
     drop_deg = parse_rate(config.lines)
     if not 0 < abs(drop_deg) < 180:
         raise ConfigError("input.lines", f"found {config.lines!r}, expected elevation:DEG with 0 < |DEG| < 180")
@@ -77,13 +63,7 @@ class _WithElevation(DerivedSource):
         return replace(self.source.facts, points_per_line=None, notes=())
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions; a point at the origin has no elevation and stays in the current line.
-
-        Raises
-        ------
-        InputError
-            As the source does.
-        """
+        """Decode the named dimensions; a point at the origin has no elevation and stays in the current line."""
         if not {"angle", _LINE} & set(names):
             yield from self.source.chunks(names)
             return

@@ -34,21 +34,6 @@ def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
     From there on, each time is assumed within half a week of the end of the week, so that scanners of one file stay
     together even if they change week at different records.
 
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Times in the order of the input [s]; NaN and infinite stay as they are.
-    state : WeekState
-
-    Returns
-    -------
-    time_s : (n,) float64
-    added : (n,) bool
-        Where a week was added.
-    state : WeekState
-
-    Examples
-    --------
     >>> unwrap_week(np.array([604799.5, 0.5, 1.5]), WeekState())[0]
     array([604799.5, 604800.5, 604801.5])
     """
@@ -91,15 +76,7 @@ class WeekSource(DerivedSource):
 
 
 def times_of_trajectory(chunk: RecordChunk, first_s: float) -> F64:
-    """Return the times to look up in a trajectory, (n,) [s].
-
-    Parameters
-    ----------
-    chunk : RecordChunk
-        From :class:`WeekSource`.
-    first_s : float
-        First time of the trajectory [s]; stored times before it belong to the next week.
-    """
+    """Return the times to look up in a trajectory, (n,) [s]."""
     time_s = np.asarray(chunk.values["time"], np.float64)
     added = chunk.values.get(ADDED)
     if added is None:

@@ -48,30 +48,7 @@ def open_grid(
     geometry: bool = True,
     only_ranges: bool = False,
 ) -> GridStream:
-    """Turn a list of records into the stream.
-
-    Parameters
-    ----------
-    source : RecordSource
-        Decoded records; read once from the start, or twice where M must be found first.
-    config : InputConfig
-        How lines, columns and ranges are found; ``auto`` is resolved and reported in ``info.assumptions``.
-    line_hz : float, optional
-        Scan lines per second from a layout [Hz].
-    geometry : bool
-        Find column angles and straight down even if lines do not need them.
-    only_ranges : bool
-        Leave times and intensities out of the blocks, and do not decode them unless needed.
-
-    Raises
-    ------
-    InputError
-        When the input has nothing to find lines, columns or ranges by.
-    OrderError
-        When, in addition, its first records are not in firing order.
-    ConfigError
-        When a named dimension does not exist, or M is needed and not given.
-    """
+    """Turn a list of records into the stream."""
     records = sorted_by_time(source) if config.order == "sort-time" else source
     try:
         rules = resolve_rules(records, config)

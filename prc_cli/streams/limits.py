@@ -52,19 +52,7 @@ class CellLimit:
 
 
 def cell_limit(points_per_line: int, n_known: int, max_gap_lines: int, *, is_alone: bool) -> CellLimit:
-    """Return the limit of one scanner; a larger ``max_gap_lines`` than the default raises it.
-
-    Parameters
-    ----------
-    points_per_line : int
-        M.
-    n_known : int
-        Records of the whole input if known, else 0.
-    max_gap_lines : int
-        Most missing lines in a row.
-    is_alone : bool
-        Whether the input has a single scanner.
-    """
+    """Return the limit of one scanner; a larger ``max_gap_lines`` than the default raises it."""
     n_spare = SPARE_CELLS if is_alone else MIN_CELLS
     if max_gap_lines > USUAL_GAP_LINES:
         n_spare += max_gap_lines * points_per_line
@@ -89,32 +77,7 @@ class Admission:
 
 
 def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Admission) -> tuple[Mask, LineState]:
-    """Mark the shots whose line is still open.
-
-    Parameters
-    ----------
-    line : (n,) int64
-        Line of every shot.
-    known : (n,) bool
-        False = the shot has no line.
-    record : (n,) int64
-        Record index of every shot, for messages.
-    state : LineState
-        ``top`` is used and updated.
-    rule : Admission
-
-    Returns
-    -------
-    admitted : (n,) bool
-    state : LineState
-
-    Raises
-    ------
-    OrderError
-        When lines go back and that is refused.
-    InputError
-        When more lines are missing in a row than allowed, or nearly all cells so far.
-    """
+    """Mark the shots whose line is still open."""
     steady = bool(known.all()) and (not len(line) or line[0] >= max(state.top, 0)) and not np.any(line[1:] < line[:-1])
     if steady and len(line) and _all_admitted(int(line[-1]), state, rule):
         return known, replace(state, n_seen=state.n_seen + len(line), top=int(line[-1]))
@@ -171,22 +134,7 @@ def _check_cells(top: I64, known: Mask, record: I64, state: LineState, limit: Ce
 
 
 def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = "") -> None:
-    """Refuse an image that is absurdly empty.
-
-    Parameters
-    ----------
-    path : str
-        Input, for messages.
-    sizes : dict by scanner
-        Lines, columns and shots of every scanner.
-    which : str
-        Dimension that splits the scanners.
-
-    Raises
-    ------
-    InputError
-        When one scanner has too many columns, or all have together more cells than their shots allow.
-    """
+    """Refuse an image that is absurdly empty."""
     n_cells = sum(n_lines * n_columns for n_lines, n_columns, _ in sizes.values())
     is_empty = n_cells > most_cells(sum(n_shots for _, _, n_shots in sizes.values()))
     # name the emptiest scanner
@@ -202,12 +150,7 @@ def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = 
 
 
 def check_found_columns(path: str, points_per_line: int, n_records: int | None) -> None:
-    """Refuse an M, found or recorded in the file, that is too large for the number of records.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse an M, found or recorded in the file, that is too large for the number of records."""
     most = MAX_COLUMN if n_records is None else min(MAX_COLUMN, most_cells(n_records))
     if points_per_line > most:
         count = "" if n_records is None else f" for {n_records} records"

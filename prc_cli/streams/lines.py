@@ -95,26 +95,7 @@ LineRule: TypeAlias = NumberedLines | FixedLines | SweptLines | TimedLines
 def find_lines(
     shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rule: LineRule
 ) -> tuple[I64, Mask, LineState]:
-    """Find the line of the next shots by a rule.
-
-    Parameters
-    ----------
-    shots : Table
-        With the dimension of the rule.
-    time_s : (n,) float64 or None
-        Estimated times [s]; None = ``time`` of the table.
-    n_shots : int
-    state : LineState
-    rule : LineRule
-
-    Returns
-    -------
-    line : (n,) int64
-        Line of every shot (may be below 0 where numbers go back).
-    known : (n,) bool
-        False where the shot has no line.
-    state : LineState
-    """
+    """Find the line of the next shots by a rule."""
     match rule:
         case NumberedLines(dimension, path):
             return lines_by_dimension(shots[dimension], state, f"{path}: {dimension}")
@@ -132,29 +113,7 @@ def find_lines(
 
 
 def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tuple[I64, Mask, LineState]:
-    """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines.
-
-    Parameters
-    ----------
-    number : (n,) float or integer
-        Line numbers as stored; NaN and infinite = none.
-    state : LineState
-    where : str
-        File and dimension, for messages.
-
-    Returns
-    -------
-    line : (n,) int64
-        Line of every shot (may be below 0 where numbers go back).
-    known : (n,) bool
-        False where the shot has no line.
-    state : LineState
-
-    Raises
-    ------
-    InputError
-        When a number is not whole or too large.
-    """
+    """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines."""
     if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
         if state.offset is None and len(number):
             state = replace(state, offset=int(number[0]))
@@ -190,21 +149,6 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[
     The span is the larger one of the ending line and the line before: at the edges of a flight or behind an obstacle,
     lines are much shorter than the longest.
 
-    Parameters
-    ----------
-    angle : (n,) float
-        Scan angle [rad]; shots without one stay in the current line.
-    sweep : Sweep
-        From :func:`prc_cli.streams.angles.find_sweep`.
-    state : LineState
-
-    Returns
-    -------
-    line, known, state
-        As :func:`lines_by_dimension`; every shot has a line.
-
-    Examples
-    --------
     >>> lines_by_wrap(np.array([0.0, 0.5, 1.0, 0.1, 0.6]), Sweep(1, 1.0, 0.05), LineState())[0]
     array([0, 0, 0, 1, 1])
     """
@@ -244,29 +188,7 @@ def lines_by_time(
     state: LineState,
     since_s: F64 | None = None,
 ) -> tuple[I64, Mask, LineState]:
-    """Count line periods from the origin: ``floor((t - t0) * HZ)``.
-
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Times of the shots [s]; NaN and infinite = no line.
-    line_hz : float
-        Lines a second.
-    half_shot_s : float
-        Half the time between shots [s], 0 if unknown: a shot that comes at most this early (rounded times) is column 0
-        of its line.
-    origin_s : float or None
-        Time of line 0, column 0 [s]; None = the first known time, minus ``since_s`` if known.
-    state : LineState
-    since_s : (n,) float64, optional
-        Time since the start of the line from the column of the shot, else NaN [s]. Then the line is ``rint((t - since -
-        t0) * HZ)``: rounding errors of times are far below half a line.
-
-    Returns
-    -------
-    line, known, state
-        As :func:`lines_by_dimension`; below 0 before the origin.
-    """
+    """Count line periods from the origin: ``floor((t - t0) * HZ)``."""
     known: Mask = np.isfinite(time_s)
     if state.origin_s is None:
         if origin_s is None and known.any():

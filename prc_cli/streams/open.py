@@ -23,28 +23,7 @@ def open_input(
     geometry: bool = True,
     only_ranges: bool = False,
 ) -> ScanStream:
-    """Open an input file as a stream of blocks.
-
-    Parameters
-    ----------
-    path : Path
-        Input file.
-    config : InputConfig
-        How lines, columns and ranges are found.
-    layout : Layout, optional
-        Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
-    lines_at_once : int
-        Lines used at a time: files of known line length are best read in multiples of it.
-    geometry : bool
-        Find column angles and straight down; False saves reading the first records where only ranges are needed.
-    only_ranges : bool
-        Times and intensities of the shots may be left out of the blocks; coordinates stay.
-
-    Raises
-    ------
-    InputError
-        When the file is damaged or does not hold what the configuration asks for.
-    """
+    """Open an input file as a stream of blocks."""
     if config.window is None:
         return _open(path, config, layout, lines_at_once=lines_at_once, geometry=geometry, only_ranges=only_ranges)
     from prc_cli.streams.window import windowed

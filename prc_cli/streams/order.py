@@ -129,19 +129,7 @@ def _grouped(number: int) -> str:
 
 
 class OrderWatch:
-    """Checks, chunk by chunk, a dimension that must not decrease.
-
-    Parameters
-    ----------
-    path : str
-        File name, for messages.
-    policy : {"require", "trust", "sort-time"}
-        ``require`` raises as soon as the evidence is conclusive; the others only count.
-    what : str
-        Name of the dimension.
-    can_sort : bool
-        Whether the input can be sorted by time, for the hint.
-    """
+    """Checks, chunk by chunk, a dimension that must not decrease."""
 
     def __init__(
         self,
@@ -174,20 +162,7 @@ class OrderWatch:
         return self._n_back
 
     def see(self, values: F64, record: I64 | None) -> None:
-        """Take the next records.
-
-        Parameters
-        ----------
-        values : (n,) float64
-            Times [s]; NaN and infinite values are counted and ignored.
-        record : (n,) int64 or None
-            Record index of every value; None = they follow the records before.
-
-        Raises
-        ------
-        OrderError
-            Under ``require``, when the evidence is conclusive.
-        """
+        """Take the next records."""
         if record is None:
             record = np.arange(self._n_records, self._n_records + len(values), dtype=np.int64)
         while len(values):
@@ -237,13 +212,7 @@ class OrderWatch:
             self._largest = largest
 
     def finish(self) -> None:
-        """Check all steps so far.
-
-        Raises
-        ------
-        OrderError
-            Under ``require``, when the order is not chronological.
-        """
+        """Check all steps so far."""
         if self._policy == "require":
             self._judge()
 
@@ -311,13 +280,7 @@ class WatchedStream:
         return self.source.info
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
-
-        Raises
-        ------
-        OrderError
-            When times go back and the order is not trusted.
-        """
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         info = self.info
         watches: dict[int, OrderWatch] = {}
         for block in self.source.blocks():

@@ -41,15 +41,6 @@ class PipeSource(LayoutRecords):
 
     Bytes read before :meth:`seal` are kept, so that :meth:`chunks` can start again; afterwards the records can be read
     to the end once.
-
-    Parameters
-    ----------
-    handle : ByteStream
-        Unbuffered.
-    layout : Layout
-        Its header, byte order and fields.
-    name : str
-        For messages.
     """
 
     n_records = None
@@ -70,15 +61,7 @@ class PipeSource(LayoutRecords):
         self._sealed = True
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode records as they arrive, from the start.
-
-        Raises
-        ------
-        ConfigError
-            When a name is not in the layout.
-        InputError
-            When the pipe is empty, breaks, or ends inside a record or before the first one.
-        """
+        """Decode records as they arrive, from the start."""
         self._check_names(names)
         each, n_header, first, rest = self._dtype.itemsize, self._header_bytes, 0, b""
         for piece in self._pieces():
@@ -142,11 +125,6 @@ def open_pipe(handle: ByteStream, config: InputConfig, layout: Layout | None = N
     """Open a pipe as a stream of blocks; see :func:`prc_cli.streams.open.open_input`.
 
     The source must be sealed (:meth:`PipeSource.seal`) before the blocks are read to their end.
-
-    Raises
-    ------
-    InputError, ConfigError
-        When the records have nothing to find lines, columns or ranges by.
     """
     layout = RANGES_ONLY if layout is None else layout
     layout = layout if layout.fields else layout.model_copy(update={"fields": RANGES_ONLY.fields})

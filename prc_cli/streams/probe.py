@@ -45,22 +45,7 @@ def line_rules(
     spent: tuple[str, ...] = (),
     judges_order: bool = True,
 ) -> LineRules:
-    """Return the parameters of a scanner's lines.
-
-    Parameters
-    ----------
-    rules : GridRules
-    points_per_line : int or None
-        M where it is known.
-    found : Estimates
-        Of the scanner.
-    cells : CellLimit, optional
-        None = no limit.
-    spent : tuple of str
-        Dimensions not needed once a record has its line.
-    judges_order : bool
-        Whether lines that go back are refused.
-    """
+    """Return the parameters of a scanner's lines."""
     is_numbered = rules.line_dimension is not None
     admission = Admission(
         where=f"{rules.path}: {rules.line_dimension or 'lines = ' + rules.lines}",
@@ -147,15 +132,7 @@ def _timing(rules: GridRules, records: Table, points_per_line: int | None) -> Sh
 def probe(
     source: RecordSource, rules: GridRules, points_per_line: int | None, *, geometry: bool
 ) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
-    """Read the first records of every scanner; estimate sweep, column angles and timing.
-
-    Returns
-    -------
-    estimates : dict by scanner
-        Empty if scanners are neither known nor needed.
-    probes : dict of WholeLines by scanner
-        Whole lines of those records, if column angles or straight down were requested.
-    """
+    """Read the first records of every scanner; estimate sweep, column angles and timing."""
     by_column = rules.columns == "dimension" or rules.lines == "fixed"
     # angles that are given need no records, but heights beside them tell where down is
     has_heights = bool(rules.height_names) and rules.gives_angles

@@ -77,28 +77,7 @@ def open_ranges(
     crs_wkt: str | None,
     sensor_xyz: bool = False,
 ) -> RangeRule:
-    """Parse a resolved ``input.range``; reads the trajectory if there is one.
-
-    Parameters
-    ----------
-    rule : str
-        ``dimension:NAME``, ``trajectory:FILE``, ``origin:X,Y,Z`` or ``sensor-xyz``.
-    dimensions : tuple of str
-        What the input has.
-    path : str
-        Input, for messages.
-    config : InputConfig
-        Coordinate system and time offset of the trajectory, bounds of the ranges.
-    crs_wkt : str or None
-        Coordinate system of the input.
-    sensor_xyz : bool
-        Whether x, y, z beside a dimension of ranges are relative to the sensor.
-
-    Raises
-    ------
-    InputError
-        When the input lacks coordinates or times, or the trajectory cannot be read.
-    """
+    """Parse a resolved ``input.range``; reads the trajectory if there is one."""
     kind, _, argument = rule.partition(":")
     bounds = RangeRule(min_range_m=config.min_range, max_range_m=config.max_range)
     if kind == "dimension":
@@ -132,27 +111,6 @@ def open_ranges(
 def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
     """Return ranges, not yet cleaned, and sensor-centred coordinates.
 
-    Parameters
-    ----------
-    values : dict of (n,) arrays
-        The dimensions ``rule.names``.
-    rule : RangeRule
-
-    Returns
-    -------
-    range_m : (n,) float
-        [m]; from a dimension as stored, else float64; NaN where a coordinate is NaN.
-    xyz_m : (n, 3) float32 or None
-        Relative to the sensor, axes as in the input (z up) [m]; None if ranges come from a dimension and coordinates
-        are registered.
-
-    Raises
-    ------
-    InputError
-        When a time lies outside the trajectory.
-
-    Examples
-    --------
     >>> point = {"x": np.array([13.0]), "y": np.array([4.0]), "z": np.array([7.0])}
     >>> measure_ranges(point, RangeRule(origin_m=(10.0, 0.0, 7.0)))[0]
     array([5.])
@@ -184,15 +142,6 @@ def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F3
 def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
     """Whether coordinates beside ranges are relative to the sensor: then their length is the range.
 
-    Parameters
-    ----------
-    values : dict of (n,) arrays
-        x, y, z and the ranges, of the first records.
-    dimension : str
-        Name of the ranges.
-
-    Examples
-    --------
     >>> point = {"x": np.array([3.0]), "y": np.array([0.0]), "z": np.array([4.0]), "range": np.array([5.0])}
     >>> is_sensor_xyz(point, "range"), is_sensor_xyz(point | {"z": np.array([90.0])}, "range")
     (True, False)

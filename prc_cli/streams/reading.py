@@ -37,26 +37,7 @@ def whole_lines(
     names: tuple[str, ...] = (),
     prepare: Prepare | None = None,
 ) -> Iterator[WholeLines]:
-    """Read a source from start to end as whole lines, chronological for each scanner.
-
-    Parameters
-    ----------
-    source : RecordSource
-    rules : GridRules
-        ``rules.names`` are always decoded.
-    line_rules : callable
-    names : tuple of str
-        Additional dimensions for ``prepare``.
-    prepare : callable, optional
-        Called with every chunk and its table.
-
-    Raises
-    ------
-    OrderError
-        When the times show that records are not in firing order.
-    InputError
-        When no record has a line, or lines are refused.
-    """
+    """Read a source from start to end as whole lines, chronological for each scanner."""
     states: dict[int, ScanState] = {}
     watches: dict[int, OrderWatch] = {}
     waiting = ReadTally()
@@ -174,12 +155,7 @@ def finish(watches: dict[int, OrderWatch]) -> None:
 
 
 def judge_first_records(source: RecordSource) -> None:
-    """Refuse a source whose first chunk is not chronological.
-
-    Raises
-    ------
-    OrderError
-    """
+    """Refuse a source whose first chunk is not chronological."""
     if "time" not in source.dimensions:
         return
     watch = open_watch(source, "require")

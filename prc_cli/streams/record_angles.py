@@ -108,13 +108,6 @@ def turns_round(source: RecordSource, scanner: str | None) -> bool:
 def turn_of_times(time_s: F64, angle: F64) -> float | None:
     """Return the angle that the scanner turns in a line, also where no shot returns [rad]; None if unknown.
 
-    Parameters
-    ----------
-    time_s, angle : (n,) float64
-        Times [s] and scan angles [rad] of the first records.
-
-    Examples
-    --------
     Half of the shots of a turn return:
 
     >>> shot = np.arange(90)

@@ -71,13 +71,7 @@ def _elevation(frame: Frame) -> F64:
 
 
 def find_turns(frame: Frame, path: str) -> Turns:
-    """Find where rings begin: the azimuth with the least spread of elevation within rings.
-
-    Raises
-    ------
-    InputError
-        When the records do not turn around the scanner several times.
-    """
+    """Find where rings begin: the azimuth with the least spread of elevation within rings."""
     azimuth = np.arctan2(frame.xyz_m[:, 1].astype(np.float64), frame.xyz_m[:, 0].astype(np.float64))
     step = wrap(np.diff(azimuth))
     way = math.copysign(1.0, float(np.sign(step).sum()))
@@ -108,13 +102,7 @@ def find_turns(frame: Frame, path: str) -> Turns:
 
 
 def whole_rings(values: NDArray[Any], path: str) -> I64:
-    """Return the numbers of rings as int64.
-
-    Raises
-    ------
-    InputError
-        When they are not whole.
-    """
+    """Return the numbers of rings as int64."""
     if values.dtype.kind in "iu":
         return values.astype(np.int64)
     with np.errstate(invalid="ignore"):
@@ -142,11 +130,6 @@ def turns_of_rings(frame: Frame, path: str) -> Turns:
 
     Records of a ring are sorted by azimuth: rings whose beams are turned against each other (staggered) then meet in
     the lines of their azimuth, not of their time.
-
-    Raises
-    ------
-    InputError
-        When there are too many rings, or they do not turn around the scanner.
     """
     order, rank, along, way = _ring_order(frame)
     n_rings = int(rank.max()) + 1

@@ -95,23 +95,7 @@ class _Image:
 
 
 def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
-    """Read a whole frame and arrange it in vertical lines.
-
-    Parameters
-    ----------
-    source : RecordSource
-        Records with x, y and z, ring after ring.
-    config : InputConfig
-        ``points_per_line`` = number of rings and ``azimuth_step`` (both found if not given), ``range`` =
-        ``sensor-xyz`` or ``origin:X,Y,Z``, bounds of the ranges.
-
-    Raises
-    ------
-    ConfigError
-        When other options contradict ``lines = rings``.
-    InputError
-        When the frame is too large, has no coordinates, or is not in ring order.
-    """
+    """Read a whole frame and arrange it in vertical lines."""
     _check_rules(config)
     refuse_scale(config, source.path, "its ranges are lengths of x, y, z")
     frame, n_records, tally = _read(source, config)

@@ -111,15 +111,7 @@ class GridRules:
 
 
 def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
-    """Resolve ``auto`` and check that all named dimensions exist.
-
-    Raises
-    ------
-    InputError
-        When ``auto`` finds nothing; the hint names options to give.
-    ConfigError
-        When a named dimension does not exist; the hint lists those that do, nearest name first.
-    """
+    """Resolve ``auto`` and check that all named dimensions exist."""
     has = source.dimensions
     if config.order == "require" and is_order_lost(source, config):
         raise OrderError(source.path, LOST, LOST_HINT)
@@ -374,19 +366,7 @@ def _check_dimension(key: str, name: str, source: RecordSource) -> None:
 
 
 def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int | None, Assumption | None]:
-    """Return M if known without reading.
-
-    Parameters
-    ----------
-    rules : GridRules
-    recorded : int or None
-        M from the file.
-
-    Raises
-    ------
-    ConfigError
-        When lines are fixed and M is not given, or M is not the one recorded beside the numbers of the columns.
-    """
+    """Return M if known without reading."""
     key = "input.points_per_line"
     if rules.points_per_line is not None:
         # with column numbers in the file another M drops its last columns, or spreads its angles over too many

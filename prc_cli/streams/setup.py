@@ -65,33 +65,7 @@ def find_setups(
     geometry: bool = True,
     end: WindowEnd | None = None,
 ) -> tuple[dict[int, ScannerSetup], int | None, tuple[Assumption, ...]]:
-    """Estimate the parameters that the rules need, for every scanner.
-
-    Parameters
-    ----------
-    source : RecordSource
-    rules : GridRules
-    ranges : RangeRule
-    points_per_line : int or None
-        M if known already.
-    geometry : bool
-        Find column angles and straight down even if lines and columns do not need them.
-    end : WindowEnd, optional
-        Where the lines that are wanted end: the size of the image is that of the lines before.
-
-    Returns
-    -------
-    setups : dict of ScannerSetup by scanner
-        Empty if scanners are neither known nor needed.
-    n_lines : int or None
-        Number of lines of all scanners, if the whole input was read.
-    assumptions : tuple of Assumption
-
-    Raises
-    ------
-    InputError
-        When angles give no columns, or the image would be nearly empty.
-    """
+    """Estimate the parameters that the rules need, for every scanner."""
     if points_per_line is not None and rules.points_per_line is None:
         check_found_columns(rules.path, points_per_line, source.n_records)
     estimates, probes = probe(source, rules, points_per_line, geometry=geometry)

@@ -35,19 +35,6 @@ UNKNOWN = ShotTiming()
 def find_timing(time_s: F64, column: I64 | None, line_hz: float, points_per_line: int | None) -> ShotTiming:
     """Find the timing from the first shots.
 
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Times of the shots in input order [s].
-    column : (n,) int64 or None
-        Columns of the shots, below 0 = none; None if the input has none.
-    line_hz : float
-        Lines a second.
-    points_per_line : int or None
-        M if given.
-
-    Examples
-    --------
     >>> find_timing(np.arange(8) * 0.25, np.arange(8) % 4, 1.0, None)
     ShotTiming(shot_s=0.0, column_s=0.25)
     >>> find_timing(np.arange(8) * 0.25, None, 1.0, None)
@@ -88,21 +75,6 @@ def _shot_step(time_s: F64, period_s: float) -> float:
 
 
 def time_in_line(column: I64, column_s: float, period_s: float) -> F64:
-    """Return the time of shots since column 0 of their line.
-
-    Parameters
-    ----------
-    column : (n,) int64
-        Columns of the shots, below 0 = none.
-    column_s : float
-        Time from column to column [s].
-    period_s : float
-        Time from line to line [s].
-
-    Returns
-    -------
-    (n,) float64
-        [s], NaN where the column is missing or too large for a line.
-    """
+    """Return the time of shots since column 0 of their line."""
     since: F64 = column.astype(np.float64) * column_s
     return np.where((column >= 0) & (since < MAX_FILL * period_s), since, np.nan)

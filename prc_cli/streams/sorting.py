@@ -29,26 +29,7 @@ _TIME, _RECORD = "sort time", "input record"
 def sorted_by_time(
     source: RecordSource, *, run_records: int = RUN_RECORDS, merge_records: int = MERGE_RECORDS
 ) -> RecordSource:
-    """Return a source with the same records sorted by time.
-
-    Parameters
-    ----------
-    source : RecordSource
-        With a dimension ``time``.
-    run_records, merge_records : int
-        Records held while sorting and merging; change memory and speed, never the order.
-
-    Returns
-    -------
-    RecordSource
-        Its chunks carry ``record``. Every call of ``chunks`` reads and sorts again, with a temporary file of about
-        (requested dimensions + 16) bytes per record if the input is longer than a run.
-
-    Raises
-    ------
-    InputError
-        When the source has no times.
-    """
+    """Return a source with the same records sorted by time."""
     if "time" not in source.dimensions:
         problem = f"no time to sort by, found the dimensions {', '.join(source.dimensions)}"
         raise InputError(source.path, problem, "without times the order cannot be restored")
@@ -61,15 +42,7 @@ class _SortedSource(DerivedSource):
     merge_records: int
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode, sort and deliver; see :func:`sorted_by_time`.
-
-        Raises
-        ------
-        InputError
-            As the source does, and when a time is NaN or infinite.
-        OutputError
-            When the temporary file cannot be written.
-        """
+        """Decode, sort and deliver; see :func:`sorted_by_time`."""
         with _temporary_file() as handle:
             runs: list[_Run] = []
             position = 0

@@ -32,13 +32,7 @@ PLANE_SHOTS = 1 << 12
 
 
 def with_sweeps(source: RecordSource, config: InputConfig) -> tuple[InputConfig, tuple[Assumption, ...]]:
-    """Return the configuration with lines and columns by time, as the directions show them, where nothing else tells.
-
-    Raises
-    ------
-    InputError
-        When the positions of the scanner cannot be read or do not cover the points.
-    """
+    """Return the configuration with lines and columns by time, from the directions, where nothing else tells."""
     asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
     knows = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(source.dimensions)
     if not asks or not knows or not only_times_tell(source) or config.scanner != "none":
@@ -88,13 +82,6 @@ def _rates(source: RecordSource, rule: RangeRule) -> TimedScan | None:
 def angles_in_planes(xyz: F32) -> F64:
     """Return the angle of every shot in its scan plane, from the lowest direction [rad].
 
-    Parameters
-    ----------
-    xyz : (n, 3) float32
-        Relative to the scanner, in the order of firing [m].
-
-    Examples
-    --------
     >>> angle = np.linspace(-1.0, 1.0, 5)
     >>> line = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1).astype(np.float32)
     >>> np.abs(angles_in_planes(line)).round(3).tolist()

@@ -87,23 +87,6 @@ class Trajectory:
     def positions(self, time_s: F64) -> F64:
         """Interpolate.
 
-        Parameters
-        ----------
-        time_s : (n,) float64
-            Times [s].
-
-        Returns
-        -------
-        (n, 3) float64
-            Positions [m], finite.
-
-        Raises
-        ------
-        InputError
-            When a time is not finite, or lies outside the trajectory or in a gap of it.
-
-        Examples
-        --------
         >>> track = Trajectory("drive.csv", np.array([0.0, 2.0]), np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 1.0]]))
         >>> track.positions(np.array([0.5]))
         array([[1., 0., 1.]])
@@ -189,36 +172,7 @@ def load_trajectory(
     topic: str | None = None,
     lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Trajectory:
-    """Read a trajectory: ``.sbet`` and ``.out`` are SBET, ``.bag``, ``.db3``, ``.mcap`` bags; anything else is text.
-
-    Parameters
-    ----------
-    path : Path
-        Text without a header is time x y z, and with 8 numbers a row TUM: a quaternion qx qy qz qw follows. Other text:
-        columns time (time, gps_time, t), x (x, easting, e), y (y, northing, n) and z (z, height, altitude,
-        alt, h) in the coordinate system of the points, any delimiter. SBET: projected to that system; heights stay
-        ellipsoidal.
-    crs : str or None
-        Coordinate system of the points (``trajectory_crs``), for SBET.
-    source_crs_wkt : str or None
-        Coordinate system in the file of the points; used if ``crs`` is None.
-    time_offset : float
-        Added to the trajectory's times [s].
-    max_gap : float, optional
-        Longest step between positions to interpolate in [s] (``trajectory_max_gap``); ten times the median step,
-        at least 1 s, if None.
-    topic : str, optional
-        Topic of the poses in a bag (``trajectory_topic``); the only one if None.
-    lever_arm_m : tuple of three float, optional
-        From the positions to the scanner, on the axes of the vehicle that the orientations turn [m].
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read as a trajectory; the message names the row or record.
-    ConfigError
-        When an SBET file has no target coordinate system or one with a vertical datum, or pyproj is missing.
-    """
+    """Read a trajectory: ``.sbet`` and ``.out`` are SBET, ``.bag``, ``.db3``, ``.mcap`` bags; anything else is text."""
     quaternion: F64 | None = None
     try:
         size = path.stat().st_size

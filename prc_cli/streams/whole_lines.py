@@ -79,24 +79,7 @@ class WholeLines:
 def advance(
     scanner: int, records: Table, state: ScanState, rules: LineRules, *, final: bool
 ) -> tuple[WholeLines | None, ScanState]:
-    """Add the next records of a scanner; return the lines that are complete now.
-
-    Parameters
-    ----------
-    scanner : int
-        Its id.
-    records : Table
-        Dimensions for lines and shots, :data:`RECORD`, and any other columns.
-    state : ScanState
-    rules : LineRules
-    final : bool
-        Whether nothing follows.
-
-    Raises
-    ------
-    OrderError, InputError
-        See :mod:`prc_cli.streams.lines`; also when a line is too long.
-    """
+    """Add the next records of a scanner; return the lines that are complete now."""
     records, starts, state = whole_shots(join([state.tail, records]), state, rules, final=final)
     if n_rows(records):
         records, state = _find_lines(records, starts, state, rules)
@@ -132,20 +115,7 @@ def _check_open(held: tuple[Table, ...], n_held: int, state: ScanState, rules: L
 
 
 def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
-    """Mark the shots; hold back the last ones if returns may follow.
-
-    Returns
-    -------
-    records : Table
-    starts : (n,) bool
-        First record of every shot.
-    state : ScanState
-
-    Raises
-    ------
-    InputError
-        When a shot has too many returns.
-    """
+    """Mark the shots; hold back the last ones if returns may follow."""
     n = n_rows(records)
     if rules.same_shot is None or not n:
         return records, np.ones(n, np.bool_), replace(state, tail={})
@@ -192,13 +162,7 @@ def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules
 
 
 def split_scanners(records: Table, scanner: str | None, path: str) -> Iterator[tuple[int, Table]]:
-    """Yield the records of every scanner in a chunk, by id, in their order.
-
-    Raises
-    ------
-    InputError
-        When an id is not a whole number.
-    """
+    """Yield the records of every scanner in a chunk, by id, in their order."""
     if scanner is None:
         yield 0, records
         return

@@ -78,13 +78,7 @@ class WindowedStream:
         return f"only lines {first:,} to {stop - 1:,}{several} were taken ({self.window.option}), as a drive of its own"
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
-
-        Raises
-        ------
-        InputError
-            Also when times are asked for and not known, or when no line lies in the window.
-        """
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         seen = self._seen = _Seen()
         taken = False
         # closed at once, not when the collector comes by: readers have threads

@@ -97,20 +97,7 @@ def cells_of(
 ) -> I32:
     """Return the answers of every shot as the number of a cell of the table.
 
-    Parameters
-    ----------
-    labels : (lines, M) uint8
-        Final labels of the block.
-    range_m : (lines, M) float32, metres
-    evidence : Evidence
-    plane : ScanPlane
-    questions : dict
-        Of every label.
-
-    Returns
-    -------
-    (lines, M) int32
-        0 to :data:`N_CELLS` - 1.
+    ``labels`` (lines, M) uint8; ``range_m`` (lines, M) float32, metres; returns (lines, M) int32.
     """
     own = slice(evidence.margin, evidence.margin + len(labels))
     beside = slice(1, 1 + len(labels))
@@ -128,21 +115,8 @@ def cells_of(
 def confidence_of(labels: U8, cells: I32, table: U8) -> U8:
     """Return the confidence of every shot.
 
-    Parameters
-    ----------
-    labels : (...) uint8
-    cells : (...) int32
-        Of :func:`cells_of`.
-    table : (number of labels, cells) uint8
-        Of :func:`load_table`.
+    ``labels`` (...) uint8; ``cells`` (...) int32; ``table`` (number of labels, cells) uint8; returns (...) uint8.
 
-    Returns
-    -------
-    (...) uint8
-        Per cent expected to be right; 0 = no return, or nothing is known.
-
-    Examples
-    --------
     >>> table = np.zeros((12, 4), np.uint8)
     >>> table[Label.GROUND] = 60, 70, 80, 90
     >>> confidence_of(np.array([[3, 0]], np.uint8), np.array([[2, 1]], np.int32), table)

@@ -99,23 +99,8 @@ class ForestParams(Params):
 def forest(range_m: F32, plane: Plane, noise_m: float, params: ForestParams) -> U8:
     """Label a block of forest.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        The block, chronological; NaN = missing, all else finite and positive.
-    plane : Plane
-        Of the scanner.
-    noise_m : float
-        Range noise [m], from :func:`prc_cli.classifiers.fused.forest_noise.forest_noise`; 0 = unknown.
-    params : ForestParams
+    ``range_m`` (lines, M) float32, metres; returns (lines, M) uint8.
 
-    Returns
-    -------
-    (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`: GROUND, STEM, VEGETATION, NOISE; MISSING where there is no return.
-
-    Examples
-    --------
     Ground, a stem, and a stray shot in front of the sky:
 
     >>> from prc_cli.core.classes import Label

@@ -25,13 +25,8 @@ EDGE_M = 1.0
 def forest_noise(range_m: F32) -> float | None:
     """Return the standard deviation of ranges on the smoothest surfaces [m]; None with too few runs of shots.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
+    ``range_m`` (lines, M) float32, metres.
 
-    Examples
-    --------
     >>> rng = np.random.default_rng(1)
     >>> lines = 5 + rng.normal(0, 0.01, (400, 200)).astype(np.float32)
     >>> lines[:, 60:] += rng.exponential(0.5, (400, 140)).astype(np.float32)

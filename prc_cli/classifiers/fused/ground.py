@@ -126,23 +126,7 @@ def follow_ground(
 ) -> tuple[Ground, GroundMemory]:
     """Find the ground of consecutive lines; see :func:`prc_cli.kernels.fused.ground.walk_ground`.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    seen : Neighbours
-    plane : ScanPlane
-    memory : GroundMemory
-        Before the first of these lines.
-    least_near : int
-        Shots with fewer near neighbours do not count.
-    keep : int
-        Line of the window before which the memory is returned, for the next block.
-    params : GroundParams
-
-    Returns
-    -------
-    Ground, GroundMemory
+    ``range_m`` (lines, M) float32, metres.
     """
     above, walked, kept, start_m, lost = kernels.walk_ground(
         range_m, plane.beams, seen.counts, (plane.left, plane.right),

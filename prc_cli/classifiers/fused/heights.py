@@ -22,11 +22,6 @@ _ResultT = TypeVar("_ResultT")
 class Overhearing(Turn):
     """A turn that also keeps the results of its steps.
 
-    Parameters
-    ----------
-    turn : Turn
-        Hands the state on.
-
     Attributes
     ----------
     results : dict
@@ -47,17 +42,7 @@ class Overhearing(Turn):
 def true_heights(above_m: F32, block: ScanBlock) -> F32:
     """Return heights in metres from heights in the scan plane.
 
-    Parameters
-    ----------
-    above_m : (lines, M) float32
-        Above the ground in the scan plane [m]; NaN = missing.
-    block : ScanBlock
-        Its coordinates, where it has them, tell how far the plane leans.
-
-    Returns
-    -------
-    (lines, M) float32
-        Above the ground [m]; NaN = missing, or no ground was seen.
+    ``above_m`` (lines, M) float32; returns (lines, M) float32.
     """
     known = np.where(above_m < np.float32(UNKNOWN_M), above_m, np.float32(np.nan))
     heights: F32 = (known * np.float32(_cosine_of_tilt(block))).astype(np.float32, copy=False)

@@ -48,24 +48,8 @@ def put_in_step(
     Where a surface recedes evenly from line to line, the odd columns are moved by half a line. Nothing is changed where
     lines show no interlaced surface.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        Consecutive lines; NaN = missing.
-    plane : ScanPlane
-    noise_m : (lines,) float64
-        Range noise at every line [m].
-    smoothness : SmoothnessParams
-        Its tolerance tells how far a shot may be off the middle of the lines before and after.
-    params : InterlaceParams
+    ``range_m`` (lines, M) float32, metres; ``noise_m`` (lines,) float64; returns (lines, M) float32, metres.
 
-    Returns
-    -------
-    (lines, M) float32, metres
-        The array itself if no line is interlaced.
-
-    Examples
-    --------
     A wall that recedes by 0.4 m a line, odd columns half a line later:
 
     >>> plane = ScanPlane.of(np.deg2rad(np.linspace(60, 70, 21)))

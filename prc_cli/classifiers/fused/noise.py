@@ -49,23 +49,8 @@ def ask_again(
 ) -> U8:
     """Label noise in a wider window, and take some back; see :func:`prc_cli.kernels.fused.noise.noise_again`.
 
-    Parameters
-    ----------
-    labels : tuple of (lines + 2, M) uint8 and (lines, M) uint8
-        As decided, of one line more before and after; and after the vote.
-    range_m, above_m : (lines + 6, M) float32, metres
-        Of three lines more before and after; NaN = missing.
-    seen : Neighbours
-        Of the same lines.
-    texture : (lines + 2, M) float32
-    plane : ScanPlane
-    limits : tuple of NearThresholds and AgainThresholds
-        When shots are near to each other, and the limits of the questions.
-
-    Returns
-    -------
-    (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`.
+    ``labels`` tuple of (lines + 2, M) uint8 and (lines, M) uint8; ``range_m, above_m`` (lines + 6, M) float32, metres;
+    ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
     """
     inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
     beside = slice(VOTE_LINES, -VOTE_LINES)

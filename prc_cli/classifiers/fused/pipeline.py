@@ -206,10 +206,7 @@ class FusedScanner:
     def of(cls, beam_rad: F64) -> FusedScanner:
         """Return the scanner of beams.
 
-        Parameters
-        ----------
-        beam_rad : (M,) float64
-            Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
+        ``beam_rad`` (M,) float64.
         """
         return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), is_fan(beam_rad))
 
@@ -324,26 +321,8 @@ def initial_state(scanner: FusedScanner) -> FusedState:
 def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams) -> U8:
     """Label a block of scan lines.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        The block, chronological; NaN = missing, all else finite and positive. ``params.lines_per_block`` lines, fewer
-        only at the end of the stream.
-    next_m : (lines, M) float32, metres
-        The lines that follow: :data:`FOLLOWING_LINES` are enough, more do no harm;
-        fewer or None only at the end of the stream.
-    scanner : FusedScanner
-    turn : Turn
-        Hands on the fields of :class:`FusedState`.
-    params : FusedParams
+    ``range_m`` (lines, M) float32, metres; ``next_m`` (lines, M) float32, metres; returns (lines, M) uint8.
 
-    Returns
-    -------
-    (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`.
-
-    Examples
-    --------
     A road, with a stray shot above it:
 
     >>> from prc_cli.classifiers.base import OneByOne
@@ -444,16 +423,8 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: 
     Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide as they usually are.
     Where the platform stands all lines are looked at.
 
-    Parameters
-    ----------
-    wide : (lines + 2 SPACED_LINES, M) float32
-        Ranges of the block and of the lines around [m].
-    strides : (lines + 6,) int64
-        Distance of neighbouring lines.
-    plane : ScanPlane
-    noise_m : (lines + 2 SPACED_LINES,) float64
-        Range noise at every line [m].
-    params : FusedParams
+    ``wide`` (lines + 2 SPACED_LINES, M) float32; ``strides`` (lines + 6,) int64; ``noise_m`` (lines + 2 SPACED_LINES,)
+    float64.
     """
     apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
     is_slower = params.spacing.across and int(strides[BESIDE_LINES:-BESIDE_LINES].max()) > MOST_APART
@@ -523,17 +494,7 @@ def _with_beside(wide: F32, strides: I64, noise_m: F64, every: int) -> tuple[F32
 def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
     """Return the lines of a block, each from the stream whose lines are as far apart as this one asks for.
 
-    Parameters
-    ----------
-    arrays : sequence of arrays
-        Of the lines of every stream, and of as many lines before as after them.
-    streams : sequence of Stream
-    apart : (lines,) int64
-
-    Returns
-    -------
-    array
-        That of the only stream, where there is one, whole.
+    ``apart`` (lines,) int64.
     """
     if len(streams) == 1 and streams[0].every == 1:
         return arrays[0]
@@ -642,14 +603,7 @@ def _spacing_limits(plane: ScanPlane, params: FusedParams) -> Callable[[float], 
 def see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> Seen:
     """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface.
 
-    Parameters
-    ----------
-    window : (lines, M) float32
-        Ranges of a block and of :data:`~prc_cli.classifiers.fused.plane.AROUND_LINES` before and after it [m].
-    smooth : (lines of the result, M) uint8
-        Smooth pairs of every shot.
-    plane : ScanPlane
-    params : FusedParams
+    ``window`` (lines, M) float32; ``smooth`` (lines of the result, M) uint8.
     """
     near = near_neighbours(window, plane, params.company)
     range_m = window[INNER_LINES:-INNER_LINES]
@@ -667,14 +621,7 @@ def _follow(
 def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, params: FusedParams) -> Evidence:
     """Measure how smooth places are, and find walls and cars above the ground.
 
-    Parameters
-    ----------
-    seen : Seen
-        From :func:`see`.
-    above_m : (lines, M) float32
-        Heights above the ground in the scan plane, of the lines of ``seen.range_m`` [m].
-    plane : ScanPlane
-    params : FusedParams
+    ``above_m`` (lines, M) float32.
     """
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)

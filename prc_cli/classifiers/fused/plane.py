@@ -113,16 +113,7 @@ class ScanPlane:
 def points_of(range_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
     """Return the coordinates of shots in the scan plane: to the side, and above the scanner.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    plane : ScanPlane
-
-    Returns
-    -------
-    side_m, height_m : (lines, M) float32, metres
-        ``r sin(beam)`` and ``-r cos(beam)``.
+    ``range_m`` (lines, M) float32, metres; returns side_m, height_m : (lines, M) float32, metres.
     """
     side, height = kernels.plane_points(range_m, plane.sine, plane.cosine)
     return side, height
@@ -183,14 +174,7 @@ class NoiseAlong:
     def after(self, following_m: F32, first_line: int, plane: ScanPlane, params: SensorParams) -> NoiseAlong:
         """Add the parts of the stream that end in some lines and were not added before.
 
-        Parameters
-        ----------
-        following_m : (lines, M) float32, metres
-            A block and the lines that follow.
-        first_line : int
-            Number of the first of them in the stream.
-        plane : ScanPlane
-        params : SensorParams
+        ``following_m`` (lines, M) float32, metres.
         """
         known = self
         while (known.parts + 1) * PART_LINES <= first_line + len(following_m):
@@ -224,20 +208,7 @@ class NoiseAlong:
 
         Lines after a block, and blocks after it, know the same then.
 
-        Parameters
-        ----------
-        first_line : int
-            Number of the first line in the stream.
-        n_lines : int
-        params : SensorParams
-
-        Returns
-        -------
-        (n_lines,) float64
-            Standard deviation of ranges [m]: as set, measured, or the default.
-
-        >>> NoiseAlong(steps=((1, 0.003), (2, 0.002))).of_lines(62, 4, SensorParams()).tolist()
-        [0.003, 0.003, 0.002, 0.002]
+        Returns (n_lines,) float64.
         """
         if params.range_noise_m != "auto":
             return np.full(n_lines, float(params.range_noise_m))
@@ -252,10 +223,7 @@ class NoiseAlong:
 def off_lines(side_m: F32, height_m: F32) -> F32:
     """Return the distances of shots from the straight lines through their two neighbours, (n,) float32 [m].
 
-    Parameters
-    ----------
-    side_m, height_m : (lines, M) float32, metres
-        Points of the scan plane.
+    ``side_m, height_m`` (lines, M) float32, metres.
     """
     y, z = side_m, height_m
     with np.errstate(all="ignore"):  # ranges may be anything
@@ -273,13 +241,8 @@ def range_noise(off_m: F32) -> float | None:
     Computed from the median distance of a shot from the straight line through its two neighbours. On smooth surfaces
     this is noise alone, and most surfaces along a road are smooth.
 
-    Parameters
-    ----------
-    off_m : (n,) float32, metres
-        Of :func:`off_lines`.
+    ``off_m`` (n,) float32, metres.
 
-    Examples
-    --------
     >>> rng = np.random.default_rng(1)
     >>> side = np.tile(np.linspace(1, 9, 80, dtype=np.float32), (200, 1))
     >>> height = rng.normal(-2, 0.01, side.shape).astype(np.float32)

@@ -33,16 +33,7 @@ def find_cars(
 ) -> tuple[U8, U8]:
     """Label cars by lines across their roofs; see :func:`prc_cli.kernels.fused.fans.fan_cars`.
 
-    Parameters
-    ----------
-    seen : tuple of (lines + ahead, M) arrays
-        Labels, ranges, heights above the ground and texture, of a block and of lines after it.
-    n_lines : int
-        Lines of the block.
-    plane : ScanPlane
-    before : (LINES, 2 BINS) uint8
-        Marks of the lines before.
-    thresholds : FanThresholds
+    ``seen`` tuple of (lines + ahead, M) arrays; ``before`` (LINES, 2 BINS) uint8.
     """
     found: tuple[U8, U8] = kernels.fan_cars(*seen, plane.sine, (plane.left, plane.right), before, n_lines, thresholds)
     return found

@@ -12,20 +12,8 @@ def label_further_returns(range_m: F32, labels: U8, line: I32, column: I32, rang
 
     Light that passes a leaf meets other leaves, which may be isolated; such returns are vegetation, not noise.
 
-    Parameters
-    ----------
-    range_m, labels, line, column, range_m_extra
-        As for :func:`prc_cli.classifiers.returns.label_extra_returns`.
-    limit_m : float, metres
-        Greatest range difference to the shot whose label a return takes, within its line and in adjacent lines.
+    Returns (n,) uint8.
 
-    Returns
-    -------
-    (n,) uint8
-        :class:`prc_cli.core.classes.Label` of every further return.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> image = np.array([[6.0, 6.1, 20.0]], dtype=np.float32)
     >>> labels = np.array([[Label.VEGETATION, Label.VEGETATION, Label.BUILDING]], dtype=np.uint8)

@@ -103,21 +103,8 @@ def leaves_again(
 ) -> NDArray[np.int32]:
     """Count leaves that are seen again; see :func:`prc_cli.kernels.fused.spacing.leaf_repeats`.
 
-    Parameters
-    ----------
-    window_m : (lines + 2 SPACED_LINES, M) float32, metres
-        A block with the lines before and after it.
-    first_line : int
-        Number of the first line of the block in the stream.
-    noise_m : (lines + 2 SPACED_LINES,) float64
-        Range noise at every line [m].
-    thresholds : callable
-        Takes a range noise [m].
-
-    Returns
-    -------
-    (n, 6, 2) int32
-        Of the lines that the block's distances are decided with and the blocks before were not.
+    ``window_m`` (lines + 2 SPACED_LINES, M) float32, metres; ``noise_m`` (lines + 2 SPACED_LINES,) float64; returns (n,
+    6, 2) int32.
     """
     begin = _begin(first_line)
     end = len(window_m) - SPACED_LINES + BESIDE_LINES + AHEAD_LINES
@@ -146,26 +133,7 @@ def strides_of(
 ) -> tuple[I64, Spacing]:
     """Decide how many lines away the neighbours of every line are.
 
-    Parameters
-    ----------
-    counts : (n, 6, 2) int32
-        Of :func:`leaves_again`.
-    known : Spacing
-        Before the block.
-    first_line : int
-        Number of the first line of the block in the stream.
-    n_lines : int
-        Lines of the block.
-    params : SpacingParams
-    ahead : int
-        Lines after the block whose distance is asked for as well, beside the three.
-
-    Returns
-    -------
-    strides : (lines + ahead + 6,) int64
-        Of the lines of the block and three before and after it; :data:`STANDS` = other lines tell nothing.
-    Spacing
-        Before the next block.
+    ``counts`` (n, 6, 2) int32; returns ``strides`` (lines + ahead + 6,) int64.
     """
     sums, stride = known.sums, known.stride
     strides = np.full(n_lines + ahead + 2 * BESIDE_LINES, stride, np.int64)
@@ -205,21 +173,8 @@ def _stride(sums: F64, now: int, params: SpacingParams) -> int:
 def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: SmoothnessParams) -> U8:
     """Count smooth pairs with lines of the right distance.
 
-    Parameters
-    ----------
-    window_m : (lines + 64, M) float32, metres
-        Lines with :data:`PAIR_LINES` times :data:`MOST_LAG` more before and after them.
-    strides : (lines,) int64
-        From :func:`strides_of`.
-    plane : ScanPlane
-    noise_m : (lines,) float64
-        Range noise at every line [m].
-    params : SmoothnessParams
-
-    Returns
-    -------
-    (lines, M) uint8
-        Of 10, as from :func:`prc_cli.classifiers.fused.neighbours.smooth_pairs`.
+    ``window_m`` (lines + 64, M) float32, metres; ``strides`` (lines,) int64; ``noise_m`` (lines,) float64; returns
+    (lines, M) uint8.
     """
     margin = PAIR_LINES * MOST_LAG
     counts = [
@@ -284,24 +239,8 @@ def keep_labels(
 
     A standing scanner sees every tree as a strip of one line; only before did it see how wide things are.
 
-    Parameters
-    ----------
-    labels : (lines, M) uint8
-    range_m : (lines, M) float32, metres
-    strides : (lines,) int64
-        From :func:`strides_of`.
-    halt : Halt
-        Before these lines.
-    noise_m : (lines,) float64
-        Range noise at every line [m].
-    thresholds : callable
-        Takes a range noise [m].
-
-    Returns
-    -------
-    (lines, M) uint8
-    Halt
-        After them.
+    ``labels`` (lines, M) uint8; ``range_m`` (lines, M) float32, metres; ``strides`` (lines,) int64; ``noise_m``
+    (lines,) float64; returns (lines, M) uint8.
     """
     stands = strides == STANDS
     if not stands.any():

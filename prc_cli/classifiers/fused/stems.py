@@ -111,23 +111,8 @@ class StemsParams(Params):
 def find_stems(range_m: F32, heights_m: F32, plane: Plane, noise_m: float, params: StemsParams) -> Mask:
     """Mark the shots on stems.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    heights_m : (lines, M) float32, metres
-        From :func:`prc_cli.classifiers.fused.terrain.heights_over_ground`.
-    plane : Plane
-    noise_m : float
-        Range noise [m].
-    params : StemsParams
+    ``range_m`` (lines, M) float32, metres; ``heights_m`` (lines, M) float32, metres; returns (lines, M) bool.
 
-    Returns
-    -------
-    (lines, M) bool
-
-    Examples
-    --------
     A stem 4 m to the side, and ground; the same line four times:
 
     >>> import numpy as np

@@ -155,15 +155,7 @@ def stand(
 ) -> Standing:
     """Sort shots above the ground into strips, and combine five lines.
 
-    Parameters
-    ----------
-    range_m, above_m : (lines + 4, M) float32, metres
-        Range and height above the ground.
-    seen : Neighbours
-    plane : ScanPlane
-    strips : StripThresholds
-    walls : WallParams
-    flanks : FlankParams
+    ``range_m, above_m`` (lines + 4, M) float32, metres.
     """
     every, rough, length, wall, place, top, levels = kernels.fill_strips(
         range_m, above_m, seen.counts, plane.beams, plane.step_rad, strips

@@ -42,20 +42,8 @@ def heights_over_ground(range_m: F32, plane: Plane, params: TerrainParams) -> F3
     The ground height of a bin is its third-lowest return. Where plants hide the ground, the bin rises above its
     neighbours by more than the terrain slope allows; such bins are interpolated.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    plane : Plane
-    params : TerrainParams
+    ``range_m`` (lines, M) float32, metres; returns (lines, M) float32, metres.
 
-    Returns
-    -------
-    (lines, M) float32, metres
-        In the scan plane; NaN = missing; about 1e9 where no ground was seen.
-
-    Examples
-    --------
     Flat ground 2 m below the scanner, and an object 1 m high on it:
 
     >>> beam = np.deg2rad(np.linspace(-60, 60, 241))

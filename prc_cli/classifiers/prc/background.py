@@ -43,21 +43,8 @@ def background(window: F32, supported: Mask, params: BackgroundParams) -> Mask:
     directions; below d_c, flat surfaces stay unmarked. Computed in float64. A shot beside a missing or absent one is
     not marked: it borders on background already. Ranges of unsupported neighbours are used.
 
-    Parameters
-    ----------
-    window : (reach + lines * M + reach,) float32, metres
-        From :func:`prc_cli.classifiers.prc.support.stream_window`.
-    supported : (lines, M) bool
-        S.
-    params : BackgroundParams
+    ``window`` (reach + lines * M + reach,) float32, metres; ``supported`` (lines, M) bool; returns (lines, M) bool.
 
-    Returns
-    -------
-    (lines, M) bool
-        G, a part of S.
-
-    Examples
-    --------
     The two shots of a step are marked, the flats beside it are not:
 
     >>> import numpy as np

@@ -66,19 +66,8 @@ class Components:
 def join(supported: Mask, background: Mask) -> Joined:
     """Find the 4-connected components of S without G, then fill the holes that G left (II-D.1).
 
-    Parameters
-    ----------
-    supported, background : (lines, M) bool
-        S and G.
+    ``supported, background`` (lines, M) bool.
 
-    Returns
-    -------
-    Joined
-        A shot of G takes the most frequent component of its 8 neighbours, on ties the one whose first shot is
-        earliest; none if no neighbour has one.
-
-    Examples
-    --------
     >>> join(np.array([[1, 1, 1, 0, 1]], dtype=bool), np.array([[0, 0, 1, 0, 0]], dtype=bool)).image
     array([[1, 1, 1, 0, 2]], dtype=int32)
     """
@@ -92,22 +81,8 @@ def identify(joined: Joined, last_line: I64, next_id: int, params: ComponentsPar
     Every column where both lines hold a label is one vote. A component takes the label with most votes, if there are
     enough; on ties the oldest. Several components may take the same label.
 
-    Parameters
-    ----------
-    joined : Joined
-    last_line : (M,) int64
-        Segment ids of smooth shots of the last line before the block, 0 elsewhere.
-    next_id : int
-        First free segment id.
-    params : ComponentsParams
+    ``last_line`` (M,) int64.
 
-    Returns
-    -------
-    Components
-        H (eq. 10).
-
-    Examples
-    --------
     A wall keeps the id 7 of the previous block, a new component gets 8:
 
     >>> wall_and_pole = np.array([[1, 1, 1, 0, 1], [1, 1, 1, 0, 1]], dtype=bool)

@@ -16,23 +16,8 @@ _IN_LINE = (-4, -3, -2, -1, 1, 2, 3, 4)
 def critical_zetas(window: F32, points_per_line: int, params: SupportParams) -> CriticalZetas:
     """Find the range differences from which on the shots of a block are supported (eqs. 4 to 8).
 
-    Parameters
-    ----------
-    window : (reach + lines * M + reach,) float32, metres
-        From :func:`prc_cli.classifiers.prc.support.stream_window`.
-    points_per_line : int
-        M.
-    params : SupportParams
-        Only the numbers of neighbours that must agree are used.
+    ``window`` (reach + lines * M + reach,) float32, metres.
 
-    Returns
-    -------
-    CriticalZetas
-        A shot is supported exactly when ``in_line_m < zeta_p`` and ``adjacent_m < zeta_s``, both above 0: its third
-        smallest range difference in the line, and its second smallest to adjacent lines, with the default counts.
-
-    Examples
-    --------
     A shot half a metre in front of a wall needs half a metre, the wall nothing:
 
     >>> from prc_cli.classifiers.prc.support import stream_window

@@ -31,19 +31,7 @@ class ForestParams(Params):
 def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
     """Label a block of forest.
 
-    Parameters
-    ----------
-    window : (reach + lines * M + reach,) float32, metres
-        From :func:`prc_cli.classifiers.prc.support.stream_window`.
-    surfaces : Surfaces
-        V, and what is smooth.
-    params : ForestParams
-
-    Returns
-    -------
-    (lines, M) uint8
-        In ground columns all returns GROUND; elsewhere smooth shots STEM, non-smooth ones VEGETATION, all others with
-        a range NOISE.
+    ``window`` (reach + lines * M + reach,) float32, metres; returns (lines, M) uint8.
     """
     dense = is_dense(surfaces.smooth, params)
     columns = np.repeat(dense, params.column_step)[: surfaces.supported.shape[1]]
@@ -58,12 +46,6 @@ def is_dense(smooth: Mask, params: ForestParams) -> Mask:
 
     Noise and missing shots count in the denominator.
 
-    Returns
-    -------
-    (ceil(M / column_step),) bool
-
-    Examples
-    --------
     >>> is_dense(np.zeros((255, 4270), dtype=bool), ForestParams()).shape
     (427,)
     """

@@ -170,27 +170,8 @@ def classify_block(
 ) -> PrcTrace:
     """Label a block of scan lines: Algorithm 1.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        The block, chronological; NaN = missing, all else finite and positive. ``params.lines_per_block`` lines, fewer
-        only at the end of the stream.
-    next_m : (lines, M) float32, metres
-        The lines that follow: two are enough for M > 2, more do no harm; empty or None at the end of the stream.
-    turn : Turn
-        Hands on the fields of :class:`PrcState`.
-    params : PrcParams
-    segments : bool
-        Also compute segment ids. Changing this within a stream changes the ids, not the labels.
-    critical : bool
-        Also compute the thresholds from which on every shot is supported.
+    ``range_m`` (lines, M) float32, metres; ``next_m`` (lines, M) float32, metres.
 
-    Returns
-    -------
-    PrcTrace
-
-    Examples
-    --------
     A stray shot in front of a wall:
 
     >>> from prc_cli.classifiers.base import OneByOne

@@ -82,18 +82,8 @@ def window_reach(points_per_line: int) -> int:
 def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
     """Return a block with the shots before and after it, as one flat array.
 
-    Parameters
-    ----------
-    tail : (reach,) float32, metres
-        Shots before the block, NaN before the stream.
-    range_m : (lines, M) float32, metres
-        The block.
-    next_m : (any number of lines, M) float32, metres
-        Lines after the block; shots beyond the end of the stream are missing, and never support.
-
-    Returns
-    -------
-    (reach + lines * M + reach,) float32, metres
+    ``tail`` (reach,) float32, metres; ``range_m`` (lines, M) float32, metres; ``next_m`` (any number of lines, M)
+    float32, metres; returns (reach + lines * M + reach,) float32, metres.
     """
     reach = len(tail)
     window = np.full(reach + range_m.size + reach, np.nan, dtype=np.float32)
@@ -119,21 +109,8 @@ def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
     Neighbours are taken by flat index, so the first shots of a line are neighbours of the last ones of the line
     before. Missing and absent neighbours never agree, and do not lower the required counts.
 
-    Parameters
-    ----------
-    window : (reach + lines * M + reach,) float32, metres
-        From :func:`stream_window`.
-    points_per_line : int
-        M.
-    params : SupportParams
+    ``window`` (reach + lines * M + reach,) float32, metres; returns (lines, M) bool.
 
-    Returns
-    -------
-    (lines, M) bool
-        S; False where the range is missing.
-
-    Examples
-    --------
     An isolated shot at 9 m in front of a wall at 20 m is noise, the wall is not:
 
     >>> image = np.full((3, 6), 20.0, dtype=np.float32)

@@ -69,13 +69,7 @@ class Surfaces:
         return self.components.next_id + self.n_patches
 
     def to_patches(self) -> I64:
-        """Return V as segment ids, (lines, M) int64, 0 = none; the dilated image, noise under it included.
-
-        Raises
-        ------
-        ValueError
-            When patches were not requested.
-        """
+        """Return V as segment ids, (lines, M) int64, 0 = none; the dilated image, noise under it included."""
         if self.patches is None:
             msg = "surfaces were found without patches"
             raise ValueError(msg)
@@ -128,24 +122,8 @@ def surfaces(
     Small segments and background shots without component form the non-smooth image, which is dilated and connected.
     Smooth shots under it become non-smooth, noise stays noise.
 
-    Parameters
-    ----------
-    supported : (lines, M) bool
-        S.
-    components : Components
-        H.
-    small : (n + 1,) bool
-        From :func:`find_small`.
-    params : SurfacesParams
-    with_patches : bool
-        Also number the non-smooth components, for segment ids; no class depends on it.
+    ``supported`` (lines, M) bool; ``small`` (n + 1,) bool.
 
-    Returns
-    -------
-    Surfaces
-
-    Examples
-    --------
     A segment of 8 pixels stays smooth, except where the dilated single pixel on its right covers it:
 
     >>> image = np.array([[1, 1, 1, 1, 0, 2], [1, 1, 1, 1, 0, 0]], dtype=np.int32)

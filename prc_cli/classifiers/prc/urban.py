@@ -67,24 +67,7 @@ def find_ground(
 ) -> tuple[int, Totals]:
     """Find the smooth segment with most shots so far, on ties the oldest.
 
-    Parameters
-    ----------
-    components : Components
-        H.
-    smooth : (n + 1,) int64
-        From :func:`count_smooth`.
-    last_line : (M,) int64
-        Segment ids of the block's last line where it is smooth, 0 elsewhere.
-    totals : Totals
-        Of the blocks before.
-    params : UrbanParams
-
-    Returns
-    -------
-    ground : int
-        Its segment id, 0 where nothing is smooth.
-    totals : Totals
-        Of the segments that are smooth on the last line.
+    ``smooth`` (n + 1,) int64; ``last_line`` (M,) int64.
     """
     present = np.flatnonzero(smooth)
     ids, position = np.unique(components.ids[present], return_inverse=True)
@@ -105,20 +88,7 @@ def find_ground(
 def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
     """Label a block of the built environment.
 
-    Parameters
-    ----------
-    window : (reach + lines * M + reach,) float32, metres
-        From :func:`prc_cli.classifiers.prc.support.stream_window`.
-    surfaces : Surfaces
-        V and H.
-    ground : int
-        Segment id of the ground, from :func:`find_ground`.
-
-    Returns
-    -------
-    (lines, M) uint8
-        Smooth shots of the ground are GROUND, other smooth ones BUILDING, non-smooth shots VEGETATION, all others with
-        a range NOISE.
+    ``window`` (reach + lines * M + reach,) float32, metres; returns (lines, M) uint8.
     """
     h = surfaces.components
     label_of = np.where(h.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))

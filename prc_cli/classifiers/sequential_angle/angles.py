@@ -88,18 +88,6 @@ def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
     against each other the angle is negative; without a chord before, as at the start of a line, it is positive. Shots
     at the same place never make a chord.
 
-    Parameters
-    ----------
-    lines : VerticalLines
-    params : AnglesParams
-
-    Returns
-    -------
-    SignedAngles
-        The last shots of a line, where no chord begins, have none.
-
-    Examples
-    --------
     Two shots on the ground, then up a wall; the last one begins no chord:
 
     >>> import numpy as np
@@ -119,15 +107,7 @@ def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
 def angle_differences(signed_deg: F32) -> F32:
     """Subtract from every signed angle the one before it in its row, sD (sec. 7.1).
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-        NaN = no angle; such shots are skipped.
-
-    Returns
-    -------
-    (R, n) float32, degrees
-        0 at the first angle of a row, NaN where there is no angle.
+    ``signed_deg`` (R, n) float32, degrees; returns (R, n) float32, degrees.
     """
     return kernels.angle_differences(signed_deg)
 
@@ -140,17 +120,6 @@ def line_angles(lines: VerticalLines, ahead: I32, surface: U8) -> F32:
     need. The angle of the beam is added, so that level ground gives 90 deg at any height, ground that rises by 3 deg
     gives 93 deg, and a wall 180 deg. It depends on slope, not on height.
 
-    Parameters
-    ----------
-    lines : VerticalLines
-    ahead : (R, n) int32
-        From :func:`signed_angles`.
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-
-    Returns
-    -------
-    (R, n) float32, degrees
-        NaN where the shot is not horizontal or begins no chord.
+    ``ahead`` (R, n) int32; ``surface`` (R, n) uint8; returns (R, n) float32, degrees.
     """
     return kernels.line_angles(lines.range_m, ahead, surface, lines.beam_rad)

@@ -73,26 +73,8 @@ def cars(
 ) -> Cars:
     """Mark the points of cars.
 
-    Parameters
-    ----------
-    lines : VerticalLines
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`, the coarse layer of T, H and V; used for high verticals only.
-    car_surface : (R, n) uint8
-        The layer of T', H and V; used for everything else.
-    signed_deg : (R, n) float32, degrees
-        Signed angles.
-    z_g : (R,) float32, metres
-        Height of the ground relative to the scanner; NaN = unknown: no cars.
-    params : CarParams
-    range_noise_m : float, metres
-        Standard deviation of the range.
-
-    Returns
-    -------
-    Cars
-        C: returns of the accepted intervals, no farther than the first high vertical, and not on the ground. None are
-        of T', since intervals end before it.
+    ``surface`` (R, n) uint8; ``car_surface`` (R, n) uint8; ``signed_deg`` (R, n) float32, degrees; ``z_g`` (R,)
+    float32, metres.
 
     Notes
     -----

@@ -74,22 +74,8 @@ class CoarseParams(Params):
 def coarse(signed_deg: F32, lines: VerticalLines, params: CoarseParams) -> U8:
     """Classify every shot as missing, vegetation, horizontal, vertical or undecided.
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-        sV, NaN = no angle.
-    lines : VerticalLines
-    params : CoarseParams
+    ``signed_deg`` (R, n) float32, degrees; returns (R, n) uint8.
 
-    Returns
-    -------
-    (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`. A shot without an angle has the label of the valid shot before it, the
-        first shots of a line that of the first shot with an angle; on a line without any angle shots are undecided.
-        Fill after the last beam of a line is labelled missing.
-
-    Examples
-    --------
     Ground (2) and a wall (3) with one missing shot:
 
     >>> import numpy as np
@@ -111,17 +97,6 @@ def surface_image(signed_deg: F32, vegetation: Mask, lines: VerticalLines, param
     A run is a maximal stretch of shots with an angle that are not vegetation; missing shots do not end it. Runs are
     independent of each other.
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-    vegetation : (R, n) bool
-        Used only where there is an angle.
-    lines : VerticalLines
-    params : TiltParams
-
-    Returns
-    -------
-    (R, n) uint8
-        As :func:`coarse`.
+    ``signed_deg`` (R, n) float32, degrees; ``vegetation`` (R, n) bool; returns (R, n) uint8.
     """
     return kernels.surface_image(signed_deg, vegetation, lines.range_m, lines.n_beams, params.thresholds())

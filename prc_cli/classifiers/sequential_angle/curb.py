@@ -121,15 +121,7 @@ class CurbState:
 
     @classmethod
     def start(cls, n_sides: int, n: int, params: CurbParams) -> CurbState:
-        """Return the state before the first line.
-
-        Parameters
-        ----------
-        n_sides : int
-        n : int
-            Beams of a row, fill included.
-        params : CurbParams
-        """
+        """Return the state before the first line."""
         return cls(
             regions=OpenRegions(
                 labels=np.zeros((n_sides, n), np.int32),
@@ -160,24 +152,7 @@ def possible_curbs(
     is farther from the scanner, as the road under a car would be. The search ends at the first point 2 m above the
     ground.
 
-    Parameters
-    ----------
-    lines : VerticalLines
-        R rows of n beams.
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    ground : (R, n) bool
-        Ground points.
-    z_g : (R,) float32
-        Height of the ground [m].
-    params : CurbParams
-    range_noise_m : float
-        Standard deviation of a range [m].
-
-    Returns
-    -------
-    (R,) int32
-        Beam, -1 = none.
+    ``surface`` (R, n) uint8; ``ground`` (R, n) bool; ``z_g`` (R,) float32; returns (R,) int32.
     """
     if not params.enabled:
         return np.full(len(surface), -1, np.int32)
@@ -200,27 +175,7 @@ def curbs(
 ) -> tuple[Mask, CurbState]:
     """Connect vertical points into regions, and return the rows whose regions are all decided.
 
-    Parameters
-    ----------
-    lines : VerticalLines
-        R rows of n beams, whole lines that follow the previous ones; may be empty.
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    signed_deg : (R, n) float32
-        Signed angles [deg], NaN where there is none.
-    possible : (R,) int32
-        From :func:`possible_curbs`.
-    state : CurbState
-    params : CurbParams
-    last : bool
-        No more lines follow: everything is decided.
-
-    Returns
-    -------
-    curb : (F, n) bool
-        Curb points of the rows that became final, in order, whole lines. The points do not depend on how the rows
-        were cut into calls.
-    state : CurbState
+    ``surface`` (R, n) uint8; ``signed_deg`` (R, n) float32; ``possible`` (R,) int32; returns ``curb`` (F, n) bool.
     """
     curb, regions = kernels.connect_verticals(
         surface, lines.xyz_m, signed_deg, possible, lines.n_sides, state.xyz_m, state.signed_deg, state.regions,

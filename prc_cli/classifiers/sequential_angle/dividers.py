@@ -256,24 +256,8 @@ def dividers(
        run ends where the distance changes: the side of a car and the wall behind it are two surfaces. So are lower
        runs that are straight and upright, and rough walls, of which a part is H.
 
-    Parameters
-    ----------
-    lines : VerticalLines
-    car_surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`, the layer of T', H and V, with changes dated back to their onset.
-    signed_deg : (R, n) float32, degrees
-        Signed angles.
-    trigger : (R,) int32
-        From :func:`prc_cli.classifiers.sequential_angle.suspicious.suspicious`; -1 = not a suspicious line.
-    z_g : (R,) float32, metres
-        Height of the ground relative to the scanner; NaN = unknown, which gives no interval.
-    params : DividersParams
-    range_noise_m : float, metres
-        Standard deviation of the range.
-
-    Returns
-    -------
-    Intervals
+    ``car_surface`` (R, n) uint8; ``signed_deg`` (R, n) float32, degrees; ``trigger`` (R,) int32; ``z_g`` (R,) float32,
+    metres.
 
     Notes
     -----

@@ -63,18 +63,7 @@ def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
     The N angles of an interval, missing ones left out, are transformed: F_k, 0 <= k <= N/2, the mean included. An
     interval is a car if no magnitude of F_k with k >= N/8 is above half of the largest one.
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-        Signed angles; NaN where there is none.
-    intervals : (K, 3) int32
-        Row, first beam, last beam.
-    params : FourierParams
-
-    Returns
-    -------
-    (K,) bool
-        True = car.
+    ``signed_deg`` (R, n) float32, degrees; ``intervals`` (K, 3) int32; returns (K,) bool.
 
     Notes
     -----
@@ -88,8 +77,6 @@ def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
     The cost of a spectrum grows with the square of the number of angles, which ``max_points`` limits. Magnitudes that
     differ by less than 1e-9 of their size are taken as equal: no transform is more exact.
 
-    Examples
-    --------
     A car's side and roof, then foliage:
 
     >>> car = np.repeat([2.0, 88.0], 16)

@@ -219,19 +219,7 @@ def potential_ground(
 ) -> PotentialGround:
     """Find the first potential ground of every row (part a).
 
-    Parameters
-    ----------
-    lines : VerticalLines
-        R rows of n beams.
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    phihat : (R, n) float32
-        Line angles [deg], NaN where there is none.
-    ahead : (R, n) int32
-        Beam at the other end of the chord of every line angle.
-    params : GroundParams
-    range_noise_m : float
-        Standard deviation of a range, for the noise of line angles [m].
+    ``surface`` (R, n) uint8; ``phihat`` (R, n) float32; ``ahead`` (R, n) int32.
     """
     if not params.enabled:
         n = len(surface)
@@ -246,22 +234,8 @@ def potential_ground(
 def initial_ground(heights_m: F64, params: GroundParams, n_sides: int = 1) -> GroundState:
     """Estimate the height of the ground from the first rows of a stream (part b, first half).
 
-    Parameters
-    ----------
-    heights_m : (R,) float64
-        z_i of the first rows, NaN = none [m].
-    params : GroundParams
-    n_sides : int
-        Half-lines of a scan line.
+    ``heights_m`` (R,) float64.
 
-    Returns
-    -------
-    GroundState
-        From the first ``start_heights`` heights, or all if fewer; height unknown if they are fewer than 10 and fewer
-        than half of the rows. :func:`ground` must be called for these rows first.
-
-    Examples
-    --------
     >>> round(initial_ground(np.array([-1.80, -1.81, np.nan, -0.3, -1.79]), GroundParams()).z_g, 2)
     -1.8
     """
@@ -288,26 +262,7 @@ def ground(
 ) -> tuple[Mask, F32, GroundState]:
     """Find the ground of every row (part b).
 
-    Parameters
-    ----------
-    lines, surface, phihat, ahead
-        As for :func:`potential_ground`.
-    potential : PotentialGround
-        Of the same rows.
-    state : GroundState
-        After the previous rows; for the first rows from :func:`initial_ground`.
-    params : GroundParams
-    range_noise_m : float
-        Standard deviation of a range, for the noise of line angles [m].
-
-    Returns
-    -------
-    ground : (R, n) bool
-        Ground points G.
-    z_g : (R,) float32
-        Height of the ground after every row, relative to the scanner [m]; NaN = unknown.
-    state : GroundState
-        After these rows.
+    Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
     """
     found: tuple[Mask, F32, GroundState] = kernels.ground_rows(
         surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, potential, state,

@@ -29,19 +29,7 @@ def high_verticals(lines: VerticalLines, surface: U8, z_g: F32, params: HighVert
     This is the distance of the last point of the first sequence of vertical points that ends higher above the ground
     than the limit. A missing shot ends a sequence, so that a tower seen over a wall does not extend the wall.
 
-    Parameters
-    ----------
-    lines : VerticalLines
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    z_g : (R,) float32, metres
-        Height of the ground relative to the scanner; NaN = unknown.
-    params : HighVerticalsParams
-
-    Returns
-    -------
-    (R,) float32
-        d_h [m]; infinite where there is no such sequence, or no ground.
+    ``surface`` (R, n) uint8; ``z_g`` (R,) float32, metres; returns (R,) float32.
     """
     if not params.enabled:
         return np.full(len(z_g), np.inf, np.float32)

@@ -58,18 +58,8 @@ class VerticalLines:
 def split_sides(beam_rad: F64) -> Sides:
     """Split the columns of a scan line at nadir and zenith.
 
-    Parameters
-    ----------
-    beam_rad : (M,) float64
-        Angle of every column's beam from straight down, in (-pi, pi] [rad]; it turns one way.
+    ``beam_rad`` (M,) float64.
 
-    Returns
-    -------
-    Sides
-        A side without columns is left out.
-
-    Examples
-    --------
     >>> split_sides(np.deg2rad([-100.0, -50.0, 0.0, 50.0, 100.0])).columns
     array([[ 2,  3,  4],
            [ 1,  0, -1]], dtype=int32)
@@ -93,18 +83,7 @@ def split_sides(beam_rad: F64) -> Sides:
 def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides, max_range_m: float) -> VerticalLines:
     """Arrange a block of scan lines as half-lines.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32
-        Slant range [m]; NaN = missing.
-    xyz_m : (lines, M, 3) float32 or None
-        Relative to the scanner, z up [m]. None: coordinates in the scan plane, x to the side, y = 0.
-    beam_rad : (M,) float64
-        As for :func:`split_sides`.
-    sides : Sides
-        From :func:`split_sides`.
-    max_range_m : float
-        Ranges beyond this are missing [m].
+    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None; ``beam_rad`` (M,) float64.
     """
     if xyz_m is None:
         across, up = np.sin(beam_rad), -np.cos(beam_rad)
@@ -117,16 +96,7 @@ def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides,
 def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArray[Any]:
     """Map values per beam back to the columns of the scan lines.
 
-    Parameters
-    ----------
-    rows : (R, n) array
-    sides : Sides
-    points_per_line : int
-        M.
-
-    Returns
-    -------
-    (lines, M) array of the same dtype
+    ``rows`` (R, n) array; returns (lines, M) array of the same dtype.
     """
     n_lines = len(rows) // sides.n_sides
     image = np.zeros((n_lines, points_per_line), rows.dtype)

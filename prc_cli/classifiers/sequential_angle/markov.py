@@ -110,19 +110,8 @@ def hmm_cusum(values: F32, params: HmmParams) -> Mask:
     each model (Chen and Willett) it counts like any other; a change from 0 to 90 deg, as on stairs, then begins no
     region, but counts within one. With the same probabilities in both models it is neutral.
 
-    Parameters
-    ----------
-    values : (R, n) float32, degrees
-        NaN = no sample, skipped.
-    params : HmmParams
+    ``values`` (R, n) float32, degrees; returns (R, n) bool.
 
-    Returns
-    -------
-    (R, n) bool
-        False where there is no sample.
-
-    Examples
-    --------
     Foliage between two surfaces:
 
     >>> foliage = [-90.0, 90.0, 0.0] * 10

@@ -37,19 +37,8 @@ class Modes:
 def mean_shift(values: F64, bandwidth: float) -> Modes:
     """Find the modes of samples; modes closer than half a bandwidth are merged.
 
-    Parameters
-    ----------
-    values : (n,) float64
-    bandwidth : float
-        Standard deviation of the Gaussian kernel, in the unit of the values.
+    ``values`` (n,) float64.
 
-    Raises
-    ------
-    PrcError
-        When a value is not finite, the bandwidth not positive, or the values span a million bandwidths.
-
-    Examples
-    --------
     >>> mean_shift(np.array([89.0, 90.0, 91.0, 130.0, 131.0]), 5.0).counts
     array([3, 2])
     """

@@ -303,20 +303,7 @@ def classify_block(
 ) -> Final:
     """Add the next lines of a stream, any number, and label those that become final.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32
-        Slant range [m]; NaN = missing.
-    xyz_m : (lines, M, 3) float32 or None
-        Relative to the scanner, z up [m]; None = computed from range and beam angle, in the scan plane.
-    beams : Beams
-    turn : Turn
-        Hands on ``ground`` and ``curbs`` of :class:`SequentialAngleState`.
-    params : SequentialAngleParams
-    last : bool
-        No lines follow: all waiting lines become final.
-    stages : bool
-        Also keep what :func:`stages_in_columns` needs. It must not change within a stream.
+    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None.
     """
     rows = within_lines(range_m, xyz_m, beams, params)
     ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, params, last=last))
@@ -447,18 +434,7 @@ def decide_curbs(
 def combine(rows: Undecided, curb: Mask, params: CurbParams) -> U8:
     """Give every beam its class; cars behind a curb go back to the coarse classification (sec. 8).
 
-    Parameters
-    ----------
-    rows : Undecided
-        R rows whose curbs are decided.
-    curb : (R, n) bool
-        Points of verified curbs.
-    params : CurbParams
-
-    Returns
-    -------
-    (R, n) uint8
-        :class:`prc_cli.core.classes.Label`.
+    ``curb`` (R, n) bool; returns (R, n) uint8.
     """
     labels: U8 = kernels.combine_classes(
         rows.surface, rows.ground, rows.car, rows.horizontal_m, rows.xyz_m, curb,
@@ -486,12 +462,7 @@ def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, pa
 def stages_in_columns(done: Sequence[Undecided], labels: U8, beams: Beams) -> StageLabels:
     """Map the intermediate results of final rows back to the columns of their scan lines.
 
-    Parameters
-    ----------
-    done : sequence of Undecided
-    labels : (lines, M) uint8
-        Their labels, which show the cars that a curb took back.
-    beams : Beams
+    ``labels`` (lines, M) uint8.
     """
     sides, m = beams.sides, len(beams.beam_rad)
     if not done:

@@ -33,18 +33,6 @@ class CarSearch:
 def car_search(found: Cars, lines: VerticalLines) -> CarSearch:
     """Spread the results of the search over the beams.
 
-    Parameters
-    ----------
-    found : Cars
-        From :func:`prc_cli.classifiers.sequential_angle.car.cars`.
-    lines : VerticalLines
-
-    Returns
-    -------
-    CarSearch
-
-    Examples
-    --------
     >>> spread(np.array([[0, 1, 2], [0, 4, 4]], np.int32), np.array([1, 2]), (1, 6))
     array([[0, 1, 1, 0, 2, 0]])
     """
@@ -77,12 +65,7 @@ def _beyond(found: Cars, lines: VerticalLines) -> Mask:
 def spread(intervals: I32, values: I64, shape: tuple[int, ...]) -> I64:
     """Give every beam the value of its interval, (R, n) int64; 0 = in none.
 
-    Parameters
-    ----------
-    intervals : (K, 3) int32
-        Row, first beam, last beam; no two overlap.
-    values : (K,) int64
-    shape : (R, n)
+    ``intervals`` (K, 3) int32; ``values`` (K,) int64.
     """
     n_rows, n = shape
     changes = np.zeros(n_rows * n + 1, np.int64)

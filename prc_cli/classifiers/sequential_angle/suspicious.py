@@ -59,21 +59,8 @@ def suspicious(car_surface: U8, n_beams: I32, params: SuspiciousParams) -> I32:
     end of the line do not. On a regular surface there is a trigger every 18 beams, and every line that ends in the sky
     has one: this is a pre-selection, not a decision.
 
-    Parameters
-    ----------
-    car_surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`, the layer of T', H and V.
-    n_beams : (R,) int32
-        Beams of every row.
-    params : SuspiciousParams
+    ``car_surface`` (R, n) uint8; ``n_beams`` (R,) int32; returns (R,) int32.
 
-    Returns
-    -------
-    (R,) int32
-        Beam of the first trigger, -1 = none.
-
-    Examples
-    --------
     Ground with one missing shot, then ground with two:
 
     >>> lines = np.array([[2, 2, 0, 2, 2], [2, 2, 0, 0, 2]], dtype=np.uint8)
@@ -91,10 +78,7 @@ def suspicious(car_surface: U8, n_beams: I32, params: SuspiciousParams) -> I32:
 def increments(params: SuspiciousParams) -> F64:
     """Return ln(H1/H0) of every transition [nat].
 
-    Returns
-    -------
-    (3, 3) float64
-        From (row) and to (column) H, V, M.
+    Returns (3, 3) float64.
     """
     ratios: F64 = np.array(params.h1) / np.array(params.h0)
     return np.log(ratios)

@@ -40,16 +40,7 @@ class DenseVegetationParams(HmmParams):
 def dense_vegetation(differences_deg: F32, params: DenseVegetationParams) -> Mask:
     """Mark vegetation by the less sensitive test.
 
-    Parameters
-    ----------
-    differences_deg : (R, n) float32, degrees
-        sD, from :func:`prc_cli.classifiers.sequential_angle.angles.angle_differences`; NaN = no angle.
-    params : DenseVegetationParams
-
-    Returns
-    -------
-    (R, n) bool
-        T' of the shots with an angle; those without get it in :func:`car_surface`.
+    ``differences_deg`` (R, n) float32, degrees; returns (R, n) bool.
     """
     return hmm_cusum(differences_deg, params)
 
@@ -59,19 +50,6 @@ def car_surface(signed_deg: F32, dense: Mask, lines: VerticalLines, params: Tilt
 
     Shots of T that are not T' are thus labelled horizontal or vertical.
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-        sV, NaN = no angle.
-    dense : (R, n) bool
-        From :func:`dense_vegetation`.
-    lines : VerticalLines
-    params : TiltParams
-
-    Returns
-    -------
-    (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`; shots without an angle inherit T' like the other labels, so that
-        ``car_surface == Surface.VEGETATION`` is T' of every shot.
+    ``signed_deg`` (R, n) float32, degrees; ``dense`` (R, n) bool; returns (R, n) uint8.
     """
     return surface_image(signed_deg, dense, lines, params)

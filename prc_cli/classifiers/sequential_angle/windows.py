@@ -81,21 +81,8 @@ _FRONT_M = 0.1
 def without_windows(surface: U8, lines: VerticalLines, params: WindowsParams, *, range_noise_m: float) -> U8:
     """Make vegetation vertical that lies in two upright layers, in the plane of a wall, or behind a wall above it.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`, from :func:`prc_cli.classifiers.sequential_angle.coarse.coarse`.
-    lines : VerticalLines
-    params : WindowsParams
-    range_noise_m : float
-        Standard deviation of a range [m].
+    ``surface`` (R, n) uint8; returns (R, n) uint8.
 
-    Returns
-    -------
-    (R, n) uint8
-
-    Examples
-    --------
     Panes and a wall behind them, then leaves:
 
     >>> import numpy as np

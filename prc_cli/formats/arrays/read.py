@@ -54,25 +54,6 @@ class ArrayStream:
     (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
     Without an array of ranges, the range is the length of ``xyz``. Integers are taken as metres. One time per line
     applies to all its shots.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-    config : InputConfig
-        ``points_per_line``, ``partial_line``, the bounds of ranges, ``angle_start`` with ``angle_step``,
-        and ``range = "dimension:NAME"`` for ranges of another name.
-    chunk_shots : int
-        Shots read at a time; changes memory and speed, never a value.
-    lines_at_once : int
-        Blocks hold a multiple of this many lines where ``chunk_shots`` allows, so that they need not be joined later.
-
-    Raises
-    ------
-    ConfigError
-        When the configuration asks for what a range image cannot have.
-    InputError
-        When the file is damaged, or shapes or types are not the ones above.
     """
 
     def __init__(self, path: Path, config: InputConfig, chunk_shots: int = CHUNK_SHOTS, lines_at_once: int = 1) -> None:
@@ -197,13 +178,7 @@ class ArrayStream:
         return line_hz if 0 < line_hz < np.inf else None
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start.
-
-        Raises
-        ------
-        InputError
-            When the file is damaged or has changed since it was opened.
-        """
+        """Read from the start."""
         names = tuple(dict.fromkeys((self._range, *self._names)))
         with self._file.open(*names) as rows:
             opened = dict(zip(names, rows, strict=True))

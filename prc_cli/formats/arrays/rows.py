@@ -72,27 +72,14 @@ class NpyHeader:
         return math.prod(self.shape) * self.dtype.itemsize
 
     def check_numbers(self, kinds: str = "iuf", expected: str = "floats or integers") -> None:
-        """Refuse arrays of anything but numbers.
-
-        Raises
-        ------
-        InputError
-            Naming the type.
-        """
+        """Refuse arrays of anything but numbers."""
         if self.dtype.kind not in kinds:
             problem = f"found an array of {_type_name(self.dtype)}, expected {expected}"
             raise InputError(self.where, problem, "save it as numbers, for example array.astype('f4')")
 
 
 class Rows:
-    """Reads the rows of one array in order.
-
-    Parameters
-    ----------
-    header : NpyHeader
-    handle : binary stream
-        Positioned at the first number.
-    """
+    """Reads the rows of one array in order."""
 
     def __init__(self, header: NpyHeader, handle: IO[bytes]) -> None:
         self.header = header
@@ -101,13 +88,7 @@ class Rows:
         self._n_read = 0
 
     def read(self, n: int) -> NDArray[Any]:
-        """Return the next ``n`` rows, (n, ...) in the array's type.
-
-        Raises
-        ------
-        InputError
-            When the data end early or are damaged.
-        """
+        """Return the next ``n`` rows, (n, ...) in the array's type."""
         header = self.header
         try:
             raw = self._handle.read(n * self._row_bytes)
@@ -122,13 +103,7 @@ class Rows:
         return np.frombuffer(raw, header.dtype).reshape(n, *header.shape[1:])
 
     def finish(self) -> None:
-        """Check that nothing follows; in an archive, zipfile compares the checksum here.
-
-        Raises
-        ------
-        InputError
-            When data follow, or the checksum differs.
-        """
+        """Check that nothing follows; in an archive, zipfile compares the checksum here."""
         try:
             more = self._handle.read(1)
         except _DAMAGED as error:
@@ -167,18 +142,7 @@ class _GatheredRows(Rows):
 
 
 class ArrayFile:
-    """The arrays of a ``.npy`` (one, without a name) or ``.npz`` file.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Raises
-    ------
-    InputError
-        When the file is neither, is cut short, or an array does not have the size that its header says.
-    """
+    """The arrays of a ``.npy`` (one, without a name) or ``.npz`` file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -202,13 +166,7 @@ class ArrayFile:
 
     @contextmanager
     def open(self, *names: str) -> Iterator[list[Rows]]:
-        """Open arrays to be read side by side.
-
-        Raises
-        ------
-        InputError
-            When an array has changed since the file was opened, or cannot be unpacked.
-        """
+        """Open arrays to be read side by side."""
         with ExitStack() as stack:
             archive = stack.enter_context(_archive(self.path)) if self.is_archive else None
             rows = []

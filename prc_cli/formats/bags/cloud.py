@@ -65,13 +65,7 @@ class Cloud:
 
 
 def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
-    """Decode a message.
-
-    Raises
-    ------
-    ShortMessageError
-        When it ends too early, or has no coordinates, ring or time.
-    """
+    """Decode a message."""
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     height, width, n_fields = (cursor.number("I") for _ in range(3))
@@ -158,20 +152,6 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
     Lasers that fire together have few times: every one is a column, and the period may vary with the motor. Lasers that
     fire in turn follow a clock: a ring's times are a multiple of the period apart.
 
-    Parameters
-    ----------
-    ring : (n,) int64
-        Not negative.
-    time_s : (n,) float64
-        [s].
-
-    Returns
-    -------
-    Timing or None
-        None when no ring has two times, or they tell no columns.
-
-    Examples
-    --------
     >>> time_s = np.array([0.0, 0.1, 0.3, 0.02, 0.12, 0.22])
     >>> find_columns(np.array([0, 0, 0, 1, 1, 1]), time_s).column.tolist()
     [0, 1, 3, 0, 1, 2]
@@ -246,23 +226,7 @@ class _Points(NamedTuple):
 
 
 class CloudLines:
-    """Gathers messages of one scanner into blocks.
-
-    Parameters
-    ----------
-    where : str
-        File and topic, for messages.
-    scanner : int
-    first : Cloud
-        Its first message: number, order and staggering of the rings.
-    config : InputConfig
-        Bounds of ranges, ``return`` and ``max_gap_lines``.
-
-    Raises
-    ------
-    InputError
-        When its times tell no columns.
-    """
+    """Gathers messages of one scanner into blocks."""
 
     def __init__(self, where: str, scanner: int, first: Cloud, config: InputConfig) -> None:
         self._where, self._config = where, config
@@ -285,13 +249,7 @@ class CloudLines:
         self._late_s: F64 = np.zeros(MAX_RINGS)
 
     def add(self, cloud: Cloud, first_record: int) -> Iterator[ScanBlock]:
-        """Take a message whose first record is given; yield the lines that are complete.
-
-        Raises
-        ------
-        InputError
-            When it has more rings than the first, or its times spread over too many columns.
-        """
+        """Take a message whose first record is given; yield the lines that are complete."""
         m = self.points_per_line
         use = np.flatnonzero((cloud.ring >= 0) & np.isfinite(cloud.time_s))
         if len(use) and cloud.ring[use].max() >= m:

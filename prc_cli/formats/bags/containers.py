@@ -52,13 +52,7 @@ class Message:
 
 @dataclass(slots=True)
 class Bag:
-    """A bag: what is in it, and its messages.
-
-    Raises
-    ------
-    InputError
-        When the file is not such a bag, or is damaged.
-    """
+    """A bag: what is in it, and its messages."""
 
     path: Path
     counts: dict[Topic, int] = field(default_factory=dict)
@@ -74,13 +68,7 @@ class Bag:
             pass
 
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
-        """Yield the messages of some topics, in the order they were recorded.
-
-        Raises
-        ------
-        InputError
-            When the bag is damaged.
-        """
+        """Yield the messages of some topics, in the order they were recorded."""
         return bounded(self.path, _rows(self, topics) if _is_database(self.path) else _decoded(self.path, topics))
 
     def _survey(self) -> Iterator[None]:
@@ -128,13 +116,7 @@ def _errors(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
-    """Open a bag with rosbags; the index of other topics than some is not kept.
-
-    Raises
-    ------
-    InputError
-        When rosbags is not installed, or cannot read it.
-    """
+    """Open a bag with rosbags; the index of other topics than some is not kept."""
     try:
         from rosbags import rosbag1, rosbag2
     except ImportError:
@@ -276,13 +258,7 @@ def _rows(bag: Bag, topics: Collection[Topic]) -> Iterator[Message]:
 
 
 def _unpack(data: bytes, where: str) -> bytes:
-    """Unpack a message.
-
-    Raises
-    ------
-    InputError
-        When it is damaged, or too long.
-    """
+    """Unpack a message."""
     import pyarrow as pa
 
     try:

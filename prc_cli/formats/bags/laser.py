@@ -57,13 +57,7 @@ class LaserScan:
 
 
 def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
-    """Decode a message.
-
-    Raises
-    ------
-    ShortMessageError
-        When it ends too early, or its numbers make no sense.
-    """
+    """Decode a message."""
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     first, _, step, shot_s, _, low, high = cursor.numbers("f", 7)
@@ -125,18 +119,7 @@ def _lengths(words: NDArray[np.uint32], n: int) -> I64:
 
 
 class LaserLines:
-    """Gathers messages of one scanner into blocks.
-
-    Parameters
-    ----------
-    where : str
-        File and topic, for messages.
-    scanner : int
-    first : LaserScan
-        Its first message, which the others must agree with.
-    config : InputConfig
-        Bounds of ranges, and the return that stands for a shot.
-    """
+    """Gathers messages of one scanner into blocks."""
 
     def __init__(self, where: str, scanner: int, first: LaserScan, config: InputConfig) -> None:
         self._where, self._scanner, self._config = where, scanner, config
@@ -149,13 +132,7 @@ class LaserLines:
         self._enough = lines_per_block(self.points_per_line)
 
     def add(self, scan: LaserScan, first_record: int) -> Iterator[ScanBlock]:
-        """Take a message whose first record is given; yield a block when there is enough for one.
-
-        Raises
-        ------
-        InputError
-            When it has other beams than the first.
-        """
+        """Take a message whose first record is given; yield a block when there is enough for one."""
         number = self._n_lines + len(self._waiting)
         if scan.points_per_line != self.points_per_line:
             problem = f"found {scan.points_per_line} ranges, expected {self.points_per_line} as in the first message"

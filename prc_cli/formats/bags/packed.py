@@ -22,22 +22,7 @@ class PacketOf(NamedTuple):
 
 
 def parse_packets(kind: str, data: bytes, time_s: float, *, is_cdr: bool) -> tuple[str, list[PacketOf]]:
-    """Return the frame of a message and its packets.
-
-    Parameters
-    ----------
-    kind : str
-        Type of the message, one of :data:`PACKED`.
-    data : bytes
-    time_s : float
-        When the message was recorded [s], for packets without a time.
-    is_cdr : bool
-
-    Raises
-    ------
-    ShortMessageError
-        When it ends too early.
-    """
+    """Return the frame of a message and its packets."""
     cursor = Cursor(data, is_cdr=is_cdr)
     if kind in OUSTER:
         return "", [PacketOf(time_s, cursor.array("u1").tobytes())]

@@ -28,22 +28,7 @@ READABLE = tuple(kind for group in GROUPS for kind in group)
 
 
 class BagStream:
-    """A bag as a :class:`prc_cli.core.stream.ScanStream`.
-
-    Parameters
-    ----------
-    path : Path
-        ``.bag`` (ROS 1), ``.db3`` or ``.mcap`` (ROS 2).
-    config : InputConfig
-        ``topic``, the bounds of ranges, and ``return``.
-
-    Raises
-    ------
-    ConfigError
-        When the configuration asks for what a bag cannot have, or for a topic that it does not have.
-    InputError
-        When the bag is damaged, or has no scans.
-    """
+    """A bag as a :class:`prc_cli.core.stream.ScanStream`."""
 
     def __init__(self, path: Path, config: InputConfig) -> None:
         check_rules(path, config, "a recording of scans")
@@ -116,12 +101,7 @@ class BagStream:
         return True
 
     def _choose(self) -> tuple[Topic, ...]:
-        """Return the topics to read.
-
-        Raises
-        ------
-        InputError, ConfigError
-        """
+        """Return the topics to read."""
         topics = {topic.name: topic for topic in self._bag.counts}
         shown = ", ".join(f"{name} ({topic.kind})" for name, topic in topics.items())[:600] or "none"
         if self._config.topic is not None:
@@ -164,13 +144,7 @@ class BagStream:
         return kinds.get(topic.kind, _PacketReader)(f"{self._path}: {topic.name}", self._numbers, self._config)
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start.
-
-        Raises
-        ------
-        InputError
-            When a message is damaged, or its set-up is not that of the first.
-        """
+        """Read from the start."""
         readers = {topic: self._reader(topic) for topic in self._chosen}
         record = 0
         for message in self._bag.messages(set(readers)):
@@ -189,13 +163,7 @@ class _Numbers:
         self.of: dict[str, int] = {}
 
     def number(self, name: str) -> int:
-        """Return the number of a scanner; a new one if it is new.
-
-        Raises
-        ------
-        InputError
-            When there are too many.
-        """
+        """Return the number of a scanner; a new one if it is new."""
         if name not in self.of and len(self.of) == MAX_SCANNERS:
             problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
             raise InputError(name, problem, "name the topics: --topic NAME")
@@ -220,13 +188,7 @@ class _TopicReader(ABC):
         return f"{topic} ({frame})" if frame else topic
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        """Take a message whose first record is given; yield blocks as there is enough for one.
-
-        Raises
-        ------
-        InputError
-            When it is damaged.
-        """
+        """Take a message whose first record is given; yield blocks as there is enough for one."""
         try:
             yield from self._add(message, first_record)
         except ShortMessageError as error:

@@ -27,12 +27,7 @@ _PAYLOAD_BYTES = 1020
 
 
 def check_frame(path: Path) -> None:
-    """Refuse a file that is not E57, is cut short, or has an unsafe XML section.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse a file that is not E57, is cut short, or has an unsafe XML section."""
     size = path.stat().st_size
     with open_to_read(path) as handle:
         start, length = _check_header(path, handle.read(_HEADER.size), size)

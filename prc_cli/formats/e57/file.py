@@ -48,13 +48,7 @@ class E57Scan:
 
 
 class E57File:
-    """An E57 file that is open for reading.
-
-    Raises
-    ------
-    InputError
-        When it cannot be opened, or pye57 is not installed.
-    """
+    """An E57 file that is open for reading."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -87,12 +81,7 @@ class E57File:
             raise InputError(where, problem, "copy it from the archive again or export it again") from error
 
     def scans(self) -> list[E57Scan]:
-        """Return the metadata of every scan from the XML section.
-
-        Raises
-        ------
-        InputError
-        """
+        """Return the metadata of every scan from the XML section."""
         with self._errors():
             root = self._image.root()
             n = root["data3D"].childCount() if root.isDefined("data3D") else 0
@@ -133,18 +122,7 @@ class E57File:
         )
 
     def chunks(self, scan: E57Scan, names: tuple[str, ...]) -> Iterator[dict[str, F64]]:
-        """Decode the named fields of all points of a scan, scaled to metres and radians.
-
-        Yields
-        ------
-        dict of name to (n,) float64
-            New arrays, n at most :data:`CHUNK_POINTS`.
-
-        Raises
-        ------
-        InputError
-            When the points are damaged, or fewer or more than the XML section says.
-        """
+        """Decode the named fields of all points of a scan, scaled to metres and radians."""
         what = f"scan {scan.index}"
         n_all = 0
         with self._errors(what):

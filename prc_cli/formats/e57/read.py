@@ -102,20 +102,6 @@ class E57Stream:
     The origin of a scan's own coordinates is the scanner; the rotation of its pose turns z up. Cells without a
     point, points marked invalid and points at the origin are missing shots. Cells with several points are shots with
     several returns.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-    config : InputConfig
-        ``min_range``, ``max_range`` and ``return``.
-
-    Raises
-    ------
-    ConfigError
-        When the configuration asks for options that organised scans cannot have.
-    InputError
-        When pye57 is not installed, the file is damaged, or its points are not organised.
     """
 
     def __init__(self, path: Path, config: InputConfig) -> None:
@@ -235,15 +221,7 @@ class E57Stream:
         return [f"the header's index bounds do not fit the points of scan {some}: the points' own are taken"]
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start.
-
-        Raises
-        ------
-        InputError
-            When the file is damaged or has changed since it was opened.
-        OutputError
-            When the temporary file cannot be written.
-        """
+        """Read from the start."""
         with E57File(self._path) as file:
             for scan in self._scans:
                 if scan.shape.n_cells:
@@ -366,13 +344,7 @@ class _IndexTally:
         return self._counts
 
     def add(self, row: F64, column: F64) -> None:
-        """Count points.
-
-        Raises
-        ------
-        InputError
-            When the indices span more than any scanner has.
-        """
+        """Count points."""
         rows, columns = self._span(ROW, row, self.rows), self._span(COLUMN, column, self.columns)
         for name, (low, high), limit in ((ROW, rows, MAX_POINTS_PER_LINE), (COLUMN, columns, MAX_LINES)):
             if high - low >= limit:

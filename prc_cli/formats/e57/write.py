@@ -35,13 +35,7 @@ _DOUBLES = ("cartesianX", "cartesianY", "cartesianZ", "timeStamp")
 
 
 class E57Stream(StagedStreamWriter):
-    """Writer of E57; scanners are scans, one after the other.
-
-    Raises
-    ------
-    OutputError
-        When pye57 is not installed.
-    """
+    """Writer of E57; scanners are scans, one after the other."""
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
         try:

@@ -71,18 +71,7 @@ def is_count_file(path: Path) -> bool:
 
 
 class EchoPulseSource:
-    """Pulses and echoes as a :class:`prc_cli.formats.records.RecordSource`.
-
-    Parameters
-    ----------
-    path : Path
-        The file that counts the returns; the others lie beside it.
-
-    Raises
-    ------
-    InputError
-        When the lengths of the files contradict each other.
-    """
+    """Pulses and echoes as a :class:`prc_cli.formats.records.RecordSource`."""
 
     format = "pulses and echoes"
     """Reader name, for messages and ``prc info``."""
@@ -130,15 +119,7 @@ class EchoPulseSource:
         return standard_first(names)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named arrays in bounded memory, in firing order.
-
-        Raises
-        ------
-        ConfigError
-            When a name is none of :attr:`dimensions`.
-        InputError
-            When a file is shorter than it was when opened.
-        """
+        """Decode the named arrays in bounded memory, in firing order."""
         unknown = [name for name in names if name not in self.dimensions]
         if unknown:
             problem = f"no dimension {unknown[0]!r} in the folder"

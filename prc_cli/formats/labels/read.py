@@ -34,21 +34,7 @@ _WHOLE = float(1 << 53)
 
 
 class CodeSource:
-    """Class codes of one file, in record order.
-
-    Parameters
-    ----------
-    path : Path
-        File, for messages.
-    n : int or None
-        Number of records; None if unknown before reading.
-    read : callable
-        Starts reading from the first record and gives arrays of numbers.
-    missing : bool
-        Whether NaN means a record without code (text, where a cell can be empty).
-    name : str
-        Array, column or dimension that holds the codes; empty where the file holds nothing else.
-    """
+    """Class codes of one file, in record order."""
 
     def __init__(
         self,
@@ -66,33 +52,14 @@ class CodeSource:
         self._missing = missing
 
     def chunks(self) -> Iterator[I64]:
-        """Yield the codes, (n,) int64; -1 = the record has none.
-
-        Raises
-        ------
-        InputError
-            When the file is damaged or a code is no whole number, naming the record.
-        """
+        """Yield the codes, (n,) int64; -1 = the record has none."""
         first = 0
         for values in self._read():
             yield self.to_codes(values, first)
             first += len(values)
 
     def to_codes(self, values: NDArray[Any], first: int) -> I64:
-        """Return stored numbers as codes, (n,) int64; -1 = the record has none.
-
-        Parameters
-        ----------
-        values : (n,) number
-            Of consecutive records.
-        first : int
-            Index of the first of them, for messages.
-
-        Raises
-        ------
-        InputError
-            When a code is no whole number, naming the record.
-        """
+        """Return stored numbers as codes, (n,) int64; -1 = the record has none."""
         if values.dtype.kind == "f":
             with np.errstate(invalid="ignore"):
                 wide = values.astype(np.float64)
@@ -111,24 +78,7 @@ class CodeSource:
 
 
 def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
-    """Open the class codes of a file.
-
-    Parameters
-    ----------
-    path : Path
-        ``.npy`` (any whole numbers, 1-D or 2-D), ``.npz``, ``.csv`` or ``.txt`` (``.gz``, ``.zst``),
-        ``.parquet``, ``.las``, ``.laz``, or ``.label`` (SemanticKITTI: uint32, the low 16 bits are the class).
-    dimension : str, optional
-        Array, column or dimension that holds the codes. Default: ``classification`` for LAS; elsewhere the only
-        one there is, else the first of ``class``, ``label``, ``classification``, ``class_code``.
-
-    Raises
-    ------
-    ConfigError
-        When the dimension is not in the file.
-    InputError
-        When the file cannot be read, or its suffix is none of these.
-    """
+    """Open the class codes of a file."""
     suffix, known = suffix_of(path), by_suffix("codes")
     if suffix not in known:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"

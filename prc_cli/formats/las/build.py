@@ -44,17 +44,7 @@ _CREATION_DATE = slice(90, 94)
 
 
 class LasBuilder(StagedWriter):
-    """Writer of a new LAS or LAZ file; missing shots have no record.
-
-    Parameters
-    ----------
-    points_per_line : int
-        M; without scan angles the columns are spread over a full turn.
-    user_names : mapping, optional
-        Name of every user code that may be written.
-    place : Placement, optional
-        Where returns lie; default: relative to the scanner.
-    """
+    """Writer of a new LAS or LAZ file; missing shots have no record."""
 
     def __init__(
         self,

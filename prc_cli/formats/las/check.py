@@ -19,23 +19,7 @@ _N_RECORDS = 2_000
 
 
 def check_laz(point_format: int) -> int:
-    """Compress records and decompress them again.
-
-    Parameters
-    ----------
-    point_format : int
-        One of :data:`POINT_FORMATS`.
-
-    Returns
-    -------
-    int
-        Bytes of the compressed records.
-
-    Raises
-    ------
-    OutputError
-        When the decompressed records differ.
-    """
+    """Compress records and decompress them again."""
     payload = new_laszip_payload(Path(f"point format {point_format}"), point_format, 0)
     # a chunk is one whole record, then differences: here all zero except in the first bytes, as in a scan
     records = np.zeros((_N_RECORDS, POINT_FORMATS[point_format]), np.uint8)
@@ -54,23 +38,7 @@ def check_laz(point_format: int) -> int:
 
 
 def classes_by_laspy(path: Path) -> dict[int, int]:
-    """Read a LAS or LAZ file with the reader of laspy, which ours does not use.
-
-    Parameters
-    ----------
-    path : Path
-        A small file: it is read whole.
-
-    Returns
-    -------
-    dict
-        Number of records by class code, for codes that occur.
-
-    Raises
-    ------
-    OutputError
-        When laspy refuses the file.
-    """
+    """Read a LAS or LAZ file with the reader of laspy, which ours does not use."""
     # imported here: costs 20 MiB and a tenth of a second
     import laspy
 

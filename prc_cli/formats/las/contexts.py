@@ -40,18 +40,6 @@ class _Run:
 def contexts_of(records: U8) -> U8:
     """Return the contexts of raw records.
 
-    Parameters
-    ----------
-    records : (n, at least 16) uint8
-        Of point format 6 to 10.
-
-    Returns
-    -------
-    (n,) uint8
-        Scanner channel, and 4 where the first return is the last as well.
-
-    Examples
-    --------
     Return 1 of 1 in channel 2, return 1 of 3 in channel 0:
 
     >>> records = np.zeros((2, 30), np.uint8)
@@ -80,8 +68,6 @@ class LazContexts:
 
     Not locked: one thread adds at a time, and nobody reads before it has finished.
 
-    Examples
-    --------
     >>> kept = LazContexts()
     >>> kept.see(0, np.array([4, 4, 4], np.uint8))
     >>> kept.see(3, np.array([4, 0, 1], np.uint8))

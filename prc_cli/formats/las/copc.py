@@ -131,31 +131,7 @@ def _names_chunks(source: Source, pages: tuple[tuple[int, int], ...], chunks: La
 def splice_copc(
     source: Source, target: Target, copc: Copc, codes: Iterator[U8], kept: ClassContexts | None = None
 ) -> dict[int, tuple[int, int]]:
-    """Write all chunks with new classes, and their table; the target is then positioned behind it.
-
-    Parameters
-    ----------
-    source : Source
-        Input.
-    target : Target
-        Positioned where the points of the output begin.
-    copc : Copc
-        From :func:`find_copc`.
-    codes : iterator of (n,) uint8
-        Class codes of consecutive records, any number at a time.
-    kept : ClassContexts, optional
-        From reading the input before: whether every layer was decoded then.
-
-    Returns
-    -------
-    dict
-        New position and length of every chunk by its old position.
-
-    Raises
-    ------
-    InputError, OutputError
-        When the input is damaged, or the compression library fails.
-    """
+    """Write all chunks with new classes, and their table; the target is then positioned behind it."""
     chunks = copc.chunks
     table = chunks.table
     first_byte, n_points = table.first_byte.tolist(), np.diff(table.first_record).tolist()
@@ -200,24 +176,7 @@ def _by_chunk(batches: Iterator[U8], sizes: list[int]) -> Iterator[U8]:
 
 
 def move_index(written: Path, source: Source, copc: Copc, moved: dict[int, tuple[int, int]]) -> None:
-    """Let the index of the output point to its chunks and pages.
-
-    Parameters
-    ----------
-    written : Path
-        Output, complete but for the index, which is that of the input.
-    source : Source
-        Input.
-    copc : Copc
-        Of the input.
-    moved : dict
-        From :func:`splice_copc`.
-
-    Raises
-    ------
-    OutputError
-        When the output does not hold the index where it must be.
-    """
+    """Let the index of the output point to its chunks and pages."""
     las = read_header(written)
     info, hierarchy = las.vlr(COPC_KEY), _hierarchy(las)
     if info is None or info.data is None or las.vlrs[0] is not info or len(hierarchy) != len(copc.hierarchy):

@@ -89,13 +89,7 @@ class Plan:
 
 
 def read_las(path: Path) -> LasHeader:
-    """Read header, VLRs and EVLRs of a LAS or LAZ file with their positions.
-
-    Raises
-    ------
-    InputError
-        When the file is cut off or its parts overlap.
-    """
+    """Read header, VLRs and EVLRs of a LAS or LAZ file with their positions."""
     las = read_header(path)
     if las.compressed:
         with open_source(path) as source:
@@ -104,13 +98,7 @@ def read_las(path: Path) -> LasHeader:
 
 
 def check_copied(las: LasHeader) -> None:
-    """Refuse points that cannot be copied as bytes.
-
-    Raises
-    ------
-    InputError
-        When the file is in LASzip's compatibility mode.
-    """
+    """Refuse points that cannot be copied as bytes."""
     if any(vlr.user_id == "lascompatible" for vlr in las.vlrs):
         problem = "found LAS 1.4 points in LASzip's compatibility mode, whose classes lie in extra bytes"
         raise InputError(str(las.path), problem, "write it again as plain LAS 1.4, e.g. with las2las or PDAL")
@@ -151,31 +139,7 @@ def has_waveform_file(las: LasHeader) -> bool:
 def copy_las(
     las: LasHeader, output: Path, temporary: Path, masks: Masks | None = None, record: RunRecord | None = None
 ) -> tuple[str, ...]:
-    """Write a LAS or LAZ file again under a temporary name.
-
-    Parameters
-    ----------
-    las : LasHeader
-        The input, from :func:`read_las`.
-    output : Path
-        Its suffix says whether the records are compressed.
-    temporary : Path
-        What is written.
-    masks : callable, optional
-        Which records stay; None = all of them.
-    record : RunRecord, optional
-        Run record to put among the VLRs, in place of one that is there; None = VLRs stay as they are.
-
-    Returns
-    -------
-    tuple of str
-        Notices for the user.
-
-    Raises
-    ------
-    InputError, OutputError
-        When the input is damaged, or cannot be held unchanged by the output.
-    """
+    """Write a LAS or LAZ file again under a temporary name."""
     notices: list[str] = []
     plan = Plan(las.point_format, output.suffix.lower() == ".laz")
     vlrs, drop = list(las.vlrs), [COPC_USER]
@@ -268,31 +232,7 @@ def write_again(
     finish: Callable[[HeaderFields], None],
     drop: tuple[str, ...],
 ) -> None:
-    """Copy a file: header, VLRs and user bytes, points, what follows them, and the final header.
-
-    Parameters
-    ----------
-    las : LasHeader
-        The input.
-    plan : Plan
-        Differences from the input.
-    vlrs : list of Vlr
-        Those of the output.
-    temporary : Path
-        What is written.
-    write_points : callable
-        Writes all points from the source, into the target itself or into a sink, which it then opens and closes; the
-        target stands behind the points then.
-    finish : callable
-        Sets the header fields that depend on the points.
-    drop : tuple of str
-        User ids of extended VLRs to leave out.
-
-    Raises
-    ------
-    InputError, OutputError
-        When the input is damaged, or cannot be held unchanged by the output.
-    """
+    """Copy a file: header, VLRs and user bytes, points, what follows them, and the final header."""
     with open_source(las.path) as source, temporary.open("w+b") as writing:
         target = Target(writing)
         fields = _new_fields(las, plan, vlrs)
@@ -378,23 +318,7 @@ class Tail:
 
 
 def plan_tail(las: LasHeader, bounds: tuple[int, int], start: int, drop: tuple[str, ...]) -> Tail:
-    """Plan the copy of everything behind the points, without the EVLRs of some user ids.
-
-    Parameters
-    ----------
-    las : LasHeader
-    bounds : (int, int)
-        First byte behind the points of the input, and its end.
-    start : int
-        First byte behind the points of the output.
-    drop : tuple of str
-        User ids of EVLRs to leave out.
-
-    Raises
-    ------
-    InputError
-        When an EVLR begins inside the points.
-    """
+    """Plan the copy of everything behind the points, without the EVLRs of some user ids."""
     cursor, end = bounds
     if las.evlrs and las.evlrs[0].start < cursor:
         problem = f"found the first EVLR at byte {las.evlrs[0].start}, expected it behind the points (byte {cursor})"
@@ -431,11 +355,6 @@ def check_compressed(path: Path, output: Path, checksum: int) -> None:
 
     The check is for waveform packets (formats 9 and 10) of several scanner channels, which version 3 of laszip's coder
     damages (seen with lazrs 0.8.2).
-
-    Raises
-    ------
-    OutputError
-        When the records read back are not those that were written.
     """
     las, found = read_header(path), 0
     n = batch_records(las, compressed=True)

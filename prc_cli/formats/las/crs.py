@@ -101,13 +101,7 @@ def _wkt_of_geo_keys(data: bytes) -> tuple[bytes | None, str]:
 
 
 def vlr_of_crs(crs: str) -> Vlr | None:
-    """Return the record of a coordinate system as WKT; None without pyproj, or if it does not fit.
-
-    Parameters
-    ----------
-    crs : str
-        As pyproj takes it, for example ``EPSG:32635``.
-    """
+    """Return the record of a coordinate system as WKT; None without pyproj, or if it does not fit."""
     try:
         import pyproj
     except ImportError:
@@ -122,13 +116,6 @@ def vlr_of_crs(crs: str) -> Vlr | None:
 def short_crs(crs: str) -> str:
     """Return the name of a coordinate system, with its EPSG code where it has one.
 
-    Parameters
-    ----------
-    crs : str
-        WKT, or ``EPSG:CODE``.
-
-    Examples
-    --------
     >>> short_crs('PROJCS["UTM 35N", GEOGCS["WGS 84"], AUTHORITY["EPSG","32635"]]')
     'UTM 35N (EPSG:32635)'
     """

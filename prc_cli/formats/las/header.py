@@ -71,8 +71,6 @@ _FIELDS = {
 class HeaderFields:
     """Header bytes with named fields, to be changed; fields that the version does not have cannot be set.
 
-    Examples
-    --------
     >>> fields = HeaderFields(bytes(227))
     >>> fields.set("n_vlrs", 3)
     >>> fields.get("n_vlrs"), fields.has("evlr_start")
@@ -274,13 +272,7 @@ class Source:
 
 @contextlib.contextmanager
 def open_source(path: Path) -> Iterator[Source]:
-    """Open an input for reading.
-
-    Raises
-    ------
-    InputError
-        When it cannot be opened.
-    """
+    """Open an input for reading."""
     try:
         handle = path.open("rb")
     except OSError as error:
@@ -311,11 +303,6 @@ def read_header(path: Path) -> LasHeader:
     """Read and check header, VLRs and extended VLRs.
 
     A file without records is accepted.
-
-    Raises
-    ------
-    InputError
-        When the file is not LAS, is cut short, or contradicts itself.
     """
     with open_source(path) as source:
         return _read(source)
@@ -402,13 +389,7 @@ def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
 
 
 def check_decodable(header: LasHeader) -> None:
-    """Refuse files that can be copied but not read: no records, or scales that are not finite numbers.
-
-    Raises
-    ------
-    InputError
-        Naming the byte of the header.
-    """
+    """Refuse files that can be copied but not read: no records, or scales that are not finite numbers."""
     for i, axis in enumerate("xyz"):
         scale, offset = header.scales[i], header.offsets[i]
         # comparisons with NaN are false; the upper bound catches infinity

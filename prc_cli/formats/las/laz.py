@@ -70,20 +70,7 @@ class ChunkTable:
 
 
 class LazRecords:
-    """Raw records of a LAZ file in batches, from the start.
-
-    Parameters
-    ----------
-    source : Source
-        The file, opened.
-    header : LasHeader
-        Of this file.
-
-    Raises
-    ------
-    InputError
-        When the laszip VLR or the chunk table contradicts the header or the file.
-    """
+    """Raw records of a LAZ file in batches, from the start."""
 
     def __init__(self, source: Source, header: LasHeader) -> None:
         self._where = str(header.path)
@@ -184,30 +171,7 @@ class LazRecords:
     def batches(
         self, n_max: int, selection: int, several: int | None = None, n_buffers: int = 1
     ) -> Iterator[tuple[int, memoryview]]:
-        """Decode from the start.
-
-        Parameters
-        ----------
-        n_max : int
-            Most records of a batch. One chunk per core is decoded at a time, and yielded in batches.
-        selection : int
-            Layers to decode (``lazrs.SELECTIVE_DECOMPRESS_*``), point formats 6-10 only.
-        several : int, optional
-            Layers to decode from the first batch on in which a shot has several returns; contains ``selection``. Before
-            it, the additional layers are undefined.
-        n_buffers : int
-            A batch is valid until as many more are asked for.
-
-        Yields
-        ------
-        (int, memoryview)
-            Index of the first record, the records.
-
-        Raises
-        ------
-        InputError
-            Naming the records that cannot be decoded.
-        """
+        """Decode from the start."""
         if not self.header.n_records:
             return
         size = self.header.record_bytes
@@ -331,26 +295,7 @@ def read_batches(
     layers: tuple[int, int | None] = (lazrs.SELECTIVE_DECOMPRESS_ALL, None),
     n_buffers: int = 1,
 ) -> Iterator[tuple[int, memoryview]]:
-    """Yield the index of the first record and the raw records, up to ``n_max`` at a time, compressed or not.
-
-    Parameters
-    ----------
-    source : Source
-        The opened file; nothing else may read from it meanwhile.
-    header : LasHeader
-        Of this file.
-    n_max : int
-        Most records of a batch.
-    layers : (int, int or None)
-        ``selection`` and ``several`` of :meth:`LazRecords.batches`.
-    n_buffers : int
-        A batch is valid until as many more are asked for.
-
-    Raises
-    ------
-    InputError
-        When records are cut off or cannot be decompressed, naming them.
-    """
+    """Yield the index of the first record and the raw records, up to ``n_max`` at a time, compressed or not."""
     if header.compressed:
         yield from LazRecords(source, header).batches(n_max, *layers, n_buffers=n_buffers)
         return
@@ -371,11 +316,6 @@ def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
     """Yield all raw records, ``n`` at a time; the caller may change an array until it asks for the next.
 
     Compressed records are decoded ahead in a thread; close the iterator before the source.
-
-    Raises
-    ------
-    InputError
-        When records are cut off or cannot be decompressed, naming them.
     """
     # uncompressed records are read faster than one thread can hand them to another
     ahead = header.compressed and header.n_records > n
@@ -449,13 +389,6 @@ class _Buffers:
 def chunk_head(items: Iterable[tuple[int, int]]) -> struct.Struct:
     """Return the format of the head behind the first record of a chunk: record count, bytes per layer.
 
-    Parameters
-    ----------
-    items : iterable of (type, bytes)
-        Of the laszip VLR.
-
-    Examples
-    --------
     Point format 6 with four extra bytes:
 
     >>> chunk_head([(10, 30), (14, 4)]).format

@@ -38,33 +38,12 @@ def names_in(las: LasHeader) -> dict[int, str]:
 
 
 def names_of_file(path: Path) -> dict[int, str]:
-    """Return the names of user codes that a LAS or LAZ file holds.
-
-    Raises
-    ------
-    InputError
-        When its header is damaged.
-    """
+    """Return the names of user codes that a LAS or LAZ file holds."""
     return names_in(read_header(path))
 
 
 def with_lookup(las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]) -> tuple[list[Vlr], tuple[str, ...]]:
-    """Return VLRs that name some classes: an existing record is extended in its place, byte for byte where it may be.
-
-    Parameters
-    ----------
-    las : LasHeader
-        The input.
-    vlrs : list of Vlr
-        Those of the output so far.
-    names : mapping
-        Name of every code that the output may hold and the record has to name.
-
-    Returns
-    -------
-    list of Vlr
-        And notices on names that were replaced, or could not be written.
-    """
+    """Return VLRs that name some classes; an existing record is extended in its place, byte for byte if possible."""
     if not names:
         return vlrs, ()
     if any(evlr.has(LOOKUP_KEY) for evlr in las.evlrs):

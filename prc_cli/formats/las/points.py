@@ -142,13 +142,7 @@ def standard_columns(point_format: int) -> tuple[tuple[str, str], ...]:
 
 
 def read_layout(header: LasHeader) -> RecordLayout:
-    """Combine the point format and the extra bytes.
-
-    Raises
-    ------
-    InputError
-        When an extra-bytes descriptor makes no sense.
-    """
+    """Combine the point format and the extra bytes."""
     from laspy.point.dims import COMPOSED_FIELDS
 
     columns: list[tuple[Any, ...]] = list(standard_columns(header.point_format))
@@ -337,11 +331,6 @@ def with_extra_dimensions(
 
     Undescribed extra bytes get an undocumented entry, so that readers find the new ones. ``hint`` is the hint of
     errors.
-
-    Raises
-    ------
-    OutputError
-        When the VLRs describe more bytes than the records have, are extended VLRs, or are full.
     """
     if not dimensions:
         return vlrs
@@ -375,8 +364,6 @@ def with_extra_dimensions(
 def set_classes(records: U8, point_format: int, codes: U8) -> None:
     """Set the class codes of records in place; flag bits in the same byte stay.
 
-    Examples
-    --------
     Format 0, class 31 and the withheld flag (bit 7) become class 2 and the withheld flag:
 
     >>> records = np.zeros((1, 20), np.uint8)
@@ -400,16 +387,6 @@ def upgrade(records: U8, point_format: int) -> U8:
     Return number and count, scan direction, edge, the three flags and all fields of the same name are copied; the scan
     angle is converted from whole degrees to steps of 0.006 degrees; fields that the old format lacks (gps_time in 0 and
     2, near infrared in 5, scanner channel, overlap) are zero.
-
-    Parameters
-    ----------
-    records : (n, old length) uint8
-    point_format : int
-        0 to 5.
-
-    Returns
-    -------
-    (n, new length) uint8
     """
     new_format = FORMAT_FOR_CODES[point_format]
     n_extra = records.shape[1] - standard_bytes(point_format)

@@ -44,18 +44,6 @@ class LasSource:
     coordinate system, ``time`` float64 [s] (gps_time as stored), ``angle`` float64 [rad]; scaled extra bytes are
     scaled, their no-data values become NaN. Extra bytes of usual names are ranges, lines, columns and angles; the scan
     angle of the point format is then ``scan_angle``. Other extra bytes with the name of a field are ``extra_NAME``.
-
-    Parameters
-    ----------
-    path : Path
-        File, LAS 1.0 to 1.4, point formats 0 to 10, compressed or not.
-    chunk_records : int
-        Most records decoded at a time; changes memory and speed, never a value.
-
-    Raises
-    ------
-    InputError
-        When the file is not LAS, is cut short, holds no records, or contradicts itself.
     """
 
     def __init__(self, path: Path, chunk_records: int = CHUNK_RECORDS) -> None:
@@ -110,13 +98,7 @@ class LasSource:
 
     @cached_property
     def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver, standard names first; ``time`` and ``angle`` only if any is not zero.
-
-        Raises
-        ------
-        InputError
-            When the first records, read for their time and angle, cannot be decoded.
-        """
+        """Names that :meth:`chunks` delivers, standard names first; ``time`` and ``angle`` only if any is not zero."""
         return standard_first([name for name in self._layout.fields if name not in self._zero])
 
     @cached_property
@@ -151,13 +133,7 @@ class LasSource:
 
     @cached_property
     def facts(self) -> SourceFacts:
-        """Metadata of the file.
-
-        Raises
-        ------
-        InputError
-            As :attr:`dimensions` does.
-        """
+        """Metadata of the file."""
         return SourceFacts(
             points_per_line=self.points_per_line_hint,
             crs_wkt=self.crs_wkt,
@@ -188,13 +164,6 @@ class LasSource:
 
         From the second chunk of a compressed file on, a thread decodes the next one ahead; reading only the first chunk
         starts no thread.
-
-        Raises
-        ------
-        ConfigError
-            When a name is not in :attr:`dimensions`.
-        InputError
-            When records cannot be read or decoded, naming them.
         """
         fields = self._layout.fields
         unknown = [name for name in names if name not in fields]

@@ -257,22 +257,6 @@ class LasRecoder(LasRewriter):
     """Writer of a LAS or LAZ file from another one, with a class code for every record.
 
     Use it as a context manager: :meth:`put` every record once, then :meth:`finish`; without it no output is left.
-
-    Parameters
-    ----------
-    path : Path
-        Output, ``.las`` or ``.laz``.
-    source : Path
-        LAS or LAZ file to be copied.
-    carried : tuple of str
-        Dimensions of :data:`CARRIED` to be written too; values of the source under these names are replaced.
-
-    Raises
-    ------
-    ConfigError
-        When a dimension cannot be carried.
-    InputError
-        When the header of the source is damaged.
     """
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
@@ -298,24 +282,12 @@ class LasRecoder(LasRewriter):
         self._user_names = dict(names)
 
     def put(self, record: I64, codes: U8) -> None:
-        """Set class codes by record index.
-
-        Raises
-        ------
-        OutputError
-            When they cannot be written (disk full).
-        """
+        """Set class codes by record index."""
         with output_errors(self.path):
             self._put(record, codes, {})
 
     def put_values(self, record: I64, values: dict[str, NDArray[Any]]) -> None:
-        """Set carried dimensions by record index.
-
-        Raises
-        ------
-        OutputError
-            When they cannot be written (disk full).
-        """
+        """Set carried dimensions by record index."""
         with output_errors(self.path):
             for column in self._optional:
                 self._spools[column.name].put(record, values[column.name].astype(column.dtype))

@@ -174,13 +174,7 @@ def large_chunks(vlr: Any) -> bool:
 
 
 def laszip_vlr(header: LasHeader, point_format: int, n_extra_bytes: int, *, keep: bool) -> Vlr:
-    """Return the laszip VLR of an output: that of the input where records and items stay the same (``keep``).
-
-    Raises
-    ------
-    OutputError
-        When the compression library cannot write the format.
-    """
+    """Return the laszip VLR of an output: that of the input where records and items stay the same (``keep``)."""
     old = header.vlr(LASZIP_KEY)
     payload = new_laszip_payload(header.path, point_format, n_extra_bytes)
     if old is None or old.data is None:

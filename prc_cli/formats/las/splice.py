@@ -61,28 +61,7 @@ def find_chunks(source: Source, las: LasHeader) -> LazRecords | None:
 def splice_classes(
     source: Source, target: Target, chunks: LazRecords, codes: Iterator[U8], kept: ClassContexts | None = None
 ) -> None:
-    """Write all chunks with new classes, and their table; the target is then positioned behind it.
-
-    Parameters
-    ----------
-    source : Source
-        Input.
-    target : Target
-        Positioned where the points of the output begin.
-    chunks : LazRecords
-        From :func:`find_chunks`.
-    codes : iterator of (n,) uint8
-        Class codes of consecutive records, :func:`splice_records` at a time.
-    kept : ClassContexts, optional
-        From reading the input before; chunks that it does not cover are decoded again.
-
-    Raises
-    ------
-    InputError
-        When the input is damaged.
-    OutputError
-        When the compression library fails.
-    """
+    """Write all chunks with new classes, and their table; the target is then positioned behind it."""
     n, n_chunk = splice_records(chunks), chunks.vlr.chunk_size()
     with chunk_table(target, chunks.vlr) as table, contextlib.closing(_contexts(chunks, n, kept)) as contexts:
         for batch, (context, new) in enumerate(zip(contexts, codes, strict=True)):

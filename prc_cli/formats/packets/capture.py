@@ -58,20 +58,7 @@ class CaptureCount:
 
 
 def read_datagrams(path: Path, count: CaptureCount) -> Iterator[Datagram]:
-    """Yield the UDP datagrams of a capture in its order.
-
-    Parameters
-    ----------
-    path : Path
-        pcap (both byte orders, microseconds or nanoseconds) or pcapng.
-    count : CaptureCount
-        Filled while reading.
-
-    Raises
-    ------
-    InputError
-        When it is neither, or damaged other than by ending early.
-    """
+    """Yield the UDP datagrams of a capture in its order."""
     waiting = _Fragments(count)
     for time_s, link, packet, is_whole in _packets(path, count):
         count.n_packets += 1

@@ -15,13 +15,6 @@ class PacketClock:
 
     A clock that agrees with the capture's (modulo its period) is believed; else the first packet is set to the
     capture's time, and the steps are the scanner's.
-
-    Parameters
-    ----------
-    period_s : float
-        The clock begins again after so long [s].
-    column_s : float
-        From column to column [s].
     """
 
     def __init__(self, period_s: float, column_s: float) -> None:
@@ -34,24 +27,7 @@ class PacketClock:
         """Whether the scanner's clock agrees with the capture's."""
 
     def columns(self, stamp_s: F64, host_s: F64, n_columns: int) -> tuple[I64, F64]:
-        """Return number and time of every column of packets.
-
-        Parameters
-        ----------
-        stamp_s : (n,) float64
-            Time of the first column of every packet, on the scanner's clock [s].
-        host_s : (n,) float64
-            When they were captured [s].
-        n_columns : int
-            Columns of a packet.
-
-        Returns
-        -------
-        line : (n * n_columns,) int64
-            Columns since the first; they go back where a packet comes late.
-        time_s : (n * n_columns,) float64
-            [s].
-        """
+        """Return number and time of every column of packets."""
         if self._last is None:
             self._last = float(stamp_s[0])
             off = (self._last - float(host_s[0]) + self._period_s / 2) % self._period_s - self._period_s / 2

@@ -79,18 +79,7 @@ class _Held:
 
 
 class ColumnLines:
-    """Puts columns of one scanner into lines.
-
-    Parameters
-    ----------
-    where : str
-        File and scanner, for messages.
-    scanner : int
-    shift : (M,) int64
-        Lines by which a ring's shot belongs behind its column.
-    config : InputConfig
-        Bounds of ranges and ``max_gap_lines``.
-    """
+    """Puts columns of one scanner into lines."""
 
     def __init__(self, where: str, scanner: int, shift: I64, config: InputConfig) -> None:
         self._where, self._scanner, self._config = where, scanner, config
@@ -112,13 +101,7 @@ class ColumnLines:
         self._not_fired += n
 
     def add(self, columns: Columns) -> Iterator[ScanBlock]:
-        """Take columns; yield the lines that are complete.
-
-        Raises
-        ------
-        InputError
-            When too many lines are missing in between.
-        """
+        """Take columns; yield the lines that are complete."""
         columns = self._in_turn(columns)
         n, first = len(columns), 0
         while first < n:
@@ -244,19 +227,7 @@ class ColumnLines:
 
 
 def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
-    """Return coordinates of shots, z up, azimuth from y towards x as the makers have it.
-
-    Parameters
-    ----------
-    range_m, azimuth_rad : (n, M) float
-        [m], [rad].
-    elevation_rad : (M,) float64
-        [rad].
-
-    Returns
-    -------
-    (n, M, 3) float32
-    """
+    """Return coordinates of shots, z up, azimuth from y towards x as the makers have it."""
     xyz: F32 = np.empty((*range_m.shape, 3), np.float32)
     flat = range_m * np.cos(elevation_rad)
     xyz[..., 0] = flat * np.sin(azimuth_rad)
@@ -266,17 +237,7 @@ def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
 
 
 def choose_of_two(first: F32, second: F32, lit: tuple[F32, F32], rule: str) -> NDArray[np.bool_]:
-    """Return where the second of two returns stands for its shot.
-
-    Parameters
-    ----------
-    first, second : (n, M) float32
-        Ranges [m]; NaN = none.
-    lit : tuple of two (n, M) float32
-        Their intensities.
-    rule : {"strongest", "first", "last"}
-        ``input.return``.
-    """
+    """Return where the second of two returns stands for its shot."""
     with np.errstate(invalid="ignore"):
         wins = {"strongest": lit[1] > lit[0], "first": second < first, "last": second > first}[rule]
     return np.isfinite(second) & (wins | np.isnan(first))

@@ -70,13 +70,7 @@ class Metadata:
 
 
 def read_metadata(path: Path) -> Metadata:
-    """Read the metadata of a sensor, as its HTTP interface or the SDK writes them.
-
-    Raises
-    ------
-    InputError
-        When the file is no such JSON, or says what no sensor says.
-    """
+    """Read the metadata of a sensor, as its HTTP interface or the SDK writes them."""
     try:
         table = json.loads(read_small(path, MAX_METADATA))
     except (OSError, ValueError, RecursionError) as error:
@@ -159,16 +153,7 @@ class _Parser:
 
 
 class OusterDecoder:
-    """Decodes the packets of one scanner.
-
-    Parameters
-    ----------
-    where : str
-        File and scanner, for messages.
-    metadata : Metadata
-    rule : str
-        ``input.return``, for two returns a shot.
-    """
+    """Decodes the packets of one scanner."""
 
     def __init__(self, where: str, metadata: Metadata, rule: str) -> None:
         self._where, self._meta, self._rule = where, metadata, rule

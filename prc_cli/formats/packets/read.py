@@ -42,22 +42,7 @@ class _Survey:
 
 
 class PacketStream:
-    """A capture as a :class:`prc_cli.core.stream.ScanStream`.
-
-    Parameters
-    ----------
-    path : Path
-        ``.pcap`` or ``.pcapng``.
-    config : InputConfig
-        ``metadata`` (Ouster), ``topic`` (address and port of a scanner), the bounds of ranges, ``return``.
-
-    Raises
-    ------
-    ConfigError
-        When the configuration asks for what a capture cannot have.
-    InputError
-        When the capture is damaged, or has no packets of a known scanner.
-    """
+    """A capture as a :class:`prc_cli.core.stream.ScanStream`."""
 
     def __init__(self, path: Path, config: InputConfig) -> None:
         check_rules(path, config, "packets of scanners")
@@ -151,12 +136,7 @@ class PacketStream:
         return found
 
     def _wanted(self, found: _Survey) -> dict[str, _Scanner]:
-        """Return the scanners to read.
-
-        Raises
-        ------
-        InputError, ConfigError
-        """
+        """Return the scanners to read."""
         if not found.scanners:
             raise InputError(str(self._path), *self._nothing(found))
         if self._config.topic is None:
@@ -182,13 +162,7 @@ class PacketStream:
         return problem, "capture the data port of the scanner"
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start.
-
-        Raises
-        ------
-        InputError
-            When packets change their kind, or too many are missing.
-        """
+        """Read from the start."""
         scanners, record = self._survey.scanners, 0
         lines: dict[str, PacketLines] = {}
         for datagram in read_datagrams(self._path, CaptureCount()):
@@ -214,13 +188,7 @@ def _key(datagram: Datagram) -> str:
 
 
 def find_metadata(path: Path, config: InputConfig) -> Metadata | None:
-    """Return the metadata of an Ouster sensor: those named, else of the same name with ``.json``; None without.
-
-    Raises
-    ------
-    InputError
-        When they cannot be read.
-    """
+    """Return the metadata of an Ouster sensor: those named, else of the same name with ``.json``; None without."""
     if config.metadata is not None:
         return read_metadata(Path(config.metadata).expanduser())
     beside = path.with_suffix(".json")

@@ -43,13 +43,7 @@ def is_scan(packet: bytes, metadata: Metadata | None) -> bool:
 
 
 def open_decoder(where: str, first: bytes, metadata: Metadata | None, rule: str) -> Decoder:
-    """Return the decoder for a scanner's first packet.
-
-    Raises
-    ------
-    InputError
-        When the model is not known.
-    """
+    """Return the decoder for a scanner's first packet."""
     if metadata is not None and len(first) == metadata.packet_size:
         return OusterDecoder(where, metadata, rule)
     if hesai.is_hesai(first):
@@ -58,20 +52,7 @@ def open_decoder(where: str, first: bytes, metadata: Metadata | None, rule: str)
 
 
 class PacketLines:
-    """Gathers the packets of one scanner into blocks.
-
-    Parameters
-    ----------
-    where : str
-        File and scanner, for messages.
-    scanner : int
-    first : bytes
-        Its first packet.
-    metadata : Metadata or None
-        Of an Ouster sensor.
-    config : InputConfig
-        Bounds of ranges, ``return`` and ``max_gap_lines``.
-    """
+    """Gathers the packets of one scanner into blocks."""
 
     def __init__(self, where: str, scanner: int, first: bytes, metadata: Metadata | None, config: InputConfig) -> None:
         self._where = where
@@ -90,13 +71,7 @@ class PacketLines:
         return self.decoder.n_records
 
     def add(self, packet: bytes, time_s: float, first_record: int) -> Iterator[ScanBlock]:
-        """Take a packet; yield blocks when there is enough for one.
-
-        Raises
-        ------
-        InputError
-            When the packet is of another kind than the first.
-        """
+        """Take a packet; yield blocks when there is enough for one."""
         if len(packet) != self._size:
             problem = f"found a packet of {len(packet)} bytes, expected {self._size} as before"
             raise InputError(self._where, problem, "split the capture where the set-up changed")

@@ -63,22 +63,7 @@ OTHERS = {0x23: "Puck LITE", 0x28: "VLP-32C", 0xA1: "VLS-128", 0x31: "Velarray"}
 
 
 class VelodyneDecoder:
-    """Decodes the packets of one scanner.
-
-    Parameters
-    ----------
-    where : str
-        File and scanner, for messages.
-    first : bytes
-        Its first packet, which says model and return mode.
-    rule : str
-        ``input.return``, for two returns a shot.
-
-    Raises
-    ------
-    InputError
-        When the model is another.
-    """
+    """Decodes the packets of one scanner."""
 
     def __init__(self, where: str, first: bytes, rule: str) -> None:
         self._where, self._rule = where, rule
@@ -106,21 +91,7 @@ class VelodyneDecoder:
         return self.model.name
 
     def decode(self, packets: U8, host_s: F64, first_record: I64) -> Columns:
-        """Decode packets.
-
-        Parameters
-        ----------
-        packets : (n, 1206) uint8
-        host_s : (n,) float64
-            When they were captured [s].
-        first_record : (n,) int64
-            Their first records.
-
-        Raises
-        ------
-        InputError
-            When model or return mode change.
-        """
+        """Decode packets."""
         model, m = self.model, len(self.model.elevation_deg)
         table = np.ascontiguousarray(packets).view(_PACKET)[:, 0]
         blocks = table["blocks"]
@@ -182,19 +153,7 @@ def finish_columns(
     record: I64,
     rule: str,
 ) -> Columns:
-    """Choose the return that stands for every shot, and place it.
-
-    Parameters
-    ----------
-    line : (n,) int64
-    time_s, azimuth_rad : (n, M) float64
-    elevation_rad : (M,) float64
-    ranges, lights : lists of (n, M) float32
-        By return.
-    record : (n, M, returns) int64
-    rule : str
-        ``input.return``.
-    """
+    """Choose the return that stands for every shot, and place it."""
     if len(ranges) == 1:
         xyz = place(ranges[0], azimuth_rad, elevation_rad)
         return Columns(line, ranges[0], record[..., 0], time_s, xyz, lights[0])

@@ -11,20 +11,6 @@ _SHORT = 32
 def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
     """Unpack data of a known size.
 
-    Parameters
-    ----------
-    data : memoryview
-        Packed bytes.
-    n_bytes : int
-        Size when unpacked.
-
-    Returns
-    -------
-    bytearray or None
-        None where the data is damaged: it ends early, points before the start, or has another size.
-
-    Examples
-    --------
     Three bytes as they are, then six that repeat them:
 
     >>> decode_lzf(memoryview(bytes([2, 97, 98, 99, 0b100_00000, 2])), 9)

@@ -84,20 +84,6 @@ def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
     """Open a PCD file.
 
     An organised cloud (height above 1) has a line in every row, and NaN where a shot has no return.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-    layout : Layout, optional
-        Which field is what; without fields, usual names are recognised.
-
-    Raises
-    ------
-    ConfigError
-        When the layout contradicts itself.
-    InputError
-        When the header is damaged or states more points than the file has.
     """
     header = read_pcd_header(path)
     body: Body
@@ -139,13 +125,7 @@ def _rules(header: PcdHeader, names: tuple[str, ...]) -> tuple[KnownRule, ...]:
 
 
 def read_pcd_header(path: Path) -> PcdHeader:
-    """Read the header of a PCD file.
-
-    Raises
-    ------
-    InputError
-        When a line is missing or contradicts the others.
-    """
+    """Read the header of a PCD file."""
     with open_to_read(path) as handle:
         head = handle.read(MAX_HEADER_BYTES)
     found: dict[str, tuple[int, list[str]]] = {}

@@ -82,13 +82,7 @@ class PlyHeader:
 
 
 def read_ply_header(path: Path) -> PlyHeader:
-    """Read the header of a PLY file.
-
-    Raises
-    ------
-    InputError
-        When it is no PLY file, or its header is damaged or has no points of plain properties.
-    """
+    """Read the header of a PLY file."""
     with open_to_read(path) as handle:
         head = handle.read(MAX_HEADER_BYTES)
     if not head.startswith(_MAGIC) or head[3:4] not in (b"\n", b"\r"):

@@ -15,22 +15,7 @@ from prc_cli.formats.text.body import TextBody
 
 
 def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
-    """Open the points of a PLY file.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-    layout : Layout, optional
-        Which property is what; without fields, usual names are recognised.
-
-    Raises
-    ------
-    ConfigError
-        When the layout contradicts itself.
-    InputError
-        When the header is damaged or states more points than the file has.
-    """
+    """Open the points of a PLY file."""
     header = read_ply_header(path)
     vertex = header.vertex
     names = tuple(name for name, _ in vertex.properties)

@@ -74,20 +74,6 @@ class PtxStream:
 
     Points whose coordinates are all zero are missing shots. The header's transformation turns the points so that z
     is up; the scanner's position in the header is the origin.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-    config : InputConfig
-        ``min_range``, ``max_range`` and ``partial_line = "pad"``, which accepts a last column that is cut short.
-
-    Raises
-    ------
-    ConfigError
-        When the configuration asks for what an organised scan cannot have.
-    InputError
-        When a header is damaged, or the points are fewer or more than the headers say.
     """
 
     def __init__(self, path: Path, config: InputConfig) -> None:
@@ -133,13 +119,7 @@ class PtxStream:
         ]
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start.
-
-        Raises
-        ------
-        InputError
-            When a row is not a point, or the file has changed since it was opened.
-        """
+        """Read from the start."""
         for scan in self._scans:
             if scan.shape.n_cells:
                 yield from self._scan_blocks(scan)
@@ -228,13 +208,7 @@ class _Rows:
         self._n_used = min(scan.n_cells, 4)
 
     def parse(self, first: int, data: bytes) -> F64:
-        """Return (n, 3 or 4) float64, a row of it for every line of the text.
-
-        Raises
-        ------
-        InputError
-            At the first line that is not a point.
-        """
+        """Return (n, 3 or 4) float64, a row of it for every line of the text."""
         n = data.count(b"\n") + (not data.endswith(b"\n"))
         found = self._parse_fast(_plain(data), n)
         return self._parse_exactly(first, data) if found is None else found
@@ -319,13 +293,7 @@ class _Survey:
         """Lines read so far."""
 
     def scans(self) -> list[_Scan]:
-        """Return every scan; its points are counted, not parsed.
-
-        Raises
-        ------
-        InputError
-            When a header is damaged, or the number of points is not that of the header.
-        """
+        """Return every scan; its points are counted, not parsed."""
         found: list[_Scan] = []
         n_records = 0
         if self._handle.read(3) != b"\xef\xbb\xbf":

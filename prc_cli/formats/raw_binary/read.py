@@ -23,15 +23,7 @@ CHUNK_BYTES = 64 << 20
 
 
 class LayoutRecords:
-    """Records of a layout, wherever their bytes come from.
-
-    Parameters
-    ----------
-    layout : Layout
-        Header, byte order and fields.
-    path : str
-        File name, for messages.
-    """
+    """Records of a layout, wherever their bytes come from."""
 
     format = "raw binary"
     """Reader name, for messages and ``prc info``."""
@@ -65,24 +57,7 @@ class LayoutRecords:
 
 
 class RawBinarySource(LayoutRecords):
-    """A raw dump as a :class:`prc_cli.formats.records.RecordSource`.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-    layout : Layout
-        Its header, byte order and fields (:data:`prc_cli.formats.options.RANGES_ONLY` for float32 ranges alone).
-    chunk_records : int
-        Most records decoded at a time; changes memory and speed, never a value.
-
-    Raises
-    ------
-    ConfigError
-        When the layout contradicts itself.
-    InputError
-        When the file is empty, shorter than its header, ends after it, or ends inside a record.
-    """
+    """A raw dump as a :class:`prc_cli.formats.records.RecordSource`."""
 
     def __init__(self, path: Path, layout: Layout, chunk_records: int = CHUNK_RECORDS) -> None:
         super().__init__(layout, str(path))
@@ -129,19 +104,7 @@ class RawBinarySource(LayoutRecords):
         return self._n_records
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named fields in bounded memory, in the order of the file.
-
-        Parameters
-        ----------
-        names : tuple of str
-
-        Raises
-        ------
-        ConfigError
-            When a name is not in :attr:`dimensions`.
-        InputError
-            When the file cannot be read or is shorter than it was when opened.
-        """
+        """Decode the named fields in bounded memory, in the order of the file."""
         self._check_names(names)
         with open_to_read(self._path) as handle:
             handle.seek(self._header_bytes)

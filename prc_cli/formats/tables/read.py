@@ -32,13 +32,7 @@ XYZ = "xyz"
 
 
 def open_table(path: Path) -> RecordSource | None:
-    """Open a file of columns; None for files of class codes alone.
-
-    Raises
-    ------
-    InputError
-        When the file is damaged.
-    """
+    """Open a file of columns; None for files of class codes alone."""
     suffix = suffix_of(path)
     found = by_suffix("scans").get(suffix) or by_suffix("codes").get(suffix)
     return None if found is None else found.column_source(path)
@@ -49,16 +43,6 @@ class ArrayTable:
 
     An array with one number per record is a column: (records,), or (lines, M) for images. ``xyz`` has one axis more and
     becomes three columns. Images also have ``scan_line``, the row, and ``column``.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Raises
-    ------
-    InputError
-        When the file is damaged.
     """
 
     format = "array"
@@ -100,15 +84,7 @@ class ArrayTable:
         return (*self._columns, *(name for name in cells if name not in self._columns))
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Read from the start, in bounded memory.
-
-        Raises
-        ------
-        ConfigError
-            When a name is none of :attr:`dimensions`.
-        InputError
-            When the file is damaged.
-        """
+        """Read from the start, in bounded memory."""
         _check_names(self, names)
         row = self._image[1] if len(self._image) == 2 else 1
         each = max(1, CHUNK_RECORDS // row)
@@ -133,18 +109,7 @@ class ArrayTable:
 
 
 class ParquetTable:
-    """Reader of the numeric columns of a Parquet file as records.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Raises
-    ------
-    InputError
-        When it is not a complete Parquet file.
-    """
+    """Reader of the numeric columns of a Parquet file as records."""
 
     format = "Parquet"
     """Reader name."""
@@ -179,15 +144,7 @@ class ParquetTable:
         return tuple(self._columns)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Read from the start, in bounded memory; an empty cell is NaN.
-
-        Raises
-        ------
-        ConfigError
-            When a name is none of :attr:`dimensions`.
-        InputError
-            When the file is damaged.
-        """
+        """Read from the start, in bounded memory; an empty cell is NaN."""
         import pyarrow as pa
 
         _check_names(self, names)
@@ -223,13 +180,7 @@ def _decoded(stored: NDArray[Any], item: LayoutField | None) -> NDArray[Any]:
 
 
 def read_batches(path: Path, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    """Read top-level columns of a Parquet file in bounded memory.
-
-    Raises
-    ------
-    ValueError, OSError, pyarrow.ArrowException
-        When the file is damaged.
-    """
+    """Read top-level columns of a Parquet file in bounded memory."""
     from pyarrow import parquet
 
     # a row group can be as large as the file: read it through a small buffer

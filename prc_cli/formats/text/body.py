@@ -17,19 +17,7 @@ from prc_cli.formats.text.read import TextSource
 
 
 class TextBody(TextSource):
-    """A given number of rows of blank-separated numbers.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-    names : tuple of str
-        Columns in order.
-    first_line : int
-        Number of the first row, from 1.
-    n_records : int
-        Rows, as the header says.
-    """
+    """A given number of rows of blank-separated numbers."""
 
     def __init__(
         self, path: Path, names: tuple[str, ...], first_line: int, n_records: int, block_bytes: int = BLOCK_BYTES
@@ -62,13 +50,7 @@ class TextBody(TextSource):
             yield lines
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[tuple[int, dict[str, NDArray[Any]], int]]:  # type: ignore[override]
-        """Yield index of the first record, float64 values by column, and number of records.
-
-        Raises
-        ------
-        InputError
-            When a row is damaged, or there are fewer than the header says.
-        """
+        """Yield index of the first record, float64 values by column, and number of records."""
         n_found = 0
         for chunk in super().chunks(names):
             yield chunk.first_record, chunk.values, chunk.n

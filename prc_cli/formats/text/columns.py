@@ -33,11 +33,6 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
 
     Fields of the layout decide; without fields, known names in the header become standard names. All other columns keep
     their name, or their number if they have none. A single column without a name is the range.
-
-    Raises
-    ------
-    InputError
-        When the column of a field is not in the file, or its name is in the header twice.
     """
     fields = () if layout is None else layout.fields
     found: dict[str, TextColumn] = {}

@@ -65,22 +65,7 @@ class TextFormat:
 
 
 def find_format(path: Path, layout: Layout | None) -> TextFormat:
-    """Detect the dialect from the first rows of a text file.
-
-    Parameters
-    ----------
-    path : Path
-        Text file.
-    layout : Layout, optional
-        Gives what need not be detected; without one the delimiter is detected too.
-
-    Raises
-    ------
-    InputError
-        When there is no row of numbers, or the first row cannot be split into cells.
-    ConfigError
-        When the layout's delimiter is not a single byte.
-    """
+    """Detect the dialect from the first rows of a text file."""
     given = layout if layout is not None else Layout()
     if not given.delimiter.isascii() or given.delimiter in '"\r\n':
         raise ConfigError("layout.delimiter", f"found {given.delimiter!r}, expected , ; a tab or a space")
@@ -192,13 +177,7 @@ def _find_delimiter(rows: list[str], decimal: str | None) -> str:
 
 
 def split(path: Path, number: int, text: str, delimiter: str) -> list[str]:
-    """Return the cells of a line.
-
-    Raises
-    ------
-    InputError
-        When the line is too long, holds a carriage return, or a quote that is not closed.
-    """
+    """Return the cells of a line."""
     where = f"{path}: line {number}"
     if len(text) > MAX_LINE_BYTES:
         raise too_long(path, number)

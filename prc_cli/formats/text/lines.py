@@ -42,21 +42,7 @@ class _Readable(Protocol):
 
 
 def iter_lines(path: Path, block_bytes: int = BLOCK_BYTES) -> Iterator[Lines]:
-    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines.
-
-    Parameters
-    ----------
-    path : Path
-        File; a UTF-8 byte order mark is dropped.
-    block_bytes : int
-        Bytes read at a time; never changes a line or its number.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, is not text, is cut short or damaged inside its compression, expands too much, or
-        has a line longer than :data:`MAX_LINE_BYTES`.
-    """
+    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines."""
     line, rest, at_start, n_bytes = 1, b"", True, 0
     with _open(path) as handle:
         most = max(LEAST_BYTES, MAX_RATIO * path.stat().st_size) if path.suffix.lower() in _CODECS else None

@@ -51,22 +51,6 @@ class TextSource:
 
     All values are float64; empty cells and ``nan`` are NaN. Angles are converted from degrees to radians, unless the
     layout or the name of the column (``angle_rad``) gives another unit.
-
-    Parameters
-    ----------
-    path : Path
-        File; ``.gz`` and ``.zst`` are decompressed.
-    layout : Layout, optional
-        Delimiter, header, comments and fields; without one all are detected.
-    block_bytes : int
-        Bytes of text read at a time; changes memory and speed, never a value.
-
-    Raises
-    ------
-    ConfigError
-        When the layout contradicts itself.
-    InputError
-        When the file holds no rows, is not text, or lacks a column that the layout names.
     """
 
     format = "text"
@@ -169,14 +153,6 @@ class TextSource:
         """Decode the named columns from the start, in bounded memory, in the order of the file.
 
         Cells of other columns are ignored, but every row must have as many cells as the first.
-
-        Raises
-        ------
-        ConfigError
-            When a name is none of :attr:`dimensions`.
-        InputError
-            When a row has another number of cells or a cell is not a number, naming line and text; when the
-            compressed stream is cut short.
         """
         unknown = [name for name in names if name not in self._columns]
         if unknown:

@@ -55,22 +55,7 @@ def _number(cell: str) -> float | None:
 
 
 def read_tum(path: Path) -> tuple[F64, F64, F64]:
-    """Read rows of time, position and quaternion, separated by blanks.
-
-    Returns
-    -------
-    time_s : (n,) float64
-        [s].
-    xyz_m : (n, 3) float64
-        [m].
-    quaternion : (n, 4) float64
-        x, y, z, w of length 1, from the vehicle to the coordinates of the positions.
-
-    Raises
-    ------
-    InputError
-        When a row is not 8 finite numbers, naming the line, or a quaternion has another length than 1.
-    """
+    """Read rows of time, position and quaternion, separated by blanks."""
     rows: list[list[float]] = []
     for number, cells in _rows(path):
         values = [_number(cell) for cell in cells]
@@ -98,22 +83,7 @@ def _check_length(where: str, quaternion: list[float]) -> None:
 
 
 def read_poses(path: Path, topic: str | None) -> tuple[F64, F64, F64]:
-    """Read the poses of a bag; see :func:`read_tum` for what is returned.
-
-    Parameters
-    ----------
-    path : Path
-        ``.bag``, ``.db3`` or ``.mcap``.
-    topic : str or None
-        Topic of the poses; None = the only one.
-
-    Raises
-    ------
-    InputError
-        When the bag is damaged, or has no poses.
-    ConfigError
-        When it has several topics with poses and none is named, or not the one that is.
-    """
+    """Read the poses of a bag; see :func:`read_tum` for what is returned."""
     from prc_cli.formats.bags.containers import Bag
 
     bag = Bag(path)
@@ -152,19 +122,6 @@ def _pose(path: Path, message: Message, number: int) -> list[float]:
 def turned(quaternion: F64, arm_m: F64) -> F64:
     """Return a vector of the vehicle in the coordinates of the positions.
 
-    Parameters
-    ----------
-    quaternion : (n, 4) float64
-        x, y, z, w.
-    arm_m : (3,) float64
-        [m].
-
-    Returns
-    -------
-    (n, 3) float64
-
-    Examples
-    --------
     A quarter turn to the left:
 
     >>> half = np.sqrt(0.5)

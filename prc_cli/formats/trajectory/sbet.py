@@ -21,20 +21,7 @@ _BATCH = 100_000
 
 
 def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
-    """Read the positions of a file of ``size`` bytes.
-
-    Returns
-    -------
-    time_s : (n,) float64
-        As stored [s], finite.
-    position : (n, 3) float64
-        Longitude [rad], latitude [rad], height above the ellipsoid [m].
-
-    Raises
-    ------
-    InputError
-        When the size is not a multiple of the record, or a record holds impossible values.
-    """
+    """Read the positions of a file of ``size`` bytes."""
     if size % SBET_BYTES:
         problem = f"{size} bytes, expected a multiple of {SBET_BYTES} (17 doubles a record)"
         raise InputError(str(path), problem, "the SBET is cut short, or it is no SBET: give a text file another suffix")
@@ -55,30 +42,7 @@ def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
 
 
 def project(path: Path, position: F64, target: str | None) -> F64:
-    """Project longitude and latitude to the coordinate system of the points; heights stay ellipsoidal.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    position : (n, 3) float64
-        Longitude [rad], latitude [rad], height above the ellipsoid [m].
-    target : str or None
-        Coordinate system of the points, in any form that pyproj reads; projected, in metres, without vertical datum: a
-        shift by the geoid (tens of metres) would go unnoticed.
-
-    Returns
-    -------
-    (n, 3) float64
-        [m], finite.
-
-    Raises
-    ------
-    ConfigError
-        When ``target`` is None or cannot be used, or pyproj is missing.
-    InputError
-        When a position lies outside the area of the system.
-    """
+    """Project longitude and latitude to the coordinate system of the points; heights stay ellipsoidal."""
     if target is None:
         problem = "an SBET trajectory is in latitude and longitude, and the points' coordinate system is not known"
         raise ConfigError(str(path), problem, "set trajectory_crs, for example EPSG:32635")

@@ -28,18 +28,6 @@ def read_text(path: Path) -> tuple[F64, F64]:
     """Read time and position from the columns of these names; other columns are ignored.
 
     Four columns without names are time, x, y and z.
-
-    Returns
-    -------
-    time_s : (n,) float64
-        As written [s], finite.
-    xyz_m : (n, 3) float64
-        As written [m], finite.
-
-    Raises
-    ------
-    InputError
-        When a column is missing or a cell is not a finite number, naming the line.
     """
     with path.open("r", encoding="utf-8-sig", errors="replace", newline=None) as handle:
         rows = _rows(str(path), handle)

@@ -65,28 +65,14 @@ class Writer(Protocol):
         """Remove every temporary file; without :meth:`finish` no output is left."""
 
     def finish(self, record: RunRecord) -> RunRecord:
-        """Write and rename the output and ``<output>.prc.json``; return the record as written.
-
-        Raises
-        ------
-        OutputError
-            When the output cannot be written; nothing is left then.
-        InputError
-            When the input, read again, is damaged.
-        """
+        """Write and rename the output and ``<output>.prc.json``; return the record as written."""
 
 
 class LabelWriter(Writer, Protocol):
     """Writer that :func:`prc_cli.formats.label_files.open_writer` returns."""
 
     def add(self, block: LabelledBlock) -> None:
-        """Take the labels of a block.
-
-        Raises
-        ------
-        OutputError
-            When they cannot be written (disk full) or cannot be held by the output.
-        """
+        """Take the labels of a block."""
 
 
 class StagedOutput(ABC):
@@ -162,13 +148,7 @@ class StagedOutput(ABC):
 
 
 class StagedWriter(StagedOutput):
-    """A :class:`LabelWriter` with temporary files.
-
-    Parameters
-    ----------
-    columns : sequence of OptionalColumn
-        Columns requested that the output can hold. Those that the first block lacks are left out with a notice.
-    """
+    """A :class:`LabelWriter` with temporary files."""
 
     def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, columns: Sequence[OptionalColumn]) -> None:
         super().__init__(path)
@@ -264,15 +244,7 @@ class StagedWriter(StagedOutput):
 
 
 class ScatterWriter(StagedWriter):
-    """A writer of outputs in record order: labels are spooled until all have arrived.
-
-    Parameters
-    ----------
-    n_records : int or None
-        Number of input records; None if unknown before reading.
-    is_part : bool
-        The output holds only the records that get a label, in their order: those of a window.
-    """
+    """A writer of outputs in record order: labels are spooled until all have arrived."""
 
     def __init__(
         self,

@@ -22,8 +22,6 @@ Placement: TypeAlias = Callable[[ScanBlock], tuple[F64, F64]]
 class LinesApart:
     """Scan planes one behind the other, for inputs without coordinates.
 
-    Examples
-    --------
     A line of two shots, straight down and to the side:
 
     >>> place = LinesApart({0: np.array([0.0, np.pi / 2])})

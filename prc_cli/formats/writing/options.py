@@ -84,13 +84,6 @@ class LabelOutput:
 def check_codes(codes: ClassCodes, options: OutputConfig) -> None:
     """Refuse a class table with codes that the output may not hold.
 
-    Raises
-    ------
-    ConfigError
-        With ``codes = "below-32"``, naming the first key of ``[classes]`` whose code is above 31.
-
-    Examples
-    --------
     >>> check_codes(ClassCodes(), OutputConfig())
     >>> check_codes(ClassCodes(), OutputConfig(codes="below-32"))
     Traceback (most recent call last):

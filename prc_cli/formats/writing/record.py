@@ -185,13 +185,6 @@ def record_path(output: Path) -> Path:
 def fingerprint(path: Path, *, hashes: bool = True) -> Fingerprint:
     """Return name, size and, unless it is not to be read whole, SHA-256 of a file, read in pieces.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be read.
-
-    Examples
-    --------
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "a.bin"
     >>> _ = path.write_bytes(b"abc")
@@ -205,17 +198,6 @@ def fingerprint(path: Path, *, hashes: bool = True) -> Fingerprint:
 class FingerprintBeside:
     """Computes a fingerprint in a thread while the file is read for its content, so that it comes from disk once.
 
-    Parameters
-    ----------
-    path : Path
-        File.
-    threads : int
-        With 1 or fewer there is no thread: the file is read when the result is requested.
-    hashes : bool
-        False = the file is not read, and there is no SHA-256.
-
-    Examples
-    --------
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "a.bin"
     >>> _ = path.write_bytes(b"abc")
@@ -242,13 +224,7 @@ class FingerprintBeside:
         self._join()
 
     def result(self) -> Fingerprint:
-        """Wait for the fingerprint.
-
-        Raises
-        ------
-        InputError
-            When the file cannot be read.
-        """
+        """Wait for the fingerprint."""
         with timed("waiting for the fingerprint"):
             self._join()
         if self._thread is None:

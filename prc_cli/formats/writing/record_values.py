@@ -22,17 +22,6 @@ PAGE_RECORDS = 1 << 16
 class RecordValues:
     """Records in a temporary file.
 
-    Parameters
-    ----------
-    path : Path
-        Temporary file, created; the caller removes it after :meth:`close`.
-    dtype : dtype
-        Type of a record, structured or not.
-    fill : scalar
-        Value of records that are not held; a tuple for a structured type.
-
-    Examples
-    --------
     >>> import tempfile
     >>> values = RecordValues(Path(tempfile.mkdtemp()) / "v", np.dtype("i4"), -5)
     >>> values.append(np.arange(100, 110, dtype=np.int32))

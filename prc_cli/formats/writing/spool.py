@@ -25,19 +25,6 @@ copy."""
 class Spool:
     """One value per record in a temporary file; records never written read as ``fill``.
 
-    Parameters
-    ----------
-    path : Path
-        Temporary file, created; the caller removes it after :meth:`close`.
-    dtype : dtype
-        Type of 1, 2, 4 or 8 bytes.
-    fill : scalar
-        Value of records that are never written.
-    n_records : int or None
-        Length of the column; None = one more than the highest record written.
-
-    Examples
-    --------
     >>> import tempfile
     >>> spool = Spool(Path(tempfile.mkdtemp()) / "s", np.uint8, 1, n_records=6)
     >>> spool.put(np.array([4, 2]), np.array([9, 7], np.uint8))
@@ -64,19 +51,7 @@ class Spool:
         return self._n_seen if self._n_fixed is None else self._n_fixed
 
     def put(self, record: I64, values: NDArray[Any]) -> None:
-        """Set values by record index; a later value replaces an earlier one.
-
-        Parameters
-        ----------
-        record : (n,) int64
-            Record indices, each >= 0 and below the fixed length if there is one.
-        values : (n,) array of the spool's dtype
-
-        Raises
-        ------
-        IndexError
-            When a record index is out of bounds.
-        """
+        """Set values by record index; a later value replaces an earlier one."""
         if not len(record):
             return
         low, high = int(record[0]), int(record[-1])
@@ -89,19 +64,7 @@ class Spool:
         self._keep(low if is_run else np.array(record, np.int64), values, high)
 
     def put_run(self, first: int, values: NDArray[Any]) -> None:
-        """Set the values of consecutive records, as :meth:`put` does.
-
-        Parameters
-        ----------
-        first : int
-            Index of the first record.
-        values : (n,) array of the spool's dtype
-
-        Raises
-        ------
-        IndexError
-            When a record index is out of bounds.
-        """
+        """Set the values of consecutive records, as :meth:`put` does."""
         last = first + len(values) - 1
         if first < 0 or (self._n_fixed is not None and last >= self._n_fixed):
             message = f"record {first if first < 0 else last} outside 0..{self._n_fixed}"

@@ -17,13 +17,6 @@ from prc_cli.formats.writing.spool import write_all
 class StraightCodes:
     """A ``.npy`` file of class codes to append to.
 
-    Parameters
-    ----------
-    path : Path
-        Created; the caller removes it after a failure.
-
-    Examples
-    --------
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "codes.npy"
     >>> straight = StraightCodes(path)

@@ -97,13 +97,7 @@ class StreamWriter(Writer, Protocol):
         """Notices about values that the output cannot hold."""
 
     def add_item(self, item: StreamItem) -> None:
-        """Take a block.
-
-        Raises
-        ------
-        OutputError
-            When it cannot be written (disk full), or the output cannot hold it.
-        """
+        """Take a block."""
 
 
 class StagedStreamWriter(StagedOutput):

@@ -18,15 +18,6 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
 
     Doubts that are accepted are not compared. Whether the output is still the one that was recorded, :func:`is_whole`
     tells.
-
-    Parameters
-    ----------
-    task : Task
-        What would write it.
-    before : InputPrint
-        Size and time of the input; its content is read.
-    written : os.stat_result
-        Of the output.
     """
     try:
         record = json.loads(read_small(record_path(task.output), LARGEST_RECORD))
@@ -59,13 +50,7 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
 
 
 def is_whole(output: Path, written: os.stat_result, done: Done) -> bool:
-    """Tell whether an output has the size and the content that were recorded; reads it.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    """
+    """Tell whether an output has the size and the content that were recorded; reads it."""
     return written.st_size == done.output_size and fingerprint(output).sha256 == done.output_sha256
 
 

@@ -39,13 +39,7 @@ class Cleaned:
 
 
 def own_folder(out: Path) -> Path:
-    """Return our folder in an output folder.
-
-    Raises
-    ------
-    InputError
-        When no batch run ever worked there.
-    """
+    """Return our folder in an output folder."""
     folder = out / OWN_FOLDER
     refuse_links(folder)
     if not journal_paths(folder):
@@ -54,26 +48,7 @@ def own_folder(out: Path) -> Path:
 
 
 def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> Cleaned:
-    """Remove what dead runs left; outputs stay.
-
-    Parameters
-    ----------
-    out : Path
-        Output folder of ``prc batch``.
-    archive : Path, optional
-        Forget inputs that are in the journal and not in this folder any more; their outputs stay.
-    dry_run : bool
-        Change nothing.
-
-    Raises
-    ------
-    InputError
-        When ``out`` has no journal.
-    ConfigError
-        When none of the known inputs is in ``archive``: it is another folder, or its disk is not mounted.
-    BusyError
-        When a run is at work.
-    """
+    """Remove what dead runs left; outputs stay."""
     folder = own_folder(out)
     # a lock is taken in the dry run too: while a run is at work its files look like left ones
     with Lock(folder):

@@ -205,20 +205,7 @@ class _Lines:
 
 
 class DaskEngine:
-    """Runs tasks on the workers of a Dask scheduler.
-
-    Parameters
-    ----------
-    scheduler : str, optional
-        Its address, ``tcp://HOST:8786`` (or ``tls://``); default: a scheduler and workers of our own on this machine,
-        as many as ``EngineSettings.jobs``.
-    notice : callable, optional
-        Called with a sentence for the user: where the dashboard is, which worker hangs.
-    jobs : int, optional
-        Most files at a time on a scheduler that is given; default: as many as its workers have threads.
-    threads : int
-        Threads a file there. This machine's cores have no say in what happens on others.
-    """
+    """Runs tasks on the workers of a Dask scheduler."""
 
     def __init__(
         self,
@@ -234,29 +221,7 @@ class DaskEngine:
         self._threads = threads
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`).
-
-        Parameters
-        ----------
-        tasks : iterable of Task
-            Asked for as workers have room.
-        settings : EngineSettings
-            ``jobs``, ``threads`` and ``memory_limit_mib`` hold only where there is no scheduler yet.
-
-        Yields
-        ------
-        Event
-            In the order they happen. A task that kills several workers is Failed with kind ``killed``, one that gives
-            no sign of life for ``stall_s`` seconds with kind ``timeout``.
-
-        Raises
-        ------
-        ConfigError
-            When Dask is not installed, the scheduler does not answer, or workers have another version of this program
-            or do not see the files.
-        PrcError
-            When the scheduler goes away, or there is no worker for a minute.
-        """
+        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`)."""
         _import()
         source = iter(tasks)
         first = next(source, None)
@@ -356,13 +321,7 @@ class _Cluster:
         return NoWorkersError(f"scheduler {self._address or ''}".strip(), problem, hint)
 
     def examine(self, first: Task) -> None:
-        """Check that scheduler and workers run this version, and that workers see the archive and the outputs.
-
-        Raises
-        ------
-        ConfigError
-            Naming the worker.
-        """
+        """Check that scheduler and workers run this version, and that workers see the archive and the outputs."""
         try:
             version = self.client.run_on_scheduler(version_here)
         except Exception as error:

@@ -65,29 +65,7 @@ class Discovery:
 
 
 def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
-    """List the inputs of an archive.
-
-    Parameters
-    ----------
-    settings : BatchSettings
-        Archive, output folder, patterns, time and shard.
-    patience_s : float, seconds
-        Time limit for one answer of the file system.
-
-    Returns
-    -------
-    Discovery
-        Hidden files, outputs of this program, symbolic links out of the archive, and everything that is not a regular
-        file are left out; all except hidden files are reported.
-
-    Raises
-    ------
-    ConfigError
-        When archive and output folder are the same, the archive lies in the output folder, or a pattern or time is
-        invalid.
-    InputError
-        When the archive cannot be listed, or the file system does not answer.
-    """
+    """List the inputs of an archive."""
     files: list[Found] = []
     left_out: list[LeftOut] = []
     n_not_selected = 0
@@ -278,16 +256,6 @@ def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Itera
 class Patterns:
     """Glob patterns of names.
 
-    Parameters
-    ----------
-    patterns : iterable of str
-        ``*`` and ``?`` match characters other than the slash, ``[a-z]`` and ``[!a-z]`` one of a set, ``**`` any number
-        of folders. A pattern with a slash is compared with the whole name, one without a slash with its last part.
-    tells_case : bool
-        Whether ``a`` and ``A`` differ.
-
-    Examples
-    --------
     >>> Patterns(["*.laz"]).match("2026/a/b.laz"), Patterns(["2026/*.laz"]).match("2026/a/b.laz")
     (True, False)
     >>> Patterns(["**/night/*"]).match("night/b.laz"), bool(Patterns([]))
@@ -368,21 +336,6 @@ def _set(inside: str) -> str:
 def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> int:
     """Return the time that ``--since`` names [ns since 1970].
 
-    Parameters
-    ----------
-    text : str
-        A duration before now (``90min 12h 7d 2w``), a date or time in ISO 8601 (local time without an offset), or a
-        file, for the time of its last change.
-    now : callable
-        The clock.
-
-    Raises
-    ------
-    ConfigError
-        When it is none of these.
-
-    Examples
-    --------
     >>> parse_since("1970-01-02T00:00:00+00:00") // 10**9
     86400
     """
@@ -418,15 +371,6 @@ def output_name(name: str, to: str) -> str:
     It contains the whole name of the input, so that ``a.las``, ``a.laz`` and ``a.csv`` have different outputs. A LAS or
     LAZ output of an input of the same format keeps its name, so that the output tree can replace the input tree.
 
-    Parameters
-    ----------
-    name : str
-        Of the input.
-    to : str
-        One of :data:`FORMATS`.
-
-    Examples
-    --------
     >>> [output_name(name, "same") for name in ("night/a.laz", "a.csv.gz")]
     ['night/a.laz', 'a.csv.gz.labels.npy']
     >>> [output_name(name, "laz") for name in ("a.laz", "a.las", "a.bin")]

@@ -35,20 +35,6 @@ def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> st
     above :data:`FLOOR` and above the median of their own distances by :data:`SPREADS` robust standard deviations,
     and there is no small group of earlier files within :data:`FLOOR` of it.
 
-    Parameters
-    ----------
-    labels : mapping
-        Records by label.
-    earlier : iterable of mapping
-        The same for earlier files of the same configuration; files without records are left out.
-
-    Returns
-    -------
-    str or None
-        A sentence that names the class that moved most, its share and the usual one; None if nothing is odd.
-
-    Examples
-    --------
     >>> street = [{"GROUND": 600 + i, "OBJECT": 400 - i} for i in range(20)]
     >>> drift({"GROUND": 590, "OBJECT": 410}, street) is None
     True

@@ -109,20 +109,6 @@ class Journal:
 
     Entries of the other journals of the folder are used too, and the newest entry of a file counts: an archive may be
     classified as a whole in one month and in shards in the next. They are read once, when the journal is opened.
-
-    Parameters
-    ----------
-    folder : Path
-        Our own folder in the output tree; made if it is missing.
-    shard : Shard, optional
-        The part of the archive that this run works on.
-
-    Raises
-    ------
-    OutputError
-        When the journal cannot be opened, is damaged, or belongs to a newer version of the program.
-    BusyError
-        When another program holds the file.
     """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
@@ -198,18 +184,7 @@ class Journal:
         return self._database
 
     def begin_run(self, owner: str) -> str:
-        """Record that a run starts.
-
-        Parameters
-        ----------
-        owner : str
-            Host and process, for people to read.
-
-        Returns
-        -------
-        str
-            Id of the run; ids sort by time.
-        """
+        """Record that a run starts."""
         self.run = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{secrets.token_hex(4)}"
         shard = "" if self._shard is None else str(self._shard)
         with _errors(self.path):
@@ -298,25 +273,13 @@ class Journal:
 
 
 def read_entries(folder: Path) -> list[Entry]:
-    """Return the newest entry of every file in all journals of a folder, sorted by name; changes nothing.
-
-    Raises
-    ------
-    OutputError
-        When a journal is damaged or of a newer version.
-    """
+    """Return the newest entry of every file in all journals of a folder, sorted by name; changes nothing."""
     found = _newest(entry for path in journal_paths(folder) for entry in _copied_entries(path))
     return [found[name] for name in sorted(found)]
 
 
 def read_runs(folder: Path) -> list[Run]:
-    """Return the runs of all journals of a folder, oldest first; changes nothing.
-
-    Raises
-    ------
-    OutputError
-        When a journal is damaged or of a newer version.
-    """
+    """Return the runs of all journals of a folder, oldest first; changes nothing."""
     found: list[Run] = []
     for path in journal_paths(folder):
         with _copy(path) as database, _content(path):
@@ -518,13 +481,7 @@ _STATES = get_args(State)
 
 
 def _check_row(row: Mapping[str, Any]) -> None:
-    """Refuse a row whose values are of other types than were written: SQLite stores any value in any column.
-
-    Raises
-    ------
-    ValueError
-        Naming the column.
-    """
+    """Refuse a row whose values are of other types than were written: SQLite stores any value in any column."""
     wanted: dict[str, tuple[type, ...]] = {"name": (bytes,), "attempts": (int,), "owns_output": (int,)}
     wanted |= dict.fromkeys(_WORDS, (str,))
     is_done, is_failed = row["outcome"] == "done", row["outcome"] == "failed"

@@ -58,15 +58,6 @@ _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_N
 def share_cores(jobs: int | None, threads: int | None, n_files: int) -> tuple[int, int]:
     """Return how many files at a time, and how many threads a file.
 
-    Parameters
-    ----------
-    jobs, threads : int or None
-        As asked for.
-    n_files : int
-        Files to do: no more workers than these are begun.
-
-    Examples
-    --------
     >>> share_cores(2, 3, n_files=10), share_cores(4, 1, n_files=2)
     ((2, 3), (2, 1))
     """
@@ -138,35 +129,12 @@ class _Worker:
 class LocalEngine:
     """Runs tasks in processes of this machine.
 
-    Examples
-    --------
     >>> list(LocalEngine().run([], EngineSettings()))
     []
     """
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`).
-
-        Parameters
-        ----------
-        tasks : iterable of Task
-            Asked for one at a time, when a worker is free.
-        settings : EngineSettings
-            ``jobs`` workers are begun at once, each with ``threads`` threads.
-
-        Yields
-        ------
-        Event
-            In the order they happen. A task that kills its worker is Failed with kind ``killed``; one that neither
-            finishes a line nor moves data for ``stall_s`` seconds is Failed with kind ``timeout``.
-
-        Raises
-        ------
-        ConfigError
-            When memory cannot be limited on this system.
-        PrcError
-            When no worker can be started.
-        """
+        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`)."""
         if settings.memory_limit_mib is not None and os.name != "posix":
             raise ConfigError("--memory-limit", "this system cannot limit the memory of a process", "leave it out")
         pool = _Pool(settings)

@@ -118,20 +118,6 @@ class Lock:
 
     Shards of the same number work side by side. A run over the whole archive, or one with another number of shards,
     has files in common with them, so these exclude each other.
-
-    Parameters
-    ----------
-    folder : Path
-        Our own folder in the output tree; made if it is missing.
-    shard : Shard, optional
-        The part of the archive that this run works on.
-
-    Raises
-    ------
-    BusyError
-        When a living owner holds it, or one that has files in common.
-    OutputError
-        When the folder cannot be written.
     """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
@@ -160,13 +146,7 @@ class Lock:
         self._release()
 
     def check(self) -> None:
-        """Make sure that the lock is still ours; called before each file.
-
-        Raises
-        ------
-        BusyError
-            When another run works here now, or somebody removed the lock.
-        """
+        """Make sure that the lock is still ours; called before each file."""
         try:
             found = _read(self.path)
         except OSError:  # the network may come back; if it does not, reading or writing fails with its own message
@@ -240,13 +220,7 @@ def holders(folder: Path) -> list[Holder]:
 
 
 def has_locks(folder: Path) -> bool:
-    """Tell whether the file system of an empty folder has locks; for ``prc doctor``.
-
-    Raises
-    ------
-    OSError
-        When a file cannot be made there.
-    """
+    """Tell whether the file system of an empty folder has locks; for ``prc doctor``."""
     (folder / "lock").touch()
     return _is_held(folder / "lock", LOOK_S) is not None
 

@@ -132,16 +132,6 @@ class BatchConfig:
 
     The name of a trajectory may contain placeholders: ``{name}`` and ``{stem}`` of the input, its ``{folder}``, and
     ``{subfolder}``, the folder relative to the archive.
-
-    Parameters
-    ----------
-    layers : ConfigLayers
-        Sources of the configuration.
-
-    Raises
-    ------
-    ConfigError
-        When anything in it is invalid, also in an override; raised before any file is looked up.
     """
 
     def __init__(self, layers: ConfigLayers) -> None:
@@ -202,22 +192,7 @@ class BatchConfig:
         return self._built[matching]
 
     def of(self, name: str, path: Path) -> tuple[LoadedConfig, str]:
-        """Return the configuration of a file and its hash.
-
-        Parameters
-        ----------
-        name : str
-            Name in the archive.
-        path : Path
-            Path of the file.
-
-        Raises
-        ------
-        ConfigError
-            When a placeholder is unknown.
-        InputError
-            When the file's trajectory cannot be read.
-        """
+        """Return the configuration of a file and its hash."""
         loaded = self._build(tuple(i for i, item in enumerate(self._overrides) if item.patterns.match(name)))
         rule = loaded.config.input.range
         if not rule.startswith(TRAJECTORY):
@@ -305,25 +280,7 @@ def make_plan(
     config: BatchConfig,
     known: Mapping[str, Entry],
 ) -> Plan:
-    """Decide what to do with every file.
-
-    Parameters
-    ----------
-    settings : BatchSettings
-        Output format, limits and permissions.
-    files : sequence of Found
-        Inputs, in the order of their names.
-    config : BatchConfig
-        Configuration of every file.
-    known : mapping
-        Entries of the journals by name.
-
-    Returns
-    -------
-    Plan
-        ``left_out`` and ``n_not_selected``, which are known from :func:`~prc_cli.jobs.batch.discovery.discover`, are
-        not filled in.
-    """
+    """Decide what to do with every file."""
     if settings.only_failed:
         files = [item for item in files if item.name in known and known[item.name].state != "done"]
     names = {item.name: output_name(item.name, settings.to) for item in files}
@@ -366,13 +323,7 @@ def _same_output(out: Path, name: str) -> OutputExistsError:
 
 
 def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSettings) -> Planned | Done | None:
-    """Return the plan for a file, the outcome that adopts or confirms its output, or None if it is done.
-
-    Raises
-    ------
-    OutputExistsError
-        When the output exists and is not ours.
-    """
+    """Return the plan for a file, the outcome that adopts or confirms its output, or None if it is done."""
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
         if written is not None and not settings.overwrite:
@@ -506,23 +457,7 @@ def sample_rate(outcome: Done, shown: str) -> Rate:
 
 
 def estimate(todo: Sequence[Planned], rates: Mapping[str, Rate], jobs: int) -> Estimate:
-    """Estimate time and memory of a plan.
-
-    Parameters
-    ----------
-    todo : sequence of Planned
-        Files, in the order they are started.
-    rates : mapping
-        Rates by suffix; files of other formats count as unknown.
-    jobs : int
-        Files at a time.
-
-    Returns
-    -------
-    Estimate
-        Wall time with every free worker taking the next file, including :data:`BEGIN_S`; memory of the ``jobs`` largest
-        files together.
-    """
+    """Estimate time and memory of a plan."""
     free = [0.0] * max(1, jobs)
     peaks: list[float] = []
     n_unknown = 0

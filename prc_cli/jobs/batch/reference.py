@@ -47,13 +47,7 @@ class ReferenceSettings:
     """Figures that all files together must reach, such as ``recall.ground=0.95``."""
 
     def check(self) -> None:
-        """Refuse what makes no sense before any file is classified.
-
-        Raises
-        ------
-        ConfigError
-            No such folder, unknown mapping, way of matching, score or class.
-        """
+        """Refuse what makes no sense before any file is classified."""
         if not self.tree.is_dir():
             raise ConfigError(
                 str(self.tree), "no such folder, expected a tree of reference classes", "check --reference"
@@ -165,27 +159,7 @@ def evaluate_tree(
     *,
     threads: int = 1,
 ) -> BatchEvaluation:
-    """Compare outputs with their references and pool them.
-
-    Parameters
-    ----------
-    outputs : iterable of Output
-        In the order of the report.
-    settings : ReferenceSettings
-        What they are compared with.
-    threads : int
-        Files that are compared at a time; the result does not depend on it.
-
-    Returns
-    -------
-    BatchEvaluation
-        A file that has no reference, or cannot be compared with it, says why and is not in the pooled matrix.
-
-    Raises
-    ------
-    ConfigError
-        Settings that make no sense.
-    """
+    """Compare outputs with their references and pool them."""
     settings.check()
     outputs = list(outputs)
     name = settings.mapping_name or mapping_of_runs([output.path for output in outputs])[0]
@@ -236,11 +210,6 @@ class _Tree:
         """Return the file of reference classes of an output.
 
         A reference has the name of the output, as another run would write it, or that of the input; but for the suffix.
-
-        Raises
-        ------
-        InputError
-            When two files have that name, or the folder cannot be listed.
         """
         name = PurePosixPath(output.name)
         written = PurePosixPath(output.relative)

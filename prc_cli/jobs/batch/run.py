@@ -111,11 +111,6 @@ def plan_batch(
 
     What a format takes is known from earlier files of the archive, else from a file that is classified, twice, into
     a temporary folder of the system.
-
-    Raises
-    ------
-    ConfigError, InputError
-        As :func:`run_batch`; a lock is not looked at.
     """
     config = BatchConfig(settings.config)
     folder = settings.out / OWN_FOLDER
@@ -129,35 +124,7 @@ def plan_batch(
 
 
 def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore) -> BatchSummary:
-    """Classify every file of an archive that is not done yet.
-
-    Parameters
-    ----------
-    settings : BatchSettings
-        What is asked for.
-    engine : Engine, optional
-        What runs the files; default: worker processes of this machine.
-    listener : callable
-        Called with every event, in this thread.
-
-    Returns
-    -------
-    BatchSummary
-        Written as ``summary.json`` too, while the lock is still held, also after a signal.
-
-    Raises
-    ------
-    ConfigError
-        When the configuration makes no sense, or archive and output folder lie in one another.
-    InputError
-        When the archive cannot be listed.
-    BusyError
-        When another run holds the lock, or took it.
-    OutputError
-        When the journal or the summary cannot be written.
-    KeyboardInterrupt, SystemExit
-        After the workers have stopped, and journal and summary say so.
-    """
+    """Classify every file of an archive that is not done yet."""
     config = BatchConfig(settings.config)
     if settings.reference is not None:
         settings.reference.check()

@@ -233,13 +233,7 @@ def summary_path(out: Path, shard: Shard | None) -> Path:
 
 
 def write_summary(summary: BatchSummary) -> Path:
-    """Write the summary into the output folder, whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
+    """Write the summary into the output folder, whole or not at all."""
     path = summary_path(summary.out, summary.shard)
     remove_stale(path)  # of a run that was killed just here
     with atomic_output(path, overwrite=True) as temporary:

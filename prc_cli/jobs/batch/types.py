@@ -42,13 +42,6 @@ class Shard:
     def parse(cls, text: str) -> Shard:
         """Parse ``i/n``.
 
-        Raises
-        ------
-        ConfigError
-            When the text is not two numbers, or i is not from 1 to n.
-
-        Examples
-        --------
         >>> Shard.parse("3/8")
         Shard(index=3, count=8)
         """

@@ -35,13 +35,6 @@ def verify_outputs(out: Path) -> Iterator[Verified]:
 
     Journals count; outputs that none knows are compared with the record beside them. Files that a run is at work on,
     or that failed, are left out. Nothing is changed, and no lock is needed.
-
-    Raises
-    ------
-    InputError
-        When the folder cannot be read, or holds neither a journal nor a record.
-    OutputError
-        When a journal is damaged or of a newer version.
     """
     expected: dict[str, tuple[int, str | None] | None] = dict(_recorded(out))
     for entry in read_entries(out / OWN_FOLDER):

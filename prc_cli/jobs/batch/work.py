@@ -31,27 +31,7 @@ MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
 
 
 def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
-    """Classify one file.
-
-    Parameters
-    ----------
-    task : Task
-        The file; the folder of its output is made if it is missing.
-    threads : int
-        Threads that classify; the output does not depend on their number.
-    progress : callable, optional
-        Called with the number of lines that were just finished.
-
-    Returns
-    -------
-    Done or Failed
-        A file that is damaged, or cannot be written, is :class:`Failed` and leaves nothing behind.
-
-    Raises
-    ------
-    KeyboardInterrupt, SystemExit
-        When a signal arrives; this leaves nothing behind either.
-    """
+    """Classify one file."""
     begun = time.perf_counter()
     before: InputPrint | None = None
     try:
@@ -97,13 +77,7 @@ def _written_before(task: Task, before: InputPrint) -> Done | None:
 
 
 def stat_input(path: Path) -> InputPrint:
-    """Return size and time of an input, without the hash of its content.
-
-    Raises
-    ------
-    OSError
-        When the file system refuses.
-    """
+    """Return size and time of an input, without the hash of its content."""
     status = path.stat()
     return InputPrint(status.st_size, status.st_mtime_ns, None)
 

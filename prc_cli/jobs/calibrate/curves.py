@@ -56,13 +56,7 @@ class Curves:
     n_shots: int
 
     def share(self, zeta_p: float, zeta_s: float) -> float:
-        """Return the supported share of the returns at thresholds of the grid.
-
-        Raises
-        ------
-        KeyError
-            When a threshold is not on the grid.
-        """
+        """Return the supported share of the returns at thresholds of the grid."""
         p, q = np.flatnonzero(self.zetas_p == zeta_p), np.flatnonzero(self.zetas_s == zeta_s)
         if not (p.size and q.size):
             raise KeyError((zeta_p, zeta_s))
@@ -104,13 +98,7 @@ class Curves:
 
 @dataclass(slots=True)
 class CurveCounter:
-    """Accumulates the counts over blocks, in bounded memory.
-
-    Parameters
-    ----------
-    params : PrcParams
-        rho_c, its rounding and alpha; the thresholds are put on the grid.
-    """
+    """Accumulates the counts over blocks, in bounded memory."""
 
     params: PrcParams
     zetas_p: F64 = field(init=False)

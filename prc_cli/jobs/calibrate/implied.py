@@ -43,18 +43,7 @@ class Advice:
 
 
 def imply(sensor: SensorEstimate, curves: Curves, params: PrcParams, range_noise_m: float) -> tuple[Advice, ...]:
-    """Derive d_c, A, k, zeta_s, zeta_p and the noise of the sequential-angle method.
-
-    Parameters
-    ----------
-    sensor : SensorEstimate
-    curves : Curves
-        With the thresholds of ``params`` on their grids.
-    params : PrcParams
-        Configured parameters; values that agree with the stream stay.
-    range_noise_m : float
-        ``sequential_angle.angles.range_noise_m`` as configured [m].
-    """
+    """Derive d_c, A, k, zeta_s, zeta_p and the noise of the sequential-angle method."""
     return (
         _block(sensor, params),
         *_zetas(sensor, curves, params),

@@ -113,24 +113,7 @@ class SearchResult:
 
 @dataclass(slots=True)
 class Searcher:
-    """Tries parameters on training lines.
-
-    Parameters
-    ----------
-    config : RunConfig
-        Values of all keys that are not searched.
-    mapping : ClassMapping
-        Which codes mean which class.
-    training : tuple of Group
-    objective : str
-        ``mean_f1`` or what :func:`prc_cli.evaluation.scores.gate_value` knows.
-    budget : int
-        Trials at most.
-    axes : tuple of Axis
-        From :func:`axes_of`.
-    tried : callable, optional
-        Called after every trial.
-    """
+    """Tries parameters on training lines."""
 
     config: RunConfig
     mapping: ClassMapping
@@ -147,11 +130,6 @@ class Searcher:
         """Search from the best of the starts, one parameter after the other, on finer and finer steps.
 
         d_c and A affect the same shots, so all their pairs are tried first.
-
-        Returns
-        -------
-        dict
-            Best value of every key; on ties the one tried first.
         """
         axes = self.axes
         starts = tuple(self._advisable(values, ZETA_P) for values in starts)
@@ -225,13 +203,6 @@ class Searcher:
 def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
     """Return the parameters to search for the configured classifier, without the keys to keep.
 
-    Raises
-    ------
-    ConfigError
-        When a key to keep is not a searched one, or nothing is left.
-
-    Examples
-    --------
     >>> [axis.key for axis in axes_of(RunConfig(), ("prc.surfaces.gamma", "prc.surfaces.area"))]
     ['prc.background.d_c', 'prc.support.zeta_p', 'prc.support.zeta_s']
     """
@@ -302,12 +273,7 @@ def objective_value(found: Scores, objective: str) -> float:
 
 
 def check_objective(objective: str, mapping: ClassMapping) -> None:
-    """Refuse an objective that an evaluation with this mapping cannot have.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Refuse an objective that an evaluation with this mapping cannot have."""
     if objective == MEAN_F1:
         return
     try:
@@ -354,13 +320,6 @@ def _round(value: float) -> float:
 def split_groups(n_groups: int, share: float, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Draw which groups of lines are for training, at least one of either kind.
 
-    Raises
-    ------
-    InputError
-        When there are fewer than two groups.
-
-    Examples
-    --------
     >>> training, held_out = split_groups(10, 0.5, seed=0)
     >>> len(training), len(held_out), set(training) & set(held_out)
     (5, 5, set())

@@ -234,18 +234,6 @@ def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
     On a plane the reciprocal of the range is a cosine of the scan angle, approximated by a parabola over a few shots.
     The residual of the reciprocals, times range squared, is the range noise.
 
-    Parameters
-    ----------
-    ranges : (lines, M) float32, metres
-        NaN = missing.
-
-    Returns
-    -------
-    middle_m, deviation_m : (n,) float64, metres
-        Range in the middle and standard deviation of every stretch without a gap, from :data:`STRETCH` shots.
-
-    Examples
-    --------
     A wall 5 m away under steps of 1 degree, whose ranges differ by more than a centimetre:
 
     >>> wall = 5.0 / np.cos(np.deg2rad(np.arange(9.0)))

@@ -20,20 +20,7 @@ KITTI_MAPPINGS = {"street_scan": "street_scan_kitti", "street": "street_kitti", 
 
 
 def mapping_of_runs(predicted: Sequence[Path], reference: Sequence[Path] = ()) -> tuple[str, str]:
-    """Choose the preset that has the classes of the method that wrote the predicted files, and the reference's codes.
-
-    Parameters
-    ----------
-    predicted, reference : sequence of path
-        The files, no folders.
-
-    Returns
-    -------
-    str
-        Name of the preset; :data:`DEFAULT_MAPPING` unless every file has a record, and all ask for one mapping.
-    str
-        Why; empty for :data:`DEFAULT_MAPPING`.
-    """
+    """Choose the preset with the classes of the method that wrote the predicted files, and the reference's codes."""
     asked = {_asked_by(path) for path in predicted}
     name, method = asked.pop() if len(asked) == 1 else (DEFAULT_MAPPING, "")
     why = [f"the run record says {method}"] if method else []

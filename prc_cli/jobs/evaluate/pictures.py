@@ -43,30 +43,6 @@ def class_pictures(
 
     Time runs to the right. As in ``prc render``, the sky is at the top if one of the files, or its points, holds the
     vertical direction; otherwise column 0 is at the top. Long lines are thinned.
-
-    Parameters
-    ----------
-    predicted, reference : Path
-        Label files with one code per shot, missing shots included, in the same order.
-    mapping : ClassMapping
-        Classes to draw, in the program's colours.
-    points_per_line : int, optional
-        M; the line of record i is i // M. None = found where either file numbers its scan lines and they are equally
-        long.
-    dimensions : (predicted, reference)
-        Columns with the codes; None = found by name.
-    points : (predicted, reference)
-        Points of labels that have no coordinates, files or folders.
-
-    Returns
-    -------
-    tuple of (title, PNG)
-        Empty if M is not known, or the files do not hold a whole line.
-
-    Raises
-    ------
-    InputError
-        When a file cannot be read, or holds codes that the mapping does not list.
     """
     names = mapping.names("reference")
     names += tuple(name for name in mapping.names("predicted") if name not in names)

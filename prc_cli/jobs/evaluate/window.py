@@ -14,13 +14,7 @@ from prc_cli.matching.sides import LINE, SECONDS
 
 
 class ScoredWindow:
-    """Leaves out pairs of records outside a window, and counts what is left.
-
-    Parameters
-    ----------
-    window : Window
-        Relative times count from the first known time of the pairs, in the order of the match.
-    """
+    """Leaves out pairs of records outside a window, and counts what is left."""
 
     def __init__(self, window: Window) -> None:
         self._window = window
@@ -45,13 +39,7 @@ class ScoredWindow:
         return (left, right), more
 
     def report(self, path: str, counts: Counts) -> None:
-        """Note how many pairs were scored.
-
-        Raises
-        ------
-        InputError
-            When there are none.
-        """
+        """Note how many pairs were scored."""
         if not self._n_inside:
             what = "lines" if self._window.in_lines else "times"
             problem = f"found {what} from {self._low:.9g} to {self._high:.9g}, expected some in {self._window.option}"

@@ -89,34 +89,7 @@ def explain(
     progress: Progress | None = None,
     loading: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> Explanation:
-    """Say why a shot has its class.
-
-    Parameters
-    ----------
-    source : path
-        Any readable input.
-    line, column : int
-        Of the shot, from 0.
-    config : LoadedConfig or RunConfig, optional
-        Default: the method that labels the input best.
-    scanner : int, optional
-        Default: the first that the input holds.
-    progress : callable, optional
-        Called with the number of lines just finished.
-    loading : callable
-        Context in which compiled loops are loaded.
-
-    Returns
-    -------
-    Explanation
-
-    Raises
-    ------
-    InputError
-        When the input is damaged, or there is no such line or column.
-    ConfigError
-        When the place is below 0.
-    """
+    """Say why a shot has its class."""
     source = Path(source)
     if line < 0 or column < 0:
         raise ConfigError("--at", f"found {line},{column}, expected LINE,COLUMN, both from 0")

@@ -74,20 +74,7 @@ def fused_answers(
     params: FusedParams,
     at: tuple[int, int],
 ) -> Iterator[Answer]:
-    """Yield the answers of the stages, in their order.
-
-    Parameters
-    ----------
-    item : LabelledBlock
-        The block of the shot with its labels.
-    block : ScanBlock
-        The same with the lines that follow.
-    run : (FusedScanner, mapping)
-        The scanner, and what the run handed on for this block, by the name of its part.
-    params : FusedParams
-    at : (int, int)
-        Line and column of the shot, within the block.
-    """
+    """Yield the answers of the stages, in their order."""
     scanner, heard = run
     is_forest = params.environment == "forest"
     noise_m = float(heard[NOISE.name] if is_forest else heard[NOISE_ALONG.name][SPACED_LINES + at[0]])

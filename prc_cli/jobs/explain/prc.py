@@ -20,18 +20,7 @@ from prc_cli.jobs.explain.answers import Answer, metres
 def prc_answers(
     block: ScanBlock, heard: Mapping[str, Any], params: PrcParams, line: int, column: int
 ) -> Iterator[Answer]:
-    """Yield the answers of the stages, in their order.
-
-    Parameters
-    ----------
-    block : ScanBlock
-        The block of the shot, with the lines that follow.
-    heard : mapping
-        What the run handed on for this block, by the name of its part.
-    params : PrcParams
-    line, column : int
-        Of the shot, within the block.
-    """
+    """Yield the answers of the stages, in their order."""
     seen = see(stream_window(heard[TAIL.name], block.range_m, block.next_m), block.points_per_line, params)
     yield from _support(seen.window, block, params, line, column)
     if not seen.supported[line, column]:

@@ -26,16 +26,7 @@ _SO = {
 def sequential_angle_answers(
     item: LabelledBlock, params: SequentialAngleParams, line: int, column: int
 ) -> Iterator[Answer]:
-    """Yield the answers of the stages, in their order.
-
-    Parameters
-    ----------
-    item : LabelledBlock
-        Lines that became final, with their stages.
-    params : SequentialAngleParams
-    line, column : int
-        Of the shot, within the block.
-    """
+    """Yield the answers of the stages, in their order."""
     stages = item.stages
     assert stages is not None
     beams = Beams.of(beams_of(item.block))

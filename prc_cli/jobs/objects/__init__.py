@@ -65,13 +65,6 @@ class ObjectsSummary(Brief):
 def rules_for(config: RunConfig, kinds: tuple[str, ...] = ()) -> dict[Label, Rule]:
     """Return the rule of every class that is an object and that the method may give.
 
-    Raises
-    ------
-    ConfigError
-        When a kind is unknown, or the method gives none.
-
-    Examples
-    --------
     >>> [label.name for label in rules_for(RunConfig.model_validate({"prc": {"environment": "forest"}}))]
     ['STEM']
     """

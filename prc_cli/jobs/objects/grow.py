@@ -144,14 +144,6 @@ class _Growing:
 class Grower:
     """Grows the objects of one scanner.
 
-    Parameters
-    ----------
-    scanner : int
-    rules : dict
-        Rule of every class that is an object.
-
-    Examples
-    --------
     >>> grower = Grower(0, {Label.STEM: Rule(0.3, 2.0, 2, 3)})
     >>> run = Run(0, Label.STEM, 5, 7, 11, (3.0, 3.1), (-1.0, 1.0), 15.0, 16.0, 5.0, 3.0, (0.1, 2.1))
     >>> [grower.add([run], 0), [(thing.kind, thing.side_m) for thing in grower.add([], 4)]]
@@ -163,15 +155,7 @@ class Grower:
         self._growing: dict[Label, list[_Growing]] = {label: [] for label in rules}
 
     def add(self, runs: Iterable[Run], line: int) -> list[Thing]:
-        """Add the runs of a line; return the objects that ended before it, without numbers.
-
-        Parameters
-        ----------
-        runs : iterable of Run
-            All of this line.
-        line : int
-            Its number; later than those before.
-        """
+        """Add the runs of a line; return the objects that ended before it, without numbers."""
         ended = self._end(line)
         for run in runs:
             rule, growing = self._rules[run.kind], self._growing[run.kind]

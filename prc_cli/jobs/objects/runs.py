@@ -47,17 +47,7 @@ class Run:
 
 
 def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | None = None) -> Iterator[Run]:
-    """Find the runs of a block, line by line.
-
-    Parameters
-    ----------
-    item : LabelledBlock
-        With beam directions; heights above the ground where they are known.
-    kinds : tuple of Label
-        Classes whose shots are objects.
-    registered_m : (lines, M, 3) float64, metres, optional
-        Registered coordinates; NaN = none.
-    """
+    """Find the runs of a block, line by line."""
     block = item.block
     assert block.beam_rad is not None
     m = block.points_per_line

@@ -23,13 +23,7 @@ _WHOLE = ("id", "scanner", "first_line", "last_line", "first_column", "last_colu
 
 
 def check_suffix(path: Path) -> str:
-    """Return the suffix of an output, which decides its format.
-
-    Raises
-    ------
-    ConfigError
-        When it is unknown.
-    """
+    """Return the suffix of an output, which decides its format."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         problem = f"found suffix {path.suffix!r}, expected one of {', '.join(SUFFIXES)}"
@@ -39,15 +33,7 @@ def check_suffix(path: Path) -> str:
 
 @contextmanager
 def open_things(path: Path) -> Iterator[Callable[[Thing], None]]:
-    """Open an output; call what is yielded with every object.
-
-    Raises
-    ------
-    ConfigError
-        When the suffix is unknown.
-    OutputError
-        When it cannot be written; nothing is left behind.
-    """
+    """Open an output; call what is yielded with every object."""
     writer = {".csv": _csv, ".geojson": _geojson, ".parquet": _parquet}[check_suffix(path)]
     with atomic_output(path) as temporary, output_errors(path), writer(temporary) as put:
         yield put

@@ -96,13 +96,7 @@ class Vocabulary:
         return np.where((places == 0) & seen, np.uint8(self.unscored), places)
 
     def turn(self, codes: I64, side: Side) -> U8:
-        """Convert class codes of a side to indices of the table.
-
-        Raises
-        ------
-        InputError
-            When a code is not listed.
-        """
+        """Convert class codes of a side to indices of the table."""
         if self.mapping is None:
             return self._own(codes, side)
         names = self.mapping.names(side)
@@ -139,13 +133,7 @@ class Vocabulary:
         return found
 
     def turn_labels(self, labels: U8) -> U8:
-        """Convert labels of the program to indices of the table, as on the predicted side.
-
-        Raises
-        ------
-        InputError
-            When a label's code is not listed.
-        """
+        """Convert labels of the program to indices of the table, as on the predicted side."""
         if self.mapping is None:
             return labels
         lookup = self.codes.lookup().astype(np.int64)
@@ -158,13 +146,7 @@ class Vocabulary:
 
 
 def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
-    """Return the classes of a run: the program's own, or those of a mapping.
-
-    Raises
-    ------
-    ConfigError
-        When a class to hide is none of them.
-    """
+    """Return the classes of a run: the program's own, or those of a mapping."""
     words = _vocabulary(options, codes)
     known = words.table.names[1:]
     for name in options.hide:
@@ -207,13 +189,7 @@ class RecordClasses:
     """(records,) uint8, indices of the class table; memory-mapped."""
 
     def look_up(self, record: I64) -> U8:
-        """Return the class of records, (...) int64 to (...) uint8; -1 = none.
-
-        Raises
-        ------
-        InputError
-            When a record index is beyond the last label.
-        """
+        """Return the class of records, (...) int64 to (...) uint8; -1 = none."""
         last = int(record.max(initial=-1))
         if last >= len(self.places):
             raise InputError(self.path, f"found {len(self.places):,} labels, but the input has record {last:,}", _HINT)
@@ -221,13 +197,7 @@ class RecordClasses:
         return found
 
     def check(self, n_records: int | None) -> None:
-        """Refuse labels of another length than the input.
-
-        Raises
-        ------
-        InputError
-            With both counts.
-        """
+        """Refuse labels of another length than the input."""
         if n_records is not None and n_records != len(self.places):
             problem = f"found {len(self.places):,} labels, expected {n_records:,}, one a record of the input"
             raise InputError(self.path, problem, _HINT)
@@ -239,26 +209,7 @@ _HINT = "give the labels of this very file, in its order of records"
 def read_classes(
     path: Path, dimension: str | None, turn: Callable[[I64], U8], folder: Path, name: str
 ) -> RecordClasses:
-    """Read a label file once and keep its classes in a file of one byte per record.
-
-    Parameters
-    ----------
-    path : Path
-        Any file that carries class codes.
-    dimension : str or None
-        Column or dimension that holds them.
-    turn : callable
-        Converts codes to indices of the class table.
-    folder : Path
-        Where the file goes.
-    name : str
-        Its name.
-
-    Raises
-    ------
-    InputError, ConfigError
-        When the labels cannot be read, or a code is unknown.
-    """
+    """Read a label file once and keep its classes in a file of one byte per record."""
     source = open_codes(path, dimension)
     target = folder / name
     n = 0

@@ -79,13 +79,7 @@ class Cloud:
 
     @classmethod
     def open(cls, source: Path, loaded: LoadedConfig, station: int | None) -> Cloud:
-        """Choose the coordinates: those of the file, or of the stream if ranges are read from sensor coordinates.
-
-        Raises
-        ------
-        InputError
-            When the input has no coordinates.
-        """
+        """Choose the coordinates: those of the file, or of the stream if ranges are read from sensor coordinates."""
         records = open_source(source, loaded.config.layout)
         rules = loaded.config.input
         by_sensor = rules.range == "sensor-xyz" or rules.lines == "rings"
@@ -138,28 +132,7 @@ _HINT = "draw the scan (leave --view out), or give a file that has x, y, z"
 def draw_cloud(
     source: Path, loaded: LoadedConfig, options: RenderOptions, folder: Path, progress: Progress | None = None
 ) -> tuple[Panel, Key, RenderResult]:
-    """Draw the points of an input in space.
-
-    Parameters
-    ----------
-    source : Path
-        Any readable input with coordinates.
-    loaded : LoadedConfig
-        How it is read, and classified if coloured by class.
-    options : RenderOptions
-        View, colours, size, labels.
-    folder : Path
-        For temporary files.
-    progress : callable, optional
-        Called with the number of lines that were just classified.
-
-    Raises
-    ------
-    InputError
-        No coordinates, or no values to colour the points by; labels of another length.
-    ConfigError
-        Options that belong to the scan view.
-    """
+    """Draw the points of an input in space."""
     _check_options(options)
     check_input(source)
     cloud = Cloud.open(source, loaded, options.station)

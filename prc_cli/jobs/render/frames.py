@@ -55,13 +55,7 @@ def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
 
 
 def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> Iterator[ScanBlock]:
-    """Keep the blocks of one scanner, by default the first.
-
-    Raises
-    ------
-    ConfigError
-        When there is no such scanner; the message lists all scanners.
-    """
+    """Keep the blocks of one scanner, by default the first."""
     others: set[int] = set()
     chosen, found = station, False
     for block in blocks:
@@ -91,24 +85,7 @@ def count_lines(stream: ScanStream, station: int | None, loaded: LoadedConfig) -
 def frames(
     blocks: Iterator[ScanBlock], loaded: LoadedConfig, steps: tuple[str, ...], *, classify: bool
 ) -> Iterator[Frame]:
-    """Classify blocks as far as the steps need it; yield the intermediate images.
-
-    Parameters
-    ----------
-    blocks : iterator of ScanBlock
-        Blocks of one scanner from its first line on.
-    loaded : LoadedConfig
-        Classifier and its parameters.
-    steps : tuple of str
-        Steps that are wanted.
-    classify : bool
-        Whether any of them needs the classifier.
-
-    Yields
-    ------
-    Frame
-        Always ``range``; ``classes`` (:class:`~prc_cli.core.classes.Label`) and the requested steps.
-    """
+    """Classify blocks as far as the steps need it; yield the intermediate images."""
     config = loaded.config
     if not classify:
         for block in blocks:
@@ -201,14 +178,7 @@ def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
 
 
 def turns(block: ScanBlock) -> float:
-    """Return how a scanner turns from line to line, seen from above.
-
-    Returns
-    -------
-    float
-        Azimuth step per line [rad]: positive = anticlockwise (the picture begins on the right), negative = clockwise,
-        0 = none or unknown.
-    """
+    """Return how a scanner turns from line to line, seen from above."""
     if block.xyz_m is None or block.n_lines < 2:
         return 0.0
     x, y = (block.xyz_m[: TURN_LINES + 1, :, axis].astype(np.float64) for axis in (0, 1))

@@ -193,13 +193,6 @@ def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
 def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     """Return the steps to draw: the requested ones, else all for a part, and only the result for a whole drive.
 
-    Raises
-    ------
-    ConfigError
-        When a step is unknown, or not one of the method; the message lists all steps.
-
-    Examples
-    --------
     >>> choose_steps("prc", RenderOptions())
     ('range', 'classes')
     """

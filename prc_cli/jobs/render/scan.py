@@ -126,28 +126,7 @@ class _Layout:
 def draw_scan(
     source: Path, loaded: LoadedConfig, options: RenderOptions, folder: Path, progress: Progress | None = None
 ) -> Drawing:
-    """Draw the steps of a scan.
-
-    Parameters
-    ----------
-    source : Path
-        Any readable input.
-    loaded : LoadedConfig
-        How it is read and classified.
-    options : RenderOptions
-        What is drawn.
-    folder : Path
-        For temporary files.
-    progress : callable, optional
-        Called with the number of lines that were just read.
-
-    Raises
-    ------
-    ConfigError
-        Unknown step, block or lines out of range.
-    InputError
-        Damaged input, labels of another length.
-    """
+    """Draw the steps of a scan."""
     method = loaded.config.method
     _check_part(method, options)
     steps = choose_steps(method, options)
@@ -207,13 +186,7 @@ def _read(path: Path | None, dimension: str | None, words: Vocabulary, side: str
 
 
 def choose_part(options: RenderOptions, loaded: LoadedConfig, n_lines: int) -> Part:
-    """Return the lines to draw.
-
-    Raises
-    ------
-    ConfigError
-        When the block or the lines are not in the file; the message gives the valid range.
-    """
+    """Return the lines to draw."""
     k = loaded.config.prc.lines_per_block
     n_blocks = -(-n_lines // k)
     block = options.block

@@ -86,32 +86,7 @@ def render_viewer(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RenderResult:
-    """Write a page with a scan's cloud and range image, to turn, zoom and click.
-
-    Parameters
-    ----------
-    source : path
-        Any readable input with scan lines.
-    output : path
-        ``.html``.
-    config : LoadedConfig
-        How the input is read and classified.
-    options : RenderOptions, optional
-        Lines, labels, hidden classes, and how many shots the page may hold.
-    overwrite : bool
-        Replace an existing output.
-    progress : callable, optional
-        Called with the number of lines that were just read.
-
-    Raises
-    ------
-    ConfigError
-        Lines out of range, or options of pictures.
-    InputError
-        Damaged input; labels of another length.
-    OutputError
-        When it cannot be written; nothing is left behind.
-    """
+    """Write a page with a scan's cloud and range image, to turn, zoom and click."""
     source, output = Path(source), Path(output)
     chosen = RenderOptions() if options is None else options
     _check(output, chosen)

@@ -401,13 +401,7 @@ class _Run:
 
 
 def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
-    """Refuse a LAS file whose cells depend on the order of its records; return the options needed to read the output.
-
-    Raises
-    ------
-    ConfigError
-        When leaving records out would move others to another cell.
-    """
+    """Refuse a LAS file whose cells depend on the order of its records; return the options that read it."""
     grid = opened.grid
     if grid is None:
         by = "the records around them"

@@ -38,24 +38,6 @@ def parse_rules(
 ) -> tuple[ThinRule, ...]:
     """Parse options into rules; noise is dropped unless a rule names it.
 
-    Parameters
-    ----------
-    keep : iterable of str
-        ``CLASS=FRACTION``, as ``ground=1/4`` or ``vegetation=0.5``.
-    spacing : iterable of str
-        ``CLASS=METRES``, as ``ground=0.1``.
-    drop : iterable of str
-        Classes of which nothing is kept. Each text of the three may name several, with commas.
-    codes : ClassCodes, optional
-        Codes of the class names; a class may be given by its number as well.
-
-    Raises
-    ------
-    ConfigError
-        When a class is unknown (the nearest is named) or named twice, or a number makes no sense.
-
-    Examples
-    --------
     >>> [str(rule) for rule in parse_rules(["ground=1/4"], ["building=0.1"], ["car,noise"])]
     ['ground=1/4', 'building=0.1 m', 'car=0', 'noise=0']
     """

@@ -21,8 +21,6 @@ _GOLDEN = 0.618
 def keep_by_pattern(line: NDArray[np.integer], column: NDArray[np.integer], share: Fraction) -> Mask:
     """Mark a share of the shots, evenly along a line, shifted from line to line.
 
-    Examples
-    --------
     >>> grid = np.indices((4, 8))
     >>> keep_by_pattern(grid[0], grid[1], Fraction(1, 4)).astype(int)
     array([[1, 0, 0, 0, 1, 0, 0, 0],
@@ -40,20 +38,6 @@ def keep_by_pattern(line: NDArray[np.integer], column: NDArray[np.integer], shar
 def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
     """Mark in every line the first chosen shot, and each next one at least ``spacing_m`` from the last one marked.
 
-    Parameters
-    ----------
-    position_m : (lines, M, d) float64
-        Coordinates [m], finite where chosen.
-    chosen : (lines, M) bool
-    spacing_m : float
-        Least distance [m].
-
-    Returns
-    -------
-    (lines, M) bool
-
-    Examples
-    --------
     >>> position = np.arange(6.0)[None, :, None]
     >>> keep_by_spacing(position, np.ones((1, 6), np.bool_), 2.5).astype(int)
     array([[1, 0, 0, 1, 0, 0]])
@@ -75,21 +59,6 @@ def choose(item: StreamItem, codes: I32, extra_codes: I32, rules: tuple[ThinRule
 
     A further return follows the share of its own class at its own cell; with a spacing, it follows the main return of
     its shot.
-
-    Parameters
-    ----------
-    item : StreamItem
-    codes : (lines, M) int32
-        Class code of every cell.
-    extra_codes : (n,) int32
-        Class codes of the further returns.
-    rules : tuple of ThinRule
-
-    Returns
-    -------
-    kept : (lines, M) bool
-        False where there is no range.
-    kept_extra : (n,) bool
     """
     block, extra = item.block, item.block.extra
     kept = ~np.isnan(block.range_m)

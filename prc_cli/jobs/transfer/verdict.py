@@ -67,13 +67,7 @@ def counts_of(tally: JoinTally, n_changed: int, sides: TransferSides) -> Transfe
 
 
 def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse a match of too few records, with advice, or one with too many ambiguous keys.
-
-    Raises
-    ------
-    InputError
-        When less than ``options.min_matched`` of the smaller side is matched, or too many labels are ambiguous.
-    """
+    """Refuse a match of too few records, with advice, or one with too many ambiguous keys."""
     if counts.n_matched and counts.share >= options.min_matched:
         _refuse_guesses(counts, sides, options)
         return

@@ -738,34 +738,10 @@ def fused_labels(
 ) -> U8:
     """Label every shot of consecutive lines.
 
-    Parameters
-    ----------
-    window_m : (lines + 40, M) float32, metres
-        Ranges of these lines and of twenty before and after; NaN = missing.
-    above_m : (lines + 4, M) float32, metres
-        Height above the ground, of these lines and two before and after.
-    counts : tuple of (lines + 4, M) uint8
-        Near neighbours, smooth pairs, upright and level chords.
-    walked : (lines + 4, M) bool
-        Shots that the walk along the ground went over.
-    texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
-    slots : tuple of (lines, STRIPS) uint64
-        Of all and of rough shots, widened.
-    walls : tuple of (lines, STRIPS) float32, metres
-        Of :func:`prc_cli.kernels.fused.strips.find_walls`.
-    levels : (lines, 2 STRIPS) uint8
-        Widened.
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    thresholds : DecisionThresholds of float32
-
-    Returns
-    -------
-    (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`.
+    ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres; ``counts`` tuple of (lines
+    + 4, M) uint8; ``walked`` (lines + 4, M) bool; ``texture`` (lines, M) float32; ``slots`` tuple of (lines, STRIPS)
+    uint64; ``walls`` tuple of (lines, STRIPS) float32, metres; ``levels`` (lines, 2 STRIPS) uint8; ``beams`` tuple of
+    (M,) float32; returns (lines, M) uint8.
     """
     n_lines, m = texture.shape
     near, smooth, upright, level = counts

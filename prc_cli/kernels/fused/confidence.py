@@ -183,39 +183,10 @@ def confidence_cells(
 ) -> I32:
     """Find which steps of its label's measures every shot reaches.
 
-    Parameters
-    ----------
-    labels : (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`, final.
-    range_m, above_m : (lines, M) float32, metres
-        Range and height above the ground; NaN = missing.
-    texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
-    counts : tuple of (lines, M) uint8
-        Near neighbours, smooth pairs, upright and level chords.
-    slots : tuple of (lines, STRIPS) uint64
-        Of all and of rough shots, widened.
-    walls : tuple of (lines, STRIPS) float32, metres
-        Side of the wall in or before a strip, and of the wall in or behind it; 0 = none.
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    groups : (number of labels,) int64
-        Labels of one number agree: 0 to 5, 5 = noise, -1 = no return.
-    questions : (number of labels, n) int64
-        Rows of ``limits`` that are asked for, of every label.
-    limits : (measures, k) float32
-        Steps of every measure, rising: the share of the place that agrees, smooth pairs, texture, near neighbours,
-        upright and level chords, distance from the ground [m], cosine of the beam, range [m], rough share of the strip,
-        its top [m], how much of it is filled [m], how far the next wall is behind the shot and the last one before it
-        [m], greatest step in range to the shots beside, at 10 m [m].
-
-    Returns
-    -------
-    (lines, M) int32
-        0 where there is no return, else the number of steps reached, 0 to k, of every question: digits of a number to
-        the base k + 1.
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32;
+    ``counts`` tuple of (lines, M) uint8; ``slots`` tuple of (lines, STRIPS) uint64; ``walls`` tuple of (lines, STRIPS)
+    float32, metres; ``beams`` tuple of (M,) float32; ``groups`` (number of labels,) int64; ``questions`` (number of
+    labels, n) int64; ``limits`` (measures, k) float32; returns (lines, M) int32.
     """
     n_lines, m = labels.shape
     cells = np.empty((n_lines, m), np.int32)

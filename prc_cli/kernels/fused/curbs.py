@@ -148,22 +148,8 @@ def curb_labels(
     A shot near the ground is on a face if the line climbs there, and the ground is higher beyond it than before it,
     most of that within the width of the face, and the shot is between both heights.
 
-    Parameters
-    ----------
-    labels : (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`.
-    range_m, above_m : (lines, M) float32, metres
-        Range and height above the ground; NaN = missing.
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    thresholds : CurbThresholds of float32
-
-    Returns
-    -------
-    (lines, M) uint8
-        The labels, with curbs.
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32;
+    returns (lines, M) uint8.
     """
     n_lines, m = labels.shape
     found = np.empty((n_lines, m), np.uint8)

@@ -173,30 +173,9 @@ def fan_cars(
     hedges are higher, fences have no depth, plants are rougher. Where enough lines around are so, or see a thing that
     is half a car already, low things other than poles are cars.
 
-    Parameters
-    ----------
-    labels : (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`.
-    range_m, above_m : (lines, M) float32, metres
-        Range and height above the ground; NaN = missing.
-    texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
-    sine : (M,) float32
-        Metres to the side per metre of range.
-    sides : tuple of (n,) int32
-        Columns of both sides, from straight down to straight up.
-    before : (LINES, 2 BINS) uint8
-        Marks of the lines before.
-    n_own : int
-        Lines whose cars are asked for, 1 to lines; those after them are only looked at.
-    thresholds : FanThresholds of float32
-
-    Returns
-    -------
-    labels : (n_own, M) uint8
-        With cars.
-    marks : (LINES, 2 BINS) uint8
-        For the lines that follow these.
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32;
+    ``sine`` (M,) float32; ``sides`` tuple of (n,) int32; ``before`` (LINES, 2 BINS) uint8; returns ``labels`` (n_own,
+    M) uint8, ``marks`` (LINES, 2 BINS) uint8.
     """
     n_lines, m = labels.shape
     found = np.empty((n_own, m), np.uint8)

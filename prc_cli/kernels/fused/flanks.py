@@ -141,29 +141,9 @@ def find_flanks(
 ) -> tuple[U8, U8]:
     """Find strips with the flank of a vehicle: ground is seen right beneath it, and none farther behind.
 
-    Parameters
-    ----------
-    range_m, above_m : (lines + 4, M) float32, metres
-        Range and height above the ground; NaN = missing.
-    upright : (lines + 4, M) uint8
-        Upright chords.
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    sums : tuple of (lines + 4, STRIPS) float32
-        Height extents of the shots of a strip, of the smooth upright ones, and those times their side
-        (:func:`prc_cli.kernels.fused.strips.fill_strips`).
-    every : (lines + 4, STRIPS) uint64
-        Slots with a shot (:func:`prc_cli.kernels.fused.strips.fill_strips`).
-    levels : (lines, 2 STRIPS) uint8
-        Bins with a level surface, widened.
-    thresholds : FlankThresholds of float32
-
-    Returns
-    -------
-    flanks : (lines, STRIPS) uint8
-        1 = a flank, which is no wall.
-    levels : (lines, 2 STRIPS) uint8
-        With the bins of the vehicles behind flanks; those of hanging ones have :data:`HANGS` too.
+    ``range_m, above_m`` (lines + 4, M) float32, metres; ``upright`` (lines + 4, M) uint8; ``beams`` tuple of (M,)
+    float32; ``sums`` tuple of (lines + 4, STRIPS) float32; ``every`` (lines + 4, STRIPS) uint64; ``levels`` (lines, 2
+    STRIPS) uint8; returns ``flanks`` (lines, STRIPS) uint8, ``levels`` (lines, 2 STRIPS) uint8.
     """
     length, wall, place = sums
     n_lines = levels.shape[0]

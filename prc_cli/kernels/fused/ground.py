@@ -322,36 +322,8 @@ def walk_ground(
 ) -> tuple[F32, Mask, Memory, float, int]:
     """Find the ground of consecutive lines, and the height of every shot above it.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    counts : tuple of (lines, M) uint8
-        Near neighbours, smooth pairs, upright and level chords of every shot.
-    sides : tuple of (n,) int32
-        Columns of positive and negative side, from straight down to straight up.
-    memory : tuple of arrays
-        (2, BINS) float32, height of the ground at every place beside the scanner, left and right, as last seen [m];
-        (2, BINS) int32, lines since then; and of the lines since any ground was known, twice (2, DEPTHS) float32,
-        number of level shots at every depth, near ones and all, and the sum of their heights.
-    start_m : float32
-        Height of the ground at the nearest known places of earlier lines [m].
-    lost : int
-        Lines with level shots since it was known; below 0 where it never was, from -1 on.
-    keep : int
-        The memory that is given back is that before this line; 0 to lines.
-    thresholds : WalkThresholds of float32
-
-    Returns
-    -------
-    above_m : (lines, M) float32, metres
-        NaN = missing.
-    walked : (lines, M) bool
-        Shots that the walk went over.
-    memory, start_m, lost
-        As given, for the lines from ``keep`` on.
+    ``range_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32; ``counts`` tuple of (lines, M) uint8;
+    ``sides`` tuple of (n,) int32; returns ``above_m`` (lines, M) float32, metres, ``walked`` (lines, M) bool.
     """
     n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)

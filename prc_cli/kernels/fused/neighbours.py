@@ -29,17 +29,8 @@ PAD = MOST_COLUMNS + 2
 def plane_points(range_m: F32, sine: F32, cosine: F32) -> tuple[F32, F32]:
     """Turn ranges into points of the scan plane.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    sine, cosine : (M,) float32
-        Of every column's beam from straight down.
-
-    Returns
-    -------
-    side_m, height_m : (lines, M) float32, metres
-        Beside and above the scanner.
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float32; returns side_m, height_m : (lines, M)
+    float32, metres.
     """
     n_lines, m = range_m.shape
     side = np.empty((n_lines, m), np.float32)
@@ -138,20 +129,7 @@ def _count_across(
 def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
     """Count the near neighbours of every shot: of 8 in its line and 20 in the two lines before and after.
 
-    Parameters
-    ----------
-    range_m : (lines + 4, M) float32, metres
-        The window.
-    sine, cosine : (M,) float32
-        Of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    thresholds : NearThresholds of float32
-
-    Returns
-    -------
-    (lines, M) uint8
-        0 to 28; 0 where there is no return.
+    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
     """
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
@@ -326,18 +304,7 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
     smooth as two on a wall. Across lines, whose distance is not known, in the middle between the pair, within twice the
     tolerance.
 
-    Parameters
-    ----------
-    range_m : (lines + 4, M) float32, metres
-    sine, cosine : (M,) float32
-        As for :func:`near_counts`.
-    step : float32, radians
-    thresholds : SmoothThresholds of float32
-
-    Returns
-    -------
-    (lines, M) uint8
-        0 to 10; 0 where there is no return.
+    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
     """
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
@@ -443,21 +410,8 @@ def directions(
     A chord reaches as far to both sides as ``chord_m`` is long at that range, to shots that lie on something smooth; it
     and its two halves are looked at.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    smooth : (lines, M) uint8
-        Of :func:`smooth_counts`.
-    sine, cosine : (M,) float32
-        Of every column's beam from straight down.
-    step : float32, radians
-    thresholds : ChordThresholds of float32
-
-    Returns
-    -------
-    upright, level : (lines, M) uint8
-        0 to 3. A chord may be both where it is short.
+    ``range_m`` (lines, M) float32, metres; ``smooth`` (lines, M) uint8; ``sine, cosine`` (M,) float32; returns upright,
+    level : (lines, M) uint8.
     """
     n_lines, m = range_m.shape
     n = m + 2 * PAD

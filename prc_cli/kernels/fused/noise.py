@@ -239,31 +239,9 @@ def noise_again(
 ) -> U8:
     """Label noise that is seen in a wider window alone, and take back noise that is none.
 
-    Parameters
-    ----------
-    labels : (lines + 2, M) uint8
-        :class:`prc_cli.core.classes.Label` as decided, of the block and a line before and after.
-    voted : (lines, M) uint8
-        The same after the vote.
-    range_m : (lines + 6, M) float32, metres
-        Of three lines more before and after; NaN = missing.
-    counts : tuple of (lines + 6, M) uint8
-        Near neighbours and smooth pairs.
-    above_m : (lines, M) float32, metres
-        Height above the ground.
-    texture : (lines, M) float32
-        Of :func:`prc_cli.kernels.fused.texture.mean_smoothness`.
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    limits : NearThresholds of float32
-        When shots are near to each other.
-    thresholds : AgainThresholds of float32
-
-    Returns
-    -------
-    (lines, M) uint8
+    ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32, metres; ``counts``
+    tuple of (lines + 6, M) uint8; ``above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32; ``beams``
+    tuple of (M,) float32; returns (lines, M) uint8.
     """
     n_lines, m = voted.shape
     near, smooth = counts

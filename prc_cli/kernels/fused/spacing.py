@@ -69,20 +69,7 @@ def _count_again(ranges: F32, earlier: F32, limits: F32, leaves: U8, row: I32) -
 def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
     """Count on how many rough places earlier lines are as far.
 
-    Parameters
-    ----------
-    range_m : (lines + MOST_LAG, M) float32, metres
-        NaN = missing.
-    first : int
-        Every :data:`EVERY_LINE`-th line is compared, this one of the result first.
-    thresholds : SpacingThresholds of float32
-
-    Returns
-    -------
-    (lines, 6, 2) int32
-        Of every line and each of :data:`LAGS`: leaves at which the line so far back has a return, and those of them at
-        which it is as far. Last the same of the shot two columns on in the line itself. Zero for lines that are not
-        compared.
+    ``range_m`` (lines + MOST_LAG, M) float32, metres; returns (lines, 6, 2) int32.
     """
     n_lines, m = range_m.shape[0] - MOST_LAG, range_m.shape[1]
     counts = np.empty((n_lines, ROWS, 2), np.int32)

@@ -118,22 +118,7 @@ def ground_profiles(
     In every bin to the side the third-lowest return counts that is about as far as the return before it in its line.
     Of these heights those that rise above a neighbour by more than the slope allows do not: they are plants.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    sine, cosine : (M,) float64
-        Of the angle of every column's beam from straight down.
-    lines_together : int
-        Lines of a profile.
-    n_bins : int
-        Even; half of them on either side.
-    thresholds : TerrainThresholds of float64
-
-    Returns
-    -------
-    (ceil(lines / lines_together), n_bins) float64, metres
-        Height in the plane over the scanner at the middle of every bin; :data:`NO_GROUND` where none was seen.
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64.
     """
     n_lines, n_columns = range_m.shape
     profiles = np.empty((-(-n_lines // lines_together), n_bins), np.float64)
@@ -189,23 +174,8 @@ def _over(ranges: F32, cosine: F64, shares: F64, low: F64, high: F64, heights: F
 def ground_heights(range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float) -> F32:
     """Return how far above the ground of its profile every return is.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    sine, cosine : (M,) float64
-        Of the angle of every column's beam from straight down.
-    profiles : (groups, n_bins) float64, metres
-        From :func:`ground_profiles`.
-    lines_together : int
-        Lines of a profile.
-    bin_m : float, metres
-        Width of a bin.
-
-    Returns
-    -------
-    (lines, M) float32, metres
-        In the scan plane, between the middles of bins along straight lines; NaN = missing.
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64; ``profiles`` (groups, n_bins) float64,
+    metres; returns (lines, M) float32, metres.
     """
     n_lines, n_columns = range_m.shape
     heights = np.empty((n_lines, n_columns), np.float32)
@@ -353,22 +323,8 @@ def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds
     things in front of a stem; returns from behind are counted, because nothing is seen through a stem. A run is dropped
     if more than half as many returns pass it as it has shots.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    height_m : (lines, M) float32, metres
-        From :func:`ground_heights`.
-    sine, cosine : (M,) float64
-        Of the angle of every column's beam from straight down.
-    thresholds : RunThresholds of float64
-
-    Returns
-    -------
-    runs : (lines, M) int32
-        Number of the run, from 1 in the order of the stream; 0 = none.
-    table : (n_runs + 1, 4) float64
-        Shots, shots from behind, lowest and highest end in the plane [m]; row 0 is nothing.
+    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64;
+    returns ``runs`` (lines, M) int32, ``table`` (n_runs + 1, 4) float64.
     """
     n_lines, n_columns = range_m.shape
     runs = np.empty((n_lines, n_columns), np.int32)
@@ -444,19 +400,8 @@ def _join_lines(
 def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
     """Mark the runs that are stems: those that go on from line to line and are high, long and opaque together.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    runs : (lines, M) int32
-        From :func:`upright_runs`.
-    table : (n_runs + 1, 4) float64
-        Likewise.
-    thresholds : StemThresholds of float64
-
-    Returns
-    -------
-    (lines, M) bool
+    ``range_m`` (lines, M) float32, metres; ``runs`` (lines, M) int32; ``table`` (n_runs + 1, 4) float64; returns
+    (lines, M) bool.
     """
     n_lines, n_columns = range_m.shape
     n_runs = len(table)
@@ -595,22 +540,8 @@ def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, li
 def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
     """Label a block of forest.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    height_m : (lines, M) float32, metres
-        From :func:`ground_heights`.
-    stems : (lines, M) bool
-        From :func:`stem_shots`.
-    columns_around : int
-        Columns on either side in which near shots are looked for.
-    thresholds : ForestThresholds of float64
-
-    Returns
-    -------
-    (lines, M) uint8
-        The first that holds: NOISE below the ground; STEM; GROUND; STEM beside one; VEGETATION near others; NOISE.
+    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``stems`` (lines, M) bool; returns
+    (lines, M) uint8.
     """
     n_lines, n_columns = range_m.shape
     labels = np.empty((n_lines, n_columns), np.uint8)

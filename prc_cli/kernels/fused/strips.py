@@ -215,27 +215,9 @@ def fill_strips(
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
     """Sort shots above the ground into strips, line by line.
 
-    Parameters
-    ----------
-    range_m, above_m : (lines, M) float32, metres
-        Range and height above the ground; NaN = missing.
-    counts : tuple of (lines, M) uint8
-        Near neighbours, smooth pairs, upright and level chords.
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    thresholds : StripThresholds of float32
-
-    Returns
-    -------
-    every, rough : (lines, STRIPS) uint64
-        Slots with a shot, and with a rough one; bit 0 begins at the ground.
-    length_m, wall_m, place, top_m : (lines, STRIPS) float32
-        Sum of the height extents of a strip's shots; the same of smooth upright ones; sum of side times height extent
-        of these; height of the highest of these above the scanner, :data:`NO_TOP` = none.
-    levels : (lines, 2 STRIPS) uint8
-        1 where a smooth level surface is.
+    ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8; ``beams`` tuple of (M,)
+    float32; returns every, rough : (lines, STRIPS) uint64, length_m, wall_m, place, top_m : (lines, STRIPS) float32,
+    ``levels`` (lines, 2 STRIPS) uint8.
     """
     n_lines, m = range_m.shape
     side, height = np.empty(m, np.float32), np.empty(m, np.float32)
@@ -272,14 +254,7 @@ def fill_strips(
 def widen_slots(slots: Slots) -> Slots:
     """Combine the slots of a line with those of the lines and strips around.
 
-    Parameters
-    ----------
-    slots : (lines + 4, STRIPS) uint64
-
-    Returns
-    -------
-    (lines, STRIPS) uint64
-        Slots of the two lines before and after and of the strips beside as well.
+    ``slots`` (lines + 4, STRIPS) uint64; returns (lines, STRIPS) uint64.
     """
     n_lines = slots.shape[0] - 2 * LINES
     wide = np.empty((n_lines, STRIPS), np.uint64)
@@ -300,13 +275,7 @@ def widen_slots(slots: Slots) -> Slots:
 def widen_levels(levels: U8) -> U8:
     """Combine the level surfaces of a line with those of the lines around.
 
-    Parameters
-    ----------
-    levels : (lines + 4, 2 STRIPS) uint8
-
-    Returns
-    -------
-    (lines, 2 STRIPS) uint8
+    ``levels`` (lines + 4, 2 STRIPS) uint8; returns (lines, 2 STRIPS) uint8.
     """
     n_lines, n = levels.shape[0] - 2 * LINES, levels.shape[1]
     wide = np.empty((n_lines, n), np.uint8)
@@ -382,20 +351,8 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, 
 def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
     """Find the walls beside every line: strips with enough smooth upright surface.
 
-    Parameters
-    ----------
-    sums : tuple of (lines + 4, STRIPS) float32
-        Of :func:`fill_strips`.
-    flanks : (lines, STRIPS) uint8
-        1 = no wall.
-    thresholds : WallThresholds of float32
-
-    Returns
-    -------
-    at_m, top_m : (lines, STRIPS) float32, metres
-        Side and top of the last wall that a strip holds or lies behind; 0 = none.
-    ahead_m : (lines, STRIPS) float32, metres
-        Side of the wall that a strip holds or lies before; 0 = none.
+    ``sums`` tuple of (lines + 4, STRIPS) float32; ``flanks`` (lines, STRIPS) uint8; returns at_m, top_m : (lines,
+    STRIPS) float32, metres, ``ahead_m`` (lines, STRIPS) float32, metres.
     """
     length, wall, place, top = sums
     n_lines = length.shape[0] - 2 * LINES

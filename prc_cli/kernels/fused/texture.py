@@ -145,26 +145,7 @@ def mean_smoothness(
     A place with few is looked at again without what is nearer or farther: leaves before a wall do not make it rough.
     Then at most nine columns of it are read.
 
-    Parameters
-    ----------
-    range_m : (lines + 4, M) float32, metres
-        NaN = missing.
-    near, smooth : (lines + 4, M) uint8
-        Near neighbours and smooth pairs.
-    step : float32, radians
-        Angle from column to column.
-    least_near : float32
-        Shots with fewer near neighbours do not count.
-    half_m : float32
-        Half of the width [m]; 2 columns at least, 60 at most.
-    limits : tuple of three float32
-        Places with a smaller share than the first are looked at again, at the shots that differ by less than the
-        second in range [m]; but only around shots with as many smooth pairs as the third.
-
-    Returns
-    -------
-    (lines, M) float32
-        0 = all rough, 1 = all smooth; 0 where there is no return.
+    ``range_m`` (lines + 4, M) float32, metres; ``near, smooth`` (lines + 4, M) uint8; returns (lines, M) float32.
     """
     n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
     mean = np.empty((n_lines, m), np.float32)

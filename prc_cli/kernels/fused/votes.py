@@ -151,23 +151,8 @@ def vote_labels(
     A shot keeps its label where the shots four columns to both sides and in the adjacent lines have the same one. Noise
     does not vote.
 
-    Parameters
-    ----------
-    labels : (lines + 2, M) uint8
-        :class:`prc_cli.core.classes.Label` of the block and a line before and after.
-    range_m : (lines + 2, M) float32, metres
-    beams : tuple of (M,) float32
-        Sine and cosine of every column's beam from straight down.
-    step : float32, radians
-        Angle from column to column.
-    half_m : float32
-        Half width of the place [m]; 2 columns at least, 60 at most.
-    near_m : float32
-        Shots of the place count if they are this near to the side and in height, each [m].
-
-    Returns
-    -------
-    (lines, M) uint8
+    ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` tuple of (M,) float32;
+    returns (lines, M) uint8.
     """
     n_lines, m = labels.shape[0] - 2, labels.shape[1]
     voted = np.empty((n_lines, m), np.uint8)

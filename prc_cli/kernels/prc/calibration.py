@@ -43,22 +43,8 @@ def support_histogram(
     A shot is supported when its k-th smallest range difference in the line is below zeta_p and that to adjacent lines
     below zeta_s (eqs. 4 to 8): two numbers a shot answer for all thresholds.
 
-    Parameters
-    ----------
-    window : (reach + n_lines * n_columns + reach,) float32, metres
-        As in :func:`prc_cli.kernels.prc.support.support_mask`.
-    n_lines, n_columns : int
-        Shape of the block.
-    zetas_p, zetas_s : (P,), (Q,) float64, metres
-        Ascending thresholds.
-    min_in_slice, min_adjacent : int
-        Neighbours that must agree, of 8 and of 6.
-
-    Returns
-    -------
-    (P + 1, Q + 1) int64
-        Cell (p, q): returns for which ``zetas_p[p]`` and ``zetas_s[q]`` are the first thresholds that are wide enough;
-        the last row and column hold those that no threshold supports.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``zetas_p, zetas_s`` (P,), (Q,) float64, metres;
+    returns (P + 1, Q + 1) int64.
     """
     reach = max(n_columns + 1, 4)
     counts = np.zeros((len(zetas_p) + 1, len(zetas_s) + 1), np.int64)
@@ -101,21 +87,8 @@ def bend_histogram(window: F32, n_lines: int, n_columns: int, lengths: F64, alph
     A shot between neighbours a and b is marked when its bend ``|r - (a + b) / 2|`` is at least
     ``(1/2 - alpha) * max(|b - a|, d_c)``: never when the first of the two asks for more, else up to one d_c.
 
-    Parameters
-    ----------
-    window : (reach + n_lines * n_columns + reach,) float32, metres
-        As in :func:`prc_cli.kernels.prc.support.support_mask`.
-    n_lines, n_columns : int
-        Shape of the block.
-    lengths : (D,) float64, metres
-        Ascending values of d_c.
-    alpha : float
-        Tolerance ratio.
-
-    Returns
-    -------
-    (D + 1,) int64
-        Cell d: returns between two returns that are marked at ``lengths[:d]`` and not from ``lengths[d]`` on.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``lengths`` (D,) float64, metres; returns (D +
+    1,) int64.
     """
     reach = max(n_columns + 1, 4)
     slack = 0.5 - alpha

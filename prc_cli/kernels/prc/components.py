@@ -55,14 +55,7 @@ def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
     Runs of successive lines that share a column are joined, the earlier run always becoming the root, so that roots
     come in raster order.
 
-    Returns
-    -------
-    edges : (at least 2 n,) int32
-        Columns where every run begins and ends.
-    first_run : (n_lines + 1,) int32
-        First run of every line.
-    parent : (n,) int32
-        An earlier run of the same component, or the run itself.
+    Returns ``edges`` (at least 2 n,) int32, ``first_run`` (n_lines + 1,) int32, ``parent`` (n,) int32.
     """
     n_lines, n_columns = image.shape
     most_runs = n_lines * ((n_columns + 1) // 2)
@@ -135,15 +128,7 @@ def _draw_runs(edges: I32, first_run: I32, parent: I32, n_columns: int) -> tuple
 def label_components(image: Mask) -> tuple[I32, int]:
     """Find the 4-connected components of a binary image, numbered in the raster order of their first pixels.
 
-    Parameters
-    ----------
-    image : (n_lines, n_columns) bool
-
-    Returns
-    -------
-    labels : (n_lines, n_columns) int32
-        0 = background, components from 1.
-    n_components : int
+    ``image`` (n_lines, n_columns) bool; returns ``labels`` (n_lines, n_columns) int32.
     """
     edges, first_run, parent = _find_runs(image)
     labels, pixels = _draw_runs(edges, first_run, parent, image.shape[1])
@@ -211,18 +196,8 @@ def _most_frequent(components: I32, line: int, column: int) -> int:
 def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
     """Connect supported shots and give those of the background to the component around them.
 
-    Parameters
-    ----------
-    supported, background : (n_lines, n_columns) bool
-        S and G, G a part of S. Components are those of S without G, 4-connected, numbered in raster order.
-
-    Returns
-    -------
-    components : (n_lines, n_columns) int32
-        0 = none. A shot of G has the most frequent component among its 8 neighbours in the image before filling, of
-        equals the smallest number; without a labelled neighbour it stays 0.
-    pixels : (n + 1,) int64
-        Shots of every component after filling; ``pixels[0]`` is 0.
+    ``supported, background`` (n_lines, n_columns) bool; returns ``components`` (n_lines, n_columns) int32, ``pixels``
+    (n + 1,) int64.
     """
     n_lines, n_columns = supported.shape
     foreground = np.empty((n_lines, n_columns), np.bool_)
@@ -305,21 +280,7 @@ def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: 
     Every column where both lines hold a label is a vote. A component takes the label that most of its shots vote for,
     given enough of them; of equals the oldest. Several components may take the same label.
 
-    Parameters
-    ----------
-    first_line : (M,) int32
-        Components in the first line of the block, 0 = none.
-    last_line : (M,) int64
-        Segment ids that may vote, 0 = none.
-    n_components : int
-        Components of the block.
-    min_votes : int
-        Votes needed.
-
-    Returns
-    -------
-    (n_components + 1,) int64
-        Segment id taken over by every component, 0 = none.
+    ``first_line`` (M,) int32; ``last_line`` (M,) int64; returns (n_components + 1,) int64.
     """
     width = len(first_line)
     # stretches of equal votes, counted a component

@@ -24,20 +24,7 @@ def support_mask(
 ) -> Mask:
     """Mark shots that enough neighbours in their own and in the adjacent lines agree with (eqs. 4 to 8).
 
-    Parameters
-    ----------
-    window : (reach + n_lines * n_columns + reach,) float32, metres
-        Ranges of the block with ``reach = max(n_columns + 1, 4)`` shots on both sides; NaN = missing or absent.
-    n_lines, n_columns : int
-        Shape of the block.
-    zeta_p, zeta_s : float, metres
-        Range differences below these agree, in the line and in adjacent lines; within the float32 range.
-    min_in_slice, min_adjacent : int
-        Neighbours that must agree, of 8 and of 6.
-
-    Returns
-    -------
-    (n_lines, n_columns) bool
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; returns (n_lines, n_columns) bool.
     """
     # differences are float32: below zeta means below the smallest float32 that is not below zeta
     limit_p = np.float32(zeta_p)
@@ -99,23 +86,8 @@ def support_mask(
 def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: float) -> Mask:
     """Mark supported shots where the range changes too abruptly for one smooth surface (eq. 9).
 
-    Parameters
-    ----------
-    window : (reach + n_lines * n_columns + reach,) float32, metres
-        As in :func:`support_mask`.
-    supported : (n_lines, n_columns) bool
-        Supported shots S.
-    form : int
-        :data:`CENTRED`, :data:`LITERAL`, :data:`ABS` or :data:`GUARD`.
-    alpha : float
-        Tolerance ratio.
-    d_c : float, metres
-        Smallest length of things.
-
-    Returns
-    -------
-    (n_lines, n_columns) bool
-        G, a part of S; shots beside a missing or absent one are never in it.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported`` (n_lines, n_columns) bool; returns
+    (n_lines, n_columns) bool.
     """
     n_lines, size = supported.shape
     reach = max(size + 1, 4)
@@ -155,19 +127,7 @@ def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: 
 def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
     """Make ranges out of bounds missing, and count them by their reason.
 
-    Parameters
-    ----------
-    ranges : (n,) float32, metres
-        NaN = missing, not counted.
-    low, high : float32, metres
-        Kept are ranges above ``low`` and up to ``high``; 0 or more, finite.
-
-    Returns
-    -------
-    cleaned : (n,) float32, metres
-        NaN = missing.
-    n_not_finite, n_not_positive, n_beyond : int
-        Infinite ranges, other ranges of zero or below, positive ranges out of bounds.
+    ``ranges`` (n,) float32, metres; returns ``cleaned`` (n,) float32, metres.
     """
     n = len(ranges)
     cleaned = np.empty(n, np.float32)

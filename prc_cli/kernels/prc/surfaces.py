@@ -12,17 +12,8 @@ from prc_cli.kernels.cache import kernel
 def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
     """Mark the supported shots of some components.
 
-    Parameters
-    ----------
-    supported : (n_lines, n_columns) bool
-    components : (n_lines, n_columns) int32
-        0 to n.
-    wanted : (n + 1,) bool
-        By component.
-
-    Returns
-    -------
-    (n_lines, n_columns) bool
+    ``supported`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; ``wanted`` (n + 1,) bool;
+    returns (n_lines, n_columns) bool.
     """
     n_lines, n_columns = supported.shape
     selected = np.empty((n_lines, n_columns), np.bool_)
@@ -37,15 +28,7 @@ def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
 def dilate(image: Mask, iterations: int) -> Mask:
     """Dilate a binary image with the 4-neighbour cross; outside the image is background.
 
-    Parameters
-    ----------
-    image : (n_lines, n_columns) bool
-    iterations : int
-        Times to dilate; 0 gives a copy.
-
-    Returns
-    -------
-    (n_lines, n_columns) bool
+    ``image`` (n_lines, n_columns) bool; returns (n_lines, n_columns) bool.
     """
     n_lines, n_columns = image.shape
     last = n_columns - 1
@@ -71,17 +54,8 @@ def dilate(image: Mask, iterations: int) -> Mask:
 def count_covered(supported: Mask, covered: Mask, components: I32, n_components: int) -> I64:
     """Count the supported shots of every component that lie under another image.
 
-    Parameters
-    ----------
-    supported, covered : (n_lines, n_columns) bool
-    components : (n_lines, n_columns) int32
-        0 to ``n_components``.
-    n_components : int
-
-    Returns
-    -------
-    (n_components + 1,) int64
-        The first entry counts shots in no component.
+    ``supported, covered`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; returns (n_components +
+    1,) int64.
     """
     n_lines, n_columns = supported.shape
     counts = np.zeros(n_components + 1, np.int64)
@@ -103,21 +77,9 @@ def count_covered(supported: Mask, covered: Mask, components: I32, n_components:
 def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
     """Draw labels by component where nothing covers them.
 
-    Parameters
-    ----------
-    window : (reach + n_lines * n_columns + reach,) float32, metres
-        As in :func:`prc_cli.kernels.prc.support.support_mask`.
-    supported, covered : (n_lines, n_columns) bool
-    components : (n_lines, n_columns) int32
-        0 to n.
-    label_of : (n + 1,) uint8
-        Label of every component.
-    others : (3,) uint8
-        Labels of missing shots, of shots that are not supported, of supported shots that are covered.
-
-    Returns
-    -------
-    (n_lines, n_columns) uint8
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered`` (n_lines, n_columns) bool;
+    ``components`` (n_lines, n_columns) int32; ``label_of`` (n + 1,) uint8; ``others`` (3,) uint8; returns (n_lines,
+    n_columns) uint8.
     """
     missing, noise, cover = others[0], others[1], others[2]
     n_lines, n_columns = supported.shape
@@ -139,21 +101,8 @@ def draw_components(window: F32, supported: Mask, covered: Mask, components: I32
 def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8) -> U8:
     """Draw labels of what is covered and what is not, and another one in some columns.
 
-    Parameters
-    ----------
-    window : (reach + n_lines * n_columns + reach,) float32, metres
-        As in :func:`prc_cli.kernels.prc.support.support_mask`.
-    supported, covered : (n_lines, n_columns) bool
-    columns : (n_columns,) bool
-        Columns that have a label of their own.
-    noise_too : bool
-        Shots with a range that are not supported have it too.
-    labels_of : (5,) uint8
-        Labels of missing shots, of noise, of the columns, of supported shots that are covered, of all others.
-
-    Returns
-    -------
-    (n_lines, n_columns) uint8
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered`` (n_lines, n_columns) bool;
+    ``columns`` (n_columns,) bool; ``labels_of`` (5,) uint8; returns (n_lines, n_columns) uint8.
     """
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)

@@ -134,22 +134,8 @@ def _first_far(
 def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
     """Measure the signed angle of every chord with the vertical, sV.
 
-    Parameters
-    ----------
-    range_m : (R, n) float32, metres
-        NaN = missing.
-    xyz_m : (R, n, 3) float32, metres
-        Relative to the scanner, z up; finite where the range is.
-    n_beams : (R,) int32
-        Beams of every row; what comes after them is not looked at.
-    thresholds : ChordThresholds
-
-    Returns
-    -------
-    signed_deg : (R, n) float32, degrees
-        In [-180, 180]; NaN where the shot is missing or no chord begins.
-    ahead : (R, n) int32
-        Beam at the end of the chord, -1 = no chord.
+    ``range_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; returns
+    ``signed_deg`` (R, n) float32, degrees, ``ahead`` (R, n) int32.
     """
     n_rows, n = range_m.shape
     signed_deg = np.full((n_rows, n), np.nan, np.float32)
@@ -202,15 +188,7 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThres
 def angle_differences(signed_deg: F32) -> F32:
     """Subtract from every signed angle the one before it, sD.
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-        NaN = no angle.
-
-    Returns
-    -------
-    (R, n) float32, degrees
-        0 at the first angle of a row, NaN where there is no angle.
+    ``signed_deg`` (R, n) float32, degrees; returns (R, n) float32, degrees.
     """
     n_rows, n = signed_deg.shape
     differences = np.empty((n_rows, n), np.float32)
@@ -230,20 +208,8 @@ def angle_differences(signed_deg: F32) -> F32:
 def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
     """Measure the line angle of every horizontal shot that begins a chord (eq. 2).
 
-    Parameters
-    ----------
-    range_m : (R, n) float32, metres
-    ahead : (R, n) int32
-        From :func:`signed_angles`.
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    beam_rad : (n_sides, n) float64
-        Angle of every beam from straight down [rad]; row ``r`` belongs to side ``r % n_sides``.
-
-    Returns
-    -------
-    (R, n) float32, degrees
-        Chord angle plus beam angle; NaN elsewhere.
+    ``range_m`` (R, n) float32, metres; ``ahead`` (R, n) int32; ``surface`` (R, n) uint8; ``beam_rad`` (n_sides, n)
+    float64; returns (R, n) float32, degrees.
     """
     n_rows, n = range_m.shape
     n_sides = len(beam_rad)

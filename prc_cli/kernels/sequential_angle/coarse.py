@@ -68,22 +68,8 @@ def _label_run(
 def surface_image(signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds) -> U8:
     """Label every shot of every row: missing, vegetation, horizontal, vertical, undecided.
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-        sV, NaN = no angle.
-    vegetation : (R, n) bool
-        Shots with an angle that are vegetation.
-    range_m : (R, n) float32, metres
-        NaN = missing.
-    n_beams : (R,) int32
-        Beams of every row; what comes after them is labelled missing.
-    thresholds : SurfaceThresholds
-
-    Returns
-    -------
-    (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
+    ``signed_deg`` (R, n) float32, degrees; ``vegetation`` (R, n) bool; ``range_m`` (R, n) float32, metres; ``n_beams``
+    (R,) int32; returns (R, n) uint8.
     """
     n_rows, n = signed_deg.shape
     image = np.zeros((n_rows, n), np.uint8)
@@ -201,18 +187,7 @@ def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: LayerThresho
 def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: LayerThresholds) -> U8:
     """Make runs of vegetation vertical whose points lie in two upright layers.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`; missing beams do not end a run.
-    horizontal_m : (R, n) float32, metres
-        Finite where there is a return.
-    n_beams : (R,) int32
-    thresholds : LayerThresholds
-
-    Returns
-    -------
-    (R, n) uint8
+    ``surface`` (R, n) uint8; ``horizontal_m`` (R, n) float32, metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
     """
     n_rows, n = surface.shape
     image = np.empty((n_rows, n), np.uint8)
@@ -282,19 +257,8 @@ def _find_walls(x: F64, z: F64, code: U8, m: int, thresholds: WallThresholds, fi
 def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WallThresholds) -> U8:
     """Make vegetation vertical that lies in the plane of a wall of its row, or behind one that stands above it.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    xyz_m : (R, n, 3) float32, metres
-    horizontal_m : (R, n) float32, metres
-        Finite where there is a return.
-    n_beams : (R,) int32
-    thresholds : WallThresholds
-
-    Returns
-    -------
-    (R, n) uint8
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32, metres; ``n_beams``
+    (R,) int32; returns (R, n) uint8.
     """
     n_rows, n = surface.shape
     image = np.empty((n_rows, n), np.uint8)

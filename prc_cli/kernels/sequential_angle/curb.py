@@ -63,21 +63,8 @@ def possible_curbs(
 ) -> tuple[Mask, I32]:
     """Find the first vertical point after the ground of every row that nothing lies under.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-    range_m : (R, n) float32, metres
-    xyz : (R, n, 3) float32, metres
-    ground : (R, n) bool
-    z_g : (R,) float32, metres
-        Height of the ground.
-    thresholds : CurbThresholds
-
-    Returns
-    -------
-    found : (R,) bool
-    beam : (R,) int32
-        -1 where nothing was found.
+    ``surface`` (R, n) uint8; ``range_m`` (R, n) float32, metres; ``xyz`` (R, n, 3) float32, metres; ``ground`` (R, n)
+    bool; ``z_g`` (R,) float32, metres; returns ``found`` (R,) bool, ``beam`` (R,) int32.
     """
     n_rows, n = surface.shape
     reach, under = thresholds.under_points, thresholds.under_m
@@ -354,32 +341,8 @@ def connect_verticals(
 ) -> tuple[Mask, OpenRegions]:
     """Connect vertical points across lines and decide which of the regions are curbs.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        Row = line * n_sides + side; regions never cross from side to side.
-    xyz : (R, n, 3) float32, metres
-    signed : (R, n) float32, degrees
-        Signed angles, NaN where there is none.
-    possible : (R,) int32
-        Beam of the possible curb point, -1 = none.
-    n_sides : int
-    above_xyz : (n_sides, n, 3) float32, metres
-        Points of the last line before.
-    above_signed : ((min_lines - 1) * n_sides, n) float32, degrees
-        Signed angles of the last lines before.
-    regions : OpenRegions
-        What the lines before left undecided.
-    thresholds : CurbThresholds
-    last : bool
-        No more lines will come.
-
-    Returns
-    -------
-    curb : (F, n) bool
-        Rows that became decided, in order.
-    regions : OpenRegions
-        For the next call.
+    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``signed`` (R, n) float32, degrees; ``possible`` (R,)
+    int32; ``above_xyz`` (n_sides, n, 3) float32, metres; returns ``curb`` (F, n) bool.
     """
     n_rows, n = surface.shape
     n_before = len(regions.labels)

@@ -312,26 +312,9 @@ def car_intervals(
 ) -> I32:
     """Cut the triggered rows into intervals that may be cars.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`; the search ends at the first return that is neither H nor V.
-    range_m, horizontal_m : (R, n) float32, metres
-        NaN range = missing.
-    xyz_m : (R, n, 3) float32, metres
-    signed_deg : (R, n) float32, degrees
-        Signed angles, for changes that no chord can be laid at; NaN = none.
-    n_beams : (R,) int32
-    triggered : (R,) bool
-        Rows to look at.
-    ground_m : (R,) float32, metres
-        Height of the ground; rows where it is NaN are not looked at.
-    thresholds : DividerThresholds
-
-    Returns
-    -------
-    (K, 3) int32
-        Row, first beam, last beam; in order.
+    ``surface`` (R, n) uint8; ``range_m, horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres;
+    ``signed_deg`` (R, n) float32, degrees; ``n_beams`` (R,) int32; ``triggered`` (R,) bool; ``ground_m`` (R,) float32,
+    metres; returns (K, 3) int32.
     """
     n_rows, n = surface.shape
     beam = np.empty(n, np.int32)
@@ -532,24 +515,8 @@ def cut_verticals(
 
     Points behind an interval count in a run that goes on there.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`; missing beams do not end a run.
-    xyz_m : (R, n, 3) float32, metres
-    horizontal_m : (R, n) float32, metres
-        NaN = missing.
-    n_beams : (R,) int32
-    intervals : (K, 3) int32
-        Row, first beam, last beam, both of them returns.
-    ground_m : (R,) float32, metres
-        Height of the ground; NaN = unknown, no run is too low to be cut out then.
-    thresholds : DividerThresholds
-
-    Returns
-    -------
-    (L, 3) int32
-        What is left, in the same order, from the first return to the last.
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32, metres; ``n_beams``
+    (R,) int32; ``intervals`` (K, 3) int32; ``ground_m`` (R,) float32, metres; returns (L, 3) int32.
     """
     n_most = 0
     for i in range(len(intervals)):
@@ -598,20 +565,7 @@ def cut_verticals(
 def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:
     """Mark intervals of so many returns of which no larger share is vegetation.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    intervals : (K, 3) int32
-        Row, first beam, last beam.
-    most : float
-        The share.
-    least : int
-        The number of returns.
-
-    Returns
-    -------
-    (K,) bool
+    ``surface`` (R, n) uint8; ``intervals`` (K, 3) int32; returns (K,) bool.
     """
     firm = np.zeros(len(intervals), np.bool_)
     for i in range(len(intervals)):

@@ -86,17 +86,7 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
     Long intervals are cut into the least number of windows of nearly equal size; at least half of them must be without
     high frequencies.
 
-    Parameters
-    ----------
-    signed_deg : (R, n) float32, degrees
-        Signed angles; NaN = none, left out.
-    intervals : (K, 3) int32
-        Row, first beam, last beam.
-    thresholds : FourierThresholds
-
-    Returns
-    -------
-    (K,) bool
+    ``signed_deg`` (R, n) float32, degrees; ``intervals`` (K, 3) int32; returns (K,) bool.
     """
     stable = np.zeros(len(intervals), np.bool_)
     values = np.empty(signed_deg.shape[1], np.float64)

@@ -188,19 +188,7 @@ def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
 def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
     """Find the modes of samples by mean shift with a Gaussian kernel (Comaniciu and Meer 2002), on a grid.
 
-    Parameters
-    ----------
-    values : (n,) float64
-        Finite.
-    bandwidth : float
-        Standard deviation of the kernel, in the unit of the values.
-
-    Returns
-    -------
-    places : (m,) float64
-        Modes that have samples, rising; to an eighth of a bandwidth.
-    counts : (m,) int64
-        Samples of every mode.
+    ``values`` (n,) float64; returns ``places`` (m,) float64, ``counts`` (m,) int64.
     """
     width = bandwidth / PER_BANDWIDTH
     if len(values) == 0:
@@ -808,27 +796,7 @@ def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_
 def main_height(heights: F64, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights.
 
-    Parameters
-    ----------
-    heights : (n,) float64, metres
-        Finite.
-    share : float
-        Bandwidth as a share of the median height; rounded up to a multiple of 16 mm.
-    roof_m : float
-        A mode this much lower than the main one takes its place, the lowest of them; inf = none does ...
-    roof_share : float
-        ... if it has this share of its heights.
-
-    Returns
-    -------
-    count : int
-        Heights of the main mode, 0 if there are none at all.
-    height : float
-        Its place [m], NaN if there are none.
-    bins : (n,) int32
-        Bin of every height.
-    histogram : (N_HEIGHTS,) int32
-        Heights in every bin, from :data:`LOWEST_M` on.
+    ``heights`` (n,) float64, metres; returns ``bins`` (n,) int32, ``histogram`` (N_HEIGHTS,) int32.
     """
     histogram = np.zeros(N_HEIGHTS, np.int32)
     bins = np.empty(len(heights), np.int32)
@@ -870,18 +838,8 @@ def potential_heights(
 ) -> PotentialGround:
     """Find the first potential ground of every row and its height (part a).
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-    xyz : (R, n, 3) float32, metres
-    horizontal : (R, n) float32, metres
-        Horizontal distance from the scanner.
-    phihat : (R, n) float32, degrees
-        Line angles, NaN where there is none.
-    ahead : (R, n) int32
-        Beam that the line angle was measured to.
-    n_beams : (R,) int32
-    thresholds : GroundThresholds
+    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``horizontal`` (R, n) float32, metres; ``phihat`` (R,
+    n) float32, degrees; ``ahead`` (R, n) int32; ``n_beams`` (R,) int32.
     """
     n_rows, n = surface.shape
     size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
@@ -941,23 +899,7 @@ def ground_rows(
 ) -> tuple[Mask, F32, GroundState]:
     """Verify and grow the ground of every row and follow its height (part b).
 
-    Parameters
-    ----------
-    surface, xyz, horizontal, phihat, ahead, n_beams
-        As in :func:`potential_heights`.
-    potential : PotentialGround
-        Of :func:`potential_heights`.
-    state : GroundState
-        After the rows before; not changed.
-    thresholds : GroundThresholds
-
-    Returns
-    -------
-    ground : (R, n) bool
-    z_g : (R,) float32
-        Height of the ground after every row [m].
-    state : GroundState
-        After the last row.
+    Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
     """
     n_rows, n = surface.shape
     size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1

@@ -21,23 +21,8 @@ _UNCLASSIFIED = int(Label.UNCLASSIFIED)
 def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32) -> Mask:
     """Mark the returns of intervals that are neither too far away nor next to the ground.
 
-    Parameters
-    ----------
-    intervals : (K, 3) int32
-        Row, first beam, last beam.
-    horizontal_m : (R, n) float32, metres
-        NaN = missing, never marked.
-    xyz_m : (R, n, 3) float32, metres
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    limit_m : (R,) float32, metres
-        Largest horizontal distance of every row.
-    low_m : (R,) float32, metres
-        Horizontal points below this height are left out; NaN = none is.
-
-    Returns
-    -------
-    (R, n) bool
+    ``intervals`` (K, 3) int32; ``horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres;
+    ``surface`` (R, n) uint8; ``limit_m`` (R,) float32, metres; ``low_m`` (R,) float32, metres; returns (R, n) bool.
     """
     marked = np.zeros(surface.shape, np.bool_)
     for i in range(len(intervals)):
@@ -87,26 +72,8 @@ def combine_classes(
 ) -> U8:
     """Give every beam its class; cars behind a curb go back to the coarse classification.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    ground, car : (R, n) bool
-        G, and C before the curbs' say; the ground goes before the surface, a car before both.
-    horizontal_m : (R, n) float32, metres
-        Finite at curb points; NaN is not behind anything.
-    xyz_m : (R, n, 3) float32, metres
-    curb : (R, n) bool
-        Goes before all others; behind is what is farther away than the nearest curb point of the row.
-    label_of : (5,) uint8
-        Label of every surface.
-    below_m : float, metres
-        Cars that stand lower than the top of the curb by more than this are not behind it; inf = all are.
-
-    Returns
-    -------
-    (R, n) uint8
-        :class:`prc_cli.core.classes.Label`.
+    ``surface`` (R, n) uint8; ``ground, car`` (R, n) bool; ``horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3)
+    float32, metres; ``curb`` (R, n) bool; ``label_of`` (5,) uint8; returns (R, n) uint8.
     """
     n_rows, n = surface.shape
     labels = np.empty((n_rows, n), np.uint8)
@@ -146,18 +113,7 @@ def combine_classes(
 def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:
     """Call returns unclassified that are missing to the method, lying beyond the scanner's reach.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        NaN = missing.
-    labels : (lines, M) uint8
-        :class:`prc_cli.core.classes.Label`.
-
-    Returns
-    -------
-    labels : (lines, M) uint8
-    n_beyond : int
-        How many they are.
+    ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; returns ``labels`` (lines, M) uint8.
     """
     n_lines, m = labels.shape
     marked = np.empty((n_lines, m), np.uint8)

@@ -15,21 +15,8 @@ from prc_cli.kernels.cache import kernel
 def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
     """Pick the beams of half-lines out of scan lines with coordinates.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32
-        [m], NaN = missing.
-    xyz_m : (lines, M, 3) float32
-        [m]; NaN = missing.
-    columns : (n_sides, n) int32
-        Column of every beam, -1 = fill.
-    max_range_m : float
-        What lies beyond is missing [m].
-
-    Returns
-    -------
-    (lines * n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32
-        Ranges, coordinates and horizontal distances [m]; all NaN where one of them is missing.
+    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32; ``columns`` (n_sides, n) int32; returns (lines *
+    n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32.
     """
     n_lines = range_m.shape[0]
     n_sides, n = columns.shape
@@ -62,21 +49,8 @@ def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) ->
 def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
     """Pick the beams of half-lines out of scan lines of ranges; coordinates are those in the scan plane.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32
-        [m], NaN = missing.
-    across, up : (M,) float64
-        Direction of every column's beam in the scan plane: to the side, and up.
-    columns : (n_sides, n) int32
-        Column of every beam, -1 = fill.
-    max_range_m : float
-        What lies beyond is missing [m].
-
-    Returns
-    -------
-    (lines * n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32
-        Ranges, coordinates (y = 0) and horizontal distances [m]; NaN where the range is missing.
+    ``range_m`` (lines, M) float32; ``across, up`` (M,) float64; ``columns`` (n_sides, n) int32; returns (lines *
+    n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32.
     """
     n_lines = range_m.shape[0]
     n_sides, n = columns.shape

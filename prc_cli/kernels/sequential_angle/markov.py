@@ -130,15 +130,6 @@ def _sequential_test(
 
     With ``restart`` (CUSUM) falling below the lower bound, or a sample that neither model can explain, forgets all
     and begins anew at the next sample; without it (SPRT) it ends the test.
-
-    Returns
-    -------
-    verdict : int
-        1 above, -1 below, 0 = samples ran out.
-    last : int
-        Sample that decided, ``end`` if none did.
-    onset : int
-        First sample after the last restart.
     """
     transition_0, initial_0 = (
         h0.transition,
@@ -226,19 +217,7 @@ def hmm_cusum(
 ) -> Mask:
     """Mark the samples of every row that belong to model 1.
 
-    Parameters
-    ----------
-    values : (R, n) float32
-        NaN = no sample; it is skipped.
-    means, sigmas : (3,) float64
-        Gaussian of every state, in the unit of the values.
-    h0, h1 : MarkovModel
-    thresholds : MarkovThresholds
-
-    Returns
-    -------
-    (R, n) bool
-        False where there is no sample.
+    ``values`` (R, n) float32; ``means, sigmas`` (3,) float64; returns (R, n) bool.
     """
     n_rows, n = values.shape
     marked = np.zeros((n_rows, n), np.bool_)

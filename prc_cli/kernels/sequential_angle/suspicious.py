@@ -19,24 +19,8 @@ def first_triggers(
 
     The chain begins at the first beam with a return and ends before the first return that is neither H nor V.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`.
-    n_beams : (R,) int32
-        Beams of every row; what comes after them is not looked at.
-    increments : (3, 3) float64
-        ln(H1/H0) of every transition, from (row) and to (column) H, V, M.
-    threshold : float
-        A sum above it triggers.
-    closed_gaps_only : bool
-        Leave out the missing beams behind the last return of a row.
-
-    Returns
-    -------
-    triggered : (R,) bool
-    beam : (R,) int32
-        Where the sum rises above the threshold for the first time; -1 = nowhere.
+    ``surface`` (R, n) uint8; ``n_beams`` (R,) int32; ``increments`` (3, 3) float64; returns ``triggered`` (R,) bool,
+    ``beam`` (R,) int32.
     """
     n_rows = len(n_beams)
     triggered = np.zeros(n_rows, np.bool_)

@@ -15,22 +15,8 @@ _VERTICAL = int(Surface.VERTICAL)
 def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float) -> tuple[Mask, I32]:
     """Find the last beam of the first vertical run of every row that ends high above the ground.
 
-    Parameters
-    ----------
-    surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`. A run is of successive beams: a missing one ends it.
-    xyz_m : (R, n, 3) float32, metres
-    n_beams : (R,) int32
-    ground_m : (R,) float32, metres
-        Height of the ground; NaN = unknown, nothing is found.
-    height_m : float, metres
-        The last point must be higher above the ground than this.
-
-    Returns
-    -------
-    found : (R,) bool
-    beam : (R,) int32
-        -1 = none.
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; ``ground_m`` (R,) float32,
+    metres; returns ``found`` (R,) bool, ``beam`` (R,) int32.
     """
     n_rows = len(n_beams)
     found = np.zeros(n_rows, np.bool_)

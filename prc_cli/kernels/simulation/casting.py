@@ -312,14 +312,7 @@ def _look_around(
 def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]:
     """Return the angles (diamond) within which a triangle is seen that is cut at two heights; and how near it comes.
 
-    Parameters
-    ----------
-    corners : (3, 3) float64
-        Height, and two coordinates in the plane.
-    top : float
-        The heights are this and its negative [m].
-    margin : float
-        How much the triangle is widened in the plane [m].
+    ``corners`` (3, 3) float64.
     """
     low, high, near, middle = np.inf, -np.inf, np.inf, np.nan
     # the part between the two heights is convex: its corners lie on the edges, its outermost angles at corners
@@ -704,31 +697,9 @@ def cast_shots(
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; of surfaces at one place, that of the first body.
 
-    Parameters
-    ----------
-    origin, direction : (lines, M, 3) float64
-        Where the shots begin [m], and where they go (unit vectors); any, but quick only where those of a line lie
-        nearly in a plane.
-    time_s : (lines, M) float64
-        When they are shot [s].
-    t_min : (lines, M) float64
-        Only what lies behind this is met [m], zero or above; from 1e9 on the shot is not cast.
-    first_shot : int
-        Number of the first shot, counted from the beginning of the scan; it seeds the leaves.
-    bodies : CastBodies
-    order : (n,) int64
-        Every body once, neighbours beside each other. It decides how quick the search is, and nothing else.
-    quantiles : (2^k,) float64
-        Exponential numbers of mean 1, equally likely.
-
-    Returns
-    -------
-    t : (lines, M) float64
-        Range [m]; inf = nothing.
-    body : (lines, M) int32
-        Which body, -1 = none.
-    facing : (lines, M) float64
-        Cosine of the angle of incidence; 0 = nothing.
+    ``origin, direction`` (lines, M, 3) float64; ``time_s`` (lines, M) float64; ``t_min`` (lines, M) float64; ``order``
+    (n,) int64; ``quantiles`` (2^k,) float64; returns ``t`` (lines, M) float64, ``body`` (lines, M) int32, ``facing``
+    (lines, M) float64.
 
     Notes
     -----

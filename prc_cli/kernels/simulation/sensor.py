@@ -237,20 +237,7 @@ def _rounded(t: float, model: SensorModel) -> float:
 def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
     """Mark the shots whose light goes on behind the surface that it meets first.
 
-    Parameters
-    ----------
-    hits : tuple
-        Range (lines, M) float64 [m], body (lines, M) int32, -1 = none, cosine of incidence (lines, M) float64.
-    kind : (n, 2) uint8
-        Label of every body, and bits of what it is.
-    model : SensorModel
-    first_line : int
-    seed : int
-        At least 0.
-
-    Returns
-    -------
-    (lines, M) bool
+    ``kind`` (n, 2) uint8; returns (lines, M) bool.
     """
     body, facing = hits[1], hits[2]
     behind = np.zeros(body.shape, np.bool_)
@@ -406,35 +393,9 @@ def sense(
 ) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
     """Compute what the scanner measures of the surfaces that the beams of consecutive lines meet.
 
-    Parameters
-    ----------
-    hits, behind : tuple
-        Nearest surface of every shot, and the one behind it: range (lines, M) float64 [m] from the scanner, body
-        (lines, M) int32, -1 = none, cosine of incidence (lines, M) float64. ``behind`` of no lines = not looked for.
-    surface : (n, 2) float64
-        Of every body: reflectance, and a number in 0..1 for the distance of what it mirrors.
-    kind : (n, 2) uint8
-        Of every body: label, and bits of what it is.
-    model : SensorModel
-    quantiles : (k,) float64
-        Of the standard normal law, evenly spaced from 0 to 1, finite.
-    first_line : int
-        At least 0.
-    seed : int
-        At least 0.
-
-    Returns
-    -------
-    range_m : (lines, M) float32
-        NaN = missing.
-    label : (lines, M) uint8
-    intensity : (lines, M) float32
-        Power over that of white at 10 m, met squarely; 0 = missing.
-    extra : (e, 2) int32
-        Line and column of further returns, by line, column and range.
-    extra_range_m : (e,) float32
-    extra_label : (e,) uint8
-    extra_intensity : (e,) float32
+    ``surface`` (n, 2) float64; ``kind`` (n, 2) uint8; ``quantiles`` (k,) float64; returns ``range_m`` (lines, M)
+    float32, ``label`` (lines, M) uint8, ``intensity`` (lines, M) float32, ``extra`` (e, 2) int32, ``extra_range_m``
+    (e,) float32, ``extra_label`` (e,) uint8, ``extra_intensity`` (e,) float32.
     """
     n_lines, m = hits[0].shape
     ranges = np.full((n_lines, m), np.float32(np.nan), np.float32)

@@ -12,21 +12,8 @@ from prc_cli.kernels.cache import kernel
 def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
     """Place and turn every shot of every line, straight between the poses around it.
 
-    Parameters
-    ----------
-    position : (lines, k + 1, 3) float64, metres
-        Where the scanner is at k + 1 times that divide a line evenly, its end included.
-    turn : (lines, k + 1, 3, 3) float64
-        Matrices from the platform to the world at the same times.
-    columns : (M, 3) float64
-        Where every column points on the platform, unit vectors.
-
-    Returns
-    -------
-    origin : (lines, M, 3) float64
-        [m].
-    direction : (lines, M, 3) float64
-        Unit vectors.
+    ``position`` (lines, k + 1, 3) float64, metres; ``turn`` (lines, k + 1, 3, 3) float64; ``columns`` (M, 3) float64;
+    returns ``origin`` (lines, M, 3) float64, ``direction`` (lines, M, 3) float64.
     """
     n_lines, n_knots = position.shape[0], position.shape[1] - 1
     m = columns.shape[0]

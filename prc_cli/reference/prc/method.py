@@ -69,18 +69,7 @@ class Memory:
 def classify_stream(range_m: F32, settings: Settings) -> tuple[U8, I64]:
     """Label a whole stream (Algorithm 1).
 
-    Parameters
-    ----------
-    range_m : (n_lines, M) float32, metres
-        NaN = missing.
-    settings : Settings
-
-    Returns
-    -------
-    labels : (n_lines, M) uint8
-        :class:`prc_cli.core.classes.Label`.
-    segments : (n_lines, M) int64
-        R, 0 = none.
+    ``range_m`` (n_lines, M) float32, metres; returns ``labels`` (n_lines, M) uint8, ``segments`` (n_lines, M) int64.
     """
     supported = support(range_m, settings)
     background = extended_background(range_m, supported, settings)

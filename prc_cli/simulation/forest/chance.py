@@ -26,17 +26,7 @@ class Purpose(IntEnum):
 
 
 def generator(seed: int, purpose: Purpose, *place: int) -> np.random.Generator:
-    """Return the generator of a place, fresh at every call.
-
-    Parameters
-    ----------
-    seed : int
-        Of the scene, from 0 on.
-    purpose : Purpose
-        What the numbers are for.
-    *place : int
-        Indices of a cell or a row; negative ones are fine.
-    """
+    """Return the generator of a place, fresh at every call."""
     # seed sequences take numbers from 0 on: the integers are folded onto them
     folded = [2 * index if index >= 0 else -2 * index - 1 for index in place]
     return np.random.default_rng([seed, int(purpose), *folded])

@@ -17,17 +17,7 @@ _ELBOW_M = 0.35
 
 
 class Floor:
-    """Makes the floor of a cell.
-
-    Parameters
-    ----------
-    params : ForestSceneParams
-        How much of what.
-    terrain : Terrain
-        What it lies on.
-    rows : Rows
-        The path that stays clear of what is higher than the knee.
-    """
+    """Makes the floor of a cell."""
 
     def __init__(self, params: ForestSceneParams, terrain: Terrain, rows: Rows) -> None:
         self._params, self._terrain, self._rows = params, terrain, rows

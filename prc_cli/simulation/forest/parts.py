@@ -11,48 +11,18 @@ from prc_cli.simulation.world import Bodies, Material, Shape
 
 
 def triangles(corners: F64, material: Material) -> Bodies:
-    """Return triangles.
-
-    Parameters
-    ----------
-    corners : (n, 3, 3) float64
-        Corner by corner [m].
-    material : Material
-        Of all.
-    """
+    """Return triangles."""
     return _bodies(Shape.TRIANGLE, corners.reshape(-1, 9), material)
 
 
 def cones(low: F64, high: F64, low_radius: F64, high_radius: F64, material: Material) -> Bodies:
-    """Return truncated cones.
-
-    Parameters
-    ----------
-    low, high : (..., 3) float64
-        Centres of the ends [m].
-    low_radius, high_radius : (...) float64
-        Radii there [m].
-    material : Material
-        Of all.
-    """
+    """Return truncated cones."""
     radii = np.stack([low_radius, high_radius, np.zeros_like(low_radius)], axis=-1)
     return _bodies(Shape.CONE, np.concatenate([low, high, radii], axis=-1).reshape(-1, 9), material)
 
 
 def ellipsoids(centre: F64, half: F64, yaw: F64, material: Material, density: F64 | float = 0.0) -> Bodies:
-    """Return ellipsoids, solid or filled with leaves.
-
-    Parameters
-    ----------
-    centre, half : (..., 3) float64
-        Centres and half axes [m].
-    yaw : (...) float64
-        Turn about the vertical [rad].
-    material : Material
-        Of all.
-    density : (...) float64 or float
-        Leaf area density [m²/m³]; 0 = solid.
-    """
+    """Return ellipsoids, solid or filled with leaves."""
     turn = np.stack([yaw, np.zeros_like(yaw), np.zeros_like(yaw)], axis=-1)
     bodies = _bodies(Shape.ELLIPSOID, np.concatenate([centre, half, turn], axis=-1).reshape(-1, 9), material)
     return replace(bodies, density=np.broadcast_to(density, yaw.shape).astype(np.float64).ravel())
@@ -71,15 +41,7 @@ def _bodies(shape: Shape, numbers: F64, material: Material) -> Bodies:
 
 
 def take(bodies: Bodies, which: Mask) -> Bodies:
-    """Return some of the bodies, in their order.
-
-    Parameters
-    ----------
-    bodies : Bodies
-        n of them.
-    which : (n,) bool
-        Those to keep.
-    """
+    """Return some of the bodies, in their order."""
     return Bodies(
         bodies.shape[which],
         bodies.numbers[which],
@@ -91,13 +53,7 @@ def take(bodies: Bodies, which: Mask) -> Bodies:
 
 
 def footprints(bodies: Bodies) -> tuple[F64, F64]:
-    """Return a circle on the map around every body.
-
-    Returns
-    -------
-    (n, 2) float64, (n,) float64
-        Centres and radii [m].
-    """
+    """Return a circle on the map around every body."""
     numbers = bodies.numbers
     corners = numbers.reshape(-1, 3, 3)[:, :, :2]
     centre = numbers[:, :2].copy()

@@ -18,13 +18,6 @@ class Rows:
 
     In a row the walker strays to either side, in the turns he does not. All rows are equally long on foot, so that
     any distance is found without walking there.
-
-    Parameters
-    ----------
-    params : ForestSceneParams
-        Length and distance of the rows, how far the walker strays.
-    seed : int
-        Of the scene; it says to which side he strays first.
     """
 
     def __init__(self, params: ForestSceneParams, seed: int) -> None:
@@ -39,18 +32,7 @@ class Rows:
         """On foot along a row and the turn behind it [m]."""
 
     def point(self, s_m: F64) -> tuple[F64, F64]:
-        """Return places along the way.
-
-        Parameters
-        ----------
-        s_m : (n,) float64
-            Distance walked on the map [m]; before 0 the way goes on backwards.
-
-        Returns
-        -------
-        (n, 2) float64, (n,) float64
-            Place [m]; heading [rad], counter-clockwise from +x, without jumps.
-        """
+        """Return places along the way."""
         row = np.floor(s_m / self.period_m)
         rest = s_m - row * self.period_m
         forth = np.where(row % 2 == 0, 1.0, -1.0)
@@ -70,18 +52,7 @@ class Rows:
         return np.stack([x, row * self._spacing_m + across], axis=-1), heading
 
     def distance(self, x: F64, y: F64) -> F64:
-        """Return how far places are from the way, to within a few centimetres near it.
-
-        Parameters
-        ----------
-        x, y : (...) float64
-            Places [m].
-
-        Returns
-        -------
-        (...) float64
-            Distance on the map [m]; never more than the true one where the row is straight.
-        """
+        """Return how far places are from the way, to within a few centimetres near it."""
         nearest = np.full(np.broadcast(x, y).shape, np.inf)
         share = np.clip(x / self._length_m, 0.0, 1.0)
         beside = np.maximum(x - self._length_m, 0.0) + np.maximum(-x, 0.0)

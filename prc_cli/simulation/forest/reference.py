@@ -32,18 +32,6 @@ def reference_labels(scene: ForestScene, xyz: F64) -> U8:
     or more under the breast height of the nearest tree, low plants included. All else is noise. The paper's sentence
     on the ground, "under 0.5 m from the nearest reference tree DBH altitude", can be read in other ways; read as
     here, the ground ends 0.8 m above the foot of the nearest tree.
-
-    Parameters
-    ----------
-    scene : ForestScene
-        The forest that was scanned.
-    xyz : (n, 3) float64
-        Points in the coordinates of the scene [m]; NaN where nothing came back.
-
-    Returns
-    -------
-    (n,) uint8
-        STEM, GROUND, NOISE; MISSING where the point is not finite.
     """
     labels = np.full(len(xyz), Label.MISSING, dtype=np.uint8)
     for start in range(0, len(xyz), _POINTS_AT_ONCE):
@@ -54,17 +42,7 @@ def reference_labels(scene: ForestScene, xyz: F64) -> U8:
 
 
 def inside_plot(scene: ForestScene, xyz: F64, margin_m: float = 5.0) -> Mask:
-    """Return which points lie within the strip that the rows cross; the paper leaves out points beyond its plot.
-
-    Parameters
-    ----------
-    scene : ForestScene
-        The forest that was scanned.
-    xyz : (n, 3) float64
-        Points [m].
-    margin_m : float
-        How far the plot goes on beyond the ends of the rows [m].
-    """
+    """Return which points lie within the strip that the rows cross; the paper leaves out points beyond its plot."""
     x = xyz[:, 0]
     return np.asarray((x >= -margin_m) & (x <= scene.params.row_length_m + margin_m))
 

@@ -41,13 +41,6 @@ class ForestScene:
     """An endless forest with a walker's rows through it; see :class:`prc_cli.simulation.world.Scene`.
 
     It is made in square cells, each from its own random numbers, when they come into sight; those seen last are kept.
-
-    Parameters
-    ----------
-    params : ForestSceneParams
-        What kind of forest.
-    seed : int
-        The same seed gives the same forest.
     """
 
     def __init__(self, params: ForestSceneParams, seed: int) -> None:
@@ -81,18 +74,7 @@ class ForestScene:
         return stems.take(np.hypot(stems.base[:, 0] - x_m, stems.base[:, 1] - y_m) <= radius_m)
 
     def path_point(self, s_m: F64) -> tuple[F64, F64]:
-        """Return the ground under the walker and where he heads.
-
-        Parameters
-        ----------
-        s_m : (n,) float64
-            Distance walked on the map [m].
-
-        Returns
-        -------
-        (n, 3) float64, (n,) float64
-            Points [m]; heading [rad], counter-clockwise from +x. Both change without jumps.
-        """
+        """Return the ground under the walker and where he heads."""
         xy, heading = self.rows.point(np.asarray(s_m, dtype=np.float64))
         return np.column_stack([xy, self.terrain.level(xy[:, 0], xy[:, 1])]), heading
 

@@ -59,18 +59,7 @@ class Stems:
         return Stems(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def axis(self, above: F64) -> F64:
-        """Return the centre of every stem at a height above its base.
-
-        Parameters
-        ----------
-        above : (n,) float64
-            Heights [m].
-
-        Returns
-        -------
-        (n, 3) float64
-            Points [m].
-        """
+        """Return the centre of every stem at a height above its base."""
         bow = np.sin(np.pi * np.clip(above / self.height, 0.0, 1.0))
         xy = self.base[:, :2] + self.lean * above[:, None] + self.sweep * bow[:, None]
         return np.column_stack([xy, self.base[:, 2] + above])
@@ -112,17 +101,6 @@ class Stand:
 
     Stems keep apart as in Matérn's second hard-core process (Matérn 1960, ch. 3): of random places that are too close
     to each other, only the one of lowest rank is taken. That needs no order in which the forest is made.
-
-    Parameters
-    ----------
-    params : ForestSceneParams
-        Density, diameters, species, lean.
-    seed : int
-        Of the scene.
-    terrain : Terrain
-        What they stand on.
-    rows : Rows
-        The path that stays clear.
     """
 
     def __init__(self, params: ForestSceneParams, seed: int, terrain: Terrain, rows: Rows) -> None:
@@ -144,15 +122,7 @@ class Stand:
         return Candidates(xy, numbers[:, 2], numbers[:, 3:])
 
     def stems(self, own: Candidates, around: list[Candidates]) -> Stems:
-        """Return the trees of a cell.
-
-        Parameters
-        ----------
-        own : Candidates
-            Of the cell.
-        around : list of Candidates
-            Of its eight neighbours and itself.
-        """
+        """Return the trees of a cell."""
         near = np.concatenate([c.xy for c in around])
         rank = np.concatenate([c.rank for c in around])
         close = np.hypot(*np.moveaxis(own.xy[:, None] - near, -1, 0)) < self.apart_m

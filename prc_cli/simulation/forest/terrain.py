@@ -15,19 +15,7 @@ _WAVES_PER_BAND = 6
 
 
 class Terrain:
-    """Height of the ground at every place.
-
-    Parameters
-    ----------
-    seed : int
-        Of the scene.
-    slope_deg : float
-        Root mean square of the slope [degrees].
-    incline_deg : float
-        Rise of the whole along x [degrees].
-    step_m : float
-        Edge of the triangles, at most [m]; a cell holds a whole number of them.
-    """
+    """Height of the ground at every place."""
 
     def __init__(self, seed: int, slope_deg: float, incline_deg: float, step_m: float) -> None:
         self.squares = math.ceil(CELL_M / step_m - 1e-9)
@@ -48,36 +36,14 @@ class Terrain:
         self._amplitude = slope * np.sqrt(2 * share / _WAVES_PER_BAND) * length / (2 * np.pi)
 
     def level(self, x: F64, y: F64) -> F64:
-        """Return the smooth height that the triangles follow.
-
-        Parameters
-        ----------
-        x, y : (...) float64
-            Places [m].
-
-        Returns
-        -------
-        (...) float64
-            Heights [m].
-        """
+        """Return the smooth height that the triangles follow."""
         z = self._incline * x
         for kx, ky, phase, amplitude in zip(*self._k, self._phase, self._amplitude, strict=True):
             z = z + amplitude * np.sin(kx * x + ky * y + phase)
         return z
 
     def height(self, x: F64, y: F64) -> F64:
-        """Return the height on the triangles, where things stand.
-
-        Parameters
-        ----------
-        x, y : (...) float64
-            Places [m].
-
-        Returns
-        -------
-        (...) float64
-            Heights [m].
-        """
+        """Return the height on the triangles, where things stand."""
         step = self.step_m
         i, j = np.floor(x / step), np.floor(y / step)
         u, v = x / step - i, y / step - j
@@ -89,13 +55,7 @@ class Terrain:
         return z00 + (high - low) * (z - z00) + low * (z11 - z00)
 
     def triangles(self, i: int, j: int) -> F64:
-        """Return the triangles of a cell.
-
-        Returns
-        -------
-        (n, 3, 3) float64
-            Corners [m]; neighbouring cells share theirs to the last bit, so that no shot falls between.
-        """
+        """Return the triangles of a cell."""
         n = self.squares
         columns, rows = np.meshgrid(
             np.arange(i * n, (i + 1) * n + 1, dtype=np.float64) * self.step_m,

@@ -93,19 +93,7 @@ _HABITS = {
 
 
 def tree_bodies(stems: Stems, to_path: F64, leaf_density: float, chance: np.random.Generator) -> Bodies:
-    """Return trees: stems, branches dead and alive, and the leaves of their crowns.
-
-    Parameters
-    ----------
-    stems : Stems
-        n trees.
-    to_path : (n,) float64
-        Distance of every tree from the path, which no branch and no leaf bars [m].
-    leaf_density : float
-        Factor on the leaf area.
-    chance : Generator
-        For what is random about them.
-    """
+    """Return trees: stems, branches dead and alive, and the leaves of their crowns."""
     parts = [_stem_bodies(stems)]
     for species, habit in _HABITS.items():
         of_it = stems.species == species
@@ -165,21 +153,7 @@ def _crowns(stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chan
 
 
 def _branches(stems: Stems, above: F64, reach: F64 | None, habit: _Habit, chance: np.random.Generator) -> Bodies:
-    """Return thin cones that leave the stems at some heights.
-
-    Parameters
-    ----------
-    stems : Stems
-        n trees.
-    above : (n, k) float64
-        Heights above their feet [m].
-    reach : (n,) float64 or None
-        How far live branches reach [m]; None = the dead branches of the species.
-    habit : _Habit
-        Of the species.
-    chance : Generator
-        For lengths and directions.
-    """
+    """Return thin cones that leave the stems at some heights."""
     start = _on_axis(stems, above)
     azimuth = chance.uniform(0, 2 * np.pi, above.shape)
     rise = chance.uniform(*habit.rise, above.shape)

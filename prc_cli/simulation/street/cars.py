@@ -71,17 +71,7 @@ def _van(u: list[float]) -> Model:
 
 
 def car(pile: Pile, frame: Frame, model: Model) -> None:
-    """Add a car.
-
-    Parameters
-    ----------
-    pile : Pile
-        Where its bodies go.
-    frame : Frame
-        Its middle on the road; u forward. The frame's slopes tilt it.
-    model : Model
-        Its measures.
-    """
+    """Add a car."""
     _body(pile, frame, model)
     _cabin(pile, frame, model)
     under = (-model.half + 0.15, model.half - 0.15), (-model.wide + 0.25, model.wide - 0.25)

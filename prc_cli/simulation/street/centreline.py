@@ -25,15 +25,6 @@ class Centreline:
     The heading is a sum of three sines of s; the position is its integral, tabulated once over one period and
     interpolated by cubics that have the line's own tangents (error below a micrometre). All periods are alike but
     for a shift, so that any s costs the same.
-
-    Parameters
-    ----------
-    rng : Generator
-        Draws the phases.
-    curves : float
-        Factor on the curves; 0 = straight.
-    hills : float
-        Factor on slopes; 0 = level.
     """
 
     def __init__(self, rng: np.random.Generator, curves: float, hills: float) -> None:

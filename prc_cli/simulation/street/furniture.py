@@ -102,23 +102,7 @@ def boundary(
     rng: np.random.Generator,
     wanted: Literal["any", "hedge", "fence"] = "any",
 ) -> None:
-    """Add what ends a garden at the sidewalk: a hedge, wall or fence, or nothing.
-
-    Parameters
-    ----------
-    pile : Pile
-        Where the bodies go.
-    place : callable
-        Frame on the ground at a distance along the street, v away from the road.
-    span : (float, float)
-        Where it stands along the street [m].
-    gaps : list of (float, float)
-        Driveways and gates [m].
-    rng : Generator
-        Decides what it is.
-    wanted : {"any", "hedge", "fence"}
-        What it must be; a fence is close or a wall.
-    """
+    """Add what ends a garden at the sidewalk: a hedge, wall or fence, or nothing."""
     kind, high = rng.random(), rng.random()
     if wanted != "any":
         kind = 0.0 if wanted == "hedge" else 0.45 if kind < 0.5 else 0.80

@@ -118,19 +118,7 @@ def _along_side_street(
 
 
 def build(pile: Pile, frame: Frame, style: Style, rng: np.random.Generator) -> None:
-    """Add a house.
-
-    Parameters
-    ----------
-    pile : Pile
-        Where its bodies go.
-    frame : Frame
-        Middle of the facade's foot; u along the facade, v into the house.
-    style : Style
-        Its measures.
-    rng : Generator
-        Decides on doors, balconies and ledges.
-    """
+    """Add a house."""
     half, top, back = 0.5 * style.width, style.top, style.recess + _CURTAIN_M
     pile.box(frame, ((-half, half), (back, style.depth), (_BASE_M, top)), Material.WALL)
     _front(pile, frame, style, door=int(rng.integers(len(style.middles))))

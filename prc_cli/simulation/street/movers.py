@@ -60,17 +60,7 @@ def streams_of(params: StreetSceneParams) -> tuple[Stream, ...]:
 
 
 class Movers:
-    """Those that move, wherever and whenever.
-
-    Parameters
-    ----------
-    ground : Ground
-        What they stand on.
-    seed : int
-        Of the street.
-    params : StreetSceneParams
-        How many there are.
-    """
+    """Those that move, wherever and whenever."""
 
     def __init__(self, ground: Ground, seed: int, params: StreetSceneParams) -> None:
         self._ground, self._seed, self._streams = ground, seed, streams_of(params)
@@ -78,20 +68,7 @@ class Movers:
         self._bodies = lru_cache(256)(self._make)
 
     def near(self, middle_s: float, reach_m: float, time_s: float) -> list[Bodies]:
-        """Return those that are near a place.
-
-        Parameters
-        ----------
-        middle_s, reach_m : float
-            Place along the street, and how far from it they are looked for [m].
-        time_s : float
-            When [s].
-
-        Returns
-        -------
-        list of Bodies
-            One for everybody; at time 0 they are where they would have been.
-        """
+        """Return those that are near a place."""
         parts: list[Bodies] = []
         for stream in self._streams:
             step = int(np.floor(time_s / stream.step_s))

@@ -9,19 +9,7 @@ from prc_cli.simulation.world import Material
 
 
 def person(pile: Pile, frame: Frame, rng: np.random.Generator, stride: float) -> None:
-    """Add somebody.
-
-    Parameters
-    ----------
-    pile : Pile
-        Where the bodies go.
-    frame : Frame
-        Between the feet; u forward.
-    rng : Generator
-        Draws the height.
-    stride : float
-        From foot to foot [m]; 0 = stands.
-    """
+    """Add somebody."""
     tall = rng.uniform(1.55, 1.9)
     hip = 0.50 * tall
     for side in (-1.0, 1.0):

@@ -102,13 +102,7 @@ class Pile:
 
 
 def outlines(bodies: Bodies) -> F64:
-    """Bounds in plan.
-
-    Returns
-    -------
-    (n, 4) float64
-        Lowest x and y, highest x and y [m], at time 0; a little too large where a body is turned.
-    """
+    """Bounds in plan."""
     numbers = bodies.numbers
     result = np.empty((len(bodies), 4))
     triangle, cone = bodies.shape == Shape.TRIANGLE, bodies.shape == Shape.CONE

@@ -125,19 +125,7 @@ def character_of(seed: int, piece: int, choice: str) -> Character:
 
 
 def plan_of(seed: int, piece: int, choice: str, setback_m: float = 0.0) -> Plan:
-    """Lay out a piece.
-
-    Parameters
-    ----------
-    seed : int
-        Of the street.
-    piece : int
-        Its number, of any sign.
-    choice : str
-        A character, or 'mixed'.
-    setback_m : float
-        How much farther back facades stand than the character has them [m].
-    """
+    """Lay out a piece."""
     start = piece * PIECE_M
     character = character_of(seed, piece, choice)
     junction, crossing = junction_of(seed, piece), None

@@ -56,28 +56,14 @@ PLAIN = Kerbside()
 
 
 class Ground:
-    """Heights and triangles of the ground.
-
-    Parameters
-    ----------
-    line : Centreline
-        Where the street runs.
-    curb_m : float
-        Height of the curbs [m].
-    """
+    """Heights and triangles of the ground."""
 
     def __init__(self, line: Centreline, curb_m: float) -> None:
         self.line = line
         self.curb_m = curb_m
 
     def road(self, s_m: F64, d_m: F64) -> F64:
-        """Height of the road's surface, continued under the sidewalks and the land; (n,) float64 [m].
-
-        Parameters
-        ----------
-        s_m, d_m : (n,) float64
-            Distance along the street and to the left of the crown [m].
-        """
+        """Height of the road's surface, continued under the sidewalks and the land; (n,) float64 [m]."""
         away = np.abs(d_m)
         slope = np.where(d_m > 0, self.line.side_slope(s_m, 1), self.line.side_slope(s_m, -1))
         fall = -_CROSS_FALL * np.minimum(away, ROAD_HALF_M)

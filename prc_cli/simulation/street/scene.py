@@ -34,13 +34,6 @@ class StreetScene:
 
     Pieces of 30 m are made when they are looked at, each from generators of its own that are keyed by the seed and
     its number, so that nothing depends on how a place was reached.
-
-    Parameters
-    ----------
-    params : StreetSceneParams, optional
-        What the street is like.
-    seed : int
-        The same seed gives the same street.
     """
 
     def __init__(self, params: StreetSceneParams | None = None, seed: int = 1) -> None:
@@ -54,38 +47,13 @@ class StreetScene:
         self._lock = Lock()
 
     def path_point(self, s_m: F64) -> tuple[F64, F64]:
-        """Return the ground under the platform.
-
-        Parameters
-        ----------
-        s_m : (n,) float64
-            Distance driven, measured in plan along the middle of the right-hand lane [m].
-
-        Returns
-        -------
-        (n, 3) float64, (n,) float64
-            x, y, z of the road [m]; heading, 0 = +x, counter-clockwise [rad].
-        """
+        """Return the ground under the platform."""
         s = np.asarray(s_m, dtype=np.float64)
         z = self.ground.road(s, np.full(s.shape, LANE_M))
         return np.column_stack([self.line.lane(s), z]), self.line.heading(s)
 
     def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
-        """Return the bodies that have a part within a circle; see :class:`prc_cli.simulation.world.Scene`.
-
-        Parameters
-        ----------
-        x_m, y_m, radius_m : float
-            The circle [m].
-        time_s : float
-            When it is looked at [s]; decides which of those that move are there. Ask again after
-            0.25 s: they leave a curved street after a while, for they go straight on.
-
-        Returns
-        -------
-        Bodies
-            Those that stand in the order of the pieces, then those that move.
-        """
+        """Return the bodies that have a part within a circle; see :class:`prc_cli.simulation.world.Scene`."""
         middle = self.line.nearest(x_m, y_m)
         # lines of equal s converge on the inner side of a curve, where bodies are nearer than s tells
         reach = 1.35 * radius_m + _REACH_M

@@ -36,21 +36,7 @@ BIRCH = Kind((2.2, 3.2), (1.2, 1.7), (5.0, 8.0), (0.07, 0.13), (0.3, 0.6), 4)
 
 
 def tree(pile: Pile, frame: Frame, kind: Kind, rng: np.random.Generator, widest: float = 9.0) -> None:
-    """Add a tree.
-
-    Parameters
-    ----------
-    pile : Pile
-        Where its bodies go.
-    frame : Frame
-        Its foot.
-    kind : Kind
-        What it is like.
-    rng : Generator
-        Draws its measures.
-    widest : float
-        Largest radius of the crown, where a wall is near [m].
-    """
+    """Add a tree."""
     bole, radius, crown, trunk, density = (
         float(rng.uniform(*span)) for span in (kind.bole, kind.radius, kind.crown, kind.trunk, kind.density)
     )

@@ -50,21 +50,6 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
     The correlation at a lag uses only pairs with two valid ranges, in products and energies. The smallest lag that
     rises almost as high above the dip before it as any other is the fundamental; its visible multiples refine it.
 
-    Parameters
-    ----------
-    range_m : (n,) float32
-        Ranges [m] in the order fired, missing shots included as NaN.
-    max_m : int
-        Largest M looked for.
-
-    Returns
-    -------
-    PeriodEstimate
-        ``points_per_line`` is None where the evidence is weak or the stream too short (fewer than
-        :data:`MIN_LINES` lines).
-
-    Examples
-    --------
     >>> line = 10 + np.random.default_rng(0).random(120).cumsum()
     >>> estimate_points_per_line(np.tile(line, 20).astype(np.float32)).points_per_line
     120
@@ -162,18 +147,6 @@ def _refine(correlation: F64, period: int) -> int:
 def first_times(time_s: F64) -> F64:
     """Return the first known time of every line.
 
-    Parameters
-    ----------
-    time_s : (lines, M) float64, seconds
-        NaN = unknown.
-
-    Returns
-    -------
-    (lines,) float64, seconds
-        NaN where a line has none.
-
-    Examples
-    --------
     >>> first_times(np.array([[np.nan, 1.5, 1.6], [np.nan, np.nan, np.nan]])).tolist()
     [1.5, nan]
     """
@@ -186,18 +159,6 @@ def first_times(time_s: F64) -> F64:
 def estimate_line_frequency(time_s: F64) -> float | None:
     """Estimate the scan lines a second from the times at which lines begin.
 
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Time at the start of each line [s]; lines may be missing in between.
-
-    Returns
-    -------
-    float or None
-        Frequency [Hz]; None with fewer than 3 times, or where they are not evenly spaced.
-
-    Examples
-    --------
     >>> estimate_line_frequency(np.array([0.0, 0.02, 0.04, 0.08, 0.10]))
     50.0
     """
@@ -243,21 +204,6 @@ class RangeCorrelation:
 def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
     """Compare the range steps between neighbours with those between random pairs.
 
-    Parameters
-    ----------
-    range_m : (n,) float32
-        Ranges [m] in the order of the input, NaN = missing.
-    seed : int
-        Seed of the random pairing.
-
-    Returns
-    -------
-    RangeCorrelation
-        Ratio about 1: no spatial correlation in the order; near 0: consistent with firing order. Files sorted by
-        coordinate have a low ratio too, so a low ratio is no proof.
-
-    Examples
-    --------
     >>> walk = np.cumsum(np.random.default_rng(1).normal(size=5000)).astype(np.float32)
     >>> range_correlation(walk).ratio < 0.1, range_correlation(np.random.default_rng(2).permutation(walk)).ratio > 0.9
     (True, True)

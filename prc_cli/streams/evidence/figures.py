@@ -84,13 +84,6 @@ def middle(values: Iterable[float]) -> float:
 def figures_of(windows: tuple[Window, ...]) -> Figures:
     """Measure a sample of lines.
 
-    Parameters
-    ----------
-    windows : tuple of Window
-        In the order of the stream.
-
-    Examples
-    --------
     >>> line = np.linspace(5, 50, 2000, dtype=np.float32)
     >>> found = figures_of((Window(0, np.tile(line, (32, 1))),))
     >>> found.line[0], 0 < found.shot[0] < found.shot[1] < found.random
@@ -207,13 +200,6 @@ def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
     The stream behind each window is cut into lines of the given length, counted from the start of the stream. With the
     right length, what moves with the scanner (its dead angle, the ground) keeps its columns all along; with a length
     that is off by one it turns through all of them.
-
-    Parameters
-    ----------
-    windows : tuple of Window
-        Windows of ``M`` columns.
-    points_per_line : int
-        The other length.
     """
     step = max(points_per_line // FOLD_COLUMNS, 1)
     profiles: list[F64] = []

@@ -68,8 +68,6 @@ makes the depth larger; outside the third against."""
 def check_down(seen: Seen) -> Finding | None:
     """Compare straight down as it is used with what the ranges show.
 
-    Examples
-    --------
     >>> from dataclasses import replace
     >>> from prc_cli.core.stream import StreamInfo
     >>> from prc_cli.streams.evidence.sample import Window
@@ -144,8 +142,6 @@ def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
 def check_angle_step(seen: Seen) -> Finding | None:
     """Compare the angle between shots with the one that planes show; doubt a measured one that is uncertain.
 
-    Examples
-    --------
     >>> from prc_cli.core.stream import StreamInfo
     >>> from prc_cli.streams.evidence.sample import Window
     >>> beam = np.deg2rad(np.arange(-60.0, 60.0, 0.25))

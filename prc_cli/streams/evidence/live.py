@@ -15,13 +15,6 @@ class LiveEvidence:
 
     The checks are asked whenever the sample is full anew, which is each time that the stream is twice as long, and at
     the end. What they find is raised, or told, with the next block.
-
-    Parameters
-    ----------
-    watch : EvidenceStream
-        The stream; it is not read by itself.
-    tell : callable
-        Called with the first doubt of every check as soon as it is known.
     """
 
     def __init__(self, watch: EvidenceStream, tell: Callable[[Finding], None]) -> None:
@@ -36,13 +29,7 @@ class LiveEvidence:
         return self._watch.info
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
-
-        Raises
-        ------
-        EvidenceError
-            When the evidence is against the input.
-        """
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         n_asked = 0
         asked: Future[tuple[Finding, ...]] | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="evidence") as beside:
@@ -63,13 +50,7 @@ class LiveEvidence:
         return tuple(self._worst.values())
 
     def hear(self, findings: Iterable[Finding]) -> None:
-        """Take answers, also those of other checks: refuse, keep and tell them.
-
-        Raises
-        ------
-        EvidenceError
-            When one speaks against the input.
-        """
+        """Take answers, also those of other checks: refuse, keep and tell them."""
         found = accept(findings, self._watch.accepted)
         refuse(self.info.path, found)
         for finding in found:

@@ -64,20 +64,7 @@ class Reading:
 
 
 def other_reading(path: Path, points_per_line: int | None = None) -> Reading | None:
-    """Find how the bytes of a dump make ranges of a scan.
-
-    Parameters
-    ----------
-    path : Path
-        A dump of ranges alone.
-    points_per_line : int, optional
-        M: bytes that are too many for whole lines are taken for the header.
-
-    Returns
-    -------
-    Reading or None
-        The one whose neighbouring shots are most alike; None where no reading gives a scan.
-    """
+    """Find how the bytes of a dump make ranges of a scan."""
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
         first = max(size // 2 - SAMPLE_BYTES // 2, 0) // 8 * 8

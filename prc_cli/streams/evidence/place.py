@@ -54,20 +54,6 @@ class Place:
 def place_of(range_m: F32, beam_rad: F64) -> Place:
     """Tell streets from forests.
 
-    Parameters
-    ----------
-    range_m : (lines, M) float32, metres
-        Some lines; NaN = missing.
-    beam_rad : (M,) float64, radians
-        Angle of every column from straight down, in (-pi, pi].
-
-    Returns
-    -------
-    Place
-        ``unknown`` where the shots are too few, too far from each other, or show a smooth floor among plants.
-
-    Examples
-    --------
     A road between walls:
 
     >>> beam = np.deg2rad(np.linspace(-120, 120, 2401))

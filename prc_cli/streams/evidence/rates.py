@@ -67,20 +67,6 @@ class TimedScan:
 def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
     """Measure the rates of a scanner.
 
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Times of the shots that returned, one each, not decreasing [s].
-    height : (n,) float64, optional
-        Their heights; they repeat from line to line more clearly than what returns.
-
-    Returns
-    -------
-    TimedScan or None
-        None where the times show no lattice or no lines.
-
-    Examples
-    --------
     Lines of 100 shots, of which 60 return:
 
     >>> shot = np.arange(100 * 50)
@@ -123,20 +109,6 @@ def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
 def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
     """Measure the rates of a scanner from the scan angles of its returns.
 
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Times of the shots that returned, one each, not decreasing [s].
-    angle_rad : (n,) float64
-        Their angles in the scan plane, modulo a turn [rad].
-
-    Returns
-    -------
-    TimedScan or None
-        Lines begin in the largest gap of the sweep. None where the times show no lattice, or the angles no sweeps.
-
-    Examples
-    --------
     Lines of 100 shots over 300 degrees, stamped without a gap between lines, of which 60 return:
 
     >>> shot = np.arange(100 * 50)
@@ -210,13 +182,7 @@ def _sweep_begin(since_s: F64, angle_rad: F64, way: float, line_s: float) -> tup
 
 
 def shot_period(time_s: F64) -> float:
-    """Return the time from shot to shot [s], 0 if the times show none.
-
-    Parameters
-    ----------
-    time_s : (n,) float64
-        Times of the shots that returned, not decreasing [s].
-    """
+    """Return the time from shot to shot [s], 0 if the times show none."""
     step = np.diff(time_s)
     ahead = step[step > 0]
     if len(ahead) < LEAST_RETURNS // 10:

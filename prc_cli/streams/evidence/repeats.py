@@ -42,8 +42,6 @@ def digests(block: ScanBlock) -> U64:
 class LineRepeats:
     """Counts lines that come again, in bounded memory.
 
-    Examples
-    --------
     >>> repeats, lines = LineRepeats(), np.random.default_rng(1).random((40, 100), np.float32)
     >>> repeats.add(ScanBlock(0, lines))
     >>> repeats.add(ScanBlock(40, lines[:10]))

@@ -130,13 +130,6 @@ class _Sample:
 class ResultWatch:
     """Watches the labels while they are written, and checks them.
 
-    Parameters
-    ----------
-    usual : UsualLabels
-        What labels of the method usually look like: ``params.method().usual``.
-
-    Examples
-    --------
     >>> from prc_cli.core.stream import ScanBlock
     >>> block = ScanBlock(0, np.full((64, 100), 5.0, np.float32))
     >>> watch = ResultWatch(UsualLabels(noise_share=0.5))

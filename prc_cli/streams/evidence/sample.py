@@ -45,13 +45,6 @@ def lines_of_window(points_per_line: int) -> int:
 class LineSample:
     """Collects the windows of one scanner.
 
-    Parameters
-    ----------
-    points_per_line : int
-        M.
-
-    Examples
-    --------
     >>> sample = LineSample(1000)
     >>> for first in range(0, 10_000, 500):
     ...     sample.add(ScanBlock(first, np.full((500, 1000), first, np.float32)))

@@ -46,21 +46,7 @@ class _Scanner:
 
 @dataclass(slots=True, repr=False)
 class EvidenceStream(Brief):
-    """A stream that is watched while its blocks pass, unchanged.
-
-    Parameters
-    ----------
-    source : ScanStream
-        Any stream.
-    accepted : tuple of str
-        Names of checks whose findings the user accepts.
-    refuses : bool
-        Raise as soon as the evidence is against the input; False = only report it in :meth:`findings`.
-    most_noise_m : float
-        Most range noise that the method stands [m].
-    others : tuple of Finding
-        What is known before anything is read.
-    """
+    """A stream that is watched while its blocks pass, unchanged."""
 
     source: ScanStream
     accepted: tuple[str, ...] = ()
@@ -80,13 +66,7 @@ class EvidenceStream(Brief):
         return self.source.info
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
-
-        Raises
-        ------
-        EvidenceError
-            When the evidence is against the input.
-        """
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         self._scanners, self._tally, self._repeats = {}, ReadTally(), LineRepeats()
         for block in self.source.blocks():
             if self._see(block) and self.refuses:
