@@ -1,6 +1,6 @@
 """The confidence of the fused method: its table, and how often labels of every confidence are right.
 
-    python -m benchmarks.confidence calibrate           # makes prc_cli/classifiers/fused/confidence.json
+    python -m benchmarks.confidence calibrate           # makes prc_cli/methods/fused/confidence.json
     python -m benchmarks.confidence check               # reliability on other streets and forests, for choosing
     python -m benchmarks.confidence report              # docs/confidence_figures.md, seeds that decided nothing
     python -m benchmarks.confidence ablation            # the same page: streets for choosing without single measures
@@ -27,14 +27,14 @@ import numpy as np
 from benchmarks import contest_data as data
 from benchmarks.contest_data import ROOT, Scan, Simulated
 from benchmarks.user import in_process
-from prc_cli.classifiers.fused import confidence, pipeline
-from prc_cli.classifiers.fused.confidence import N_CELLS, QUESTIONS, Environment, confidence_of, load_table
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64, I32, I64, U8, Mask
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.formats.labels.read import open_codes
 from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.fused import confidence, pipeline
+from prc_cli.methods.fused.confidence import N_CELLS, QUESTIONS, Environment, confidence_of, load_table
 
 ENVIRONMENTS: tuple[Environment, ...] = ("urban", "forest")
 CALIBRATION, CHECK, HELD_OUT = 2601, 2701, 2901

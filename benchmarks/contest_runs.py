@@ -28,7 +28,7 @@ from prc_cli.core.types import F64
 
 Progress = Callable[[str], None]
 POINTS = "points.npz"
-_MAKERS = ("simulation", "kernels/simulation")
+_MAKERS = ("simulation",)
 _READERS = ("cli/classify.py", "config.py", "formats", "jobs/classify.py", "streams")
 """What is between a file and a method."""
 
@@ -284,7 +284,7 @@ def _run(path: Path) -> Run:
 def sources_of(method: str) -> tuple[str, ...]:
     """Return the source files that the labels of a method depend on."""
     name = method.replace("-", "_")
-    return (f"classifiers/{name}", "classifiers/returns.py", f"kernels/{name}")
+    return (f"methods/{name}", "methods/returns.py")
 
 
 @lru_cache(maxsize=8)

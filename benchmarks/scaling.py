@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.stages import classify_all, street
-from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.core.types import F32, Mask
 from prc_cli.kernels import load_kernels
+from prc_cli.methods.prc.pipeline import PrcParams
 
 LINES, WIDTH, K = 594, 2154, 99
 ROUNDS = 8

@@ -24,20 +24,6 @@ from benchmarks.contest_data import Scan, views
 from benchmarks.contest_methods import label
 from benchmarks.peak import peak_mib
 from benchmarks.rings import CLASSES
-from prc_cli.classifiers.sequential_angle.angles import (
-    AnglesParams,
-    angle_differences,
-    line_angles,
-    signed_angles,
-)
-from prc_cli.classifiers.sequential_angle.car import CarParams, cars
-from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
-from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
-from prc_cli.classifiers.sequential_angle.dividers import DividersParams
-from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
-from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lines
-from prc_cli.classifiers.sequential_angle.markov import HmmParams
-from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.classes import CarTest, ClassCodes, Label, Surface
@@ -51,6 +37,20 @@ from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.classify import classify, label_blocks
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, simulate
+from prc_cli.methods.sequential_angle.angles import (
+    AnglesParams,
+    angle_differences,
+    line_angles,
+    signed_angles,
+)
+from prc_cli.methods.sequential_angle.car import CarParams, cars
+from prc_cli.methods.sequential_angle.coarse import CoarseParams, coarse
+from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
+from prc_cli.methods.sequential_angle.dividers import DividersParams
+from prc_cli.methods.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
+from prc_cli.methods.sequential_angle.lines import split_sides, vertical_lines
+from prc_cli.methods.sequential_angle.markov import HmmParams
+from prc_cli.methods.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
 from prc_cli.simulation.world import PROPERTIES, Material, Property

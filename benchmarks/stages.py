@@ -11,14 +11,14 @@ from functools import partial
 
 import numpy as np
 
-from prc_cli.classifiers.prc.pipeline import PrcParams
-from prc_cli.classifiers.prc.support import stream_window
 from prc_cli.config import load_config
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F32
 from prc_cli.jobs.classify import classify_ranges, label_blocks
 from prc_cli.kernels import load_kernels
+from prc_cli.methods.prc.pipeline import PrcParams
+from prc_cli.methods.prc.support import stream_window
 from prc_cli.reference.prc import method as oracle_prc
 from prc_cli.reference.prc import stages as oracle
 from prc_cli.simulation.settings import load_settings

@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.simulated import made
 from prc_cli.config import load_config
 from prc_cli.kernels import KERNELS
+from prc_cli.kernels.loading import short_name
 
 RUNS = 5
 LOAD = "import sys, prc_cli.kernels as k; k.load_kernels(frozenset(sys.argv[1:]))"
@@ -31,7 +32,7 @@ WARM = ("urban", "street-scan", "fused")
 ONE = """
 import sys, time
 from importlib import import_module
-import prc_cli.kernels.sequential_angle.verticals
+import prc_cli.methods.sequential_angle.verticals_loops
 begin = time.process_time()
 import_module(sys.argv[1])
 print(time.process_time() - begin)
@@ -91,7 +92,7 @@ def modules(folder: Path) -> None:
         found = subprocess.run(
             [sys.executable, "-c", ONE, module], env=environment, check=True, capture_output=True, text=True
         )
-        print(f"| {module.removeprefix('prc_cli.kernels.')} | {float(found.stdout):.2f} |")
+        print(f"| {short_name(module)} | {float(found.stdout):.2f} |")
 
 
 def main() -> None:

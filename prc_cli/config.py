@@ -14,8 +14,6 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
 
-from prc_cli.classifiers.base import MethodParams
-from prc_cli.classifiers.methods import METHODS, MethodName, MethodTables, table_of
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
@@ -27,6 +25,8 @@ from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.registry import has_layout, is_dump
 from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.methods.base import MethodParams
+from prc_cli.methods.methods import METHODS, MethodName, MethodTables, table_of
 
 
 class _Input(Params):

@@ -34,7 +34,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("classifiers", "formats", "streams", "matching", "jobs")
+ROOMS = ("methods", "formats", "streams", "matching", "jobs")
 LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz", "tests/kernels")
 """Tests that take long, or that run no line of the rooms in their own process."""
 SIZES = re.compile(
@@ -331,9 +331,14 @@ def _put_in(mutant: Mutant) -> None:
 
 def load_kernels() -> None:
     """Import once, for all forked processes, what takes long and has no fault."""
-    for path in sorted((ROOT / "prc_cli" / "kernels").rglob("*.py")):
+    for path in sorted([*(ROOT / "prc_cli" / "kernels").glob("*.py"), *(ROOT / "prc_cli").rglob("*_loops.py")]):
         importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
-    loaded = [name for name in sys.modules if name.startswith(tuple(f"prc_cli.{room}" for room in ROOMS))]
+    begins, sound = tuple(f"prc_cli.{room}" for room in ROOMS), ("_loops", ".thresholds")
+    loaded = [
+        name
+        for name, module in sys.modules.items()
+        if name.startswith(begins) and not (name.endswith(sound) or hasattr(module, "__path__"))
+    ]
     if loaded:
         message = f"kernels import {', '.join(loaded)}: faults there would not be seen"
         raise RuntimeError(message)

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 import prc_cli.jobs.classify as pipeline
-from prc_cli.classifiers import run
-from prc_cli.classifiers.prc.pipeline import Prc
 from prc_cli.config import load_config
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.profile import profiling
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.jobs.classify import classify, load_classifier
+from prc_cli.methods import run
+from prc_cli.methods.prc.pipeline import Prc
 from prc_cli.streams import grid
 from tests import patience
 from tests.patience import HANGS_S, wait_until

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "prc_cli").rglob("*.py"))
 
 
-def test_compiled_loops_live_in_kernels() -> None:
+def test_compiled_loops_know_the_compiler_by_kernels_alone() -> None:
     for path in SOURCES:
         text = path.read_text(encoding="utf-8")
         if "kernels" not in path.parts:

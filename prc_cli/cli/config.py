@@ -50,7 +50,7 @@ def check(file: Path) -> None:
     \b
     Example: prc config check night_run.toml
     """
-    from prc_cli.classifiers.prc.support import unusual
+    from prc_cli.methods.prc.support import unusual
 
     overrides = read_toml(file).get("override")
     if overrides is None:

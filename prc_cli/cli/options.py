@@ -15,12 +15,12 @@ from typing import Any, TypeVar
 
 import click
 
-from prc_cli.classifiers.methods import METHODS
 from prc_cli.cli.completing import complete_assignment
 from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.core.samples import or_sample
+from prc_cli.methods.methods import METHODS
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 

@@ -16,8 +16,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prc_cli.classifiers.base import MethodParams, UsualLabels, Wanted
-from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.brief import Brief
 from prc_cli.core.bytewise import count_bytes
@@ -47,6 +45,8 @@ from prc_cli.jobs.choice import choice_by_place, choice_by_request, choose, deci
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
+from prc_cli.methods.base import MethodParams, UsualLabels, Wanted
+from prc_cli.methods.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched

@@ -13,7 +13,6 @@ from typing import Protocol
 
 import numpy as np
 
-from prc_cli.classifiers.run import run_blocks
 from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window
 from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError, InputError, OutputError
@@ -22,6 +21,7 @@ from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
 from prc_cli.jobs.choice import choice_by_request, choose, decided_by
 from prc_cli.jobs.classify import Counts, load_classifier
+from prc_cli.methods.run import run_blocks
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.live import LiveEvidence
 from prc_cli.streams.evidence.result import ResultWatch

@@ -106,22 +106,21 @@ def loops_folder(folder: Path, source: Path) -> Path:
     an upgrade it would read fields in the places where others were.
     """
     state = source.stat()  # as numba does
-    known = sha256(repr((_surroundings(), str(source), state.st_mtime_ns)).encode() + source.read_bytes())
+    files = [source, *(path for path in [source.with_name("thresholds.py")] if path.exists())]
+    read = b"".join(path.read_bytes() for path in files)
+    known = sha256(repr((_surroundings(), str(source), state.st_mtime_ns)).encode() + read)
     return folder / f"{source.parent.name}-{source.stem}-{known.hexdigest()[:16]}"
 
 
-SOURCES = ("thresholds", "classes.py", "types.py")
-"""What of ``core`` the loops use: their constants and types."""
+SOURCES = ("classes.py", "types.py")
+"""What of ``core`` the loops use."""
 
 
 @lru_cache(maxsize=1)
 def _surroundings() -> tuple[str, ...]:
     """Return what the compiled loops of all modules depend on."""
     core = Path(prc_cli.core.__path__[0])
-    files = [
-        Path(__file__),
-        *(file for name in SOURCES for file in sorted((core / name).glob("*.py")) or [core / name]),
-    ]
+    files = [Path(__file__), *(core / name for name in SOURCES)]
     features = llvmlite.binding.get_host_cpu_features().flatten()
     versions = (sys.version, numba.__version__, np.__version__, llvmlite.__version__)
     read = (sha256(file.read_bytes()).hexdigest() for file in files)

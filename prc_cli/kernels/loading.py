@@ -18,7 +18,6 @@ from prc_cli.core.interrupts import held
 from prc_cli.core.process import absent
 
 _TABLE = Path(__file__).with_name("__init__.pyi")
-_HOME = "prc_cli.kernels."
 _REFERENCE = "prc_cli.reference."
 
 
@@ -104,7 +103,7 @@ def reference_home(name: str) -> str:
     >>> reference_home("surface_image"), reference_home("dilate")
     ('prc_cli.reference.sequential_angle.coarse', 'prc_cli.reference.prc.stages')
     """
-    method, _, module = KERNELS[name].removeprefix(_HOME).partition(".")
+    method, module = short_name(KERNELS[name]).split(".")
     for home in (f"{_REFERENCE}{method}.{module}", f"{_REFERENCE}{method}.stages"):
         if find_spec(f"{_REFERENCE}{method}") and find_spec(home) and hasattr(import_module(home), name):
             return home
@@ -129,7 +128,16 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
             find_kernel(name)
 
 
+def short_name(home: str) -> str:
+    """Return the short name of a module of loops.
+
+    >>> short_name("prc_cli.methods.fused.votes_loops"), short_name("prc_cli.simulation.shots_loops")
+    ('fused.votes', 'simulation.shots')
+    """
+    return ".".join(home.removesuffix("_loops").split(".")[-2:])
+
+
 def _is_in(home: str, modules: frozenset[str]) -> bool:
-    """Whether a module, or one of its folders, is among the names."""
-    inside = home.removeprefix(_HOME)
-    return inside in modules or inside.partition(".")[0] in modules
+    """Whether a module, or its folder, is among short names."""
+    name = short_name(home)
+    return name in modules or name.partition(".")[0] in modules

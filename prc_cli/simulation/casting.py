@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from prc_cli import kernels
-from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64, I32, I64
+from prc_cli.simulation.thresholds import CastBodies
 from prc_cli.simulation.world import Bodies, Shape
 
 _QUANTILES: F64 = -np.log1p(-(np.arange(4096) + 0.5) / 4096)

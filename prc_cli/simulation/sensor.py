@@ -1,6 +1,6 @@
 """What a scanner makes of the surfaces its beams meet: ranges, labels, intensities and further returns.
 
-How it is thought (the loops are in :mod:`prc_cli.kernels.simulation.sensor`):
+How it is thought (the loops are in :mod:`sensor_loops`):
 
 - An echo has a power, ``reflectance * cos(incidence) / range²``. Half of the echoes are found at the power of a white
   wall at the scanner's half range; the odds grow with the fourth power, so dark, grazing and far surfaces drop out.
@@ -28,10 +28,10 @@ from typing import Protocol
 import numpy as np
 
 from prc_cli import kernels
-from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.simulation.hashing import hashed
 from prc_cli.simulation.scanners import Scanner
+from prc_cli.simulation.thresholds import SensorModel
 from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
 
 _GLASS, _LEAVED, _CURVED = 1, 2, 4

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.classifiers.fused.street_lines import BEAM, BUILDING, GROUND, street_lines
 from tests.cli.test_commands import Prc, prc
+from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, street_lines
 
 __all__ = ["prc"]
 

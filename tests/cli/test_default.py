@@ -16,8 +16,8 @@ from prc_cli import classify_ranges, load_config
 from prc_cli.config import RunConfig, from_layers, preset_table
 from prc_cli.core.errors import ConfigError, InputError
 from tests import patience
-from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
+from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.evidence.test_place import forest_lines
 
 M = len(BEAM)

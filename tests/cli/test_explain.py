@@ -16,8 +16,8 @@ from prc_cli.core.classes import Label
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.explain import Explanation, explain
 from prc_cli.simulation.settings import Kind
-from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 SHOTS = 6
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from prc_cli import classify_ranges, load_config
-from prc_cli.classifiers.fused.pipeline import FusedParams
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.fused.pipeline import FusedParams
 from tests import patience
-from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 M = len(BEAM)
 ANGLES = ("-M", str(M), "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2")

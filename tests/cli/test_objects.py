@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from prc_cli.jobs.objects.write import COLUMNS
-from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 
 @pytest.fixture

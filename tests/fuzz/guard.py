@@ -11,8 +11,8 @@ from types import CodeType
 from typing import Any
 
 import prc_cli
-from prc_cli.core.thresholds import fused as thresholds
 from prc_cli.kernels import compiling
+from prc_cli.methods.fused import thresholds
 
 FORBIDDEN = (
     "os.system",

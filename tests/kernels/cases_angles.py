@@ -8,8 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds.sequential_angle import ChordThresholds, MarkovModel, MarkovThresholds, SurfaceThresholds
 from prc_cli.core.types import F32, I32
+from prc_cli.methods.sequential_angle.thresholds import (
+    ChordThresholds,
+    MarkovModel,
+    MarkovThresholds,
+    SurfaceThresholds,
+)
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds.sequential_angle import (
+from prc_cli.core.types import F32, F64, I32, U8
+from prc_cli.methods.sequential_angle.thresholds import (
     DividerThresholds,
     FourierThresholds,
     LayerThresholds,
     WallThresholds,
 )
-from prc_cli.core.types import F32, F64, I32, U8
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64
+from prc_cli.simulation.thresholds import CastBodies
 
 N_QUANTILES = 64
 QUANTILES: F64 = -np.log1p(-(np.arange(N_QUANTILES) + 0.5) / N_QUANTILES)

@@ -9,8 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.classifiers.fused.confidence import MEASURES
-from prc_cli.core.thresholds.fused import (
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.methods.fused import (
+    ground_loops as fused_ground,
+)
+from prc_cli.methods.fused import (
+    neighbours_loops as fused_neighbours,
+)
+from prc_cli.methods.fused import (
+    strips_loops as fused_strips,
+)
+from prc_cli.methods.fused.confidence import MEASURES
+from prc_cli.methods.fused.thresholds import (
     AgainThresholds,
     ChordThresholds,
     CurbThresholds,
@@ -24,16 +34,6 @@ from prc_cli.core.thresholds.fused import (
     WalkThresholds,
     WallThresholds,
     typed,
-)
-from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.fused import (
-    ground as fused_ground,
-)
-from prc_cli.kernels.fused import (
-    neighbours as fused_neighbours,
-)
-from prc_cli.kernels.fused import (
-    strips as fused_strips,
 )
 
 AROUND, INNER, THIN = 4, 2, 20

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState
-from prc_cli.classifiers.sequential_angle.ground import GroundParams
-from prc_cli.core.thresholds.sequential_angle import GroundState
+from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState
+from prc_cli.methods.sequential_angle.ground import GroundParams
+from prc_cli.methods.sequential_angle.thresholds import GroundState
 from prc_cli.reference.sequential_angle import curb as oracle_curb
 from prc_cli.reference.sequential_angle.ground import histogram_of, potential_heights, to_bin
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F64, I32, U8
+from prc_cli.simulation.thresholds import SensorModel
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
 N_BODIES = 9

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds.fused import (
+from prc_cli.core.types import F32, F64
+from prc_cli.methods.fused import stems_loops as stems
+from prc_cli.methods.fused.thresholds import (
     ForestThresholds,
     RunThresholds,
     StemThresholds,
     TerrainThresholds,
     typed,
 )
-from prc_cli.core.types import F32, F64
-from prc_cli.kernels.fused import stems
 
 RUNS = typed(
     RunThresholds,

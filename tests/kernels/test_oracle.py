@@ -254,7 +254,7 @@ def test_components_of_a_comb_a_spiral_and_a_chessboard(shape: tuple[int, int]) 
 
 def test_reading_the_parameters_does_not_load_the_compiler() -> None:
     code = (
-        "import sys; import prc_cli.classifiers.prc.pipeline, prc_cli.classifiers.returns; "
+        "import sys; import prc_cli.methods.prc.pipeline, prc_cli.methods.returns; "
         "print([name for name in ('numba', 'scipy', 'skimage') if name in sys.modules])"
     )
     result = patience.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -13,14 +13,14 @@ import numpy as np
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.kernels import KERNELS
-from prc_cli.kernels.loading import reference_home
+from prc_cli.kernels.loading import reference_home, short_name
 
 
 def twin_module(name: str) -> ModuleType:
     """Return the module of a kernel's twin: in the reference where a paper describes it, else in ``tests/oracles``."""
     with suppress(ConfigError):
         return import_module(reference_home(name))
-    method, _, module = KERNELS[name].removeprefix("prc_cli.kernels.").partition(".")
+    method, module = short_name(KERNELS[name]).split(".")
     return import_module(f"tests.oracles.{module if find_spec(f'tests.oracles.{module}') else f'{method}_{module}'}")
 
 

@@ -1,4 +1,4 @@
-"""Slow and simple twins of :mod:`prc_cli.kernels.prc.calibration`."""
+"""Slow and simple twins of :mod:`prc_cli.methods.prc.calibration_loops`."""
 
 from __future__ import annotations
 

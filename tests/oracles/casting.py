@@ -1,4 +1,4 @@
-"""Slow twin of :mod:`prc_cli.kernels.simulation.casting`, from NumPy alone: every body against every shot."""
+"""Slow twin of :mod:`prc_cli.simulation.casting_loops`, from NumPy alone: every body against every shot."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64, I32, I64, Mask
+from prc_cli.simulation.thresholds import CastBodies
 
 U64: TypeAlias = NDArray[np.uint64]
 Surfaces: TypeAlias = tuple[F64, F64, F64, F64]
@@ -29,7 +29,7 @@ def cast_shots(
     order: I64,
     quantiles: F64,
 ) -> tuple[F64, I32, F64]:
-    """Find the nearest surface of every shot; see :func:`prc_cli.kernels.simulation.casting.cast_shots`."""
+    """Find the nearest surface of every shot; see :func:`prc_cli.simulation.casting_loops.cast_shots`."""
     shape, numbers, turn, density, velocity, number = bodies
     t = np.full(time_s.shape, INF)
     body = np.full(time_s.shape, -1, dtype=np.int32)

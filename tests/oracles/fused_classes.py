@@ -1,4 +1,4 @@
-"""Slow and simple twins of :mod:`prc_cli.kernels.fused.classes`: the conditions of the decision, one by one."""
+"""Slow and simple twins of :mod:`prc_cli.methods.fused.classes_loops`: the conditions of the decision, one by one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I64, U8, Mask
+from prc_cli.methods.fused.thresholds import DecisionThresholds
 
 MISSING, _, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR, POLE = 7, 11
@@ -288,7 +288,7 @@ def fused_labels(
     step: np.float32,
     thresholds: DecisionThresholds,
 ) -> U8:
-    """Label shots; see :func:`prc_cli.kernels.fused.classes.fused_labels`."""
+    """Label shots; see :func:`prc_cli.methods.fused.classes_loops.fused_labels`."""
     points = (*_points(window_m[MARGIN - 2 : 2 - MARGIN], beams), above_m)
     labels = np.full(texture.shape, MISSING, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(window_m[MARGIN:-MARGIN])), strict=True):

@@ -1,4 +1,4 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.fused.confidence`."""
+"""Slow and obvious twin of :mod:`prc_cli.methods.fused.confidence_loops`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def confidence_cells(
     questions: I64,
     limits: F32,
 ) -> I32:
-    """Find the steps that are reached; see :func:`prc_cli.kernels.fused.confidence.confidence_cells`."""
+    """Find the steps that are reached; see :func:`prc_cli.methods.fused.confidence_loops.confidence_cells`."""
     cells = np.zeros(labels.shape, np.int32)
     near, smooth, upright, level = counts
     for line, i in zip(*np.nonzero(labels), strict=True):

@@ -1,11 +1,11 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.fused.curbs`."""
+"""Slow and obvious twin of :mod:`prc_cli.methods.fused.curbs_loops`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.thresholds.fused import CurbThresholds
 from prc_cli.core.types import F32, U8, Mask
+from prc_cli.methods.fused.thresholds import CurbThresholds
 
 NO_SURFACE, GROUND, CURB = (0, 2), 3, 8
 
@@ -13,7 +13,7 @@ NO_SURFACE, GROUND, CURB = (0, 2), 3, 8
 def curb_labels(
     labels: U8, range_m: F32, above_m: F32, beams: tuple[F32, F32], step: np.float32, thresholds: CurbThresholds
 ) -> U8:
-    """Label curbs; see :func:`prc_cli.kernels.fused.curbs.curb_labels`."""
+    """Label curbs; see :func:`prc_cli.methods.fused.curbs_loops.curb_labels`."""
     found = labels.copy()
     side_m, height_m = range_m * beams[0], -(range_m * beams[1])
     low = (np.abs(above_m) < thresholds.most_m) & ~np.isin(labels, NO_SURFACE)

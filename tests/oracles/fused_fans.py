@@ -1,4 +1,4 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.fused.fans`."""
+"""Slow and obvious twin of :mod:`prc_cli.methods.fused.fans_loops`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from math import floor
 
 import numpy as np
 
-from prc_cli.core.thresholds.fused import FanThresholds
 from prc_cli.core.types import F32, I32, U8
+from prc_cli.methods.fused.thresholds import FanThresholds
 
 LINES, BINS, BIN = 12, 200, np.float32(0.25)
 REACH, JUMP = np.float32(0.5), np.float32(1.0)
@@ -29,7 +29,7 @@ def fan_cars(
     n_own: int,
     thresholds: FanThresholds,
 ) -> tuple[U8, U8]:
-    """Label cars in fans; see :func:`prc_cli.kernels.fused.fans.fan_cars`."""
+    """Label cars in fans; see :func:`prc_cli.methods.fused.fans_loops.fan_cars`."""
     found = labels.copy()
     runs = [
         (line, way, run)

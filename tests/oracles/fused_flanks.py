@@ -1,4 +1,4 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.fused.flanks`."""
+"""Slow and obvious twin of :mod:`prc_cli.methods.fused.flanks_loops`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds.fused import FlankThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.methods.fused.thresholds import FlankThresholds
 from tests.oracles.fused_strips import sum_around
 
 Slots = NDArray[np.uint64]
@@ -25,7 +25,7 @@ def find_flanks(
     levels: U8,
     thresholds: FlankThresholds,
 ) -> tuple[U8, U8]:
-    """Find flanks of vehicles; see :func:`prc_cli.kernels.fused.flanks.find_flanks`."""
+    """Find flanks of vehicles; see :func:`prc_cli.methods.fused.flanks_loops.find_flanks`."""
     flanks, found = np.zeros((len(levels), N), np.uint8), levels.copy()
     side_m = range_m * beams[0]
     is_ground = (np.abs(above_m) < thresholds.soil_m) & (upright < 2)

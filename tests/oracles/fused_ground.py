@@ -1,4 +1,4 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.fused.ground`."""
+"""Slow and obvious twin of :mod:`prc_cli.methods.fused.ground_loops`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from prc_cli.core.thresholds.fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.methods.fused.thresholds import WalkThresholds
 
 QUARTER, HALF, BINS = np.float32(0.25), np.float32(0.5), 320
 TENTH, LOST_LINES, START_FOLLOW = np.float32(0.1), 32, np.float32(0.005)
@@ -25,7 +25,7 @@ def walk_ground(
     keep: int,
     thresholds: WalkThresholds,
 ) -> tuple[F32, Mask, Memory, float, int]:
-    """Find the ground; see :func:`prc_cli.kernels.fused.ground.walk_ground`."""
+    """Find the ground; see :func:`prc_cli.methods.fused.ground_loops.walk_ground`."""
     side_m, height_m = range_m * beams[0], -(range_m * beams[1])
     above, walked = np.full(side_m.shape, np.nan, np.float32), np.zeros(side_m.shape, np.bool_)
     heights, ages, shots, sums = (each.copy() for each in memory)

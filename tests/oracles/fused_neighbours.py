@@ -1,4 +1,4 @@
-"""Slow and obvious twins of :mod:`prc_cli.kernels.fused.neighbours`: one shot after the other, in float32."""
+"""Slow and obvious twins of :mod:`prc_cli.methods.fused.neighbours_loops`: one shot after the other, in float32."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from prc_cli.core.thresholds.fused import ChordThresholds, NearThresholds, SmoothThresholds
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, SmoothThresholds
 
 PAIRS_IN_LINE = ((-1, 1), (-2, 2), (-2, -1), (1, 2), (-1, 2), (-2, 1))
 PAIRS_ACROSS = (((-1, 0), (1, 0)), ((-1, 1), (1, -1)), ((-1, -1), (1, 1)), ((-2, 0), (2, 0)))
@@ -15,7 +15,7 @@ PAIRS_ACROSS = (((-1, 0), (1, 0)), ((-1, 1), (1, -1)), ((-1, -1), (1, 1)), ((-2,
 
 
 def plane_points(range_m: F32, sine: F32, cosine: F32) -> tuple[F32, F32]:
-    """Turn ranges into points; see :func:`prc_cli.kernels.fused.neighbours.plane_points`."""
+    """Turn ranges into points; see :func:`prc_cli.methods.fused.neighbours_loops.plane_points`."""
     return range_m * sine[None, :], -(range_m * cosine[None, :])
 
 
@@ -25,7 +25,7 @@ def _with_margins(points: tuple[F32, F32]) -> tuple[F32, F32]:
 
 
 def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
-    """Count near neighbours; see :func:`prc_cli.kernels.fused.neighbours.near_counts`."""
+    """Count near neighbours; see :func:`prc_cli.methods.fused.neighbours_loops.near_counts`."""
     limits = thresholds
     side_m, height_m = _with_margins(plane_points(range_m, sine, cosine))
     around = [(a, b) for a, b in product(range(-2, 3), range(-4, 5)) if (a, b) != (0, 0) and (a == 0 or abs(b) <= 2)]
@@ -46,7 +46,7 @@ def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, threshol
 
 
 def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
-    """Count smooth pairs; see :func:`prc_cli.kernels.fused.neighbours.smooth_counts`."""
+    """Count smooth pairs; see :func:`prc_cli.methods.fused.neighbours_loops.smooth_counts`."""
     points = np.stack(_with_margins(plane_points(range_m, sine, cosine)), axis=-1)
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
@@ -73,7 +73,7 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
 def directions(
     range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
 ) -> tuple[U8, U8]:
-    """Count upright and level chords; see :func:`prc_cli.kernels.fused.neighbours.directions`."""
+    """Count upright and level chords; see :func:`prc_cli.methods.fused.neighbours_loops.directions`."""
     slope, slack, longest = thresholds.slope, thresholds.slack_m, thresholds.longest_m
     side_m, height_m = plane_points(range_m, sine, cosine)
     m = range_m.shape[1]

@@ -1,4 +1,4 @@
-"""Slow and simple twin of :mod:`prc_cli.kernels.fused.noise`: every shot by itself."""
+"""Slow and simple twin of :mod:`prc_cli.methods.fused.noise_loops`: every shot by itself."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli.core.thresholds.fused import AgainThresholds, NearThresholds
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.thresholds import AgainThresholds, NearThresholds
 
 MISSING, NOISE, GROUND, BUILDING = 0, 2, 3, 4
 
@@ -123,7 +123,7 @@ def noise_again(
     limits: NearThresholds,
     thresholds: AgainThresholds,
 ) -> U8:
-    """Ask again which shots are noise; see :func:`prc_cli.kernels.fused.noise.noise_again`."""
+    """Ask again which shots are noise; see :func:`prc_cli.methods.fused.noise_loops.noise_again`."""
     found = voted.copy()
     for line, i in zip(*np.nonzero(voted != MISSING), strict=True):
         shot = _Window(labels, range_m, counts[1], beams, int(line) + 3, int(i))

@@ -1,12 +1,12 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.fused.spacing`."""
+"""Slow and obvious twin of :mod:`prc_cli.methods.fused.spacing_loops`."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds.fused import SpacingThresholds
 from prc_cli.core.types import F32
+from prc_cli.methods.fused.thresholds import SpacingThresholds
 
 LAGS = (1, 2, 4, 8, 16)
 
@@ -24,7 +24,7 @@ def _sticks_out(ranges: F32, column: int, thresholds: SpacingThresholds) -> bool
 
 
 def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
-    """Count repeated leaves; see :func:`prc_cli.kernels.fused.spacing.leaf_repeats`."""
+    """Count repeated leaves; see :func:`prc_cli.methods.fused.spacing_loops.leaf_repeats`."""
     n_lines, m = range_m.shape[0] - 16, range_m.shape[1]
     counts = np.zeros((n_lines, len(LAGS) + 1, 2), np.int32)
     for line in range(first, n_lines, 4):

@@ -1,4 +1,4 @@
-"""Slow and obvious twins of :mod:`prc_cli.kernels.fused.strips`."""
+"""Slow and obvious twins of :mod:`prc_cli.methods.fused.strips_loops`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds.fused import StripThresholds, WallThresholds
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.thresholds import StripThresholds, WallThresholds
 
 N, WIDTH, HALF_WIDTH, SLOT = 320, np.float32(0.5), np.float32(0.25), np.float32(0.25)
 NOTHING = np.float32(-1e9)
@@ -24,7 +24,7 @@ def fill_strips(
     step: np.float32,
     thresholds: StripThresholds,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
-    """Sort shots into strips; see :func:`prc_cli.kernels.fused.strips.fill_strips`."""
+    """Sort shots into strips; see :func:`prc_cli.methods.fused.strips_loops.fill_strips`."""
     ranges, above = range_m, above_m
     side, height = ranges * beams[0], -(ranges * beams[1])
     near, smooth, upright, level = counts
@@ -57,7 +57,7 @@ def fill_strips(
 
 
 def widen_slots(slots: Slots) -> Slots:
-    """Widen slots; see :func:`prc_cli.kernels.fused.strips.widen_slots`."""
+    """Widen slots; see :func:`prc_cli.methods.fused.strips_loops.widen_slots`."""
     padded = np.pad(slots, ((0, 0), (1, 1)))
     n_lines = len(slots) - 4
     wide = np.zeros((n_lines, N), np.uint64)
@@ -68,12 +68,12 @@ def widen_slots(slots: Slots) -> Slots:
 
 
 def widen_levels(levels: U8) -> U8:
-    """Widen level surfaces; see :func:`prc_cli.kernels.fused.strips.widen_levels`."""
+    """Widen level surfaces; see :func:`prc_cli.methods.fused.strips_loops.widen_levels`."""
     return np.stack([levels[k : k + 5].max(axis=0) for k in range(len(levels) - 4)])
 
 
 def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
-    """Find walls; see :func:`prc_cli.kernels.fused.strips.find_walls`."""
+    """Find walls; see :func:`prc_cli.methods.fused.strips_loops.find_walls`."""
     n_lines = len(sums[0]) - 4
     at, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
     for line in range(n_lines):

@@ -1,4 +1,4 @@
-"""Slow and simple twin of :mod:`prc_cli.kernels.fused.texture`."""
+"""Slow and simple twin of :mod:`prc_cli.methods.fused.texture_loops`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def mean_smoothness(
     half_m: np.float32,
     limits: tuple[np.float32, np.float32, np.float32],
 ) -> F32:
-    """Average smoothness; see :func:`prc_cli.kernels.fused.texture.mean_smoothness`."""
+    """Average smoothness; see :func:`prc_cli.methods.fused.texture_loops.mean_smoothness`."""
     rough, depth_m, least_pairs = limits
     mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
     pairs = np.minimum(smooth, 8).astype(int)

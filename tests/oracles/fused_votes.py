@@ -1,4 +1,4 @@
-"""Slow and simple twin of :mod:`prc_cli.kernels.fused.votes`."""
+"""Slow and simple twin of :mod:`prc_cli.methods.fused.votes_loops`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
 def vote_labels(
     labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
 ) -> U8:
-    """Let the shots around vote; see :func:`prc_cli.kernels.fused.votes.vote_labels`."""
+    """Let the shots around vote; see :func:`prc_cli.methods.fused.votes_loops.vote_labels`."""
     voted = labels[1:-1].copy()
     m = labels.shape[1]
     for row, i in zip(*np.nonzero((voted != MISSING) & (voted != NOISE) & (voted != GROUND)), strict=True):

@@ -1,4 +1,4 @@
-"""Slow and obvious twins of :mod:`prc_cli.kernels.simulation.sensor`, shot by shot."""
+"""Slow and obvious twins of :mod:`prc_cli.simulation.sensor_loops`, shot by shot."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from math import floor, isnan, nan, sqrt
 
 import numpy as np
 
-from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.simulation.thresholds import SensorModel
 
 _PURPOSES = ("noise", "loss", "stray", "place", "glass", "leaves", "edge", "echo", "sky")
 _WORD = 2**64 - 1
@@ -89,7 +89,7 @@ def _looks_behind(own: _Surface, dice: _Dice, column: int, model: SensorModel) -
 
 
 def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
-    """Mark the shots whose light goes on; see :func:`prc_cli.kernels.simulation.sensor.goes_behind`."""
+    """Mark the shots whose light goes on; see :func:`prc_cli.simulation.sensor_loops.goes_behind`."""
     behind = np.zeros(hits[0].shape, dtype=bool)
     blank = np.zeros((len(kind), 2))
     for i in range(len(behind)):
@@ -255,7 +255,7 @@ def sense(
     first_line: int,
     seed: int,
 ) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
-    """Compute what the scanner measures; see :func:`prc_cli.kernels.simulation.sensor.sense`."""
+    """Compute what the scanner measures; see :func:`prc_cli.simulation.sensor_loops.sense`."""
     n_lines, m = hits[0].shape
     first: list[_Echo] = []
     further: list[tuple[int, int, _Echo]] = []

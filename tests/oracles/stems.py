@@ -1,4 +1,4 @@
-"""Slow and obvious twins of :mod:`prc_cli.kernels.fused.stems`, from NumPy and SciPy alone."""
+"""Slow and obvious twins of :mod:`prc_cli.methods.fused.stems_loops`, from NumPy and SciPy alone."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from prc_cli.core.thresholds.fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 
 
 def ground_profiles(
     range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, thresholds: TerrainThresholds
 ) -> F64:
-    """Find the height of the ground; see :func:`prc_cli.kernels.fused.stems.ground_profiles`."""
+    """Find the height of the ground; see :func:`prc_cli.methods.fused.stems_loops.ground_profiles`."""
     bin_m = thresholds.bin_m
     profiles = []
     for start in range(0, len(range_m), lines_together):
@@ -58,7 +58,7 @@ def _bridged(third: F64, rise: float) -> F64:
 
 
 def ground_heights(range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float) -> F32:
-    """Return heights over the ground; see :func:`prc_cli.kernels.fused.stems.ground_heights`."""
+    """Return heights over the ground; see :func:`prc_cli.methods.fused.stems_loops.ground_heights`."""
     n_bins = profiles.shape[1]
     r = range_m.astype(np.float64)
     place = np.clip(r * sine * (1.0 / bin_m) + n_bins // 2 - 0.5, 0.0, n_bins - 1.0)
@@ -82,7 +82,7 @@ class _Run:
 
 
 def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
-    """Find upright runs; see :func:`prc_cli.kernels.fused.stems.upright_runs`."""
+    """Find upright runs; see :func:`prc_cli.methods.fused.stems_loops.upright_runs`."""
     runs = np.zeros(range_m.shape, np.int32)
     table = [(0.0, 0.0, 0.0, 0.0)]
     for line, row in enumerate(runs):
@@ -128,7 +128,7 @@ def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, thresholds:
 
 
 def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
-    """Mark the shots of stems; see :func:`prc_cli.kernels.fused.stems.stem_shots`."""
+    """Mark the shots of stems; see :func:`prc_cli.methods.fused.stems_loops.stem_shots`."""
     r = range_m.astype(np.float64)
     close = np.abs(r[1:] - r[:-1]) < thresholds.near_m + thresholds.near_share * r[1:]
     linked = close & (runs[1:] > 0) & (runs[:-1] > 0)
@@ -156,7 +156,7 @@ def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) 
 
 
 def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
-    """Label a block of forest; see :func:`prc_cli.kernels.fused.stems.forest_labels`."""
+    """Label a block of forest; see :func:`prc_cli.methods.fused.stems_loops.forest_labels`."""
     top = thresholds.top_m
     r, height = range_m.astype(np.float64), height_m.astype(np.float64)
     steps = np.abs(np.diff(height, axis=1)) < thresholds.flat_m

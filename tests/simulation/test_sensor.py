@@ -347,7 +347,7 @@ def test_no_lines_and_no_bodies_give_nothing() -> None:
 
 
 def test_kernel_reads_the_labels_that_are_meant() -> None:
-    from prc_cli.kernels.simulation import sensor as loops
+    from prc_cli.simulation import sensor_loops as loops
 
     assert (loops.LABEL_MISSING, loops.LABEL_NOISE) == (Label.MISSING, Label.NOISE)
     assert callable(kernels.sense)

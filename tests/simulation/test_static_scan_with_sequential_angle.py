@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.types import F32, U8
@@ -13,6 +12,7 @@ from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import ClassScores, scores
 from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.sequential_angle.pipeline import SequentialAngleParams
 from tests.simulated import HEIGHT_M, static_scan
 
 

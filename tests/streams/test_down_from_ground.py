@@ -18,7 +18,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify, classify_ranges, open_stream
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.down import guess_down, middle_of_lines
-from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 
 def off_deg(found: float, true: float = 0.0) -> float:

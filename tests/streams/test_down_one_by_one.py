@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.down import DownGuess, guess_down, spread_rows
-from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 TURN = 2 * math.pi
 

@@ -16,7 +16,7 @@ from prc_cli.streams.down import wrap
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.sample import LineSample, Window
 from prc_cli.streams.evidence.seen import Seen
-from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 STREET = street_lines(200)[0]
 

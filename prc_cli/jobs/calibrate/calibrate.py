@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.classifiers.prc.surfaces import area_threshold
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.blocks import regroup
 from prc_cli.core.brief import Brief
@@ -42,6 +41,7 @@ from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Progress, open_stream
 from prc_cli.jobs.progress import advance
+from prc_cli.methods.prc.surfaces import area_threshold
 from prc_cli.streams.evidence.watch import watched
 
 SHOTS_AT_ONCE = 1 << 18

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from prc_cli import kernels
-from prc_cli.classifiers.prc.pipeline import PrcParams
-from prc_cli.classifiers.prc.support import required_counts, stream_window, tail_after, window_reach
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64
+from prc_cli.methods.prc.pipeline import PrcParams
+from prc_cli.methods.prc.support import required_counts, stream_window, tail_after, window_reach
 
 DECADES = (-3, 2)
 """Range of the threshold sweep, as powers of ten [m] (Fig. 4)."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from prc_cli.classifiers.prc.background import BackgroundParams
-from prc_cli.classifiers.prc.pipeline import PrcParams
-from prc_cli.classifiers.prc.surfaces import PUBLISHED_AREA, PUBLISHED_BLOCK
 from prc_cli.core.types import F64
 from prc_cli.jobs.calibrate.curves import Curves
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
+from prc_cli.methods.prc.background import BackgroundParams
+from prc_cli.methods.prc.pipeline import PrcParams
+from prc_cli.methods.prc.surfaces import PUBLISHED_AREA, PUBLISHED_BLOCK
 
 D_C_SIGMAS = 17.0
 """d_c in standard deviations of the noise: the deviation in eq. 9 on a flat has 1.22 of them, 0.2 d_c should be 2.8

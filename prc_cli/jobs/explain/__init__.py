@@ -14,12 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Turn, Wanted
-from prc_cli.classifiers.fused.heights import Overhearing
-from prc_cli.classifiers.fused.pipeline import FusedParams
-from prc_cli.classifiers.prc.pipeline import PrcParams
-from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
-from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
@@ -34,6 +28,12 @@ from prc_cli.jobs.explain.fused import fused_answers
 from prc_cli.jobs.explain.prc import prc_answers
 from prc_cli.jobs.explain.sequential_angle import sequential_angle_answers
 from prc_cli.jobs.progress import advance
+from prc_cli.methods.base import Classifier, MethodParams, Needs, Turn, Wanted
+from prc_cli.methods.fused.heights import Overhearing
+from prc_cli.methods.fused.pipeline import FusedParams
+from prc_cli.methods.prc.pipeline import PrcParams
+from prc_cli.methods.run import SHOTS_AT_ONCE, run_blocks
+from prc_cli.methods.sequential_angle.pipeline import SequentialAngleParams
 
 
 @dataclass(frozen=True, slots=True)

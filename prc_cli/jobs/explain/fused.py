@@ -8,11 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.classifiers.fused.classes import PoleParams, decide, vote
-from prc_cli.classifiers.fused.ground import Ground
-from prc_cli.classifiers.fused.neighbours import Neighbours
-from prc_cli.classifiers.fused.noise import again_limits, ask_again
-from prc_cli.classifiers.fused.pipeline import (
+from prc_cli.core.classes import Label
+from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.types import F32
+from prc_cli.jobs.explain.answers import Answer, metres
+from prc_cli.methods.fused.classes import PoleParams, decide, vote
+from prc_cli.methods.fused.ground import Ground
+from prc_cli.methods.fused.neighbours import Neighbours
+from prc_cli.methods.fused.noise import again_limits, ask_again
+from prc_cli.methods.fused.pipeline import (
     MEMORY,
     NOISE,
     NOISE_ALONG,
@@ -30,22 +34,18 @@ from prc_cli.classifiers.fused.pipeline import (
     thresholds_of,
     window_of,
 )
-from prc_cli.classifiers.fused.plane import INNER_LINES, WIDE_LINES, points_of
-from prc_cli.classifiers.fused.profiles import are_wanted
-from prc_cli.classifiers.fused.spacing import BESIDE_LINES, SPACED_LINES
-from prc_cli.classifiers.fused.stems import find_stems
-from prc_cli.classifiers.fused.strips import Standing
-from prc_cli.classifiers.fused.terrain import heights_over_ground
-from prc_cli.core.classes import Label
-from prc_cli.core.stream import LabelledBlock, ScanBlock
-from prc_cli.core.types import F32
-from prc_cli.jobs.explain.answers import Answer, metres
+from prc_cli.methods.fused.plane import INNER_LINES, WIDE_LINES, points_of
+from prc_cli.methods.fused.profiles import are_wanted
+from prc_cli.methods.fused.spacing import BESIDE_LINES, SPACED_LINES
+from prc_cli.methods.fused.stems import find_stems
+from prc_cli.methods.fused.strips import Standing
+from prc_cli.methods.fused.terrain import heights_over_ground
 
 MOST_SMOOTH, MOST_NEAR, MOST_CHORDS = 10, 28, 3
 STRIPS, STRIP_M = 320, 0.5
-"""As in :mod:`prc_cli.kernels.fused.strips`."""
+"""As in :mod:`strips_loops`."""
 SPIKE_M, SPIKE_COLUMNS, SPIKE_PAIRS, BELOW_SMOOTH = 0.1, 6, 8, 3
-"""As in :mod:`prc_cli.kernels.fused.classes`."""
+"""As in :mod:`classes_loops`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +218,7 @@ def _around(place: _Place, params: FusedParams) -> Iterator[Answer]:
 
 
 def _reason(place: _Place, label: Label, params: FusedParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
-    """Return the first test that gives the label, in the order of :func:`~prc_cli.classifiers.fused.classes.decide`."""
+    """Return the first test that gives the label, in the order of :func:`~prc_cli.methods.fused.classes.decide`."""
     ground, noise, leaves, cars, poles = params.ground, params.noise, params.leaves, params.cars, params.poles
     if label == Label.NOISE:
         return _why_noise(place, params)

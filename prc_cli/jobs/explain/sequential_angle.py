@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from prc_cli.classifiers.base import beams_of
-from prc_cli.classifiers.sequential_angle.lines import to_columns
-from prc_cli.classifiers.sequential_angle.pipeline import Beams, SequentialAngleParams, within_lines
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.config import Params
 from prc_cli.core.stream import LabelledBlock, cut
 from prc_cli.jobs.explain.answers import Answer, metres
+from prc_cli.methods.base import beams_of
+from prc_cli.methods.sequential_angle.lines import to_columns
+from prc_cli.methods.sequential_angle.pipeline import Beams, SequentialAngleParams, within_lines
 
 _SO = {
     Label.GROUND: "horizontal and at the height of the ground: ground",

@@ -10,8 +10,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.classifiers.base import OneByOne
-from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
 from prc_cli.config import LoadedConfig
 from prc_cli.core.blocks import regroup
 from prc_cli.core.classes import LABEL_OF_SURFACE, Label
@@ -22,6 +20,8 @@ from prc_cli.imaging.stages import trigger_codes
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render.options import PRC_STEPS
 from prc_cli.jobs.render.stages import interval_codes, test_codes
+from prc_cli.methods.base import OneByOne
+from prc_cli.methods.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
 from prc_cli.streams.beams import with_beams
 
 Plane: TypeAlias = NDArray[Any]

@@ -1,6 +1,6 @@
 """The steps of PRC with NumPy, SciPy and scikit-image, in the order of Lehtola et al. (2019), section II.
 
-Names, arguments and results are those of the compiled loops in :mod:`prc_cli.kernels.prc`; no code is shared.
+Names, arguments and results are those of the compiled loops in :mod:`prc_cli.methods.prc`; no code is shared.
 The whole method is in :mod:`prc_cli.reference.prc.method`.
 """
 
@@ -35,7 +35,7 @@ def _inside(window: F32, image: Mask) -> F32:
 def support_mask(
     window: F32, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
 ) -> Mask:
-    """Mark shots that enough neighbours support (4 to 8); see :func:`prc_cli.kernels.prc.support.support_mask`."""
+    """Mark shots that enough neighbours support (4 to 8); see :func:`support_loops.support_mask`."""
     m = n_columns
     shot = np.arange(n_lines * m) + max(m + 1, 4)
     ranges = window[shot]
@@ -55,7 +55,7 @@ def support_mask(
 
 
 def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: float) -> Mask:
-    """Mark shots where surfaces meet (9); see :func:`prc_cli.kernels.prc.support.background_mask`."""
+    """Mark shots where surfaces meet (9); see :func:`support_loops.background_mask`."""
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
     mask = np.zeros((n_lines, n_columns), dtype=bool)
@@ -91,7 +91,7 @@ def is_intersection(before: float, here: float, after: float, form: str, alpha: 
 
 
 def label_components(image: Mask) -> tuple[I32, int]:
-    """Find 4-connected components; see :func:`prc_cli.kernels.prc.components.label_components`."""
+    """Find 4-connected components; see :func:`components_loops.label_components`."""
     label: Callable[..., I32] = measure.label
     labels = label(image, connectivity=1)
     found, first_pixel = np.unique(labels, return_index=True)
@@ -116,14 +116,14 @@ def fill_holes(components: I32, holes: Mask) -> I32:
 
 
 def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
-    """Connect and fill; see :func:`prc_cli.kernels.prc.components.join_and_fill`."""
+    """Connect and fill; see :func:`components_loops.join_and_fill`."""
     joined, n_components = label_components(np.logical_and(supported, ~background))
     filled = fill_holes(joined, background)
     return filled, np.array([0, *(np.sum(filled == c) for c in range(1, n_components + 1))], dtype=np.int64)
 
 
 def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
-    """Carry labels over to the next block (II-D.2); see :func:`prc_cli.kernels.prc.components.carry_labels`."""
+    """Carry labels over to the next block (II-D.2); see :func:`components_loops.carry_labels`."""
     votes = Counter(zip(first_line.tolist(), last_line.tolist(), strict=True))
     labels = [0] * (n_components + 1)
     for c in range(1, n_components + 1):
@@ -136,7 +136,7 @@ def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: 
 
 
 def dilate(image: Mask, iterations: int) -> Mask:
-    """Dilate with the cross; see :func:`prc_cli.kernels.prc.surfaces.dilate`."""
+    """Dilate with the cross; see :func:`surfaces_loops.dilate`."""
     if iterations == 0:  # SciPy takes 0 as "until nothing changes"
         return image.copy()
     grown: Mask = ndimage.binary_dilation(image, structure=CROSS, iterations=iterations)
@@ -147,19 +147,19 @@ def dilate(image: Mask, iterations: int) -> Mask:
 
 
 def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
-    """Mark shots of some components; see :func:`prc_cli.kernels.prc.surfaces.select_components`."""
+    """Mark shots of some components; see :func:`surfaces_loops.select_components`."""
     selected: Mask = np.logical_and(np.take(wanted, components), supported)
     return selected
 
 
 def count_covered(supported: Mask, covered: Mask, components: I32, n_components: int) -> I64:
-    """Count shots under an image; see :func:`prc_cli.kernels.prc.surfaces.count_covered`."""
+    """Count shots under an image; see :func:`surfaces_loops.count_covered`."""
     under = components[np.logical_and(supported, covered)]
     return np.bincount(under, minlength=n_components + 1).astype(np.int64)
 
 
 def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
-    """Draw labels by component; see :func:`prc_cli.kernels.prc.surfaces.draw_components`."""
+    """Draw labels by component; see :func:`surfaces_loops.draw_components`."""
     labels = np.where(covered, others[2], np.take(label_of, components))
     labels[~supported] = others[1]
     labels[~supported & np.isnan(_inside(window, supported))] = others[0]
@@ -167,7 +167,7 @@ def draw_components(window: F32, supported: Mask, covered: Mask, components: I32
 
 
 def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8) -> U8:
-    """Draw labels by cover and column; see :func:`prc_cli.kernels.prc.surfaces.draw_columns`."""
+    """Draw labels by cover and column; see :func:`surfaces_loops.draw_columns`."""
     missing, noise, marked, cover, free = labels_of
     labels = np.full(supported.shape, noise)
     if noise_too:

@@ -8,7 +8,7 @@ from prc_cli.core.types import F32
 
 
 def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
-    """Make ranges out of bounds missing; see :func:`prc_cli.kernels.prc.support.clean_ranges`."""
+    """Make ranges out of bounds missing; see :func:`support_loops.clean_ranges`."""
     kept = (ranges > low) & (ranges <= high)
     lost = ranges[~kept & ~np.isnan(ranges)]
     infinite, finite = np.isinf(lost), lost[np.isfinite(lost)]

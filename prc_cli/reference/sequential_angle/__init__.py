@@ -12,6 +12,6 @@
 ``labels``              sec. 7 and 8: the class of every point
 ======================  ===================================================================
 
-Thresholds and states have the names of :mod:`prc_cli.core.thresholds.sequential_angle`. Where the text is silent the
-readings are those of the stage of the same name in :mod:`prc_cli.classifiers.sequential_angle`.
+Thresholds and states have the names of :mod:`prc_cli.methods.sequential_angle.thresholds`. Where the text is silent the
+readings are those of the stage of the same name in :mod:`prc_cli.methods.sequential_angle`.
 """

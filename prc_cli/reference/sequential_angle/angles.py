@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.thresholds.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, F64, I32, U8
+from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 
 
 def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
-    """Measure signed angles, sV; see :func:`prc_cli.kernels.sequential_angle.angles.signed_angles`.
+    """Measure signed angles, sV; see :func:`angles_loops.signed_angles`.
 
     The angle of a shot's chord with the vertical, negative where the chord turns back on the one before.
     """
@@ -47,7 +47,7 @@ def first_far(points: F64, ranges: F64, here: int, others: list[int], thresholds
 
 
 def angle_differences(signed_deg: F32) -> F32:
-    """Subtract successive angles; see :func:`prc_cli.kernels.sequential_angle.angles.angle_differences`."""
+    """Subtract successive angles; see :func:`angles_loops.angle_differences`."""
     differences = np.full_like(signed_deg, np.nan)
     for row, angles in enumerate(signed_deg):
         there = np.flatnonzero(~np.isnan(angles))
@@ -56,7 +56,7 @@ def angle_differences(signed_deg: F32) -> F32:
 
 
 def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
-    """Measure line angles; see :func:`prc_cli.kernels.sequential_angle.angles.line_angles`."""
+    """Measure line angles; see :func:`angles_loops.line_angles`."""
     found = np.full(range_m.shape, np.nan, np.float32)
     for row, k in zip(*np.nonzero((surface == Surface.HORIZONTAL) & (ahead >= 0)), strict=True):
         side = beam_rad[row % len(beam_rad)]

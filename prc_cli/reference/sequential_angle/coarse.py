@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.thresholds.sequential_angle import LayerThresholds, SurfaceThresholds, WallThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.methods.sequential_angle.thresholds import LayerThresholds, SurfaceThresholds, WallThresholds
 
 
 def surface_image(signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds) -> U8:
-    """Label surfaces; see :func:`prc_cli.kernels.sequential_angle.coarse.surface_image`."""
+    """Label surfaces; see :func:`coarse_loops.surface_image`."""
     image = np.full(signed_deg.shape, Surface.MISSING, np.uint8)
     for row, line in enumerate(signed_deg):
         beams = [k for k in range(n_beams[row]) if not np.isnan(line[k])]
@@ -60,7 +60,7 @@ def runs(beams: list[int], vegetation: Mask) -> list[list[int]]:
 
 
 def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: LayerThresholds) -> U8:
-    """Find facades behind glass; see :func:`prc_cli.kernels.sequential_angle.coarse.upright_layers`."""
+    """Find facades behind glass; see :func:`coarse_loops.upright_layers`."""
     image = surface.copy()
     for row, codes in enumerate(surface):
         returns = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]
@@ -87,7 +87,7 @@ def fullest(distances: F64, width_m: float) -> tuple[int, int]:
 
 
 def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WallThresholds) -> U8:
-    """Find walls among leaves; see :func:`prc_cli.kernels.sequential_angle.coarse.behind_walls`."""
+    """Find walls among leaves; see :func:`coarse_loops.behind_walls`."""
     image = surface.copy()
     for row, codes in enumerate(surface):
         beams = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]

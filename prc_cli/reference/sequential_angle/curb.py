@@ -13,8 +13,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.thresholds.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
 
 MISSING, VERTICAL = int(Surface.MISSING), int(Surface.VERTICAL)
 
@@ -22,7 +22,7 @@ MISSING, VERTICAL = int(Surface.MISSING), int(Surface.VERTICAL)
 def possible_curbs(
     surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
 ) -> tuple[Mask, I32]:
-    """Find possible curb points; see :func:`prc_cli.kernels.sequential_angle.curb.possible_curbs`."""
+    """Find possible curb points; see :func:`curb_loops.possible_curbs`."""
     beam = np.full(len(surface), -1, dtype=np.int32)
     for row in range(len(surface)):
         on_ground = np.flatnonzero(ground[row])
@@ -159,7 +159,7 @@ def connect_verticals(
     thresholds: CurbThresholds,
     last: bool,
 ) -> tuple[Mask, OpenRegions]:
-    """Connect vertical points; see :func:`prc_cli.kernels.sequential_angle.curb.connect_verticals`."""
+    """Connect vertical points; see :func:`curb_loops.connect_verticals`."""
     growing = Growing(n_sides, regions, thresholds)
     n = surface.shape[1]
     n_before, n_new = len(regions.labels) // n_sides, len(surface) // n_sides

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import ndimage
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.thresholds.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.methods.sequential_angle.thresholds import DividerThresholds
 
 H, V, T = int(Surface.HORIZONTAL), int(Surface.VERTICAL), int(Surface.VEGETATION)
 """Surface codes."""
@@ -88,7 +88,7 @@ def car_intervals(
     ground_m: F32,
     thresholds: DividerThresholds,
 ) -> I32:
-    """Cut triggered rows into intervals; see :func:`prc_cli.kernels.sequential_angle.dividers.car_intervals`."""
+    """Cut triggered rows into intervals; see :func:`dividers_loops.car_intervals`."""
     found: list[tuple[int, int, int]] = []
     for row in range(len(n_beams)):
         if not triggered[row] or np.isnan(ground_m[row]):
@@ -254,7 +254,7 @@ def cut_verticals(
     ground_m: F32,
     thresholds: DividerThresholds,
 ) -> I32:
-    """Take vertical runs out; see :func:`prc_cli.kernels.sequential_angle.dividers.cut_verticals`."""
+    """Take vertical runs out; see :func:`dividers_loops.cut_verticals`."""
     left: list[tuple[int, int, int]] = []
     for row, first, last in intervals.tolist():
         beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
@@ -305,7 +305,7 @@ def reliefs(
 
 
 def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:
-    """Mark intervals without much foliage; see :func:`prc_cli.kernels.sequential_angle.dividers.firm_intervals`."""
+    """Mark intervals without much foliage; see :func:`dividers_loops.firm_intervals`."""
     firm = []
     for row, first, last in intervals.tolist():
         codes = surface[row, first : last + 1]

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from prc_cli.core.thresholds.sequential_angle import FourierThresholds
 from prc_cli.core.types import F32, F64, I32, Mask
+from prc_cli.methods.sequential_angle.thresholds import FourierThresholds
 
 
 def high_frequencies(angles: F64, band: float, ratio: float) -> list[int]:
@@ -19,7 +19,7 @@ def high_frequencies(angles: F64, band: float, ratio: float) -> list[int]:
 
 
 def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
-    """Mark intervals with an empty S; see :func:`prc_cli.kernels.sequential_angle.fourier.stable_intervals`."""
+    """Mark intervals with an empty S; see :func:`fourier_loops.stable_intervals`."""
     decisions = []
     for row, first, last in intervals:
         angles = signed_deg[row, first : last + 1].astype(np.float64)

@@ -11,8 +11,8 @@ from itertools import groupby
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.thresholds.sequential_angle import GroundState, GroundThresholds, PotentialGround
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds, PotentialGround
 
 EIGHTHS = 8
 """Bins in a bandwidth."""
@@ -64,7 +64,7 @@ def main_mode(modes: list[tuple[float, int]]) -> tuple[float, int]:
 
 
 def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
-    """Find modes; see :func:`prc_cli.kernels.sequential_angle.ground.find_modes`."""
+    """Find modes; see :func:`ground_loops.find_modes`."""
     width = bandwidth / EIGHTHS
     modes = [mode for mode in grid_modes(np.floor(values / width).astype(int).tolist()) if mode[1] > 0]
     return (
@@ -217,7 +217,7 @@ class Row:
 def potential_heights(
     surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
 ) -> PotentialGround:
-    """Find potential ground (part a); see :func:`prc_cli.kernels.sequential_angle.ground.potential_heights`."""
+    """Find potential ground (part a); see :func:`ground_loops.potential_heights`."""
     first, last = np.full((2, len(surface)), -1, dtype=np.int32)
     bandwidth, height = np.full((2, len(surface)), np.nan)
     for i in range(len(surface)):
@@ -235,7 +235,7 @@ def to_bin(z: float) -> int:
 
 
 def main_height(heights: F64, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32, I32]:
-    """Find the main mode of heights; see :func:`prc_cli.kernels.sequential_angle.ground.main_height`."""
+    """Find the main mode of heights; see :func:`ground_loops.main_height`."""
     bins = [to_bin(height) for height in heights]
     return *main_bin(bins, share, roof_m, roof_share), np.array(bins, dtype=np.int32), histogram_of(bins)
 
@@ -295,7 +295,7 @@ def ground_rows(
     state: GroundState,
     thresholds: GroundThresholds,
 ) -> tuple[Mask, F32, GroundState]:
-    """Verify and grow ground (part b); see :func:`prc_cli.kernels.sequential_angle.ground.ground_rows`."""
+    """Verify and grow ground (part b); see :func:`ground_loops.ground_rows`."""
     memory, share = thresholds.memory_heights, thresholds.height_bandwidth
     ground = np.zeros(surface.shape, dtype=bool)
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)

@@ -9,7 +9,7 @@ from prc_cli.core.types import F32, I32, U8, Mask
 
 
 def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32) -> Mask:
-    """Mark the returns of intervals; see :func:`prc_cli.kernels.sequential_angle.labels.mark_cars`."""
+    """Mark the returns of intervals; see :func:`labels_loops.mark_cars`."""
     inside = np.zeros(surface.shape, np.bool_)
     for row, first, last in intervals.tolist():
         inside[row, first : last + 1] = True
@@ -22,7 +22,7 @@ def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_
 def combine_classes(
     surface: U8, ground: Mask, car: Mask, horizontal_m: F32, xyz_m: F32, curb: Mask, label_of: U8, below_m: float
 ) -> U8:
-    """Combine layers; see :func:`prc_cli.kernels.sequential_angle.labels.combine_classes`."""
+    """Combine layers; see :func:`labels_loops.combine_classes`."""
     labels: U8 = np.take(label_of, surface)
     labels[ground] = Label.GROUND
     for row, here in enumerate(curb):
@@ -54,6 +54,6 @@ def runs_of_cars(surface: U8, car: Mask) -> list[list[int]]:
 
 
 def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:
-    """Mark returns beyond the reach; see :func:`prc_cli.kernels.sequential_angle.labels.mark_beyond`."""
+    """Mark returns beyond the reach; see :func:`labels_loops.mark_beyond`."""
     beyond = np.logical_and(labels == Label.MISSING, ~np.isnan(range_m))
     return np.where(beyond, np.uint8(Label.UNCLASSIFIED), labels), int(np.count_nonzero(beyond))

@@ -8,7 +8,7 @@ from prc_cli.core.types import F32, F64, I32
 
 
 def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
-    """Pick beams; see :func:`prc_cli.kernels.sequential_angle.lines.arrange_lines`."""
+    """Pick beams; see :func:`lines_loops.arrange_lines`."""
     everything = np.concatenate([range_m[:, :, None], xyz_m], axis=2)
     with np.errstate(invalid="ignore"):
         seen = (everything[:, :, 0].astype(np.float64) <= max_range_m) & ~np.isnan(xyz_m).any(axis=2)
@@ -22,7 +22,7 @@ def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) ->
 
 
 def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
-    """Pick beams; see :func:`prc_cli.kernels.sequential_angle.lines.arrange_plane`."""
+    """Pick beams; see :func:`lines_loops.arrange_plane`."""
     r = range_m.astype(np.float64)
     x = r * across
     xyz = np.stack([x, np.where(np.isnan(x), np.nan, 0.0), r * up], axis=2).astype(np.float32)

@@ -11,14 +11,14 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from prc_cli.core.thresholds.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, Mask
+from prc_cli.methods.sequential_angle.thresholds import MarkovModel, MarkovThresholds
 
 
 def hmm_cusum(
     values: F32, means: F64, sigmas: F64, h0: MarkovModel, h1: MarkovModel, thresholds: MarkovThresholds
 ) -> Mask:
-    """Mark the samples of model 1; see :func:`prc_cli.kernels.sequential_angle.markov.hmm_cusum`."""
+    """Mark the samples of model 1; see :func:`markov_loops.hmm_cusum`."""
     marked = np.zeros(values.shape, dtype=bool)
     for row, line in enumerate(values):
         there = np.flatnonzero(~np.isnan(line))

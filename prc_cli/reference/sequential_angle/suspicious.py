@@ -16,7 +16,7 @@ STATE = {Surface.HORIZONTAL: "H", Surface.VERTICAL: "V", Surface.MISSING: "M"}
 def first_triggers(
     surface: U8, n_beams: I32, increments: F64, threshold: float, closed_gaps_only: bool
 ) -> tuple[Mask, I32]:
-    """Find the first trigger of every row; see :func:`prc_cli.kernels.sequential_angle.suspicious.first_triggers`."""
+    """Find the first trigger of every row; see :func:`suspicious_loops.first_triggers`."""
     beams = []
     for codes, n in zip(surface, n_beams, strict=True):
         returns = np.flatnonzero(codes[:n])

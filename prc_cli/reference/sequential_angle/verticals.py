@@ -9,7 +9,7 @@ from prc_cli.core.types import F32, I32, U8, Mask
 
 
 def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float) -> tuple[Mask, I32]:
-    """Find the first high vertical run; see :func:`prc_cli.kernels.sequential_angle.verticals.first_high_verticals`."""
+    """Find the first high vertical run; see :func:`verticals_loops.first_high_verticals`."""
     beam = np.full(len(n_beams), -1, np.int32)
     for row, n in enumerate(n_beams):
         vertical = surface[row, :n] == Surface.VERTICAL

@@ -2,7 +2,7 @@
 
 A wrong direction of down, a wrong M or damaged ranges show in the labels: the ground is not below the scanner or leans,
 things lie below it, most of the scan is noise. The shares that are usual differ between methods
-(:class:`prc_cli.classifiers.base.UsualLabels`).
+(:class:`prc_cli.methods.base.UsualLabels`).
 
 Lines are kept while they pass: every n-th, in up to 128 of their columns; n doubles whenever there are too many. All
 figures are computed from these when they are asked for. The choice depends on the line numbers alone, so the findings
@@ -17,11 +17,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from prc_cli.classifiers.base import UsualLabels
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F32, F64, I64, U8, Mask
+from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence.table import Check
 
 MAX_SCANNERS = 4

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.jobs.calibrate.curves import Curves, thresholds
 from prc_cli.jobs.calibrate.implied import Advice, imply
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
+from prc_cli.methods.prc.pipeline import PrcParams
 
 SENSOR = SensorEstimate(
     points_per_line=2154, n_lines=500, n_shots=500 * 2154, n_missing=0,

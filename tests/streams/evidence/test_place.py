@@ -8,7 +8,7 @@ import pytest
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.streams.evidence.place import SAMPLE_LINES, place_of, place_of_blocks
-from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 
 def forest_lines(n_lines: int, *, stems: bool = True) -> F32:

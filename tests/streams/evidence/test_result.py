@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prc_cli.classifiers.base import UsualLabels
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ScanBlock, cut
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence.result import MAX_LINES, MAX_SCANNERS, RESULT_CHECKS, ResultWatch
-from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.simulated import drive_arrays
 
 NO_EXTRA = np.empty(0, np.uint8)

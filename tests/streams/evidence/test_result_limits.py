@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prc_cli.classifiers.base import UsualLabels
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
+from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence.result import _Kept, _percent, _Sample, check_labels
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from prc_cli.classifiers.base import UsualLabels
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import EvidenceError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
+from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence import estimates, repeats
 from prc_cli.streams.evidence.checks import CHECKS
 from prc_cli.streams.evidence.estimates import (

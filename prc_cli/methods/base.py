@@ -1,0 +1,244 @@
+"""Interface of a classifier: how the stream is cut for it, and how it labels a block.
+
+A method is one folder beside this file and one row in :mod:`prc_cli.methods.methods`.
+:mod:`prc_cli.methods.run` runs all methods, in any number of threads.
+
+Most steps of a method need only their own block. A step that depends on earlier blocks receives the value left by the
+previous block, and returns its result and the value for the next block. These values are the fields of the method's
+state, a frozen dataclass, one per scanner. Such steps should be short: they run block after block, all other steps run
+in parallel.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
+
+from prc_cli.core.classes import Label
+from prc_cli.core.config import Params
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
+from prc_cli.core.types import F64, I64
+
+ScannerT = TypeVar("ScannerT")
+StateT = TypeVar("StateT")
+StateT_co = TypeVar("StateT_co", covariant=True)
+_ValueT = TypeVar("_ValueT")
+_ResultT = TypeVar("_ResultT")
+
+
+@dataclass(frozen=True)
+class Part(Generic[_ValueT]):
+    """A field of a state, handed on separately from the other fields."""
+
+    name: str
+
+
+class Turn(Protocol):
+    """The position of a block in its scanner's stream; passes the state from block to block."""
+
+    def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
+        """Run a step that depends on the previous blocks.
+
+        Parameters
+        ----------
+        part : Part
+            Every block of a scanner hands on the same parts, each exactly once.
+        step : callable
+            Takes the value left by the previous block; returns a result and the value for the next block.
+
+        Returns
+        -------
+        object
+            The result of the step.
+        """
+
+
+class OneByOne(Generic[StateT]):
+    """A :class:`Turn` for blocks that are labelled one after the other in one thread.
+
+    Parameters
+    ----------
+    state : dataclass
+        State left by the previous block.
+
+    Attributes
+    ----------
+    state : dataclass
+        After a block: the state for the next one.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Seen:
+    ...     n_lines: int
+    >>> turn = OneByOne(Seen(10))
+    >>> turn.hand_on(Part[int]("n_lines"), lambda n: (f"begins at line {n}", n + 5)), turn.state
+    ('begins at line 10', Seen(n_lines=15))
+    """
+
+    def __init__(self, state: StateT) -> None:
+        self.state = state
+
+    def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
+        """Run a step; see :class:`Turn`."""
+        state: Any = self.state
+        result, value = step(getattr(state, part.name))
+        self.state = replace(state, **{part.name: value})
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What a method requires of its input."""
+
+    kernels: frozenset[str]
+    """Folders or modules of the compiled loops that it calls, as for :func:`prc_cli.kernels.load_kernels`."""
+    lines_per_block: int | None = None
+    """k, scan lines per block, fewer only at the end of the stream; None = any number of whole lines."""
+    look_ahead: int | None = None
+    """Lines of look-ahead after a block, at least 1; None = :func:`prc_cli.core.blocks.look_ahead_lines`."""
+    beams: bool = True
+    """Whether blocks must hold beam angles (``beam_rad``)."""
+    most_noise_m: float = math.inf
+    """Most range noise that the thresholds stand [m]; more is doubted."""
+    confidence_kernels: frozenset[str] | None = None
+    """Further loops that it calls where its confidence is wanted; None = it has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Optional results besides the labels, where the method provides them."""
+
+    segments: bool = False
+    """Segment ids."""
+    stages: bool = False
+    """Intermediate results (:class:`~prc_cli.core.stream.StageLabels`)."""
+    confidence: bool = False
+    """How sure every label is [per cent]."""
+
+
+LABELS_ALONE = Wanted()
+
+
+@dataclass(frozen=True, slots=True)
+class UsualLabels:
+    """Labels that a method gives to rightly told scans, asked for by :mod:`prc_cli.streams.evidence.result`.
+
+    The defaults ask for nothing. ``RESULT_CHECKS`` there tells how each was measured.
+    """
+
+    noise_share: float = 1.0
+    """Most noise, of all returns; more is doubtful."""
+    garbage_share: float = 1.0
+    """Most noise of any scanner: more is refused."""
+    unclassified_share: float = 1.0
+    """Most returns without a class."""
+    level: tuple[Label, ...] = (Label.GROUND, Label.CURB)
+    """Labels of what lies on the ground."""
+    level_share: float = 0.0
+    """Least share of ``level`` in what is not noise within 60 deg of straight down."""
+    ground_share: float = 0.0
+    """Least share of ``level`` in all that is not noise, where nearly nothing is within 60 deg of straight down."""
+    below_share: float = 1.0
+    """Most of what is not noise within 20 m and 60 deg of straight down, and lies 1 m or more below the ground."""
+    lean_deg: float = 90.0
+    """Largest lean of the ground across the lines [deg]."""
+    vanished_share: float = 0.0
+    """Ground has vanished where its share is below this part of what three quarters of the stream do not exceed."""
+    reach_m: float = 0.0
+    """Some of what is not noise is farther than this [m]."""
+
+
+class Classifier(Protocol[ScannerT, StateT_co]):
+    """A method and its parameters."""
+
+    @property
+    @abstractmethod
+    def needs(self) -> Needs:
+        """What the method requires of its input."""
+
+    @property
+    def usual(self) -> UsualLabels:
+        """What its labels of a rightly told scan look like; by default nothing is known."""
+        return UsualLabels()
+
+    @property
+    def gives(self) -> frozenset[Label]:
+        """Labels that it may give; by default all."""
+        return frozenset(Label)
+
+    @abstractmethod
+    def scanner(self, first: ScanBlock) -> ScannerT:
+        """Return the constants of a scanner, such as its beams, from its first block.
+
+        Raises
+        ------
+        InputError
+            When the block lacks what the method needs.
+        """
+
+    @abstractmethod
+    def initial_state(self, scanner: ScannerT) -> StateT_co:
+        """Return the state before the first block of a scanner, a dataclass whose fields are handed on."""
+
+    @abstractmethod
+    def label(self, block: ScanBlock, scanner: ScannerT, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+        """Label a block, in any thread.
+
+        Parameters
+        ----------
+        block : ScanBlock
+            The next lines of the scanner, with look-ahead (``next_m``) and whether it is the last (``is_last``).
+        scanner : object
+            From :meth:`scanner`.
+        turn : Turn
+            Hands the state on.
+        wanted : Wanted
+            Optional results to compute.
+
+        Returns
+        -------
+        sequence of LabelledBlock
+            The lines that became final, in order, including their further returns; may be empty, and may include
+            lines of earlier blocks.
+        """
+
+    def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
+        """Return sentences on what a finished run could not do.
+
+        Parameters
+        ----------
+        labels : (number of labels,) int64
+            Counts by :class:`~prc_cli.core.classes.Label`.
+        tally : ReadTally
+            Counts of the reader and the method.
+        segments : bool
+            Whether segment ids were asked for.
+        """
+        return ()
+
+
+class MethodParams(Params):
+    """Parameters of a method, one table of the configuration."""
+
+    def method(self) -> Classifier[Any, Any]:
+        """Return the method with these parameters."""
+        raise NotImplementedError
+
+
+def beams_of(block: ScanBlock) -> F64:
+    """Return the beam angles of a block, (M,) float64 [rad].
+
+    Raises
+    ------
+    InputError
+        When it has none.
+    """
+    if block.beam_rad is None:
+        problem = "no beam angles, expected the angle of every column from straight down"
+        raise InputError("block of ranges", problem)
+    return block.beam_rad

@@ -1,0 +1,791 @@
+"""Loops of the fused classifier that label every shot, from its neighbours, the ground and the walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.kernels.cache import UniTuple, boolean, float32, helper, inlined, kernel, record, uint8, uint64
+from prc_cli.methods.fused.thresholds import DecisionThresholds
+
+Slots = NDArray[np.uint64]
+Pairs = NDArray[np.uint32]
+
+LINES = 2
+"""Lines before and after a line that its texture is computed from."""
+MARGIN = 20
+"""Lines of the window before and after the block."""
+BESIDE = 12
+"""Lines before and after in which something is seen past a pole."""
+BOX_ODD = 3
+"""Consecutive lines that see something else than a box where it ends; all of them but one see past it."""
+BOX_EVEN_M = np.float32(0.12)
+"""Shots this much below the highest one of a box are on its top [m]."""
+BOX_SMOOTH = 3
+"""Smooth pairs of a smooth shot of a box."""
+BOX_SHARE = np.float32(0.8)
+"""Least share of such shots."""
+MOST_SMOOTH = 8
+"""Greatest number of smooth pairs that counts."""
+LEAST_COLUMNS = 2
+"""Least half width of a place, in columns."""
+STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
+"""As in :mod:`strips_loops`."""
+HANGS = 16
+"""As in :mod:`flanks_loops`."""
+HALF_STRIP_M = np.float32(0.25)
+"""Width of a bin of level surfaces [m]."""
+SPIKE_PLACE_M = np.float32(0.1)
+"""Half width of the place beside a spike [m]."""
+SPIKE_COLUMNS = 6
+_FAR_BINS = np.float32(1e6)
+LEAF_REACH = 4
+"""Slots up and down in which other leaves are looked for."""
+CAR_REACH = 6
+"""Bins on either side in which level surfaces count."""
+BELOW_SMOOTH = 3
+"""With this many smooth pairs, a shot below the ground is no reflection."""
+ACROSS_LINES = 4
+"""Lines before and after by which a thing is found to be thin; in slow drives more, up to :data:`MARGIN`."""
+GAP_SHOTS = 3
+"""Lonely shots within a run, beside as many as the run is long."""
+_LONG, _SHORT, _UNKNOWN = 0, 1, 2
+"""Kinds of runs along a line; unknown: each of its shots is asked."""
+_MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
+_OPEN, _LEAF, _ODD = 255, 254, 253
+"""Marks of undecided shots, of lonely leaves, and of shots that may be noise."""
+_BUILDING, _VEGETATION = int(Label.BUILDING), int(Label.VEGETATION)
+
+
+@helper
+def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
+    """Write the counts of a line's shots: one shot in the upper half of a word, its smooth pairs in the lower half.
+
+    A place has at most 605 shots and 4840 pairs, so neither half overflows.
+    """
+    for i in range(len(near)):
+        pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
+        places[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
+
+
+@helper
+def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None:
+    """Write the sums of the first 0, 1, ... columns of three lines together; as :func:`_sum_up` does."""
+    own = so_far[1:]
+    for i in range(len(one)):
+        own[i] = one[i] + other[i] + third[i]
+    total = np.uint32(0)
+    so_far[0] = total
+    for i in range(len(one)):
+        total = np.uint32(total + own[i])
+        own[i] = total
+
+
+@helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line in the scan plane."""
+    sine, cosine = beams
+    for i in range(len(ranges)):
+        side[i] = ranges[i] * sine[i]
+    for i in range(len(ranges)):
+        height[i] = -(ranges[i] * cosine[i])
+
+
+@helper
+def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
+    """Write the half width of every shot's place in columns; any number where the shot is missing."""
+    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
+    for i in range(len(ranges)):
+        r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
+        columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
+
+
+@inlined
+def _bits(word: np.uint64) -> int:
+    """Count the bits of a word."""
+    n = 0
+    while word != np.uint64(0):
+        word &= word - np.uint64(1)
+        n += 1
+    return n
+
+
+@inlined
+def _strip(y: np.float32) -> int:
+    """Return the strip of a shot, -1 = beyond."""
+    b = int(np.floor(y / STRIP_M)) + STRIPS // 2
+    return b if 0 <= b < STRIPS else -1
+
+
+@inlined
+def _slot(above: np.float32) -> int:
+    return int(min(max(above / SLOT_M, np.float32(0.0)), np.float32(SLOTS - 1)))
+
+
+@inlined
+def _slots_around(word: np.uint64, slot: int) -> int:
+    """Count the slots with something, near a slot."""
+    low, high = max(slot - LEAF_REACH, 0), min(slot + LEAF_REACH, SLOTS - 1)
+    ones = ~np.uint64(0) >> np.uint64(SLOTS - 1 - (high - low))
+    return _bits(word & (ones << np.uint64(low)))
+
+
+@inlined
+def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionThresholds) -> bool:
+    """Return whether a shot's run along its line is short, with nothing, or only far things, beyond both ends."""
+    m = len(ranges)
+    least, jump, far = thresholds.least_near, thresholds.jump_m, thresholds.far_m
+    low, high = heights[i], heights[i]
+    length = 1
+    for way in (-1, 1):
+        last, j, gap = i, i + way, 0
+        while True:
+            if j < 0 or j >= m or gap > GAP_SHOTS + length:
+                break
+            if np.float32(near[j]) < least:
+                gap += 1
+                j += way
+                continue
+            if abs(ranges[j] - ranges[last]) < jump:
+                last, gap = j, 0
+                length += 1
+                low, high = min(low, heights[j]), max(high, heights[j])
+                if high - low >= thresholds.pole_m:
+                    return False
+                j += way
+                continue
+            if ranges[j] <= ranges[last] + far:
+                return False
+            break
+    return True
+
+
+@helper
+def _follow_run(
+    ranges: F32, near: U8, sides: F32, heights: F32, i: int, thresholds: DecisionThresholds
+) -> tuple[int, int, int, np.float32, np.float32]:
+    """Follow the shots around that go on without a gap.
+
+    Return their end and number, whether all are short, and how high and how deep they reach. The answer of
+    :func:`_is_short` is the same for all of them, unless lonely shots are beside them: it goes past such. What is twice
+    as high as a pole need not be followed to its ends: the numbers are then those of a part.
+    """
+    m = len(ranges)
+    least, jump, high_m, most = thresholds.least_near, thresholds.jump_m, thresholds.pole_m, thresholds.pole_shots
+    enough_m = np.float32(2.0) * high_m
+    first, end = i, i + 1
+    low = high = heights[i]
+    inner = outer = sides[i]
+    while end < m and np.float32(near[end]) >= least and abs(ranges[end] - ranges[end - 1]) < jump:
+        low, high = min(low, heights[end]), max(high, heights[end])
+        inner, outer = min(inner, sides[end]), max(outer, sides[end])
+        end += 1
+        if high - low >= enough_m and np.float32(end - first) >= most:
+            return end, end - first, _LONG, high - low, outer - inner
+    while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
+        first -= 1
+        low, high = min(low, heights[first]), max(high, heights[first])
+        inner, outer = min(inner, sides[first]), max(outer, sides[first])
+        if high - low >= enough_m and np.float32(end - first) >= most:
+            return end, end - first, _LONG, high - low, outer - inner
+    tall, deep = high - low, outer - inner
+    if tall >= high_m:
+        return end, end - first, _LONG, tall, deep
+    kind = _SHORT
+    for way in (-1, 1):
+        last = first if way < 0 else end - 1
+        j, gap = last + way, 0
+        while 0 <= j < m:
+            if np.float32(near[j]) < least:
+                gap += 1
+                if gap > GAP_SHOTS + 1:
+                    # only the longer part of a run goes past so many
+                    kind = _UNKNOWN
+                    break
+            elif abs(ranges[j] - ranges[last]) < jump:
+                last, gap = j, 0
+                low, high = min(low, heights[j]), max(high, heights[j])
+                if high - low >= high_m:
+                    return end, end - first, _LONG, tall, deep
+            elif ranges[j] <= ranges[last] + thresholds.far_m:
+                return end, end - first, _LONG, tall, deep
+            else:
+                break
+            j += way
+    return end, end - first, kind, tall, deep
+
+
+@inlined
+def _is_thin(window_m: F32, line: int, i: int, far: np.float32, lines: int) -> bool:
+    """Return whether close lines before and after see nothing, or only far things, in the direction of a shot."""
+    own = window_m[line, i]
+    before = after = 0
+    for k in range(1, lines + 1):
+        if line - k >= 0 and not (window_m[line - k, i] <= own + far):
+            before = k
+            break
+    if before == 0:
+        return False
+    for k in range(1, lines + 1):
+        if line + k < len(window_m) and not (window_m[line + k, i] <= own + far):
+            after = k
+            break
+    return after > 0 and before + after <= lines + 1
+
+
+@inlined
+def _is_passed(window_m: F32, line: int, i: int, far: np.float32) -> bool:
+    """Return whether lines not far before and after see nothing, or only far things, in the direction of a shot."""
+    end = window_m[line, i] + far
+    sides = 0
+    for way in (-1, 1):
+        for k in range(1, BESIDE + 1):
+            if not (window_m[line + way * k, i] <= end):
+                sides += 1
+                break
+    return sides == 2
+
+
+@inlined
+def _is_round(deep: np.float32, tall: np.float32, thresholds: DecisionThresholds) -> bool:
+    """Return whether a short run is as deep as the front half of a trunk.
+
+    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep as its radius, and
+    at least three times as high. What is deeper than that is something else, as is what goes up the whole line.
+    """
+    is_round = (deep >= thresholds.thick_m) & (deep < np.float32(0.5) * tall)
+    return bool(is_round & (tall < np.float32(2.0) * thresholds.pole_m))
+
+
+@inlined
+def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.float32:
+    """Return how deep the thing is that lines before and after see in the direction of a shot, along its beam."""
+    least = most = window_m[line, i]
+    for way in (-1, 1):
+        last = window_m[line, i]
+        for k in range(1, BESIDE + 1):
+            there = window_m[line + way * k, i]
+            if not (abs(there - last) < jump):
+                break
+            least, most = min(least, there), max(most, there)
+            last = there
+    return np.float32(most - least)
+
+
+@helper
+def _mark_thin_far(window_m: F32, line: int, far: np.float32, lines: int, after: U8, thin: U8) -> None:
+    """Mark what may be thin as :func:`_mark_thin` does, by so many lines on both sides; ``after`` is overwritten."""
+    own = window_m[line]
+    for way in (-1, 1):
+        marks = thin if way < 0 else after
+        for i in range(len(own)):
+            marks[i] = 0
+        for k in range(1, lines + 1):
+            other = window_m[line + way * k]
+            for i in range(len(own)):
+                marks[i] |= np.uint8(not (other[i] <= own[i] + far))
+    for i in range(len(own)):
+        thin[i] &= after[i]
+
+
+@helper
+def _mark_thin(window_m: F32, line: int, far: np.float32, thin: U8) -> None:
+    """Mark the shots of a line that may be thin: lines on both sides see nothing, or only far things, there."""
+    own = window_m[line]
+    a, b, c, d = window_m[line - 4], window_m[line - 3], window_m[line - 2], window_m[line - 1]
+    for i in range(len(own)):
+        end = own[i] + far
+        thin[i] = np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
+    a, b, c, d = window_m[line + 1], window_m[line + 2], window_m[line + 3], window_m[line + 4]
+    for i in range(len(own)):
+        end = own[i] + far
+        thin[i] &= np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
+
+
+@inlined
+def _is_ground(
+    h: np.float32,
+    is_walked: bool,
+    up: np.uint8,
+    flat: np.uint8,
+    thresholds: DecisionThresholds,
+) -> bool:
+    """Return whether a shot is on the ground: walked over, or low and more level than upright."""
+    off = abs(h)
+    return bool(
+        ((off < thresholds.walked_m) & is_walked)
+        | ((off < thresholds.level_m) & (flat > up))
+        | ((off < thresholds.soil_m) & (up <= flat + np.uint8(1)))
+    )
+
+
+@helper
+def _label_plain(
+    ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, thresholds: DecisionThresholds, labels: U8
+) -> None:
+    """Label missing shots, near shots without any neighbour, and ground; mark the others as undecided.
+
+    Without branches, so that the compiler can use vector instructions.
+    """
+    near, smooth, upright, level = counts
+    least, below, lone = thresholds.least_near, thresholds.below_m, thresholds.lone_m
+    for i in range(len(ranges)):
+        h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
+        is_ground = _is_ground(h, walked[i], up, flat, thresholds)
+        n_near = np.float32(near[i])
+        is_held = (n_near >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
+        is_odd = (n_near < least) | (pairs == 0) | (h < -below)
+        code = np.uint8(_ODD) if is_odd else np.uint8(_OPEN)
+        code = np.uint8(_GROUND) if is_ground & is_held else code
+        code = np.uint8(_NOISE) if (near[i] == 0) & (n_near < least) & (ranges[i] <= lone) else code
+        labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
+
+
+@inlined
+def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, thresholds: DecisionThresholds) -> bool:
+    """Return whether a shot is in a wall, or behind it and seen through it."""
+    behind = abs(y) - abs(at)
+    through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
+    is_between = (behind >= -thresholds.front_m) & (behind <= thresholds.behind_m)
+    return bool((at != np.float32(0.0)) & is_between & (through <= top + thresholds.over_m))
+
+
+@helper
+def _count_bins(levels: U8, counts: U8) -> None:
+    """Count the bins with a level surface around every bin of a line."""
+    n = len(levels)
+    for q in range(n):
+        counts[q] = levels[q]
+    for away in range(1, CAR_REACH + 1):
+        for q in range(n - away):
+            counts[q] += levels[q + away]
+        for q in range(n - away):
+            counts[q + away] += levels[q]
+
+
+@helper
+def _find_cars(every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]) -> None:
+    """Write up to which height a smooth shot and a rough shot in every bin are of a car; 0 = no car.
+
+    There is a car where enough bins around are level. It ends below what reaches above cars without a gap; where they
+    are those of a body that hangs high, lorries.
+    """
+    smooth_bins, rough_bins = thresholds.car_bins, thresholds.car_bins_rough
+    car_slot, lorry_slot = int(thresholds.car_top_m / SLOT_M), int(thresholds.lorry_top_m / SLOT_M)
+    least = min(smooth_bins, rough_bins)
+    _count_bins(levels, counts)
+    last, below = -1, np.float32(0.0)
+    for q in range(2 * STRIPS):
+        n, hanging = np.float32(counts[q] & (HANGS - 1)), np.float32(counts[q] // HANGS)
+        if n < least:
+            cars[0][q] = cars[1][q] = np.float32(0.0)
+            continue
+        b, high = q // 2, hanging >= least
+        place = 2 * b + 1 if high else 2 * b
+        if place != last:
+            word, last = every[b], place
+            filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
+            slot = lorry_slot if high else car_slot
+            while slot > 0 and (filled >> np.uint64(slot - 1)) & np.uint64(1) != np.uint64(0):
+                slot -= 1
+            below = np.float32(slot) * SLOT_M
+        cars[0][q] = below if n >= smooth_bins else np.float32(0.0)
+        cars[1][q] = below if n >= rough_bins else np.float32(0.0)
+
+
+@helper
+def _list_marked(labels: U8, least: int, most: int, shots: I32) -> int:
+    """List the shots of a line with marks from one to another, return how many there are."""
+    n = 0
+    for i in range(len(labels)):
+        shots[n] = i
+        n += (labels[i] >= least) & (labels[i] <= most)
+    return n
+
+
+@helper
+def _label_odd(
+    shots: I32,
+    points: tuple[F32, F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    rows: tuple[Slots, F32, F32],
+    spikes: tuple[I32, Pairs],
+    thresholds: DecisionThresholds,
+    labels: U8,
+) -> None:
+    """Label noise among the doubtful shots of a line, and ground; mark lonely leaves."""
+    side, height, above = points
+    near, smooth, upright, level = counts
+    rough, at, top = rows
+    columns, so_far = spikes
+    least, below, share = thresholds.least_near, thresholds.below_m, thresholds.spike_share
+    foot, leaf_slots, holds = thresholds.foot_m, thresholds.leaf_slots, thresholds.keeps_held > 0
+    for k in range(len(shots)):
+        i = shots[k]
+        h, pairs = above[i], smooth[i]
+        is_leaf = False
+        if np.float32(near[i]) < least:
+            y = side[i]
+            b = _strip(y)
+            is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], thresholds)
+            # the few shots left of a far surface still agree with it
+            is_held = holds and (pairs > 0 or is_wall or abs(h) < thresholds.soil_m)
+            if b >= 0 and h > foot and not is_wall:
+                # far away, gaps between leaves are wider than what counts as near
+                is_leaf = bool(np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots)
+            if not (is_leaf or (is_held and near[i] > 0)):
+                labels[i] = _NOISE
+                continue
+        # spikes: the adjacent shots are smooth, in the line and in the lines before and after
+        half = int(columns[i])
+        place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
+        shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
+        is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
+        is_pit = (upright[i] > 0) & (np.float32(near[i]) >= thresholds.pit_near)
+        if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH) & (not is_pit)):
+            labels[i] = _NOISE
+        elif _is_ground(h, walked[i], upright[i], level[i], thresholds):
+            labels[i] = _GROUND
+        elif is_leaf:
+            labels[i] = _LEAF
+
+
+@helper
+def _bins(side: F32, bins: I32) -> None:
+    """Write the bin of half a strip of every shot of a line, -1 = beyond."""
+    for i in range(len(side)):
+        q = np.int32(np.floor(min(max(side[i] / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + np.int32(STRIPS)
+        bins[i] = q if (q >= 0) & (q < 2 * STRIPS) else np.int32(-1)
+
+
+@helper
+def _look_up(
+    shots: I32, bins: I32, walls: tuple[F32, F32, F32], cars: tuple[F32, F32], found: tuple[F32, F32, F32, F32, F32]
+) -> None:
+    """Write the walls and cars in the strips of some shots; a loop of its own, as all others read memory in order."""
+    at, top, ahead = walls
+    own_at, own_top, own_ahead, below, rough_below = found
+    for k in range(len(shots)):
+        i = np.uint64(shots[k])
+        q = np.uint64(max(bins[i], np.int32(0)))
+        b = q >> np.uint64(1)
+        own_at[i], own_top[i], own_ahead[i] = at[b], top[b], ahead[b]
+        below[i], rough_below[i] = cars[0][q], cars[1][q]
+
+
+@helper
+def _label_things(
+    points: tuple[F32, F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    soft: F32,
+    bins: I32,
+    found: tuple[F32, F32, F32, F32, F32],
+    thin: U8,
+    thresholds: DecisionThresholds,
+    labels: U8,
+    poles: U8,
+) -> None:
+    """Label the shots of a line that are neither lonely nor ground; mark those that may be poles.
+
+    Without branches, so that the compiler can use vector instructions.
+    """
+    side, height, above = points
+    near, smooth, _, level = counts
+    at, top, ahead, car_below, rough_below = found
+    leaf_share, share_before = thresholds.leaf_share, thresholds.leaf_share_before_wall
+    before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
+    car = np.uint8(thresholds.car_label)
+    ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
+    nothing, arm_m = np.float32(0.0), thresholds.arm_m
+    front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
+    storey_m = thresholds.storey_m
+    pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
+    for i in range(len(labels)):
+        y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
+        is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
+        is_wall = _in_wall(y, z, at[i], end, thresholds)
+        before = abs(ahead[i]) - abs(y)
+        is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
+        beyond = abs(y) - wall
+        is_roof = (wall != nothing) & (beyond >= -front_m) & (beyond <= roof_m) & (end - z + h >= storey_m) & is_here
+        is_soft = texture < (share_before if is_before | is_roof else leaf_share)
+        is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
+        is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
+        is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
+        label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
+        label = car if is_car else label
+        is_bare = smooth[i] == 0
+        is_past = (wall != nothing) & (z * wall <= end * abs(y)) & is_here
+        is_far = ((beyond > ghost_m) & is_rough) | ((beyond > pane_m) & is_bare)
+        is_lost = is_bare & is_car & (np.float32(near[i]) < cabin_near)
+        is_ghost = (is_past & is_far & (np.float32(near[i]) < ghost_near)) | is_lost
+        label = np.uint8(_NOISE) if is_ghost else label
+        is_open = labels[i] >= np.uint8(_ODD)
+        labels[i] = label if is_open else labels[i]
+        is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
+        may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
+        is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
+        poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
+
+
+@helper
+def _label_poles(
+    shots: I32,
+    window_m: F32,
+    line: int,
+    near: U8,
+    points: tuple[F32, F32, F32],
+    thin: U8,
+    rough: Slots,
+    thresholds: DecisionThresholds,
+    labels: U8,
+) -> None:
+    """Label those of a list of shots that are on poles and trunks."""
+    ranges = window_m[line]
+    side, height, above = points
+    least, pole, takes_long = thresholds.least_near, np.uint8(thresholds.pole_label), thresholds.takes_long > 0
+    lines = int(thresholds.across_lines)
+    end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
+    for k in range(len(shots)):
+        i = shots[k]
+        if np.float32(near[i]) < least:
+            end, n_shots, kind, tall, deep = i + 1, 1, _UNKNOWN, np.float32(0.0), np.float32(0.0)
+        elif i >= end:
+            end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
+        is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m, lines)):
+            crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
+            if crown >= thresholds.crown_slots:
+                labels[i] = np.uint8(_VEGETATION)
+            elif np.float32(n_shots) >= thresholds.pole_shots and (
+                takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
+            ):
+                is_thick = _is_round(deep, tall, thresholds)
+                beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
+                is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
+                labels[i] = np.uint8(_VEGETATION) if is_thick else pole
+
+
+@inlined
+def _is_thing(label: np.uint8) -> bool:
+    """Return whether a label is that of a thing above the ground."""
+    return bool((label != _MISSING) & (label != _NOISE) & (label != _GROUND))
+
+
+@helper
+def _mark_tops(
+    above: F32, counts: tuple[U8, U8, U8, U8], labels: U8, thresholds: DecisionThresholds, marks: U8
+) -> None:
+    """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
+    _, smooth, upright, level = counts
+    foot, top = thresholds.foot_m, thresholds.box_m
+    for i in range(len(labels)):
+        is_low = (above[i] > foot) & (above[i] < top)
+        is_level = (level[i] > upright[i]) & (smooth[i] >= BOX_SMOOTH)
+        marks[i] = np.uint8(is_low & is_level & _is_thing(labels[i]))
+
+
+@inlined
+def _lines_beside(window_m: F32, line: int, i: int, way: int, thresholds: DecisionThresholds) -> int:
+    """Return how many lines to one side see a thing in the direction of a shot, if those beyond see past it.
+
+    Otherwise :data:`MARGIN`. Single lines do not count: they see background light, or look through a pane.
+    """
+    last = window_m[line, i]
+    n = odd = past = 0
+    for k in range(1, MARGIN + 1):
+        there = window_m[line + way * k, i]
+        if abs(there - last) < thresholds.jump_m:
+            last, n, odd, past = there, k, 0, 0
+            continue
+        odd += 1
+        past += not (there <= last + thresholds.far_m)
+        if odd == BOX_ODD:
+            return n if past >= BOX_ODD - 1 else MARGIN
+    return MARGIN
+
+
+@helper
+def _end_of_box(
+    ranges: F32, near: U8, points: tuple[F32, F32, F32], labels: U8, i: int, way: int, thresholds: DecisionThresholds
+) -> tuple[int, int]:
+    """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by.
+
+    The next one is the last itself where it is no box: too high, or cut off by the end of the line.
+    """
+    _, _, above = points
+    last, j, gap = i, i + way, 0
+    while 0 <= j < len(ranges):
+        is_other = not _is_thing(labels[j]) and labels[j] != _GROUND
+        if is_other or np.float32(near[j]) < thresholds.least_near:
+            gap += 1
+            if gap > GAP_SHOTS:
+                return last, -1
+        elif labels[j] == _GROUND or not abs(ranges[j] - ranges[last]) < thresholds.jump_m:
+            return last, j
+        elif above[j] >= thresholds.box_m:
+            return last, last
+        else:
+            last, gap = j, 0
+        j += way
+    return last, last
+
+
+@helper
+def _is_box(
+    window_m: F32,
+    line: int,
+    i: int,
+    ends: tuple[int, int],
+    points: tuple[F32, F32, F32],
+    smooth: U8,
+    labels: U8,
+    thresholds: DecisionThresholds,
+) -> bool:
+    """Return whether the shots from one to another are a bin or a cabinet: small to all sides, with a level top."""
+    side, _, above = points
+    first, last = ends
+    high = inner_top = inner = np.float32(np.inf)
+    high, outer, outer_top = -high, -high, -high
+    n = n_smooth = 0
+    for j in range(first, last + 1):
+        if _is_thing(labels[j]):
+            high = max(high, above[j])
+            inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
+            n += 1
+            n_smooth += smooth[j] >= BOX_SMOOTH
+    deep = outer - inner
+    if np.float32(n) < thresholds.pole_shots or deep > thresholds.box_deep_m or deep < thresholds.box_flat_m:
+        return False
+    for j in range(first, last + 1):
+        if _is_thing(labels[j]) and above[j] > high - BOX_EVEN_M:
+            inner_top, outer_top = min(inner_top, abs(side[j])), max(outer_top, abs(side[j]))
+    if outer_top - inner_top < thresholds.box_flat_m or np.float32(n_smooth) < BOX_SHARE * np.float32(n):
+        return False
+    before = _lines_beside(window_m, line, i, -1, thresholds)
+    if before == MARGIN or np.float32(before) > thresholds.box_lines:
+        return False
+    after = _lines_beside(window_m, line, i, 1, thresholds)
+    return bool(after < MARGIN and np.float32(before + after) <= thresholds.box_lines)
+
+
+@helper
+def _label_boxes(
+    shots: I32,
+    window_m: F32,
+    line: int,
+    counts: tuple[U8, U8, U8, U8],
+    points: tuple[F32, F32, F32],
+    thresholds: DecisionThresholds,
+    labels: U8,
+) -> None:
+    """Label the boxes whose tops are in a list: bins and cabinets.
+
+    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is ground.
+    """
+    ranges, height = window_m[line], points[1]
+    done = -1
+    for k in range(len(shots)):
+        i = shots[k]
+        if i <= done:
+            continue
+        first, before = _end_of_box(ranges, counts[0], points, labels, i, -1, thresholds)
+        last, after = _end_of_box(ranges, counts[0], points, labels, i, 1, thresholds)
+        done = last
+        if before == first or after == last:
+            continue
+        is_up = height[last] > height[first]
+        top, beyond, foot, below = (last, after, first, before) if is_up else (first, before, last, after)
+        if beyond >= 0 and ranges[beyond] <= ranges[top] + thresholds.far_m:
+            continue
+        if below >= 0 and labels[below] != _GROUND and ranges[below] < ranges[foot]:
+            continue
+        if _is_box(window_m, line, i, (first, last), points, counts[1], labels, thresholds):
+            for j in range(first, last + 1):
+                labels[j] = np.uint8(thresholds.pole_label) if _is_thing(labels[j]) else labels[j]
+
+
+@kernel(
+    uint8[:, ::1](
+        float32[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint8[:, ::1], 4),
+        boolean[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint64[:, ::1], 2),
+        UniTuple(float32[:, ::1], 3),
+        uint8[:, ::1],
+        UniTuple(float32[::1], 2),
+        float32,
+        record(DecisionThresholds),
+    )
+)
+def fused_labels(
+    window_m: F32,
+    above_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    texture: F32,
+    slots: tuple[Slots, Slots],
+    walls: tuple[F32, F32, F32],
+    levels: U8,
+    beams: tuple[F32, F32],
+    step: np.float32,
+    thresholds: DecisionThresholds,
+) -> U8:
+    """Label every shot of consecutive lines.
+
+    ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres; ``counts`` tuple of (lines
+    + 4, M) uint8; ``walked`` (lines + 4, M) bool; ``texture`` (lines, M) float32; ``slots`` tuple of (lines, STRIPS)
+    uint64; ``walls`` tuple of (lines, STRIPS) float32, metres; ``levels`` (lines, 2 STRIPS) uint8; ``beams`` tuple of
+    (M,) float32; returns (lines, M) uint8.
+    """
+    n_lines, m = texture.shape
+    near, smooth, upright, level = counts
+    labels = np.empty((n_lines, m), np.uint8)
+    shots, marks = np.empty(m + 1, np.int32), np.empty(m, np.uint8)
+    bin_counts, cars = (
+        np.empty(2 * STRIPS, np.uint8),
+        (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32)),
+    )
+    columns, bins, so_far = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m + 1, np.uint32)
+    found = (
+        np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32),
+        np.zeros(m, np.float32),
+    )  # fmt: skip
+    side, height, thin = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
+    # ring buffer of lines
+    pairs = np.empty((3, m), np.uint32)
+    for line in range(2):
+        _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], thresholds.least_near, pairs[line])
+    for line in range(n_lines):
+        k, row = line + LINES, labels[line]
+        own, ranges = (near[k], smooth[k], upright[k], level[k]), window_m[line + MARGIN]
+        _lay_out(ranges, beams, side, height)
+        place = side, height, above_m[k]
+        rows = walls[0][line], walls[1][line], walls[2][line]
+        rough = slots[1][line]
+        _label_plain(ranges, place[2], own, walked[k], thresholds, row)
+        n = _list_marked(row, _ODD, _ODD, shots)
+        _count_pairs(near[k + 1], smooth[k + 1], thresholds.least_near, pairs[(line + 2) % 3])
+        _sum_up_three(pairs[0], pairs[1], pairs[2], so_far)
+        _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
+        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (columns, so_far), thresholds, row)
+        n = _list_marked(row, _ODD, _OPEN, shots)
+        _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
+        _bins(place[0], bins)
+        _look_up(shots[:n], bins, rows, cars, found)
+        if thresholds.across_lines == ACROSS_LINES:
+            _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
+        else:
+            _mark_thin_far(window_m, line + MARGIN, thresholds.far_m, int(thresholds.across_lines), marks, thin)
+        _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
+        n = _list_marked(marks, 1, 1, shots)
+        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)
+        _mark_tops(place[2], own, row, thresholds, marks)
+        n = _list_marked(marks, 1, 1, shots)
+        _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)
+    return labels

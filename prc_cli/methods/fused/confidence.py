@@ -1,0 +1,179 @@
+"""How sure every label is, in per cent, for those who ask for it: nothing here runs otherwise.
+
+Six questions are asked of a shot, other ones for every label: how far it is from the limits that decided, how many of
+the shots around have its label, whether it was seen from near and steeply. Each has four answers. The confidence is the
+share of shots with this label and these answers that were right on simulated streets or forests: a table that ``python
+-m benchmarks.confidence calibrate`` makes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from prc_cli import kernels
+from prc_cli.core.classes import Label
+from prc_cli.core.profile import stage
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F32, I32, I64, U8
+from prc_cli.methods.fused.neighbours import Neighbours
+from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.strips import Standing
+from prc_cli.methods.returns import label_extra_returns
+
+Environment = Literal["urban", "forest"]
+
+MEASURES: dict[str, tuple[float, float, float]] = {
+    "agree": (0.5, 0.8, 0.95),
+    "smooth": (1, 4, 8),
+    "texture": (0.2, 0.6, 0.9),
+    "near": (1, 8, 20),
+    "upright": (1, 2, 3),
+    "level": (1, 2, 3),
+    "off": (0.03, 0.06, 1.5),
+    "steep": (0.0, 0.25, 0.5),
+    "range": (5, 10, 20),
+    "rough": (0.5, 0.8, 0.95),
+    "top": (1.5, 2.25, 4),
+    "filled": (1, 2, 4),
+    "ahead": (0.0, 0.3, 49),
+    "behind": (-49, -0.3, 0.3),
+    "jump": (0.1, 0.5, 2),
+}
+"""Measures in the order of :func:`confidence_loops.confidence_cells`, with the steps between their four
+answers."""
+STREET_QUESTIONS: dict[Label, tuple[str, ...]] = {
+    Label.NOISE: ("near", "range", "off", "top", "texture", "agree"),
+    Label.GROUND: ("level", "off", "range", "smooth", "upright", "near"),
+    Label.BUILDING: ("range", "ahead", "smooth", "steep", "top", "agree"),
+    Label.VEGETATION: ("behind", "agree", "filled", "near", "smooth", "rough"),
+    Label.CAR: ("range", "smooth", "agree", "ahead", "near", "steep"),
+    Label.CURB: ("texture", "agree", "near", "steep", "level", "smooth"),
+    Label.POLE: ("range", "steep", "rough", "jump", "level", "upright"),
+}
+FOREST_QUESTIONS: dict[Label, tuple[str, ...]] = {
+    Label.NOISE: ("agree", "near", "top", "range", "steep", "texture"),
+    Label.GROUND: ("smooth", "off", "range", "agree", "texture", "near"),
+    Label.VEGETATION: ("texture", "off", "smooth", "agree", "range", "near"),
+    Label.STEM: ("smooth", "agree", "off", "near", "level", "texture"),
+}
+QUESTIONS: dict[Environment, dict[Label, tuple[str, ...]]] = {"urban": STREET_QUESTIONS, "forest": FOREST_QUESTIONS}
+"""What is asked of the shots of every label. Labels without questions have no confidence, 0."""
+N_QUESTIONS = 6
+N_CELLS = 4**N_QUESTIONS
+"""Sets of answers."""
+GROUPS = {
+    Label.GROUND: 0, Label.CURB: 0, Label.BUILDING: 1, Label.STEM: 1, Label.VEGETATION: 2, Label.CAR: 3, Label.POLE: 4,
+    Label.UNCLASSIFIED: 4, Label.NOISE: 5,
+}  # fmt: skip
+"""Labels that agree with each other."""
+TABLE = Path(__file__).with_name("confidence.json")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What the labels of a block were decided by; of its lines alone, but for ``margin`` more before and after."""
+
+    seen: Neighbours
+    above_m: F32
+    """Above the ground in the scan plane [m]; of more lines, as ``seen``."""
+    texture: F32
+    """Of one line more before and after."""
+    standing: Standing
+    """Of one line more before and after."""
+    margin: int
+    """Lines of ``seen`` and ``above_m`` before and after the block."""
+
+
+@stage("confidence")
+def cells_of(
+    labels: U8, range_m: F32, evidence: Evidence, plane: ScanPlane, questions: dict[Label, tuple[str, ...]]
+) -> I32:
+    """Return the answers of every shot as the number of a cell of the table.
+
+    ``labels`` (lines, M) uint8; ``range_m`` (lines, M) float32, metres; returns (lines, M) int32.
+    """
+    own = slice(evidence.margin, evidence.margin + len(labels))
+    beside = slice(1, 1 + len(labels))
+    standing, (near, smooth, upright, level) = evidence.standing, evidence.seen.counts
+    cells: I32 = kernels.confidence_cells(
+        labels, np.ascontiguousarray(range_m), evidence.above_m[own], evidence.texture[beside],
+        (near[own], smooth[own], upright[own], level[own]),
+        (standing.slots[0][beside], standing.slots[1][beside]),
+        (standing.walls[0][beside], standing.walls[2][beside]), plane.beams, plane.step_rad,
+        _groups(), _rows(tuple(questions.items())), _steps(),
+    )  # fmt: skip
+    return cells
+
+
+def confidence_of(labels: U8, cells: I32, table: U8) -> U8:
+    """Return the confidence of every shot.
+
+    ``labels`` (...) uint8; ``cells`` (...) int32; ``table`` (number of labels, cells) uint8; returns (...) uint8.
+
+    >>> table = np.zeros((12, 4), np.uint8)
+    >>> table[Label.GROUND] = 60, 70, 80, 90
+    >>> confidence_of(np.array([[3, 0]], np.uint8), np.array([[2, 1]], np.int32), table)
+    array([[80,  0]], dtype=uint8)
+    """
+    found: U8 = table.ravel()[labels.astype(np.intp) * table.shape[1] + cells]
+    return found
+
+
+def of_further_returns(block: ScanBlock, confidence: U8, limit_m: float) -> U8:
+    """Return the confidence of further returns, (n,) uint8: that of the shot whose label they take, 0 without one."""
+    further = block.extra
+    return label_extra_returns(
+        block.range_m, confidence, further.line, further.column, further.range_m, limit_m, limit_m,
+        alone=Label.MISSING,
+    )  # fmt: skip
+
+
+@cache
+def load_table(environment: Environment) -> U8:
+    """Return the confidence of every label and cell, (number of labels, cells) uint8 [per cent]."""
+    stored: dict[str, str] = json.loads(TABLE.read_text(encoding="utf-8"))[environment]
+    return _decoded(stored)
+
+
+def _decoded(stored: Mapping[str, str]) -> U8:
+    table = np.zeros((len(Label), N_CELLS), np.uint8)
+    for name, text in stored.items():
+        table[Label[name.upper()]] = np.frombuffer(bytes.fromhex(text), np.uint8)
+    return table
+
+
+def save_tables(tables: Mapping[Environment, U8]) -> None:
+    """Write :data:`TABLE`: two hexadecimal digits a cell."""
+    stored: dict[str, dict[str, str]] = {
+        place: {label.name.lower(): table[label].tobytes().hex() for label in QUESTIONS[place]}
+        for place, table in tables.items()
+    }
+    TABLE.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+    load_table.cache_clear()
+
+
+@cache
+def _groups() -> I64:
+    return np.array([GROUPS.get(label, -1) for label in Label], np.int64)
+
+
+@cache
+def _rows(questions: tuple[tuple[Label, tuple[str, ...]], ...]) -> I64:
+    """Return the rows of the measures of every label, (number of labels, questions) int64."""
+    names = list(MEASURES)
+    rows = np.zeros((len(Label), N_QUESTIONS), np.int64)
+    for label, asked in questions:
+        rows[label] = [names.index(name) for name in asked]
+    return rows
+
+
+@cache
+def _steps() -> F32:
+    return np.array(list(MEASURES.values()), np.float32)

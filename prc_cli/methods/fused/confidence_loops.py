@@ -1,0 +1,212 @@
+"""Loop of the fused classifier that measures how clear every shot's label is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, I64, U8
+from prc_cli.kernels.cache import helper, inlined, kernel
+
+Words = NDArray[np.uint64]
+
+LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
+"""As in :mod:`strips_loops`."""
+(
+    AGREE, SMOOTH, TEXTURE, NEAR, UPRIGHT, LEVEL, OFF, STEEP, RANGE, ROUGH, TOP, FILLED, AHEAD, BEHIND, JUMP,
+) = range(15)  # fmt: skip
+"""Rows of the measures."""
+N_MEASURES = 15
+PLACE_M = np.float32(0.25)
+"""Half width of the place, in five lines, in which labels are compared [m]; 2 columns at least, 60 at most."""
+LEAST_COLUMNS, MOST_COLUMNS = np.float32(2), np.float32(60)
+"""Limits of the half width of a place, in columns: five lines of 121 shots fit in ten bits."""
+GROUP_BITS = 10
+"""Bits of the count of a group of labels in a word."""
+N_GROUPS = 6
+NOISE_GROUP = 5
+"""The group that does not count among the others."""
+NO_WALL_M = np.float32(50.0)
+"""Distance of a wall where there is none [m]."""
+WIDEST_JUMP_M = np.float32(6.0)
+"""Difference in range to a missing shot, and to one that is farther [m]."""
+PER_METRE = np.float32(0.1)
+"""Jumps are given at 10 m: farther, shots are farther apart."""
+
+
+_MISSING = int(Label.MISSING)
+
+
+@helper
+def _count_groups(labels: U8, groups: I64, words: Words) -> None:
+    """Write the group of every shot of a line as a word with one count; nothing where it has none."""
+    for i in range(len(labels)):
+        group = groups[labels[i]]
+        words[i] = np.uint64(1) << np.uint64(GROUP_BITS * max(group, 0)) if group >= 0 else np.uint64(0)
+
+
+@helper
+def _sum_up(lines: Words, first: int, last: int, so_far: Words) -> None:
+    """Write the sums of the first 0, 1, ... columns of some rows; they may overflow, their differences do not."""
+    room = lines.shape[0]
+    total = np.uint64(0)
+    so_far[0] = total
+    for i in range(lines.shape[1]):
+        for line in range(first, last):
+            total += lines[line % room, i]
+        so_far[i + 1] = total
+
+
+@helper
+def _agree(ranges: F32, labels: U8, groups: I64, so_far: Words, step: np.float32, agrees: F32) -> None:
+    """Write the share of the shots around that are of a shot's group; noise counts for noise alone."""
+    m = len(ranges)
+    ones = np.uint64((1 << GROUP_BITS) - 1)
+    for i in range(m):
+        group = groups[labels[i]]
+        if (group < 0) | (ranges[i] != ranges[i]):
+            agrees[i] = np.float32(0.0)
+            continue
+        half = int(min(max(PLACE_M / (ranges[i] * step), LEAST_COLUMNS), MOST_COLUMNS))
+        word = so_far[min(i + half + 1, m)] - so_far[max(i - half, 0)]
+        total, own = np.uint64(0), np.uint64(0)
+        for k in range(N_GROUPS):
+            n = (word >> np.uint64(GROUP_BITS * k)) & ones
+            own = n if k == group else own
+            total += n if (k != NOISE_GROUP) | (group == NOISE_GROUP) else np.uint64(0)
+        agrees[i] = np.float32(own) / np.float32(total)
+
+
+@inlined
+def _bits(word: np.uint64) -> int:
+    n = 0
+    while word != np.uint64(0):
+        word &= word - np.uint64(1)
+        n += 1
+    return n
+
+
+@inlined
+def _length(word: np.uint64) -> int:
+    """Return the number of the highest bit, counted from one; 0 = none."""
+    n = 0
+    while word != np.uint64(0):
+        word >>= np.uint64(1)
+        n += 1
+    return n
+
+
+@helper
+def _measure_strips(every: Words, rough: Words, strips: F32) -> None:
+    """Write of every strip of a line: the share of its slots that is rough, its top, and how much of it is filled."""
+    for b in range(STRIPS):
+        n = _bits(every[b])
+        strips[0, b] = np.float32(_bits(rough[b])) / np.float32(max(n, 1))
+        strips[1, b] = np.float32(_length(every[b])) * SLOT_M
+        strips[2, b] = np.float32(n) * SLOT_M
+    strips[0, STRIPS] = strips[1, STRIPS] = strips[2, STRIPS] = np.float32(0.0)
+
+
+@helper
+def _measure_places(ranges: F32, sine: F32, strips: F32, walls: tuple[F32, F32], measures: F32) -> None:
+    """Write what the strips of a line's shots hold, and where their walls are."""
+    at, ahead = walls
+    for i in range(len(ranges)):
+        y = ranges[i] * sine[i]
+        # limited before it becomes an integer: ranges may be any number
+        place = min(max(y / STRIP_M, np.float32(-STRIPS)), np.float32(STRIPS)) if y == y else np.float32(STRIPS)
+        b = int(np.floor(place)) + STRIPS // 2
+        b = b if 0 <= b < STRIPS else STRIPS
+        measures[ROUGH, i], measures[TOP, i], measures[FILLED, i] = strips[0, b], strips[1, b], strips[2, b]
+        wall = at[b] if b < STRIPS else np.float32(0.0)
+        before = ahead[b] if b < STRIPS else np.float32(0.0)
+        measures[BEHIND, i] = abs(y) - abs(wall) if wall != np.float32(0.0) else -NO_WALL_M
+        measures[AHEAD, i] = abs(before) - abs(y) if before != np.float32(0.0) else NO_WALL_M
+
+
+@helper
+def _measure_shots(
+    ranges: F32, above: F32, texture: F32, counts: tuple[U8, U8, U8, U8], cosine: F32, measures: F32
+) -> None:
+    """Write the measures of a line that need nothing but the shot and those beside it."""
+    near, smooth, upright, level = counts
+    m = len(ranges)
+    for i in range(m):
+        measures[SMOOTH, i], measures[NEAR, i] = np.float32(smooth[i]), np.float32(near[i])
+        measures[UPRIGHT, i], measures[LEVEL, i] = np.float32(upright[i]), np.float32(level[i])
+        measures[TEXTURE, i], measures[STEEP, i], measures[RANGE, i] = texture[i], cosine[i], ranges[i]
+        measures[OFF, i] = abs(above[i])
+        before = abs(ranges[max(i - 1, 0)] - ranges[i])
+        after = abs(ranges[min(i + 1, m - 1)] - ranges[i])
+        before = before if before < WIDEST_JUMP_M else WIDEST_JUMP_M
+        after = after if after < WIDEST_JUMP_M else WIDEST_JUMP_M
+        measures[JUMP, i] = max(before, after) / max(ranges[i] * PER_METRE, np.float32(1.0))
+
+
+@helper
+def _answer(labels: U8, measures: F32, limits: F32, questions: I64, cells: I32) -> None:
+    """Write the cell of every shot of a line: which steps of its label's measures are reached."""
+    n_steps, n_questions = limits.shape[1], questions.shape[1]
+    for i in range(len(labels)):
+        cells[i] = 0
+        if labels[i] == _MISSING:
+            continue
+        cell = 0
+        for k in range(n_questions):
+            row = questions[labels[i], k]
+            step = 0
+            for j in range(n_steps):
+                step += measures[row, i] >= limits[row, j]
+            cell = cell * (n_steps + 1) + step
+        cells[i] = np.int32(cell)
+
+
+@kernel(
+    "int32[:, ::1](uint8[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), "
+    "UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 2), UniTuple(float32[::1], 2), float32, "
+    "int64[::1], int64[:, ::1], float32[:, ::1])"
+)
+def confidence_cells(
+    labels: U8,
+    range_m: F32,
+    above_m: F32,
+    texture: F32,
+    counts: tuple[U8, U8, U8, U8],
+    slots: tuple[Words, Words],
+    walls: tuple[F32, F32],
+    beams: tuple[F32, F32],
+    step: np.float32,
+    groups: I64,
+    questions: I64,
+    limits: F32,
+) -> I32:
+    """Find which steps of its label's measures every shot reaches.
+
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32;
+    ``counts`` tuple of (lines, M) uint8; ``slots`` tuple of (lines, STRIPS) uint64; ``walls`` tuple of (lines, STRIPS)
+    float32, metres; ``beams`` tuple of (M,) float32; ``groups`` (number of labels,) int64; ``questions`` (number of
+    labels, n) int64; ``limits`` (measures, k) float32; returns (lines, M) int32.
+    """
+    n_lines, m = labels.shape
+    cells = np.empty((n_lines, m), np.int32)
+    room = 2 * LINES + 1
+    # ring buffer of lines
+    words = np.empty((room, m), np.uint64)
+    so_far, strips = np.empty(m + 1, np.uint64), np.empty((3, STRIPS + 1), np.float32)
+    measures = np.empty((N_MEASURES, m), np.float32)
+    near, smooth, upright, level = counts
+    sine, cosine = beams
+    for line in range(min(LINES, n_lines)):
+        _count_groups(labels[line], groups, words[line % room])
+    for line in range(n_lines):
+        if line + LINES < n_lines:
+            _count_groups(labels[line + LINES], groups, words[(line + LINES) % room])
+        _sum_up(words, max(line - LINES, 0), min(line + LINES + 1, n_lines), so_far)
+        _agree(range_m[line], labels[line], groups, so_far, step, measures[AGREE])
+        own = near[line], smooth[line], upright[line], level[line]
+        _measure_shots(range_m[line], above_m[line], texture[line], own, cosine, measures)
+        _measure_strips(slots[0][line], slots[1][line], strips)
+        _measure_places(range_m[line], sine, strips, (walls[0][line], walls[1][line]), measures)
+        _answer(labels[line], measures, limits, questions, cells[line])
+    return cells

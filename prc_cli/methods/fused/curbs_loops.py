@@ -1,0 +1,201 @@
+"""Loop of the fused classifier that finds the faces of curbs: steep steps between two pieces of ground."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import UniTuple, float32, helper, inlined, kernel, record, uint8
+from prc_cli.methods.fused.thresholds import CurbThresholds
+
+APART = 2
+"""A face climbs from the shot so many columns before to that so many columns after."""
+MOST_COLUMNS = 200
+"""Columns to either side in which the ground beside a face is looked for."""
+MOST_GAP = 8
+"""Adjacent columns without a shot near the ground at which it ends, as at a wall."""
+CHUNK = 8
+"""Shots that are compared at once, and empty columns beside a line."""
+_MISSING, _NOISE, _GROUND, _CURB = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND), int(Label.CURB)
+
+
+@helper
+def _mark_climbing(
+    ranges: F32,
+    above: F32,
+    labels: U8,
+    beams: tuple[F32, F32],
+    outwards: F32,
+    limits: tuple[np.float32, np.float32],
+    points: tuple[F32, F32],
+    low: U8,
+    climbs: U8,
+) -> None:
+    """Write heights and places, and mark the shots near the ground and those of them where the line climbs outwards.
+
+    Places are NaN but near the ground. Without branches, so that the compiler can use vector instructions.
+    """
+    most, climb = limits
+    side, height = points
+    m = len(ranges)
+    for i in range(m):
+        height[i] = -(ranges[i] * beams[1][i])
+    for i in range(m):
+        low[i] = np.uint8((abs(above[i]) < most) & (labels[i] != _MISSING) & (labels[i] != _NOISE))
+    for i in range(m):
+        side[CHUNK + i] = ranges[i] * beams[0][i] if low[i] != 0 else np.float32(np.nan)
+    for i in range(m):
+        climbs[i] = np.uint8(0)
+    inner = m - 2 * APART
+    before, after, own, marks = (
+        height[:inner],
+        height[2 * APART :],
+        ranges[APART : m - APART],
+        climbs[APART : m - APART],
+    )
+    for i in range(inner):
+        marks[i] = np.uint8((after[i] - before[i]) * outwards[i] >= climb * own[i])
+    for i in range(m):
+        climbs[i] &= low[i]
+
+
+@helper
+def _piece(i: int, low: U8) -> tuple[int, int]:
+    """Return the first and the last column of the ground around a shot without gaps."""
+    first = last = i
+    j = i - 1
+    while j >= 0 and first - j <= MOST_GAP + 1:
+        first = j if low[j] != 0 else first
+        j -= 1
+    j = i + 1
+    while j < len(low) and j - last <= MOST_GAP + 1:
+        last = j if low[j] != 0 else last
+        j += 1
+    return first, last
+
+
+@inlined
+def _is_beyond(side: F32, first: int, y: np.float32, half_m: np.float32) -> bool:
+    """Return whether one of CHUNK shots is not on a face; without branches, for vector instructions."""
+    beyond = np.uint8(0)
+    for j in range(first, first + CHUNK):
+        beyond |= np.uint8(abs(side[j] - y) > half_m)
+    return bool(beyond != 0)
+
+
+@inlined
+def _before(i: int, first: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
+    """Return the nearest column before a face whose shot is on the ground beside it, -1 = none; from ``first`` on."""
+    j, first = i - 1, max(first, i - MOST_COLUMNS)
+    while j >= first and not _is_beyond(side, j + 1, y, thresholds.half_m):
+        j -= CHUNK
+    while j >= first and not abs(side[CHUNK + j] - y) > thresholds.half_m:
+        j -= 1
+    return j if j >= first and abs(side[CHUNK + j] - y) <= thresholds.reach_m else -1
+
+
+@inlined
+def _after(i: int, last: int, side: F32, y: np.float32, thresholds: CurbThresholds) -> int:
+    """Return the nearest column after a face whose shot is on the ground beside it, -1 = none; up to ``last``."""
+    j, last = i + 1, min(last, i + MOST_COLUMNS)
+    while j <= last and not _is_beyond(side, CHUNK + j, y, thresholds.half_m):
+        j += CHUNK
+    while j <= last and not abs(side[CHUNK + j] - y) > thresholds.half_m:
+        j += 1
+    return j if j <= last and abs(side[CHUNK + j] - y) <= thresholds.reach_m else -1
+
+
+@inlined
+def _mean_height(
+    i: int,
+    way: int,
+    place: tuple[int, np.float32],
+    points: tuple[F32, F32],
+    low: U8,
+    labels: U8,
+    thresholds: CurbThresholds,
+) -> tuple[np.float32, int]:
+    """Return the mean height of the ground beside a face, from a column on, and how many shots it is of."""
+    side, height = points
+    first, y = place
+    total, n, j, gap = np.float32(0.0), 0, first, 0
+    last = i + way * MOST_COLUMNS
+    while 0 <= j < len(height) and (last - j) * way >= 0 and gap <= MOST_GAP:
+        gap += 1
+        if low[j] != 0:
+            gap = 0
+            away = abs(side[CHUNK + j] - y)
+            if away > thresholds.reach_m:
+                break
+            if away > thresholds.half_m and labels[j] == _GROUND:
+                total += height[j]
+                n += 1
+        j += way
+    return (total / np.float32(n) if n > 0 else total), n
+
+
+@kernel(
+    uint8[:, ::1](
+        uint8[:, ::1], float32[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, record(CurbThresholds)
+    )
+)
+def curb_labels(
+    labels: U8, range_m: F32, above_m: F32, beams: tuple[F32, F32], step: np.float32, thresholds: CurbThresholds
+) -> U8:
+    """Label the faces of curbs.
+
+    A shot near the ground is on a face if the line climbs there, and the ground is higher beyond it than before it,
+    most of that within the width of the face, and the shot is between both heights.
+
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32;
+    returns (lines, M) uint8.
+    """
+    n_lines, m = labels.shape
+    found = np.empty((n_lines, m), np.uint8)
+    height, low, climbs = np.empty(m, np.float32), np.empty(m, np.uint8), np.empty(m, np.uint8)
+    side: F32 = np.empty(m + 2 * CHUNK, np.float32)
+    for i in range(CHUNK):
+        side[i] = side[CHUNK + m + i] = np.float32(np.nan)
+    points = side, height
+    shots: I32 = np.empty(m + 1, np.int32)
+    cosine = beams[1]
+    # whether columns run outwards, 1, or inwards, -1
+    ways = np.ones(max(m - 2 * APART, 0), np.float32)
+    for i in range(len(ways)):
+        if not cosine[i + 2 * APART] < cosine[i]:
+            ways[i] = np.float32(-1.0)
+    limits = thresholds.most_m, thresholds.steep * step
+    for line in range(n_lines):
+        own, row, ranges = labels[line], found[line], range_m[line]
+        for i in range(m):
+            row[i] = own[i]
+        if m <= 2 * APART:
+            continue
+        _mark_climbing(ranges, above_m[line], own, beams, ways, limits, points, low, climbs)
+        n = 0
+        for i in range(m):
+            shots[n] = i
+            n += climbs[i]
+        first = last = -1
+        for k in range(n):
+            i = int(shots[k])
+            if i > last:
+                first, last = _piece(i, low)
+            outwards = int(ways[i - APART])
+            y, z = side[CHUNK + i], height[i]
+            before = _before(i, first, side, y, thresholds)
+            after = _after(i, last, side, y, thresholds)
+            inner, outer = (before, after) if outwards > 0 else (after, before)
+            # most shots end here
+            if inner < 0 or outer < 0 or height[outer] - height[inner] < thresholds.share * thresholds.least_m:
+                continue
+            foot, n_foot = _mean_height(i, -outwards, (inner, y), points, low, own, thresholds)
+            top, n_top = _mean_height(i, outwards, (outer, y), points, low, own, thresholds)
+            rise = top - foot
+            if n_foot == 0 or n_top == 0 or rise < thresholds.least_m or rise > thresholds.most_m:
+                continue
+            is_between = (z > foot + thresholds.margin * rise) & (z < top - thresholds.margin * rise)
+            if is_between & (height[outer] - height[inner] >= thresholds.share * rise):
+                row[i] = np.uint8(_CURB)
+    return found

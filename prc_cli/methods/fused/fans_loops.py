@@ -1,0 +1,220 @@
+"""Loop of the fused classifier that finds cars by the profile of single lines, where shots are far apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, int32, int64, kernel, record, uint8
+from prc_cli.methods.fused.thresholds import FanThresholds
+
+LINES = 12
+"""Lines before and after a line that a car is looked for in."""
+BIN_M, BINS = np.float32(0.25), 200
+"""Width of a bin to the side [m], and bins on either side."""
+REACH_M = np.float32(0.5)
+"""A car reaches this far beyond the shots of a line, to either side [m]."""
+JUMP_M = np.float32(1.0)
+"""Shots farther apart than this to the side belong to different things, and to different depths of the scene [m]."""
+FOOT_M = np.float32(0.6)
+"""Lowest shot on a car in a line across its roof, at most [m]."""
+LEAST_DEEP_M, MOST_DEEP_M = np.float32(0.3), np.float32(3.0)
+"""Depth of what is seen of it in such a line: walls and fences have less, hedges more [m]."""
+LEAST_SHOTS = 6
+"""Fewest shots of it in such a line."""
+LOW_M, HIGH_FOOT_M = np.float32(2.0), np.float32(1.0)
+"""In other lines a car is lower than this, and its lowest shot below this [m]."""
+_SEED, _THING = np.uint8(1), np.uint8(2)
+_MISSING, _NOISE, _GROUND, _CURB = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND), int(Label.CURB)
+_POLE = int(Label.POLE)
+_FAR = np.float32(1e6)
+
+
+@helper
+def _is_thing(label: np.uint8) -> bool:
+    """Return whether a label is that of a thing that stands on the ground."""
+    return bool((label != _MISSING) & (label != _NOISE) & (label != _GROUND) & (label != _CURB))
+
+
+@helper
+def _list_present(ranges: F32, outwards: I32, shots: I32) -> int:
+    """List the columns of one side with a return, from straight down to straight up; return how many there are."""
+    n = 0
+    for k in range(len(outwards)):
+        i = outwards[k]
+        if ranges[i] == ranges[i]:
+            shots[n] = i
+            n += 1
+    return n
+
+
+@helper
+def _end_of(shots: I32, first: int, labels: U8, side: F32) -> int:
+    """Return where the run of a thing ends that begins at a place of a list, exclusive."""
+    k = first + 1
+    while k < len(shots) and _is_thing(labels[shots[k]]):
+        if not abs(abs(side[shots[k]]) - abs(side[shots[k - 1]])) < JUMP_M:
+            break
+        k += 1
+    return k
+
+
+@helper
+def _extent(
+    shots: I32, side: F32, above: F32, texture: F32
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Return the lowest and highest shot of a run, its nearest and farthest side, and its mean smoothness."""
+    low, high, near, far, total = _FAR, -_FAR, _FAR, -_FAR, np.float32(0.0)
+    for i in shots:
+        low, high = min(low, above[i]), max(high, above[i])
+        near, far = min(near, abs(side[i])), max(far, abs(side[i]))
+        total += texture[i]
+    return low, high, near, far, total / np.float32(len(shots))
+
+
+@helper
+def _bins_of(near: np.float32, far: np.float32) -> tuple[int, int]:
+    """Return the bins that a thing between two sides may reach, the last one exclusive."""
+    first = max(int(np.floor(min((near - REACH_M) / BIN_M, _FAR))), 0)
+    return min(first, BINS), min(int(np.floor(min((far + REACH_M) / BIN_M, _FAR))) + 1, BINS)
+
+
+@helper
+def _mark_side(
+    shots: I32, labels: U8, side: F32, above: F32, texture: F32, thresholds: FanThresholds, marks: U8, low_things: I32
+) -> int:
+    """Mark the bins of the things of a line and side, and of those that are profiles across a roof.
+
+    Write the first and last shot and bin of those that are low enough for a car, each last one exclusive; return how
+    many there are.
+    """
+    k = n = 0
+    while k < len(shots):
+        if not _is_thing(labels[shots[k]]):
+            k += 1
+            continue
+        end = _end_of(shots, k, labels, side)
+        low, high, near, far, smooth = _extent(shots[k:end], side, above, texture)
+        is_roof = (high >= thresholds.least_m) & (high <= thresholds.most_m) & (low < FOOT_M)
+        is_roof &= (far - near >= LEAST_DEEP_M) & (far - near <= MOST_DEEP_M)
+        is_roof &= (smooth >= thresholds.smooth) & (end - k >= LEAST_SHOTS) & (k > 0) & (end < len(shots))
+        if is_roof:
+            before = labels[shots[k - 1]]
+            is_roof = (before == _GROUND) | (before == _CURB)
+            is_roof &= abs(side[shots[end]]) > abs(side[shots[end - 1]]) + JUMP_M
+        n_cars = 0
+        for j in range(k, end):
+            if labels[shots[j]] == np.uint8(thresholds.label):
+                n_cars += 1
+        is_roof |= 2 * n_cars >= end - k
+        first, last = _bins_of(near, far)
+        for q in range(first, last):
+            marks[q] |= _SEED if is_roof else _THING
+        if not (high > LOW_M or low >= HIGH_FOOT_M):
+            low_things[n, 0], low_things[n, 1], low_things[n, 2], low_things[n, 3] = k, end, first, last
+            n += 1
+        k = end
+    return n
+
+
+@helper
+def _sum_up(marks: U8, bit: np.uint8, sums: I32) -> None:
+    """Write how many of the first 0, 1, ... lines have a mark, for one bin."""
+    total = np.int32(0)
+    sums[0] = total
+    for k in range(len(marks)):
+        total += np.int32((marks[k] & bit) != np.uint8(0))
+        sums[k + 1] = total
+
+
+@helper
+def _is_car(seeds: I32, things: I32, first: int, last: int, line: int, thresholds: FanThresholds) -> bool:
+    """Return whether enough lines around cross a roof in the bins of a thing: in the bin where most do."""
+    low, high = max(line - LINES, 0), min(line + LINES + 1, seeds.shape[1] - 1)
+    most, at = 0, -1
+    for q in range(first, last):
+        n = seeds[q, high] - seeds[q, low]
+        if n > most:
+            most, at = n, q
+    if most < 2:
+        return False
+    others = things[at, high] - things[at, low]
+    return bool(np.float32(most) >= thresholds.share * np.float32(most + others))
+
+
+@kernel(
+    Tuple((uint8[:, ::1], uint8[:, ::1]))(
+        uint8[:, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        float32[::1],
+        UniTuple(int32[::1], 2),
+        uint8[:, ::1],
+        int64,
+        record(FanThresholds),
+    )
+)
+def fan_cars(
+    labels: U8,
+    range_m: F32,
+    above_m: F32,
+    texture: F32,
+    sine: F32,
+    sides: tuple[I32, I32],
+    before: U8,
+    n_own: int,
+    thresholds: FanThresholds,
+) -> tuple[U8, U8]:
+    """Label cars where shots are far apart, as in fans of rings.
+
+    A line across a car climbs from the ground over flank and panes to the roof, and then sees far beyond. Walls and
+    hedges are higher, fences have no depth, plants are rougher. Where enough lines around are so, or see a thing that
+    is half a car already, low things other than poles are cars.
+
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32;
+    ``sine`` (M,) float32; ``sides`` tuple of (n,) int32; ``before`` (LINES, 2 BINS) uint8; returns ``labels`` (n_own,
+    M) uint8, ``marks`` (LINES, 2 BINS) uint8.
+    """
+    n_lines, m = labels.shape
+    found = np.empty((n_own, m), np.uint8)
+    n = n_lines + LINES
+    marks = np.zeros((2 * BINS, n), np.uint8)
+    side = np.empty(m, np.float32)
+    # shots of both sides of every line, and the low things among them
+    shots, n_things = np.empty((2 * n_lines, m), np.int32), np.empty(2 * n_lines, np.int32)
+    low_things = np.empty((2 * n_lines, m, 4), np.int32)
+    for line in range(LINES):
+        for q in range(2 * BINS):
+            marks[q, line] = before[line, q]
+    for k in range(n_lines):
+        for i in range(m):
+            side[i] = range_m[k, i] * sine[i]
+        for way in range(2):
+            row = 2 * k + way
+            there = shots[row, : _list_present(range_m[k], sides[way], shots[row])]
+            own = marks[way * BINS : (way + 1) * BINS, k + LINES]
+            n_things[row] = _mark_side(there, labels[k], side, above_m[k], texture[k], thresholds, own, low_things[row])
+    seeds, things = np.empty((2 * BINS, n + 1), np.int32), np.empty((2 * BINS, n + 1), np.int32)
+    for q in range(2 * BINS):
+        _sum_up(marks[q], _SEED, seeds[q])
+        _sum_up(marks[q], _THING, things[q])
+    car, pole = np.uint8(thresholds.label), np.uint8(_POLE)
+    for k in range(n_own):
+        for i in range(m):
+            found[k, i] = labels[k, i]
+        for way in range(2):
+            row = 2 * k + way
+            for one in range(n_things[row]):
+                first, end = low_things[row, one, 0], low_things[row, one, 1]
+                low_bin, high_bin = way * BINS + low_things[row, one, 2], way * BINS + low_things[row, one, 3]
+                if _is_car(seeds, things, low_bin, high_bin, k + LINES, thresholds):
+                    for j in range(first, end):
+                        i = shots[row, j]
+                        found[k, i] = pole if labels[k, i] == pole else car
+    after = np.empty((LINES, 2 * BINS), np.uint8)
+    for line in range(LINES):
+        for q in range(2 * BINS):
+            after[line, q] = marks[q, n_own + line]
+    return found, after

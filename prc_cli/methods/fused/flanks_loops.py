@@ -1,0 +1,198 @@
+"""Loop of the fused classifier that finds flanks of vehicles: upright surfaces with ground beneath them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, inlined, kernel, record, uint8, uint64
+from prc_cli.methods.fused.thresholds import FlankThresholds
+
+Slots = NDArray[np.uint64]
+
+BIN_M = np.float32(0.125)
+"""Width of a bin of ground, a quarter of a strip [m]."""
+LINES, STRIPS, STRIP_M, SLOT_M = 2, 320, np.float32(0.5), np.float32(0.25)
+"""As in :mod:`strips_loops`."""
+BINS = 2 * STRIPS
+"""Bins on either side."""
+LEVEL_BIN_M = np.float32(0.25)
+"""Width of a bin of level surfaces [m]."""
+BODY_BINS = 6
+"""Bins of level surfaces that are marked as the vehicle, from its flank on."""
+HANGS = 16
+"""Mark of the bins of bodies that hang higher: as many can be added up as are counted around a shot."""
+MOST_SLOTS = 12
+"""Slots in which the bottom of a body is looked for."""
+FEWER = 4
+"""Ground seen through the body is less than that beneath, divided by this."""
+_FAR = np.float32(1e6)
+
+
+@helper
+def _count_ground(
+    ranges: F32, above: F32, upright: U8, beams: tuple[F32, F32], soil_m: np.float32, bins: I32, depths: F32
+) -> None:
+    """Count the shots of the ground in every bin of a line, and write how deep it lies below the scanner."""
+    sine, cosine = beams
+    for q in range(2 * BINS):
+        bins[q] = 0
+    for i in range(len(ranges)):
+        if (abs(above[i]) < soil_m) & (upright[i] <= 1):
+            y = ranges[i] * sine[i]
+            q = int(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + BINS
+            if 0 <= q < 2 * BINS:
+                bins[q] += 1
+                depths[q] = ranges[i] * cosine[i]
+
+
+@helper
+def _add_around(values: F32, line: int, lines: F32, sums: F32) -> None:
+    """Add up the values of five lines, and then of three strips."""
+    for b in range(STRIPS):
+        before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
+        lines[b + 1] = (before + values[line + 3, b]) + values[line + 4, b]
+    lines[0] = lines[STRIPS + 1] = np.float32(0.0)
+    for b in range(STRIPS):
+        sums[b] = (lines[b] + lines[b + 1]) + lines[b + 2]
+
+
+@helper
+def _is_upright(wall: F32, b: int) -> bool:
+    """Return whether a line has something upright in a strip or beside it."""
+    return bool(wall[b] > 0 or wall[max(b - 1, 0)] > 0 or wall[min(b + 1, STRIPS - 1)] > 0)
+
+
+@helper
+def _ground_behind(bins: I32, depths: F32, side: int, away: np.float32, thresholds: FlankThresholds) -> tuple[int, int]:
+    """Count the ground that is seen beneath a body at a distance, and through it.
+
+    By the height at which the line of sight passes the flank: below the sill, or above. At twice the distance of the
+    flank it passes at half the height of the scanner.
+    """
+    beneath = beyond = 0
+    first = min(int(min(away / BIN_M, _FAR)), BINS)
+    for j in range(first, min(2 * first, BINS)):
+        q = BINS + j if side == 0 else BINS - 1 - j
+        if bins[q] == 0:
+            continue
+        passes = depths[q] * (np.float32(1.0) - away / ((np.float32(j) + np.float32(0.5)) * BIN_M))
+        if passes > thresholds.body_m:
+            break
+        if thresholds.low_m <= passes <= thresholds.sill_m:
+            beneath += bins[q]
+        elif passes > thresholds.sill_m:
+            beyond += bins[q]
+    return beneath, beyond
+
+
+@inlined
+def _bottom(every: Slots, b: int, away: np.float32) -> np.float32:
+    """Return how high above the ground a line sees anything at a flank, lower things at its foot included [m]."""
+    half = STRIPS // 2
+    own = min(int(away / STRIP_M), half - 1)
+    nearer = max(own - 1, 0)
+    word = every[half + own] | every[half + nearer] if b >= half else every[half - 1 - own] | every[half - 1 - nearer]
+    slot = 0
+    while slot < MOST_SLOTS and (word >> np.uint64(slot)) & np.uint64(1) == np.uint64(0):
+        slot += 1
+    return np.float32(slot) * SLOT_M
+
+
+@helper
+def _ground_below(bins: I32, depths: F32, side: int, away: np.float32, bottom: np.float32) -> tuple[int, int]:
+    """Count the ground that is seen below the bottom of a body at a distance, and that seen through the body."""
+    beneath = beyond = 0
+    first = min(int(min(away / BIN_M, _FAR)), BINS)
+    for j in range(first, min(2 * first, BINS)):
+        q = BINS + j if side == 0 else BINS - 1 - j
+        if bins[q] == 0:
+            continue
+        passes = depths[q] * (np.float32(1.0) - away / ((np.float32(j) + np.float32(0.5)) * BIN_M))
+        if np.float32(0.5) * bottom <= passes <= bottom:
+            beneath += bins[q]
+        elif passes > bottom + SLOT_M:
+            beyond += bins[q]
+    return beneath, beyond
+
+
+@kernel(
+    Tuple((uint8[:, ::1], uint8[:, ::1]))(
+        float32[:, ::1],
+        float32[:, ::1],
+        uint8[:, ::1],
+        UniTuple(float32[::1], 2),
+        UniTuple(float32[:, ::1], 3),
+        uint64[:, ::1],
+        uint8[:, ::1],
+        record(FlankThresholds),
+    )
+)
+def find_flanks(
+    range_m: F32,
+    above_m: F32,
+    upright: U8,
+    beams: tuple[F32, F32],
+    sums: tuple[F32, F32, F32],
+    every: Slots,
+    levels: U8,
+    thresholds: FlankThresholds,
+) -> tuple[U8, U8]:
+    """Find strips with the flank of a vehicle: ground is seen right beneath it, and none farther behind.
+
+    ``range_m, above_m`` (lines + 4, M) float32, metres; ``upright`` (lines + 4, M) uint8; ``beams`` tuple of (M,)
+    float32; ``sums`` tuple of (lines + 4, STRIPS) float32; ``every`` (lines + 4, STRIPS) uint64; ``levels`` (lines, 2
+    STRIPS) uint8; returns ``flanks`` (lines, STRIPS) uint8, ``levels`` (lines, 2 STRIPS) uint8.
+    """
+    length, wall, place = sums
+    n_lines = levels.shape[0]
+    flanks, found = np.empty((n_lines, STRIPS), np.uint8), np.empty((n_lines, 2 * STRIPS), np.uint8)
+    # ring buffer of lines
+    room = 2 * LINES + 1
+    bins, depths = np.empty((room, 2 * BINS), np.int32), np.empty((room, 2 * BINS), np.float32)
+    lines, walls, places = np.empty(STRIPS + 2, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32)
+    lengths = np.empty(STRIPS, np.float32)
+    least, most = thresholds.least_m * np.float32(room), thresholds.most_m * np.float32(room)
+    for k in range(n_lines + 2 * LINES):
+        _count_ground(range_m[k], above_m[k], upright[k], beams, thresholds.soil_m, bins[k % room], depths[k % room])
+        if k < 2 * LINES:
+            continue
+        line = k - 2 * LINES
+        for q in range(2 * STRIPS):
+            found[line, q] = levels[line, q]
+        _add_around(length, line, lines, lengths)
+        _add_around(wall, line, lines, walls)
+        _add_around(place, line, lines, places)
+        for b in range(STRIPS):
+            flanks[line, b] = 0
+            if walls[b] <= 0 or walls[b] < least or walls[b] > most or walls[b] < thresholds.share * lengths[b]:
+                continue
+            away = abs(places[b] / walls[b])
+            side = 0 if b >= STRIPS // 2 else 1
+            beneath = beyond = below = through = 0
+            lowest, highest = _FAR, np.float32(0.0)
+            for c in range(line, line + room):
+                # lines beside a post see the ground behind it
+                if not _is_upright(wall[c], b):
+                    continue
+                low, high = _ground_behind(bins[c % room], depths[c % room], side, away, thresholds)
+                beneath += low
+                beyond += high
+                bottom = _bottom(every[c], b, away)
+                if thresholds.body_m <= bottom <= thresholds.high_m:
+                    low, high = _ground_below(bins[c % room], depths[c % room], side, away, bottom)
+                    below += low
+                    through += high
+                    lowest, highest = min(lowest, bottom), max(highest, bottom)
+            big = walls[b] >= thresholds.large_m * np.float32(room)
+            is_low = np.float32(beneath) >= thresholds.shots and beyond * FEWER <= beneath
+            # a slanted plane meets the edge of a house higher from line to line
+            is_even = highest - lowest <= SLOT_M
+            hangs = big and is_even and np.float32(below) >= thresholds.shots and through * FEWER <= below
+            if is_low or hangs:
+                flanks[line, b] = 1
+                at = int(min(away / LEVEL_BIN_M, _FAR))
+                for j in range(at, min(at + BODY_BINS, STRIPS)):
+                    found[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= np.uint8(HANGS | 1 if hangs else 1)
+    return flanks, found

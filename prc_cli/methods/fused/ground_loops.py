@@ -1,0 +1,366 @@
+"""Loop of the fused classifier that follows the ground of every line, outwards on both sides of the scanner."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.kernels.cache import (
+    Tuple,
+    UniTuple,
+    boolean,
+    float32,
+    float64,
+    helper,
+    inlined,
+    int32,
+    int64,
+    kernel,
+    record,
+    uint8,
+)
+from prc_cli.methods.fused.thresholds import WalkThresholds
+
+Memory = tuple[F32, I32, F32, F32]
+
+BINS, BIN_M = 320, np.float32(0.25)
+"""Number of places on either side at which the ground is remembered, and their width [m]."""
+BACK_M = np.float32(0.05)
+"""The walk may go back this far on its way out, because of range noise [m]."""
+MOST_AGE = np.iinfo(np.int32).max
+"""Ages stop here [lines]."""
+DEPTHS, DEPTH_M = 1000, np.float32(0.1)
+"""Depths below the scanner at which the ground is searched, and the distance from one to the next [m]."""
+LOST_LINES = 32
+"""Where no ground was known for so many lines with level shots, it is searched anew."""
+START_FOLLOW = np.float32(0.005)
+"""Share of a new height in the start: that of a single line may be a car's."""
+MANY = np.float32(0.25)
+"""The ground is the lowest depth with this share of the level shots of the commonest depth."""
+
+
+@helper
+def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.float32:
+    """Return the height at which a walk starts: that of the nearest remembered place."""
+    for b in range(BINS):
+        if np.float32(age[b]) < lines:
+            start_m = memory[b]
+            break
+    return start_m
+
+
+@helper
+def _nearest(heights: F32, ages: I32, lines: np.float32) -> tuple[bool, np.float32]:
+    """Return whether any place is remembered, and the height of the nearest one of both sides."""
+    for b in range(BINS):
+        for s in range(2):
+            if np.float32(ages[s, b]) < lines:
+                return True, heights[s, b]
+    return False, np.float32(0.0)
+
+
+@helper
+def _search(points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: F32, sums: F32) -> bool:
+    """Count the level shots of a line at every depth below the scanner, near ones and all; return whether any."""
+    side, height = points
+    is_any = False
+    for i in range(len(side)):
+        if (is_level[i] != 0) & (height[i] < np.float32(0.0)):
+            depth = -height[i] / DEPTH_M
+            if depth < np.float32(DEPTHS):
+                d = int(depth)
+                counts[1, d] += np.float32(1.0)
+                sums[1, d] += height[i]
+                is_any = True
+                if abs(side[i]) < reach_m:
+                    counts[0, d] += np.float32(1.0)
+                    sums[0, d] += height[i]
+    return is_any
+
+
+@helper
+def _lowest(counts: F32, sums: F32) -> np.float32:
+    """Return the mean height of the lowest depth with many level shots; there is at least one shot."""
+    row = 1
+    most = np.float32(0.0)
+    for d in range(DEPTHS):
+        most = max(most, counts[0, d])
+    if most > np.float32(0.0):
+        row = 0
+    else:
+        for d in range(DEPTHS):
+            most = max(most, counts[1, d])
+    found = np.float32(0.0)
+    for d in range(DEPTHS):
+        if (counts[row, d] > np.float32(0.0)) & (counts[row, d] >= MANY * most):
+            found = sums[row, d] / counts[row, d]
+    return found
+
+
+@inlined
+def _seen_height(before: np.float32, is_seen: np.uint8, mean: np.float32) -> np.float32:
+    """Return the height of a place that the walk leaves: the mean of both visits if there were two.
+
+    Takes no arrays: passing them for every place costs more than the rest of the walk.
+    """
+    return (before + mean) * np.float32(0.5) if is_seen else mean
+
+
+@helper
+def _mark_level(near: U8, smooth: U8, upright: U8, level: U8, least: np.float32, is_level: U8) -> None:
+    """Mark the shots of a line that a walk may use."""
+    for i in range(len(near)):
+        is_level[i] = np.uint8((np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i]))
+
+
+@helper
+def _walk(
+    columns: I32,
+    sign: np.float32,
+    points: tuple[F32, F32],
+    is_level: U8,
+    level_shots: I32,
+    known: tuple[F32, I32],
+    start_m: np.float32,
+    thresholds: WalkThresholds,
+    profile: F32,
+    seen: U8,
+    walked: Mask,
+) -> None:
+    """Follow the ground outwards on one side of a line, from level shot to level shot, in small steps of height."""
+    memory, age = known
+    last_y, last_z = np.float32(0.0), _start(memory, age, start_m, thresholds.memory_lines)
+    lines, near_m = thresholds.memory_lines, thresholds.known_m
+    step, slope, reach, gap = thresholds.step_m, thresholds.slope, thresholds.slope_reach_m, thresholds.gap_slope
+    place, total, n = -1, np.float32(0.0), np.float32(0.0)
+    n_level = 0
+    for k in range(len(columns)):
+        level_shots[n_level] = columns[k]
+        n_level += is_level[columns[k]]
+    for k in range(n_level):
+        i = level_shots[k]
+        y, z = points[0][i] * sign, points[1][i]
+        out = y - last_y
+        if out < -BACK_M or y < np.float32(0.0) or y >= BINS * BIN_M:
+            continue
+        b = int(y / BIN_M)
+        out = max(out, np.float32(0.0))
+        limit = step + slope * min(out, reach) + gap * out
+        if abs(z - last_z) <= limit or (np.float32(age[b]) < lines and abs(z - memory[b]) < near_m):
+            walked[i] = True
+            if b != place:
+                if place >= 0:
+                    profile[place] = _seen_height(profile[place], seen[place], total / n)
+                    seen[place] = 1
+                place, total, n = b, np.float32(0.0), np.float32(0.0)
+            total += z
+            n += np.float32(1.0)
+            last_y, last_z = y, z
+    if place >= 0:
+        profile[place] = _seen_height(profile[place], seen[place], total / n)
+        seen[place] = 1
+
+
+@helper
+def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThresholds) -> None:
+    """Update the memory by the heights of a line; fill the profile from the memory where the line saw no ground."""
+    lines, follow = thresholds.memory_lines, thresholds.follow
+    for b in range(BINS):
+        # without branches, for vector instructions
+        is_seen, mean, known_m = seen[b] != 0, profile[b], memory[b]
+        followed = known_m + (mean - known_m) * follow if np.float32(age[b]) < lines else mean
+        older = age[b] + np.int32(age[b] < MOST_AGE)
+        is_known = np.float32(older) < lines
+        profile[b] = followed if is_seen else (known_m if is_known else mean)
+        memory[b] = followed if is_seen else known_m
+        age[b] = np.int32(0) if is_seen else np.int32(older)
+        seen[b] = np.uint8(is_seen | is_known)
+
+
+@helper
+def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
+    """Interpolate between the places where the ground is known; level beyond the outermost."""
+    last = -1
+    for b in range(BINS):
+        if not seen[b]:
+            continue
+        if b - last > 1:
+            low = profile[b] if last < 0 else profile[last]
+            rise = (profile[b] - low) / np.float32(b - last)
+            for q in range(last + 1, b):
+                profile[q] = low + rise * np.float32(q - last)
+        last = b
+    beyond = profile[last] if last >= 0 else start_m
+    for q in range(last + 1, BINS):
+        profile[q] = beyond
+
+
+@helper
+def _places(side: F32, places: I32, shares: F32) -> None:
+    """Write the place before every shot, of both profiles in a row, and the share of the way to the next place."""
+    half = np.float32(0.5)
+    for i in range(len(side)):
+        y = side[i] if side[i] == side[i] else np.float32(0.0)
+        # limited before it becomes an integer: ranges may be any number
+        place = min(max(abs(y) / BIN_M - half, np.float32(0.0)), np.float32(BINS - 1))
+        b = min(np.int32(place), np.int32(BINS - 2))
+        shares[i] = min(place - np.float32(b), np.float32(1.0))
+        places[i] = b if y >= np.float32(0.0) else b + np.int32(BINS)
+
+
+@helper
+def _grounds(places: I32, shares: F32, profiles: F32, grounds: F32) -> None:
+    """Write the height of the ground under every shot of a line."""
+    for i in range(len(places)):
+        b = np.uint64(places[i])
+        inner, outer = profiles[b], profiles[b + np.uint64(1)]
+        grounds[i] = inner + (outer - inner) * shares[i]
+
+
+@helper
+def _heights(side: F32, height: F32, grounds: F32, above: F32) -> None:
+    """Write the heights of the shots of a line above the ground."""
+    for i in range(len(side)):
+        above[i] = height[i] - grounds[i] if side[i] == side[i] else np.float32(np.nan)
+
+
+@helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line in the scan plane."""
+    sine, cosine = beams
+    for i in range(len(ranges)):
+        side[i] = ranges[i] * sine[i]
+    for i in range(len(ranges)):
+        height[i] = -(ranges[i] * cosine[i])
+
+
+@helper
+def _copy(memory: Memory, to: Memory) -> None:
+    """Copy a memory of the ground; element by element, because array copies take seconds to compile."""
+    heights, ages, counts, sums = memory
+    to_heights, to_ages, to_counts, to_sums = to
+    for s in range(2):
+        for b in range(BINS):
+            to_heights[s, b] = heights[s, b]
+            to_ages[s, b] = ages[s, b]
+        for d in range(DEPTHS):
+            to_counts[s, d] = counts[s, d]
+            to_sums[s, d] = sums[s, d]
+
+
+@helper
+def _empty() -> Memory:
+    """Return room for a memory of the ground."""
+    return (
+        np.empty((2, BINS), np.float32), np.empty((2, BINS), np.int32),
+        np.empty((2, DEPTHS), np.float32), np.empty((2, DEPTHS), np.float32),
+    )  # fmt: skip
+
+
+@helper
+def _start_of_line(
+    memory: Memory,
+    start: tuple[np.float32, int],
+    points: tuple[F32, F32],
+    is_level: U8,
+    thresholds: WalkThresholds,
+) -> tuple[np.float32, int]:
+    """Return where the walk of a line starts if its side is not known, and for how many lines no side has been.
+
+    That is the height of the nearest known place in the lines before, and where the ground is lost for long or was
+    never known, a depth with many level shots of the lines since then. The number is negative if it was never known.
+    """
+    heights, ages, counts, sums = memory
+    start_m, lost = start
+    is_known, nearest_m = _nearest(heights, ages, thresholds.memory_lines)
+    if is_known:
+        start_m = start_m + (nearest_m - start_m) * START_FOLLOW if lost >= 0 else nearest_m
+        # counts of earlier lines go when the ground is known again
+        if lost != 0:
+            for s in range(2):
+                for d in range(DEPTHS):
+                    counts[s, d] = sums[s, d] = np.float32(0.0)
+        return start_m, 0
+    if _search(points, is_level, thresholds.start_reach_m, counts, sums):
+        lost = lost - 1 if lost < 0 else lost + 1
+        if lost < 0 or lost >= LOST_LINES:
+            start_m = _lowest(counts, sums)
+    return start_m, lost
+
+
+@kernel(
+    Tuple(
+        (
+            float32[:, ::1],
+            boolean[:, ::1],
+            Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])),
+            float64,
+            int64,
+        )
+    )(
+        float32[:, ::1],
+        UniTuple(float32[::1], 2),
+        UniTuple(uint8[:, ::1], 4),
+        UniTuple(int32[::1], 2),
+        Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])),
+        float32,
+        int64,
+        int64,
+        record(WalkThresholds),
+    )
+)
+def walk_ground(
+    range_m: F32,
+    beams: tuple[F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    sides: tuple[I32, I32],
+    memory: Memory,
+    start_m: np.float32,
+    lost: int,
+    keep: int,
+    thresholds: WalkThresholds,
+) -> tuple[F32, Mask, Memory, float, int]:
+    """Find the ground of consecutive lines, and the height of every shot above it.
+
+    ``range_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32; ``counts`` tuple of (lines, M) uint8;
+    ``sides`` tuple of (n,) int32; returns ``above_m`` (lines, M) float32, metres, ``walked`` (lines, M) bool.
+    """
+    n_lines, m = range_m.shape
+    above = np.empty((n_lines, m), np.float32)
+    walked = np.empty((n_lines, m), np.bool_)
+    own_memory, kept = _empty(), _empty()
+    kept_start, kept_lost = start_m, lost
+    _copy(memory, own_memory)
+    heights, ages, _, _ = own_memory
+    profiles, seen = np.empty(2 * BINS, np.float32), np.empty(BINS, np.uint8)
+    level_shots, places = np.empty(m + 1, np.int32), np.empty(m, np.int32)
+    shares, grounds = np.empty(m, np.float32), np.empty(m, np.float32)
+    side, height, is_level = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
+    near, smooth, upright, level = counts
+    for line in range(n_lines):
+        if line == keep:
+            _copy(own_memory, kept)
+            kept_start, kept_lost = start_m, lost
+        _lay_out(range_m[line], beams, side, height)
+        _mark_level(near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level)
+        start_m, lost = _start_of_line(own_memory, (start_m, lost), (side, height), is_level, thresholds)
+        own = walked[line]
+        for i in range(m):
+            own[i] = False
+        for s in range(2):
+            columns = sides[0] if s == 0 else sides[1]
+            sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
+            profile, known = profiles[s * BINS : (s + 1) * BINS], (heights[s], ages[s])
+            for b in range(BINS):
+                seen[b] = 0
+                profile[b] = np.float32(0.0)
+            _walk(columns, sign, (side, height), is_level, level_shots, known, start_m, thresholds, profile, seen, own)
+            _remember(profile, seen, heights[s], ages[s], thresholds)
+            _fill(profile, seen, start_m)
+        _places(side, places, shares)
+        _grounds(places, shares, profiles, grounds)
+        _heights(side, height, grounds, above[line])
+    if keep >= n_lines:
+        _copy(own_memory, kept)
+        kept_start, kept_lost = start_m, lost
+    return above, walked, kept, float(kept_start), kept_lost

@@ -1,0 +1,119 @@
+"""Interlaced scanners: every other column is measured half a line later, and its ranges are put in step again.
+
+Some scanners halve their angular step by scanning twice, the second time between the beams of the first (SICK LMS 2xx
+at 0.5 degrees). In between the platform moves by half the distance of two lines, so that a wall that recedes is a
+zigzag, as rough as a hedge.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, F64, I64
+from prc_cli.methods.fused.neighbours import SmoothnessParams
+from prc_cli.methods.fused.plane import ScanPlane
+
+REACH_LINES = 12
+"""Lines before and after a line that it is found from whether columns are interlaced: others may begin with the other
+half of the columns."""
+LEAST_SHOTS = 4
+"""Fewest shots that it is found from."""
+HALF, SLACK = 0.5, 0.15
+"""How much later the other columns are, in lines, and how far single shots may be off that."""
+STEEP = 4.0
+"""Tolerances that a surface recedes by from line to line, at least, to tell when it was measured."""
+
+
+class InterlaceParams(Params):
+    """Scanners that measure every other column half a line later (``[fused.interlace]``)."""
+
+    enabled: bool = Field(True, description="whether to put such columns in step, where surfaces recede evenly ...")
+    step_deg: float = Field(
+        0.2, ge=0, le=90, description="... and columns are at least this far apart: finer scanners scan once [deg]"
+    )
+
+
+@stage("interlace")
+def put_in_step(
+    range_m: F32, plane: ScanPlane, noise_m: F64, smoothness: SmoothnessParams, params: InterlaceParams
+) -> F32:
+    """Return ranges as if all columns of a line had been measured together.
+
+    Where a surface recedes evenly from line to line, the odd columns are moved by half a line. Nothing is changed where
+    lines show no interlaced surface.
+
+    ``range_m`` (lines, M) float32, metres; ``noise_m`` (lines,) float64; returns (lines, M) float32, metres.
+
+    A wall that recedes by 0.4 m a line, odd columns half a line later:
+
+    >>> plane = ScanPlane.of(np.deg2rad(np.linspace(60, 70, 21)))
+    >>> late = np.where(np.arange(21) % 2 == 1, 0.5, 0.0)
+    >>> lines = (5 + 0.4 * (np.arange(9)[:, None] + late)).astype(np.float32)
+    >>> put_in_step(lines, plane, np.full(9, 0.005), SmoothnessParams(), InterlaceParams())[4, :4].round(3).tolist()
+    [6.599999904632568, 6.599999904632568, 6.599999904632568, 6.599999904632568]
+    """
+    if not params.enabled or float(plane.step_rad) < math.radians(params.step_deg) or len(range_m) < 3:
+        return range_m
+    before, own, after = range_m[:-2], range_m[1:-1], range_m[2:]
+    values, of_line = np.unique(noise_m[1:-1], return_inverse=True)
+    limits = [smoothness.thresholds(float(value), float(plane.step_rad)) for value in values]
+    least_m = np.array([one.tolerance_m for one in limits], np.float32)[of_line]
+    tolerance_m = least_m[:, None] + limits[0].tolerance_per_m * own
+    half = np.float32(0.5)
+    with np.errstate(all="ignore"):  # ranges may be anything
+        is_even = np.abs((before + after) * half - own) < np.float32(2.0) * tolerance_m
+        recedes_m = (after - before) * half
+    later = _later(_counts(own, recedes_m, tolerance_m, is_even))
+    if not later.any():
+        return range_m
+    moved = range_m.copy()
+    odd = slice(1, None, 2)
+    by_m = np.where(is_even, recedes_m, np.float32(0.0))[:, odd] * (later[:, None] * half).astype(np.float32)
+    moved[1:-1, odd] -= by_m
+    return moved
+
+
+def _counts(own: F32, recedes_m: F32, tolerance_m: F32, is_even: NDArray[np.bool_]) -> I64:
+    """Count, by line, the shots whose column is half a line later, half a line earlier, and neither, (lines, 3) int64.
+
+    Asked are shots on surfaces that recede by much, evenly and with both columns beside.
+    """
+    left, middle, right = slice(0, -2), slice(1, -1), slice(2, None)
+    with np.errstate(all="ignore"):
+        is_steep = is_even & (np.abs(recedes_m) > np.float32(STEEP) * tolerance_m)
+        is_asked = is_steep[:, left] & is_steep[:, middle] & is_steep[:, right]
+        signs = np.sign(recedes_m)
+        is_asked &= (signs[:, left] == signs[:, middle]) & (signs[:, right] == signs[:, middle])
+        is_asked &= np.abs(own[:, right] - own[:, left]) < np.abs(recedes_m[:, middle])
+        off = own[:, middle] - (own[:, left] + own[:, right]) * np.float32(0.5)
+        late = off / recedes_m[:, middle]
+    late[:, 1::2] *= np.float32(-1.0)  # of the odd columns against the even ones
+    is_later = is_asked & (np.abs(late - np.float32(HALF)) < np.float32(SLACK))
+    is_earlier = is_asked & (np.abs(late + np.float32(HALF)) < np.float32(SLACK))
+    counts = np.stack([is_later.sum(axis=1), is_earlier.sum(axis=1)], axis=1)
+    found: I64 = np.column_stack([counts, is_asked.sum(axis=1) - counts.sum(axis=1)]).astype(np.int64)
+    return found
+
+
+def _later(counts: I64) -> I64:
+    """Return by line whether its odd columns are later, 1, or earlier, -1, by what most shots of lines around say.
+
+    >>> _later(np.array([[0, 0, 9], [4, 0, 0], [8, 1, 0]])).tolist()
+    [0, 0, 0]
+    >>> _later(np.array([[0, 9, 1]])).tolist()
+    [-1]
+    """
+    so_far = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
+    lines = np.arange(len(counts))
+    last = np.minimum(lines + REACH_LINES + 1, len(counts))
+    around = so_far[last] - so_far[np.maximum(lines - REACH_LINES, 0)]
+    others = around.sum(axis=1)[:, None] - around
+    is_so = (around >= LEAST_SHOTS) & (around > 2 * others)
+    later: I64 = is_so[:, 0].astype(np.int64) - is_so[:, 1]
+    return later

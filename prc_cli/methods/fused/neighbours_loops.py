@@ -1,0 +1,442 @@
+"""Loops of the fused classifier over shots and their neighbours: near neighbours, smoothness, direction.
+
+The first two read the *window* of a block: its lines and :data:`LINES` more before and after. The points of a line have
+:data:`COLUMNS` columns of NaN on either side, so that neighbours are shifted arrays and comparisons with absent ones
+are false.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import UniTuple, float32, helper, inlined, kernel, record, uint8
+from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, SmoothThresholds
+
+LINES, COLUMNS = 2, 4
+"""Greatest distance of neighbours, in lines and columns."""
+MOST_STRIDE = 8
+"""Every so many columns are compared at most."""
+PIECE = 128
+"""Columns that are looked at together for such a stride."""
+MOST_COLUMNS = 60
+"""Greatest half length of a chord, in columns."""
+PAD = MOST_COLUMNS + 2
+"""Empty columns beside a line, in which chords may end."""
+
+
+@kernel("UniTuple(float32[:, ::1], 2)(float32[:, ::1], float32[::1], float32[::1])")
+def plane_points(range_m: F32, sine: F32, cosine: F32) -> tuple[F32, F32]:
+    """Turn ranges into points of the scan plane.
+
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float32; returns side_m, height_m : (lines, M)
+    float32, metres.
+    """
+    n_lines, m = range_m.shape
+    side = np.empty((n_lines, m), np.float32)
+    height = np.empty((n_lines, m), np.float32)
+    for line in range(n_lines):
+        own, y, z = range_m[line], side[line], height[line]
+        for i in range(m):
+            y[i] = own[i] * sine[i]
+            z[i] = -(own[i] * cosine[i])
+    return side, height
+
+
+@helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line between its margins, as :func:`plane_points` has them."""
+    sine, cosine = beams
+    m = len(ranges)
+    y, z = side[COLUMNS : COLUMNS + m], height[COLUMNS : COLUMNS + m]
+    # one result a loop: the compiler cannot always prove that several do not overlap
+    for i in range(m):
+        y[i] = ranges[i] * sine[i]
+    for i in range(m):
+        z[i] = -(ranges[i] * cosine[i])
+
+
+@helper
+def _margins(m: int) -> F32:
+    """Return a buffer for the points of five lines, with NaN in the margins."""
+    rows = np.empty((2 * LINES + 1, m + 2 * COLUMNS), np.float32)
+    for row in range(2 * LINES + 1):
+        for i in range(COLUMNS):
+            rows[row, i] = rows[row, m + COLUMNS + i] = np.float32(np.nan)
+    return rows
+
+
+@inlined
+def _is_near(dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32) -> np.uint8:
+    """Return whether two points are close, or on one level or upright surface at grazing incidence.
+
+    ``along`` is not less than ``near``.
+    """
+    a, b = abs(dy), abs(dz)
+    return np.uint8(max(a, b) < (along if min(a, b) < thin else near))
+
+
+@helper
+def _count_beside(own: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float32, row: U8) -> None:
+    """Count the near neighbours of the shots of a line, which has margins, among the four on either side."""
+    y, z = own
+    near, along = limits
+    for i in range(len(row)):
+        a, b, short, long = y[i + 4], z[i + 4], near[i], along[i]
+        row[i] = (
+            _is_near(y[i] - a, z[i] - b, short, thin, long)
+            + _is_near(y[i + 1] - a, z[i + 1] - b, short, thin, long)
+            + _is_near(y[i + 2] - a, z[i + 2] - b, short, thin, long)
+            + _is_near(y[i + 3] - a, z[i + 3] - b, short, thin, long)
+            + _is_near(y[i + 5] - a, z[i + 5] - b, short, thin, long)
+            + _is_near(y[i + 6] - a, z[i + 6] - b, short, thin, long)
+            + _is_near(y[i + 7] - a, z[i + 7] - b, short, thin, long)
+            + _is_near(y[i + 8] - a, z[i + 8] - b, short, thin, long)
+        )
+
+
+@helper
+def _count_across(
+    own: tuple[F32, F32],
+    line: tuple[F32, F32],
+    other: tuple[F32, F32],
+    limits: tuple[F32, F32],
+    thin: np.float32,
+    row: U8,
+) -> None:
+    """Add the near neighbours of the shots of a line among five of two other lines each; all have margins."""
+    y, z = own
+    y1, z1 = line
+    y2, z2 = other
+    near, along = limits
+    for i in range(len(row)):
+        a, b, short, long = y[i + 4], z[i + 4], near[i], along[i]
+        row[i] += (
+            _is_near(y1[i + 2] - a, z1[i + 2] - b, short, thin, long)
+            + _is_near(y1[i + 3] - a, z1[i + 3] - b, short, thin, long)
+            + _is_near(y1[i + 4] - a, z1[i + 4] - b, short, thin, long)
+            + _is_near(y1[i + 5] - a, z1[i + 5] - b, short, thin, long)
+            + _is_near(y1[i + 6] - a, z1[i + 6] - b, short, thin, long)
+            + _is_near(y2[i + 2] - a, z2[i + 2] - b, short, thin, long)
+            + _is_near(y2[i + 3] - a, z2[i + 3] - b, short, thin, long)
+            + _is_near(y2[i + 4] - a, z2[i + 4] - b, short, thin, long)
+            + _is_near(y2[i + 5] - a, z2[i + 5] - b, short, thin, long)
+            + _is_near(y2[i + 6] - a, z2[i + 6] - b, short, thin, long)
+        )
+
+
+@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, record(NearThresholds)))
+def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
+    """Count the near neighbours of every shot: of 8 in its line and 20 in the two lines before and after.
+
+    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
+    """
+    m = range_m.shape[1]
+    n_lines = range_m.shape[0] - 2 * LINES
+    near_m, near_steps, thin = thresholds.near_m, thresholds.near_steps, thresholds.thin_m
+    along_m, along_steps = thresholds.along_m, thresholds.along_steps
+    counts = np.empty((n_lines, m), np.uint8)
+    near, along = np.empty(m, np.float32), np.empty(m, np.float32)
+    # ring buffers of lines
+    side, height = _margins(m), _margins(m)
+    room = 2 * LINES + 1
+    for line in range(range_m.shape[0]):
+        _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
+        if line < 2 * LINES:
+            continue
+        own = range_m[line - LINES]
+        for i in range(m):
+            apart = own[i] * step
+            short = max(near_m, near_steps * apart)
+            near[i] = short
+            along[i] = max(max(along_m, along_steps * apart), short)
+        row = counts[line - 2 * LINES]
+        a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
+        points = side[c], height[c]
+        _count_beside(points, (near, along), thin, row)
+        _count_across(points, (side[a], height[a]), (side[b], height[b]), (near, along), thin, row)
+        _count_across(points, (side[d], height[d]), (side[e], height[e]), (near, along), thin, row)
+    return counts
+
+
+@inlined
+def _on_line(
+    ay: np.float32,
+    az: np.float32,
+    by: np.float32,
+    bz: np.float32,
+    y: np.float32,
+    z: np.float32,
+    tolerance: np.float32,
+    gap: np.float32,
+) -> np.uint8:
+    """Return whether a point lies on the line through two others that are close; both limits are squared."""
+    dy, dz = by - ay, bz - az
+    long = dy * dy + dz * dz
+    off = dy * (z - az) - dz * (y - ay)
+    return np.uint8((long < gap) & (off * off < tolerance * long))
+
+
+@inlined
+def _between(
+    ay: np.float32, az: np.float32, by: np.float32, bz: np.float32, y: np.float32, z: np.float32, tolerance: np.float32
+) -> np.uint8:
+    """Return whether a point lies midway between two others; the tolerance is squared."""
+    half = np.float32(0.5)
+    dy, dz = (ay + by) * half - y, (az + bz) * half - z
+    return np.uint8(dy * dy + dz * dz < np.float32(4.0) * tolerance)
+
+
+@helper
+def _pairs_in_line(
+    ranges: F32, side: F32, height: F32, step: np.float32, thresholds: SmoothThresholds, row: U8
+) -> None:
+    """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
+    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
+    gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
+    for i in range(len(row)):
+        tolerance = base + per_m * ranges[i]
+        tolerance = tolerance * tolerance
+        gap = max(gap_m, gap_steps * (ranges[i] * step))
+        gap = gap * gap
+        y1, y2, y, y3, y4 = side[i + 2], side[i + 3], side[i + 4], side[i + 5], side[i + 6]
+        z1, z2, z, z3, z4 = height[i + 2], height[i + 3], height[i + 4], height[i + 5], height[i + 6]
+        row[i] = (
+            _on_line(y2, z2, y3, z3, y, z, tolerance, gap)
+            + _on_line(y1, z1, y4, z4, y, z, tolerance, gap)
+            + _on_line(y1, z1, y2, z2, y, z, tolerance, gap)
+            + _on_line(y3, z3, y4, z4, y, z, tolerance, gap)
+            + _on_line(y2, z2, y4, z4, y, z, tolerance, gap)
+            + _on_line(y1, z1, y3, z3, y, z, tolerance, gap)
+        )
+
+
+@helper
+def _strides(ranges: F32, step: np.float32, apart: np.float32, strides: I32) -> None:
+    """Write with every how many columns the shots of a line are compared: fewer at its ends, one for missing shots."""
+    m = len(ranges)
+    most = np.float32(MOST_STRIDE)
+    for i in range(m):
+        # NaN stays NaN, which no comparison holds for
+        columns = apart / (ranges[i] * step)
+        strides[i] = np.int32(min(columns, most)) if columns >= np.float32(2.0) else np.int32(1)
+    for i in range(min(2 * MOST_STRIDE, m)):
+        inside = np.int32(max(i // 2, 1))
+        strides[i] = min(strides[i], inside)
+        strides[m - 1 - i] = min(strides[m - 1 - i], inside)
+
+
+@helper
+def _pairs_farther(
+    ranges: F32, points: tuple[F32, F32], step: np.float32, thresholds: SmoothThresholds, strides: I32, row: U8
+) -> None:
+    """Count the pairs in a line anew for shots that are compared with every second column or fewer.
+
+    Piece by piece, once for every stride there: with one stride the pairs are shifted arrays.
+    """
+    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
+    gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
+    side, height = points
+    m = len(row)
+    for first in range(0, m, PIECE):
+        end = min(first + PIECE, m)
+        there = np.int32(0)
+        for i in range(first, end):
+            there |= np.int32(1) << strides[i]
+        for n in range(2, MOST_STRIDE + 1):
+            if there & np.int32(1 << n) == 0:
+                continue
+            # no shot nearer to the ends of the line has this stride
+            low, high = max(first, 2 * n), min(end, m - 2 * n)
+            start, size = low + COLUMNS, high - low
+            own, asked, counts = ranges[low:high], strides[low:high], row[low:high]
+            y0, y1, y2 = side[start : start + size], side[start - 2 * n :], side[start - n :]
+            y3, y4 = side[start + n :], side[start + 2 * n :]
+            z0, z1, z2 = height[start : start + size], height[start - 2 * n :], height[start - n :]
+            z3, z4 = height[start + n :], height[start + 2 * n :]
+            for k in range(size):
+                y, z = y0[k], z0[k]
+                tolerance = base + per_m * own[k]
+                tolerance = tolerance * tolerance
+                gap = max(gap_m, gap_steps * (own[k] * step))
+                gap = gap * gap
+                count = (
+                    _on_line(y2[k], z2[k], y3[k], z3[k], y, z, tolerance, gap)
+                    + _on_line(y1[k], z1[k], y4[k], z4[k], y, z, tolerance, gap)
+                    + _on_line(y1[k], z1[k], y2[k], z2[k], y, z, tolerance, gap)
+                    + _on_line(y3[k], z3[k], y4[k], z4[k], y, z, tolerance, gap)
+                    + _on_line(y2[k], z2[k], y4[k], z4[k], y, z, tolerance, gap)
+                    + _on_line(y1[k], z1[k], y3[k], z3[k], y, z, tolerance, gap)
+                )
+                counts[k] = np.uint8(count) if asked[k] == n else counts[k]
+
+
+@helper
+def _pairs_across(
+    ranges: F32,
+    lines: tuple[F32, F32, F32, F32, F32],
+    heights: tuple[F32, F32, F32, F32, F32],
+    thresholds: SmoothThresholds,
+    row: U8,
+) -> None:
+    """Add the pairs of shots before and after a line that its shots lie in the middle between; all have margins."""
+    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
+    ya, yb, own_y, yd, ye = lines
+    za, zb, own_z, zd, ze = heights
+    for i in range(len(row)):
+        tolerance = base + per_m * ranges[i]
+        tolerance = tolerance * tolerance
+        y, z = own_y[i + 4], own_z[i + 4]
+        row[i] += (
+            _between(yb[i + 4], zb[i + 4], yd[i + 4], zd[i + 4], y, z, tolerance)
+            + _between(yb[i + 5], zb[i + 5], yd[i + 3], zd[i + 3], y, z, tolerance)
+            + _between(yb[i + 3], zb[i + 3], yd[i + 5], zd[i + 5], y, z, tolerance)
+            + _between(ya[i + 4], za[i + 4], ye[i + 4], ze[i + 4], y, z, tolerance)
+        )
+
+
+@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, record(SmoothThresholds)))
+def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
+    """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
+
+    In the line, a shot must lie on the straight line through the pair. Where columns are nearer to each other than
+    ``apart_m``, every second, third, ... column is compared, up to :data:`MOST_STRIDE`: two shots on one leaf are as
+    smooth as two on a wall. Across lines, whose distance is not known, in the middle between the pair, within twice the
+    tolerance.
+
+    ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
+    """
+    m = range_m.shape[1]
+    n_lines = range_m.shape[0] - 2 * LINES
+    counts = np.empty((n_lines, m), np.uint8)
+    strides = np.empty(m, np.int32)
+    side, height = _margins(m), _margins(m)
+    room = 2 * LINES + 1
+    for line in range(range_m.shape[0]):
+        _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
+        if line < 2 * LINES:
+            continue
+        ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
+        a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
+        _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
+        _strides(ranges, step, thresholds.apart_m, strides)
+        _pairs_farther(ranges, (side[c], height[c]), step, thresholds, strides, row)
+        lines = side[a], side[b], side[c], side[d], side[e]
+        heights = height[a], height[b], height[c], height[d], height[e]
+        _pairs_across(ranges, lines, heights, thresholds, row)
+    return counts
+
+
+@inlined
+def _is_upright(dy: np.float32, dz: np.float32, slope: np.float32, slack: np.float32, longest: np.float32) -> np.uint8:
+    """Return whether a chord is upright and not too long; with the arguments exchanged, whether it is level."""
+    return np.uint8((abs(dy) <= slope * abs(dz) + slack) & (dy * dy + dz * dz <= longest))
+
+
+@helper
+def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
+    """Write where the chords of a line end: at a column if it is smooth, else the next one out, else the next one in.
+
+    ``way`` is out: -1 or 1. Column 0 is at PAD, and what lies beyond the line stays NaN. The second half of ``ends`` is
+    for shots to which the next one in is themselves.
+    """
+    n = len(shown)
+    for i in range(len(values)):
+        shown[PAD + i] = values[i] if smooth[i] > 0 else np.float32(np.nan)
+    out, own, back = shown[1 + way : n - 1 + way], shown[1 : n - 1], shown[1 - way : n - 1 - way]
+    three, two = ends[1 : n - 1], ends[n + 1 : 2 * n - 1]
+    for i in range(n - 2):
+        # NaN marks columns that are not smooth
+        further = own[i] if own[i] == own[i] else out[i]
+        two[i] = further
+        three[i] = further if further == further else back[i]
+
+
+@helper
+def _look_up(reach: I32, way: int, ends: tuple[F32, F32], found: tuple[F32, F32]) -> None:
+    """Write the ends of the chords of a line; a loop of its own, as all others read memory in order."""
+    m = len(reach)
+    n = m + 2 * PAD
+    side, height = ends
+    found_y, found_z = found
+    for i in range(m):
+        columns = int(reach[i])
+        place = np.uint64(PAD + i + way * columns + (n if columns == 1 else 0))
+        found_y[i] = side[place]
+        found_z[i] = height[place]
+
+
+@helper
+def _count_chords(
+    points: tuple[F32, F32],
+    before: tuple[F32, F32],
+    after: tuple[F32, F32],
+    thresholds: ChordThresholds,
+    upright: U8,
+    level: U8,
+) -> None:
+    """Count the chords of a line that are upright, and level: to one end, to the other, from end to end."""
+    slope, slack = thresholds.slope, thresholds.slack_m
+    longest = thresholds.longest_m * thresholds.longest_m
+    y, z = points
+    ay, az = before
+    by, bz = after
+    for i in range(len(y)):
+        # NaN propagates for missing shots and ends, which are neither
+        dy1, dz1, dy2, dz2 = ay[i] - y[i], az[i] - z[i], by[i] - y[i], bz[i] - z[i]
+        dy3, dz3 = dy1 - dy2, dz1 - dz2
+        upright[i] = (
+            _is_upright(dy1, dz1, slope, slack, longest)
+            + _is_upright(dy2, dz2, slope, slack, longest)
+            + _is_upright(dy3, dz3, slope, slack, longest)
+        )
+        level[i] = (
+            _is_upright(dz1, dy1, slope, slack, longest)
+            + _is_upright(dz2, dy2, slope, slack, longest)
+            + _is_upright(dz3, dy3, slope, slack, longest)
+        )
+
+
+@kernel(
+    UniTuple(uint8[:, ::1], 2)(
+        float32[:, ::1], uint8[:, ::1], float32[::1], float32[::1], float32, record(ChordThresholds)
+    )
+)
+def directions(
+    range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
+) -> tuple[U8, U8]:
+    """Count which chords through a shot are upright and which are level.
+
+    A chord reaches as far to both sides as ``chord_m`` is long at that range, to shots that lie on something smooth; it
+    and its two halves are looked at.
+
+    ``range_m`` (lines, M) float32, metres; ``smooth`` (lines, M) uint8; ``sine, cosine`` (M,) float32; returns upright,
+    level : (lines, M) uint8.
+    """
+    n_lines, m = range_m.shape
+    n = m + 2 * PAD
+    upright, level = np.empty((n_lines, m), np.uint8), np.empty((n_lines, m), np.uint8)
+    reach, side, height = np.empty(m, np.int32), np.empty(m, np.float32), np.empty(m, np.float32)
+    shown, ends = np.empty(n, np.float32), (np.empty(2 * n, np.float32), np.empty(2 * n, np.float32))
+    for i in range(n):
+        shown[i] = np.float32(np.nan)
+    for i in range(2 * n):
+        ends[0][i] = ends[1][i] = np.float32(np.nan)
+    before = np.empty(m, np.float32), np.empty(m, np.float32)
+    after = np.empty(m, np.float32), np.empty(m, np.float32)
+    chord, most = thresholds.chord_m, np.float32(MOST_COLUMNS)
+    for line in range(n_lines):
+        own = range_m[line]
+        for i in range(m):
+            columns = np.float32(0.0) if own[i] != own[i] else chord / (own[i] * step)
+            reach[i] = np.int32(min(max(columns, np.float32(1.0)), most))
+        for i in range(m):
+            side[i] = own[i] * sine[i]
+        for i in range(m):
+            height[i] = -(own[i] * cosine[i])
+        for way in (-1, 1):
+            _ends(side, smooth[line], way, shown, ends[0])
+            _ends(height, smooth[line], way, shown, ends[1])
+            _look_up(reach, way, ends, before if way < 0 else after)
+        _count_chords((side, height), before, after, thresholds, upright[line], level[line])
+    return upright, level

@@ -1,0 +1,688 @@
+"""The fused classifier: its stages in order, and the state between blocks.
+
+From Lehtola et al. (2019, II-B): shots without support of their neighbours are noise; here neighbours are compared in
+the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces are classified by their direction in
+the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
+
+Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are short, and run
+block after block. All others need the block and 21 lines before and after it, 35 for the distance of lines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from prc_cli.core.classes import Label
+from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
+from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
+from prc_cli.methods.blocks import check_block
+from prc_cli.methods.fused.classes import (
+    ACROSS_LINES,
+    BESIDE_THIN_LINES,
+    CarParams,
+    LeavesParams,
+    NoiseParams,
+    PoleParams,
+    VoteParams,
+    decide,
+    decision_thresholds,
+    texture_of,
+    vote,
+)
+from prc_cli.methods.fused.confidence import (
+    QUESTIONS,
+    Evidence,
+    cells_of,
+    confidence_of,
+    load_table,
+    of_further_returns,
+)
+from prc_cli.methods.fused.curbs import CurbParams, find_curbs
+from prc_cli.methods.fused.forest import ForestParams, forest
+from prc_cli.methods.fused.forest_noise import forest_noise
+from prc_cli.methods.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
+from prc_cli.methods.fused.heights import Overhearing, true_heights
+from prc_cli.methods.fused.interlace import InterlaceParams, put_in_step
+from prc_cli.methods.fused.neighbours import (
+    DirectionParams,
+    NeighbourhoodParams,
+    Neighbours,
+    SmoothnessParams,
+    chords,
+    near_neighbours,
+    smooth_pairs,
+)
+from prc_cli.methods.fused.noise import again_limits, ask_again
+from prc_cli.methods.fused.plane import (
+    AROUND_LINES,
+    INNER_LINES,
+    VOTE_LINES,
+    WIDE_LINES,
+    Noise,
+    NoiseAlong,
+    Plane,
+    ScanPlane,
+    SensorParams,
+)
+from prc_cli.methods.fused.profiles import LINES, are_wanted, find_cars, no_profiles
+from prc_cli.methods.fused.returns import label_further_returns
+from prc_cli.methods.fused.rings import RingsParams, is_fan
+from prc_cli.methods.fused.spacing import (
+    BESIDE_LINES,
+    SPACED_LINES,
+    Halt,
+    Spacing,
+    SpacingParams,
+    keep_labels,
+    leaves_again,
+    spaced_pairs,
+    strides_of,
+)
+from prc_cli.methods.fused.strips import FlankParams, Standing, StripsParams, WallParams, stand
+from prc_cli.methods.fused.terrain import heights_over_ground
+from prc_cli.methods.fused.thresholds import DecisionThresholds, SpacingThresholds
+
+FOREST_NOISE_M = 0.035
+"""Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
+OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
+"""Outermost lines of the window that no label looks at."""
+FOLLOWING_LINES = SPACED_LINES + LINES
+"""Lines after a block that its labels depend on, where cars are found by profiles."""
+MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
+"""Lines of a stream before and after a block that its labels depend on."""
+ROOM_LINES = 4
+"""Whether a place is a room is asked on every fourth line."""
+MOST_APART = 8
+"""Most lines from one to the next of a stream of close lines: too few beside the block are known for more."""
+FARTHEST_BESIDE = 4
+"""Greatest distance of neighbours of those lines of such a stream that are beside the block."""
+FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
+KERNELS = frozenset(
+    {
+        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.noise",
+        "fused.spacing", "fused.strips", "fused.texture", "fused.votes",
+    }
+)  # fmt: skip
+FOREST_KERNELS = frozenset({"fused.stems"})
+CONFIDENCE_KERNELS = frozenset(
+    {"fused.confidence", "fused.flanks", "fused.neighbours", "fused.strips", "fused.texture"}
+)
+
+
+class FusedParams(MethodParams):
+    """Parameters of the fused classifier (``[fused]``); lengths are those in the scan plane."""
+
+    environment: Literal["urban", "forest"] = Field(
+        "urban", description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation'
+    )
+    lines_per_block: int = Field(128, ge=1, le=100_000, description="scan lines that are labelled together")
+    extra_return_m: float = Field(
+        0.3, ge=0, le=100, description="further returns take the label of a shot around that is this near in range [m]"
+    )
+    sensor: SensorParams = SensorParams()
+    company: NeighbourhoodParams = NeighbourhoodParams()
+    smoothness: SmoothnessParams = SmoothnessParams()
+    interlace: InterlaceParams = InterlaceParams()
+    spacing: SpacingParams = SpacingParams()
+    directions: DirectionParams = DirectionParams()
+    ground: GroundParams = GroundParams()
+    strips: StripsParams = StripsParams()
+    walls: WallParams = WallParams()
+    flanks: FlankParams = FlankParams()
+    noise: NoiseParams = NoiseParams()
+    leaves: LeavesParams = LeavesParams()
+    cars: CarParams = CarParams()
+    poles: PoleParams = PoleParams()
+    curbs: CurbParams = CurbParams()
+    votes: VoteParams = VoteParams()
+    rings: RingsParams = RingsParams()
+    forest: ForestParams = ForestParams()
+
+    def method(self) -> Fused:
+        """Return the method with these parameters."""
+        return Fused(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedState:
+    """State handed to the next block; its size depends only on M."""
+
+    tail: F32
+    """(SPACED_LINES, M) float32, the last lines [m]; NaN = missing, or before the stream."""
+    noise: Noise
+    """Range noise measured so far, in a forest."""
+    noise_along: NoiseAlong
+    """The same along a street."""
+    line: int
+    """Number of lines so far."""
+    spacing: Spacing
+    """Distance of the lines so far."""
+    halt: Halt
+    """Labels before the platform came to stand."""
+    memory: GroundMemory
+    """Ground before the last three lines of the tail."""
+    profiles: U8
+    """Marks of lines across cars, where shots are far apart."""
+
+
+AnyArray = NDArray[Any]
+
+TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
+NOISE_ALONG = Part[NoiseAlong]("noise_along")
+LINE, SPACING = Part[int]("line"), Part[Spacing]("spacing")
+HALT = Part[Halt]("halt")
+PROFILES = Part[U8]("profiles")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Neighbourhoods in a block and three lines before and after it; independent of earlier blocks."""
+
+    window: F32
+    """(lines + 10, M) float32, ranges [m]."""
+    range_m: F32
+    """(lines + 6, M) float32, ranges of the lines that ``neighbours`` covers."""
+    neighbours: Neighbours
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedScanner:
+    """Beam directions of a scanner."""
+
+    plane: Plane
+    scan_plane: ScanPlane
+    is_fan: bool
+    """Whether lines are fans of rings that turn about the vertical; a profiler sees much more of its plane."""
+
+    @classmethod
+    def of(cls, beam_rad: F64) -> FusedScanner:
+        """Return the scanner of beams.
+
+        ``beam_rad`` (M,) float64.
+        """
+        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), is_fan(beam_rad))
+
+    @property
+    def points_per_line(self) -> int:
+        """M."""
+        return len(self.plane.sine)
+
+
+@dataclass(frozen=True, slots=True)
+class Fused(Classifier[FusedScanner, FusedState]):
+    """The fused classifier; its constants per scanner are the beam directions."""
+
+    params: FusedParams
+
+    @property
+    def needs(self) -> Needs:
+        """Blocks with beam angles, and look-ahead for all lines that labels depend on."""
+        is_forest = self.params.environment == "forest"
+        kernels = FOREST_KERNELS if is_forest else KERNELS
+        most_noise_m = FOREST_NOISE_M if is_forest else math.inf
+        return Needs(
+            kernels,
+            self.params.lines_per_block,
+            AROUND_LINES if is_forest else FOLLOWING_LINES,
+            most_noise_m=most_noise_m,
+            confidence_kernels=CONFIDENCE_KERNELS,
+        )
+
+    @property
+    def usual(self) -> UsualLabels:
+        """Little noise, and level ground below the scanner; plants and hills tilt it in forests, streets are wide."""
+        common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
+        if self.params.environment == "forest":
+            return replace(common, level_share=0.35, lean_deg=12.0)
+        return replace(common, level_share=0.6, lean_deg=5.5, reach_m=6.0)
+
+    @property
+    def gives(self) -> frozenset[Label]:
+        """Stems in forests alone; surfaces have no labels of their own."""
+        every = frozenset(Label) - {Label.VERTICAL, Label.HORIZONTAL}
+        if self.params.environment == "forest":
+            return every & FOREST_LABELS
+        return every - {Label.STEM}
+
+    def scanner(self, first: ScanBlock) -> FusedScanner:
+        """Return the beam directions."""
+        return FusedScanner.of(beams_of(first))
+
+    def initial_state(self, scanner: FusedScanner) -> FusedState:
+        """Return the state before the first block."""
+        return initial_state(scanner)
+
+    def label(self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+        """Label a block, and its further returns by neighbouring shots of similar range."""
+        _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
+        heard = Overhearing(turn) if wanted.stages or wanted.confidence else None
+        labels, evidence = _classify(
+            block.range_m, block.next_m, scanner, heard or turn, self.params, is_asked=wanted.confidence
+        )
+        further, limit_m = block.extra, self.params.extra_return_m
+        extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
+        found = LabelledBlock(block, labels, extra)
+        if heard is not None and wanted.stages:
+            found = replace(found, above_m=true_heights(self._above(block, scanner, heard), block))
+        if heard is not None and wanted.confidence:
+            evidence = evidence or self._forest_evidence(block, scanner, heard)
+            questions = QUESTIONS[self.params.environment]
+            cells = cells_of(labels, block.range_m, evidence, scanner.scan_plane, questions)
+            shots = confidence_of(labels, cells, load_table(self.params.environment))
+            found = replace(found, confidence=shots, extra_confidence=of_further_returns(block, shots, limit_m))
+        return (found,)
+
+    def _forest_evidence(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> Evidence:
+        """Look at a block of forest as at a street; lines beyond it are not known."""
+        plane, params = scanner.scan_plane, self.params
+        beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
+        window = np.pad(block.range_m, beyond, constant_values=np.float32(np.nan))
+        smooth = smooth_pairs(window, plane, heard.results[NOISE.name], params.smoothness)
+        seen = see(window, smooth, plane, params)
+        inner = slice(INNER_LINES, -INNER_LINES)
+        above = np.pad(self._above(block, scanner, heard), beyond, constant_values=np.float32(np.nan))[inner]
+        return evidence_of(seen, above, plane, params)
+
+    def _above(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> F32:
+        """Return the heights in the scan plane that the labels of a block were decided by."""
+        if self.params.environment == "forest":
+            return heights_over_ground(block.range_m, scanner.plane, self.params.forest.terrain)
+        ground: Grounds = heard.results[MEMORY.name]
+        return ground.above_m[ground.margin : ground.margin + block.n_lines]
+
+    def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
+        """Report that this method has no segments."""
+        return ("the fused method has no segments: every segment id is 0",) if segments else ()
+
+
+def initial_state(scanner: FusedScanner) -> FusedState:
+    """Return the state before the first block."""
+    tail = np.full((SPACED_LINES, scanner.points_per_line), np.nan, np.float32)
+    return FusedState(
+        tail,
+        Noise(),
+        NoiseAlong(),
+        0,
+        Spacing.none(),
+        Halt.none(scanner.points_per_line),
+        GroundMemory.none(),
+        no_profiles(),
+    )
+
+
+def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams) -> U8:
+    """Label a block of scan lines.
+
+    ``range_m`` (lines, M) float32, metres; ``next_m`` (lines, M) float32, metres; returns (lines, M) uint8.
+
+    A road, with a stray shot above it:
+
+    >>> from prc_cli.methods.base import OneByOne
+    >>> from prc_cli.core.classes import Label
+    >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
+    >>> lines = np.tile(2.0 / np.cos(beam), (8, 1)).astype(np.float32)
+    >>> lines[4, 100] = 1.0
+    >>> scanner = FusedScanner.of(beam)
+    >>> labels = classify_block(lines, None, scanner, OneByOne(initial_state(scanner)), FusedParams())
+    >>> Label(labels[4, 100]).name, Label(labels[4, 120]).name
+    ('NOISE', 'GROUND')
+    """
+    return _classify(range_m, next_m, scanner, turn, params)[0]
+
+
+def _classify(
+    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams, *, is_asked: bool = False
+) -> tuple[U8, Evidence | None]:
+    """Label a block; see :func:`classify_block`. Also return what streets were decided by, where that is asked."""
+    plane = scanner.scan_plane
+    if params.environment == "forest":  # but for the range noise, a block is labelled by itself
+        in_forest_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, known, params.sensor))
+        return forest(range_m, scanner.plane, in_forest_m, params.forest), None
+    params = of_scanner(params, scanner)
+    n_lines, ahead = len(range_m), lines_ahead(plane, params)
+    tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
+    wide = window_of(tail, range_m, next_m, ahead)
+    line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
+    noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
+    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
+    strides = _strides(wide, (line, n_lines), scanner, noise_m, turn, params)
+    apart = lines_apart(strides)
+    streams = streams_of(wide, strides, plane, noise_m, params)
+    grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, params))
+    found = [
+        evidence_of(stream.seen, own.above_m, plane, params) for stream, own in zip(streams, grounds.parts, strict=True)
+    ]
+    decided = [
+        _decide(stream, own, evidence, plane, params)
+        for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
+    ]
+    labels = _woven(decided, streams, apart)
+    has_profiles = are_wanted(plane, params.cars)
+    evidence = None
+    if is_asked or has_profiles:
+        evidence = _woven_evidence(found, grounds.above_m, streams, apart)
+    if evidence is not None and has_profiles:
+        block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
+        labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, params)
+    if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
+        return labels, evidence
+    own, own_m = strides[BESIDE_LINES:][:n_lines], noise_m[SPACED_LINES:][:n_lines]
+    limits = _spacing_limits(plane, params)
+    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, own_m, limits)), evidence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """Every so many lines of a block, as a stream of their own."""
+
+    first: int
+    """The first of its lines in the block."""
+    every: int
+    seen: Seen
+    wide_m: F32
+    """Ranges of its lines and of :data:`MARGIN_LINES` before and after them [m]."""
+    across_lines: int
+    """Lines before and after a line by which things are thin."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grounds(Ground):
+    """The ground of the lines of a block, and perhaps of lines around, as many before as after."""
+
+    parts: tuple[Ground, ...]
+    """That of the lines of every stream."""
+    margin: int
+    """Lines before the block."""
+
+
+def lines_apart(strides: I64) -> I64:
+    """Return how far the lines of the streams are apart in which a block's lines are labelled.
+
+    >>> lines_apart(np.array([1, 1, 1, 0, 1, 4, 16, 1, 1, 1])).tolist()
+    [1, 1, 4, 8]
+    """
+    return np.clip(strides[BESIDE_LINES:-BESIDE_LINES], 1, MOST_APART)
+
+
+def lines_ahead(plane: ScanPlane, params: FusedParams) -> int:
+    """Return how many lines after a block are labelled with it: those by which a car in its last line is found."""
+    return LINES if are_wanted(plane, params.cars) else 0
+
+
+def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: FusedParams) -> list[Stream]:
+    """Look at the lines of a block; where they lie close together, as if lines between them had not been scanned.
+
+    Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide as they usually are.
+    Where the platform stands all lines are looked at.
+
+    ``wide`` (lines + 2 SPACED_LINES, M) float32; ``strides`` (lines + 6,) int64; ``noise_m`` (lines + 2 SPACED_LINES,)
+    float64.
+    """
+    apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
+    is_slower = params.spacing.across and int(strides[BESIDE_LINES:-BESIDE_LINES].max()) > MOST_APART
+    across = 2 * ACROSS_LINES if is_slower else ACROSS_LINES
+    streams = []
+    for every in np.unique(apart).tolist():
+        window, own_strides, own_noise_m = _with_beside(wide, strides, noise_m, every)
+        smooth = spaced_pairs(window, own_strides, plane, own_noise_m, params.smoothness)
+        for first in range(min(every, len(apart))):
+            own_m, own = wide[OUTSIDE_LINES:-OUTSIDE_LINES], smooth
+            if every > 1:
+                own_m = wide[_rows_of(first, every, len(apart))]
+                own = np.ascontiguousarray(smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)])
+            seen = see(own_m[around:-around], own, plane, params)
+            streams.append(Stream(first, every, seen, own_m, across if every == MOST_APART else ACROSS_LINES))
+    return streams
+
+
+def _follow_all(
+    streams: Sequence[Stream], apart: I64, n_lines: int, plane: ScanPlane, memory: GroundMemory, params: FusedParams
+) -> tuple[Grounds, GroundMemory]:
+    """Follow the ground of every stream from the same memory on; return it, and what the last line remembers."""
+    found = [
+        _follow(stream.seen, plane, memory, len(range(stream.first, n_lines, stream.every)), params)
+        for stream in streams
+    ]
+    last = int(apart[n_lines - 1])
+    after = [
+        left
+        for (_, left), stream in zip(found, streams, strict=True)
+        if stream.every == last and stream.first < n_lines
+    ][-1]
+    parts = tuple(ground for ground, _ in found)
+    above = _woven([ground.above_m for ground in parts], streams, apart)
+    walked = _woven([ground.walked for ground in parts], streams, apart)
+    return Grounds(above, walked, parts, (len(above) - len(apart)) // 2), after
+
+
+def _rows_of(first: int, every: int, n_lines: int) -> I64:
+    """Return the rows of a stream in the wide window, with more before and after; of those beyond it the outermost.
+
+    >>> _rows_of(1, 2, 4)[[0, MARGIN_LINES, MARGIN_LINES + 1]].tolist()
+    [0, 36, 38]
+    """
+    n = len(range(first, n_lines, every))
+    rows = SPACED_LINES + first + every * np.arange(-MARGIN_LINES, n + MARGIN_LINES)
+    end = n_lines + 2 * SPACED_LINES - 1
+    last = end - (end - rows[0]) % every
+    return np.clip(rows, rows[0] % every, last)
+
+
+def _with_beside(wide: F32, strides: I64, noise_m: F64, every: int) -> tuple[F32, I64, F64]:
+    """Return the wide window with more lines around, their distances and noise, for streams of every so many lines.
+
+    Lines beside the block have the distance of its outermost ones, as far as their neighbours are known.
+    """
+    more = BESIDE_LINES * (every - 1)
+    around = SPACED_LINES - BESIDE_LINES - more
+    own_noise_m = noise_m[around : len(noise_m) - around]
+    if more == 0:
+        return wide, strides, own_noise_m
+    first, last = (np.full(more, min(int(stride), FARTHEST_BESIDE)) for stride in (strides[0], strides[-1]))
+    window = np.pad(wide, ((more, more), (0, 0)), constant_values=np.float32(np.nan))
+    return window, np.concatenate([first, strides, last]), own_noise_m
+
+
+def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
+    """Return the lines of a block, each from the stream whose lines are as far apart as this one asks for.
+
+    ``apart`` (lines,) int64.
+    """
+    if len(streams) == 1 and streams[0].every == 1:
+        return arrays[0]
+    woven = np.empty((len(apart), *arrays[0].shape[1:]), arrays[0].dtype)
+    for array, stream in zip(arrays, streams, strict=True):
+        lines = np.arange(stream.first, len(apart), stream.every)
+        is_own = apart[lines] == stream.every
+        woven[lines[is_own]] = array[(len(array) - len(lines)) // 2 :][: len(lines)][is_own]
+    return woven
+
+
+def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[Stream], apart: I64) -> Evidence:
+    """Return the evidence of a block from that of its streams; what lies beside the block is left empty."""
+    if len(streams) == 1 and streams[0].every == 1:
+        return found[0]
+
+    def of(what: Callable[[Evidence], AnyArray]) -> AnyArray:
+        return _woven([what(each) for each in found], streams, apart)
+
+    def wider(what: Callable[[Evidence], AnyArray]) -> AnyArray:
+        return np.pad(of(what), ((VOTE_LINES, VOTE_LINES), (0, 0)))
+
+    seen = Neighbours(
+        of(lambda each: each.seen.near), of(lambda each: each.seen.smooth),
+        of(lambda each: each.seen.upright), of(lambda each: each.seen.level),
+    )  # fmt: skip
+    every, rough = (wider(lambda each, k=k: each.standing.slots[k]) for k in range(2))  # type: ignore[misc]
+    at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
+    standing = Standing((every, rough), (at, top, ahead), wider(lambda each: each.standing.levels))
+    return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
+
+
+def of_place(params: FusedParams, wide: F32) -> FusedParams:
+    """Return the parameters for the place of a block, given with the lines around: there are no cars in rooms."""
+    if not params.cars.is_room(wide[::ROOM_LINES]):
+        return params
+    return params.model_copy(update={"cars": params.cars.in_rooms()})
+
+
+def in_step(wide: F32, scanner: FusedScanner, noise_m: F64, params: FusedParams) -> F32:
+    """Return a block and the lines around with interlaced columns in step; rings are apart on purpose."""
+    if scanner.is_fan:
+        return wide
+    return put_in_step(wide, scanner.scan_plane, noise_m, params.smoothness, params.interlace)
+
+
+def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
+    """Return the parameters for a scanner: others for a fan of rings."""
+    rings = params.rings
+    if not (scanner.is_fan and rings.enabled):
+        return params
+    own = {
+        "ground": rings.ground(params.ground),
+        "smoothness": rings.smoothness(params.smoothness),
+        "walls": rings.walls(params.walls),
+        "flanks": rings.flank(params.flanks),
+        "leaves": rings.leaves(params.leaves),
+        "cars": rings.car(params.cars),
+        # rings lie wider apart than a curb's face is high: what looks like one follows a ring that leans by .1 degrees
+        "curbs": CurbParams(enabled=False),
+    }
+    return params.model_copy(update=own)
+
+
+def _measure(wide: F32, line: int, plane: ScanPlane, known: NoiseAlong, params: SensorParams) -> tuple[F64, NoiseAlong]:
+    """Measure the range noise at every line of the wide window of a block that begins at a line [m]."""
+    noise = known.after(wide[SPACED_LINES:], line, plane, params)
+    return noise.of_lines(line - SPACED_LINES, len(wide), params), noise
+
+
+def _measure_forest(range_m: F32, known: Noise, params: SensorParams) -> tuple[float, Noise]:
+    """Measure the range noise in a forest [m], 0 until it is known.
+
+    It is rounded to half octaves, so that labels hardly depend on which blocks it was measured in.
+    """
+    noise = known.after(forest_noise(range_m) if known.is_asked(params) else None)
+    if params.range_noise_m != "auto":
+        return noise.noise_m(params), noise
+    is_known = math.isfinite(noise.least_m) and noise.least_m > 0
+    return 2.0 ** (round(2.0 * math.log2(noise.least_m)) / 2.0) if is_known else 0.0, noise
+
+
+def _strides(
+    wide: F32, lines: tuple[int, int], scanner: FusedScanner, noise_m: F64, turn: Turn, params: FusedParams
+) -> I64:
+    """Decide how many lines away the neighbours are, of the lines that are labelled and three before and after them.
+
+    ``lines`` are the number of a block's first line, and how many it has.
+
+    Always one for fans of rings: between rings lies more than between lines, so that a shot unlike those of other rings
+    need be no leaf.
+    """
+    (line, n_lines), n_labelled = lines, len(wide) - 2 * SPACED_LINES
+    if scanner.is_fan or not params.spacing.enabled:
+        return np.ones(n_labelled + 2 * BESIDE_LINES, np.int64)
+    counts = leaves_again(wide, line, noise_m, _spacing_limits(scanner.scan_plane, params))
+    ahead = n_labelled - n_lines
+    return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, params.spacing, ahead))
+
+
+def _spacing_limits(plane: ScanPlane, params: FusedParams) -> Callable[[float], SpacingThresholds]:
+    """Return what gives the thresholds for the distance of lines at a range noise [m]."""
+    return lambda noise_m: params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
+
+
+def see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> Seen:
+    """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface.
+
+    ``window`` (lines, M) float32; ``smooth`` (lines of the result, M) uint8.
+    """
+    near = near_neighbours(window, plane, params.company)
+    range_m = window[INNER_LINES:-INNER_LINES]
+    upright, level = chords(range_m, smooth, plane, params.directions)
+    return Seen(window, range_m, Neighbours(near, smooth, upright, level))
+
+
+def _follow(
+    seen: Seen, plane: ScanPlane, memory: GroundMemory, n_lines: int, params: FusedParams
+) -> tuple[Ground, GroundMemory]:
+    """Follow the ground; return it, and the memory before the last three of a block's lines for the next one."""
+    return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
+
+
+def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, params: FusedParams) -> Evidence:
+    """Measure how smooth places are, and find walls and cars above the ground.
+
+    ``above_m`` (lines, M) float32.
+    """
+    least = params.company.least
+    texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
+    strips = params.strips.thresholds(least, params.cars.top_m)
+    standing = stand(seen.range_m, above_m, seen.neighbours, plane, strips, params.walls, params.flanks)
+    return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
+
+
+def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
+    """Label every shot of a stream."""
+    seen, thresholds = stream.seen, thresholds_of(stream, params)
+    labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
+    voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
+    limits = again_limits(params.company, params.noise, params.strips, params.cars)
+    asked = ask_again((labels, voted), seen.range_m, seen.neighbours, ground.above_m, evidence.texture, plane, limits)
+    own = slice(INNER_LINES + 1, -INNER_LINES - 1)
+    return find_curbs(asked, seen.range_m[own], ground.above_m[own], plane, params.curbs)
+
+
+def thresholds_of(stream: Stream, params: FusedParams) -> DecisionThresholds:
+    """Return the thresholds of the decision for a stream."""
+    return decision_thresholds(
+        params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles,
+        stream.across_lines,
+    )  # fmt: skip
+
+
+def _with_cars(
+    labels: U8,
+    range_m: F32,
+    n_lines: int,
+    ground: Grounds,
+    evidence: Evidence,
+    turn: Turn,
+    plane: ScanPlane,
+    params: FusedParams,
+) -> U8:
+    """Label cars in a block by its lines and those around; ``labels`` and ``range_m`` are of lines after it as well."""
+    above_m = ground.above_m[ground.margin : ground.margin + len(labels)]
+    texture, limits = evidence.texture[1 : 1 + len(labels)], params.cars.roof_thresholds()
+    seen = labels, range_m, above_m, texture
+    return turn.hand_on(PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits))
+
+
+def _last_lines(tail: F32, range_m: F32) -> F32:
+    """Return the last lines of the stream so far, as a copy, so that the block is not kept in memory."""
+    last: F32 = np.concatenate([tail, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()
+    return last
+
+
+def window_of(tail: F32, range_m: F32, next_m: F32 | None, ahead: int) -> F32:
+    """Return a block with the lines before and after it, ``ahead`` more after it, NaN beyond the stream."""
+    width = range_m.shape[1]
+    following = np.full((SPACED_LINES + ahead, width), np.nan, np.float32)
+    if next_m is not None:
+        given = next_m[: SPACED_LINES + ahead]
+        following[: len(given)] = given
+    return np.concatenate([tail, range_m, following])
+
+
+def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: FusedParams) -> None:
+    """Refuse arrays that cannot be the next block of the stream."""
+    key = "fused.lines_per_block"
+    check_block(range_m, next_m, width, params.lines_per_block, columns=", one column a beam", key=key)

@@ -1,0 +1,262 @@
+"""Distance of scan lines: neighbours in other lines lie so far away that they see other leaves.
+
+Where a scanner moves slowly, the next line meets the same leaves again, and a crown looks as smooth as a wall across
+the lines. How far apart lines lie is not known from ranges, but this is: how often a line so many lines back is as far
+at shots whose neighbours in the line are near and on no common surface. Leaves apart by more than their size agree by
+chance alone. Where even the farthest line agrees, the platform stands, and only the line itself tells anything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.core.classes import Label
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.methods.fused.neighbours import SmoothnessParams, smooth_pairs
+from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.thresholds import SpacingThresholds, typed
+
+LAGS = (1, 2, 4, 8, 16)
+"""Distances of neighbouring lines that are tried, in lines."""
+MOST_LAG = LAGS[-1]
+EVERY_LINE = 4
+"""Every fourth line of the stream is compared."""
+AHEAD_LINES = 16
+"""Lines after a line that its distance is decided with."""
+BESIDE_LINES = 3
+"""Lines before and after a block whose distance is asked for as well."""
+COUNTED_LINES = AHEAD_LINES - BESIDE_LINES
+"""Lines of a block that were counted with the blocks before."""
+PAIR_LINES = 2
+"""Pairs reach to the second neighbour among the lines."""
+SPACED_LINES = PAIR_LINES * MOST_LAG + BESIDE_LINES
+"""Lines before and after a block that its labels depend on."""
+STANDS = 0
+"""Instead of a number of lines: other lines tell nothing."""
+IN_LINE_PAIRS = np.array([0, 2, 3, 5, 7, 8, 10], np.uint8)
+"""Of 10 pairs, what the 6 pairs in the line stand for where the platform stands."""
+
+
+class SpacingParams(Params):
+    """How far away neighbours in other lines are (``[fused.spacing]``)."""
+
+    enabled: bool = Field(True, description="whether neighbours are taken farther away where lines lie close together")
+    near_m: float = Field(
+        1.5, gt=0, le=100, description="at a leaf, both neighbours in the line are nearer in range than this [m] ..."
+    )
+    sigmas: float = Field(
+        2.0, gt=0, le=100, description="... and off by more than so many tolerances of smoothness; else it is as far"
+    )
+    share: float = Field(
+        0.4, ge=0, le=1, description="leaves that another line may see again, as a share, beside those by chance"
+    )
+    keep_share: float = Field(
+        0.3, ge=0, le=1, description="the same for a smaller distance than now; smaller, so that it does not flicker"
+    )
+    least: int = Field(30, ge=1, description="fewest leaves to tell from; else the distance stays")
+    across: bool = Field(
+        True, description="whether things are thin in twice as many lines where these lie closer than neighbours can be"
+    )
+    keeps: bool = Field(True, description="whether shots keep the labels that they had when the platform came to stand")
+    decay: float = Field(0.9, ge=0, lt=1, description="weight of what was seen four lines ago")
+
+    def thresholds(self, smoothness: SmoothnessParams, noise_m: float, step_rad: float) -> SpacingThresholds:
+        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
+        smooth = smoothness.thresholds(noise_m, step_rad)
+        return typed(
+            SpacingThresholds,
+            tolerance_m=self.sigmas * float(smooth.tolerance_m),
+            tolerance_per_m=self.sigmas * float(smooth.tolerance_per_m),
+            near_m=self.near_m,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spacing:
+    """What was seen of the distance of lines so far."""
+
+    sums: F64
+    """(6, 2) float64, leaves compared and leaves seen again, at each of :data:`LAGS` and beside; earlier ones count
+    less."""
+    stride: int
+    """Lines from neighbour to neighbour, :data:`STANDS` = none."""
+
+    @classmethod
+    def none(cls) -> Spacing:
+        """Return the state before the first line."""
+        return cls(np.zeros((len(LAGS) + 1, 2)), 1)
+
+
+@stage("spacing")
+def leaves_again(
+    window_m: F32, first_line: int, noise_m: F64, thresholds: Callable[[float], SpacingThresholds]
+) -> NDArray[np.int32]:
+    """Count leaves that are seen again; see :func:`spacing_loops.leaf_repeats`.
+
+    ``window_m`` (lines + 2 SPACED_LINES, M) float32, metres; ``noise_m`` (lines + 2 SPACED_LINES,) float64; returns (n,
+    6, 2) int32.
+    """
+    begin = _begin(first_line)
+    end = len(window_m) - SPACED_LINES + BESIDE_LINES + AHEAD_LINES
+    first = SPACED_LINES + begin
+    counts = [
+        kernels.leaf_repeats(
+            window_m[first + a - MOST_LAG : first + b], -(first_line + begin + a) % EVERY_LINE, thresholds(each)
+        )
+        for a, b, each in stretches(noise_m[first:end])
+    ]
+    return np.concatenate(counts) if len(counts) > 1 else counts[0]
+
+
+def stretches(values: F64) -> list[tuple[int, int, float]]:
+    """Return the stretches of equal values: first, end, and value; one if there are no values.
+
+    >>> stretches(np.array([2.0, 2.0, 1.0]))
+    [(0, 2, 2.0), (2, 3, 1.0)]
+    """
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return [(a, b, float(values[a]) if b > a else math.nan) for a, b in pairwise(edges)]
+
+
+def strides_of(
+    counts: NDArray[np.int32], known: Spacing, first_line: int, n_lines: int, params: SpacingParams, ahead: int = 0
+) -> tuple[I64, Spacing]:
+    """Decide how many lines away the neighbours of every line are.
+
+    ``counts`` (n, 6, 2) int32; returns ``strides`` (lines + ahead + 6,) int64.
+    """
+    sums, stride = known.sums, known.stride
+    strides = np.full(n_lines + ahead + 2 * BESIDE_LINES, stride, np.int64)
+    begin, after = _begin(first_line), known
+    is_after = False
+    # the distance changes at lines that were compared only
+    for k in range(-(first_line + begin) % EVERY_LINE, len(counts), EVERY_LINE):
+        line = begin + k
+        if line >= n_lines + COUNTED_LINES and not is_after:
+            after, is_after = Spacing(sums, stride), True
+        sums = sums * params.decay + counts[k]
+        stride = _stride(sums, stride, params)
+        strides[max(line - COUNTED_LINES, 0) :] = stride
+    return strides, after if is_after else Spacing(sums, stride)
+
+
+def _begin(first_line: int) -> int:
+    """Return the first line, counted from a block's first, that was not counted with the blocks before."""
+    return COUNTED_LINES if first_line > 0 else 0
+
+
+def _stride(sums: F64, now: int, params: SpacingParams) -> int:
+    """Return the least distance at which few enough leaves are seen again."""
+    counts = sums.tolist()
+    if not counts[0][0] >= params.least:
+        return now
+    # leaves that are as far by chance: as many as in the line itself
+    chance = counts[-1][1] / max(counts[-1][0], 1.0)
+    for lag, (there, again) in zip(LAGS, counts, strict=False):
+        limit = params.keep_share if now == STANDS or lag < now else params.share
+        if not again > (chance + limit * (1.0 - chance)) * there:
+            return lag
+    return STANDS
+
+
+@stage("smoothness")
+def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: SmoothnessParams) -> U8:
+    """Count smooth pairs with lines of the right distance.
+
+    ``window_m`` (lines + 64, M) float32, metres; ``strides`` (lines,) int64; ``noise_m`` (lines,) float64; returns
+    (lines, M) uint8.
+    """
+    margin = PAIR_LINES * MOST_LAG
+    counts = [
+        _spaced_pairs(window_m[a : b + 2 * margin], strides[a:b], plane, each, params)
+        for a, b, each in stretches(noise_m)
+    ]
+    return np.concatenate(counts) if len(counts) > 1 else counts[0]
+
+
+def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
+    """Count smooth pairs as :func:`spaced_pairs`, of lines with the same range noise [m]."""
+    margin = PAIR_LINES * MOST_LAG
+    n_lines, m = len(strides), window_m.shape[1]
+    chosen = np.unique(strides)
+    if len(chosen) == 1 and chosen[0] == 1:
+        return smooth_pairs(window_m[margin - PAIR_LINES : len(window_m) - margin + PAIR_LINES], plane, noise_m, params)
+    smooth = np.empty((n_lines, m), np.uint8)
+    for stride in chosen.tolist():
+        lines = np.flatnonzero(strides == stride)
+        if stride == STANDS:
+            alone = np.full((3 * len(lines) + 2, m), np.nan, np.float32)
+            alone[2::3] = window_m[lines + margin]
+            smooth[lines] = IN_LINE_PAIRS[smooth_pairs(alone, plane, noise_m, params)[::3]]
+            continue
+        first, last = int(lines[0]), int(lines[-1])
+        # every stride-th line is a stream of its own
+        for phase in range(first, min(first + stride, last + 1)):
+            own = np.arange(phase, last + 1, stride)
+            before = margin + phase - PAIR_LINES * stride
+            rows = np.ascontiguousarray(window_m[before : margin + own[-1] + PAIR_LINES * stride + 1 : stride])
+            counts = smooth_pairs(rows, plane, noise_m, params)
+            is_own = strides[own] == stride
+            smooth[own[is_own]] = counts[is_own]
+    return smooth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Halt:
+    """The last line before the platform came to stand, or the last line."""
+
+    range_m: F32
+    """(M,) float32 [m]; NaN = missing."""
+    labels: U8
+    """(M,) uint8."""
+
+    @classmethod
+    def none(cls, points_per_line: int) -> Halt:
+        """Return the state before the first line."""
+        return cls(np.full(points_per_line, np.nan, np.float32), np.zeros(points_per_line, np.uint8))
+
+
+@stage("standing")
+def keep_labels(
+    labels: U8,
+    range_m: F32,
+    strides: I64,
+    halt: Halt,
+    noise_m: F64,
+    thresholds: Callable[[float], SpacingThresholds],
+) -> tuple[U8, Halt]:
+    """Let shots keep the labels that they had when the platform came to stand, where they are as far as then.
+
+    A standing scanner sees every tree as a strip of one line; only before did it see how wide things are.
+
+    ``labels`` (lines, M) uint8; ``range_m`` (lines, M) float32, metres; ``strides`` (lines,) int64; ``noise_m``
+    (lines,) float64; returns (lines, M) uint8.
+    """
+    stands = strides == STANDS
+    if not stands.any():
+        return labels, Halt(range_m[-1].copy(), labels[-1].copy())
+    kept = labels.copy()
+    limits = [thresholds(float(each)) for each in noise_m]
+    tolerance_m = np.array([[each.tolerance_m] for each in limits], np.float32)
+    per_m = np.array([[each.tolerance_per_m] for each in limits], np.float32)
+    edges = np.flatnonzero(np.diff(stands, prepend=False, append=False))
+    for first, end in edges.reshape(-1, 2).tolist():
+        if first > 0:
+            halt = Halt(range_m[first - 1].copy(), kept[first - 1].copy())
+        limit = tolerance_m[first:end] + per_m[first:end] * halt.range_m
+        # false where a range is missing
+        is_same = (np.abs(range_m[first:end] - halt.range_m) < limit) & (halt.labels > Label.NOISE)
+        kept[first:end] = np.where(is_same, halt.labels, kept[first:end])
+    if not stands[-1]:
+        halt = Halt(range_m[-1].copy(), kept[-1].copy())
+    return kept, halt

@@ -1,0 +1,90 @@
+"""Loop of the fused classifier that asks how far lines lie apart: whether later lines meet the same leaves again."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import float32, helper, int32, int64, kernel, record
+from prc_cli.methods.fused.thresholds import SpacingThresholds
+
+LAGS = (1, 2, 4, 8, 16)
+"""Distances of the lines that are compared, in lines."""
+MOST_LAG = 16
+"""The largest of them."""
+BESIDE = 2
+"""Columns to the shot of the line itself that is compared too."""
+ROWS = len(LAGS) + 1
+"""Counts of a line: at every lag, and beside."""
+EVERY_LINE = 4
+"""Every fourth line of the stream is compared."""
+
+
+@helper
+def _mark_leaves(ranges: F32, thresholds: SpacingThresholds, limits: F32, leaves: U8) -> int:
+    """Mark the shots of a line whose neighbours on both sides are near but not on one surface; count them.
+
+    ``limits`` becomes how much a shot on the same leaf may differ in range, below zero where there is no leaf.
+    """
+    m = len(ranges)
+    base, per_m, near = thresholds.tolerance_m, thresholds.tolerance_per_m, thresholds.near_m
+    for i in range(m):
+        limits[i] = base + per_m * ranges[i]
+    leaves[0] = leaves[m - 1] = np.uint8(0)
+    before, own, after, limit, marks = (
+        ranges[: m - 2],
+        ranges[1 : m - 1],
+        ranges[2:],
+        limits[1 : m - 1],
+        leaves[1 : m - 1],
+    )
+    for i in range(m - 2):
+        one, two = own[i] - before[i], after[i] - own[i]
+        steps = (abs(one) > limit[i]) & (abs(two) > limit[i]) & (abs(two - one) > limit[i])
+        marks[i] = np.uint8(steps & (abs(one) < near) & (abs(two) < near))
+    # a ledge or a window's frame is one such shot, leaves are several
+    n = np.int32(0)
+    last = np.uint8(0)
+    for i in range(m - 1):
+        own_mark = leaves[i]
+        leaves[i] = last & own_mark & leaves[i + 1]
+        last = own_mark
+        n += np.int32(leaves[i])
+    return int(n)
+
+
+@helper
+def _count_again(ranges: F32, earlier: F32, limits: F32, leaves: U8, row: I32) -> None:
+    """Count the leaves of a line where an earlier line has a return too, and where that is as far."""
+    both, same = np.int32(0), np.int32(0)
+    for i in range(len(ranges)):
+        off = abs(ranges[i] - earlier[i])
+        both += np.int32(leaves[i] & np.uint8(off == off))
+        same += np.int32(leaves[i] & np.uint8(off < limits[i]))
+    row[0], row[1] = both, same
+
+
+@kernel(int32[:, :, ::1](float32[:, ::1], int64, record(SpacingThresholds)))
+def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
+    """Count on how many rough places earlier lines are as far.
+
+    ``range_m`` (lines + MOST_LAG, M) float32, metres; returns (lines, 6, 2) int32.
+    """
+    n_lines, m = range_m.shape[0] - MOST_LAG, range_m.shape[1]
+    counts = np.empty((n_lines, ROWS, 2), np.int32)
+    for line in range(n_lines):
+        for k in range(ROWS):
+            counts[line, k, 0] = counts[line, k, 1] = np.int32(0)
+    if m < 3:
+        return counts
+    limits, leaves = np.empty(m, np.float32), np.empty(m, np.uint8)
+    for line in range(first, n_lines, EVERY_LINE):
+        own = range_m[line + MOST_LAG]
+        if _mark_leaves(own, thresholds, limits, leaves) == 0:
+            continue
+        for k in range(len(LAGS)):
+            _count_again(own, range_m[line + MOST_LAG - LAGS[k]], limits, leaves, counts[line, k])
+        last = m - BESIDE
+        _count_again(own[:last], own[BESIDE:], limits[:last], leaves[:last], counts[line, ROWS - 1])
+    return counts

@@ -1,0 +1,569 @@
+"""Loops of the fused classifier that find the ground and the stems of a forest in every scan plane.
+
+Coordinates in the scan plane are those of range and beam: y = r sin b to the side and z = -r cos b up, with b the
+angle of the beam from straight down.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, inlined, int32, int64, kernel, record, uint8
+from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
+
+COUNT, PASSED, LOWEST, HIGHEST = range(4)
+"""Columns of the table of runs: shots, returns from behind, lowest and highest end in the plane [m]."""
+_SHOTS, _PASSED, _RUNS, _LENGTH = range(4)
+"""Columns of the sums of a stem: shots, returns from behind, runs, length of these [m]."""
+
+LABEL_MISSING, LABEL_NOISE, LABEL_GROUND, LABEL_VEGETATION, LABEL_STEM = 0, 2, 3, 5, 6
+"""As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
+NO_GROUND = -1e9
+"""Height of the ground where none was seen [m]."""
+N_LOWEST = 3
+"""The ground of a bin is its third-lowest return: one or two may lie below by chance."""
+N_OPEN = 3
+"""Runs of a line that are followed at the same time: surfaces seen in turn through gaps of the nearest."""
+MIN_SHOTS = 3
+"""Least shots of a run."""
+SPACINGS = 3.0
+"""Shots on a wall that are more spacings apart have a gap between them."""
+MIN_ASIDE_M = 0.3
+"""Least distance from the vertical through the scanner by which spacings are computed."""
+LINES_AROUND = 2
+"""Lines before and after in which near shots are looked for."""
+
+_OPEN, _TOUCHING = 255, 254
+"""Marks of shots without a label yet: those that may be alone, and those beside a stem."""
+
+
+@helper
+def _lower_towards_neighbours(profile: F64, rise: float) -> None:
+    """Let no bin be more than a rise above the next one."""
+    for b in range(1, len(profile)):
+        profile[b] = min(profile[b], profile[b - 1] + rise)
+    for b in range(len(profile) - 2, -1, -1):
+        profile[b] = min(profile[b], profile[b + 1] + rise)
+
+
+@helper
+def _bridge(profile: F64, seen: F64) -> None:
+    """Put straight lines between the bins that are as low as their own returns; level ends."""
+    last = -1
+    for b in range(len(profile)):
+        if seen[b] == np.inf or seen[b] > profile[b]:
+            continue
+        for k in range(last + 1, b):
+            share = 0.0 if last < 0 else (b - k) / (b - last)
+            profile[k] = profile[b] + share * (profile[max(last, 0)] - profile[b])
+        last = b
+    profile[last + 1 :] = profile[last] if last >= 0 else NO_GROUND
+
+
+@helper
+def _low_shots(
+    ranges: F32,
+    beams: tuple[F64, F64],
+    n_bins: int,
+    thresholds: TerrainThresholds,
+    before: F64,
+    bins: I32,
+    heights: F64,
+    shots: I32,
+) -> int:
+    """List the shots of a line that may be on the ground, write their bins and heights; return how many there are."""
+    sine, cosine = beams
+    half, per_metre = n_bins // 2, 1.0 / thresholds.bin_m
+    step_m, step_share = thresholds.near_m, thresholds.near_share
+    last = np.inf
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        before[column] = last
+        last = r if r == r else last
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        place = r * sine[column] * per_metre + half
+        # false where a range is missing
+        counts = (abs(r - before[column]) <= step_m + step_share * r) & (place >= 0.0) & (place < n_bins)
+        bins[column] = np.int32(place if counts else -1.0)
+        heights[column] = -r * cosine[column]
+    n_shots = 0
+    for column in range(len(ranges)):
+        shots[n_shots] = column
+        n_shots += bins[column] >= 0
+    return n_shots
+
+
+@helper
+def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F64]) -> None:
+    """Keep the three lowest shots of every bin, in order."""
+    one, two, three = lowest
+    for k in range(len(shots)):
+        column = np.uint64(shots[k])
+        b, z = np.uint64(bins[column]), heights[column]
+        if z < three[b]:
+            low, middle = one[b], two[b]
+            one[b] = min(z, low)
+            two[b] = min(max(z, low), middle)
+            three[b] = max(z, middle)
+
+
+@kernel(float64[:, ::1](float32[:, ::1], float64[::1], float64[::1], int64, int64, record(TerrainThresholds)))
+def ground_profiles(
+    range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, thresholds: TerrainThresholds
+) -> F64:
+    """Find the height of the ground to the left and right of the scanner, for a few lines together.
+
+    In every bin to the side the third-lowest return counts that is about as far as the return before it in its line.
+    Of these heights those that rise above a neighbour by more than the slope allows do not: they are plants.
+
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64.
+    """
+    n_lines, n_columns = range_m.shape
+    profiles = np.empty((-(-n_lines // lines_together), n_bins), np.float64)
+    one, two, three = np.empty(n_bins, np.float64), np.empty(n_bins, np.float64), np.empty(n_bins, np.float64)
+    before, heights = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    bins, shots = np.empty(n_columns, np.int32), np.empty(n_columns + 1, np.int32)
+    for group in range(len(profiles)):
+        for b in range(n_bins):
+            one[b] = two[b] = three[b] = np.inf
+        for line in range(group * lines_together, min((group + 1) * lines_together, n_lines)):
+            n_shots = _low_shots(range_m[line], (sine, cosine), n_bins, thresholds, before, bins, heights, shots)
+            _keep_lowest(shots[:n_shots], bins, heights, (one, two, three))
+        profile = profiles[group]
+        for b in range(n_bins):
+            profile[b] = three[b]
+        _lower_towards_neighbours(profile, thresholds.slope * thresholds.bin_m)
+        _bridge(profile, three)
+    return profiles
+
+
+@helper
+def _floors(ranges: F32, sine: F64, n_bins: int, per_metre: float, bins: I32, shares: F64) -> None:
+    """Write the bin before every shot of a line, the middles of bins taken, and how far beyond it the shot is."""
+    half = n_bins // 2
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        place = (r if r == r else 0.0) * sine[column] * per_metre + half - 0.5
+        place = min(max(place, 0.0), n_bins - 1.0)
+        b = min(np.int32(place), np.int32(n_bins - 2))
+        bins[column] = b
+        shares[column] = place - np.float64(b)
+
+
+@helper
+def _look_up(bins: I32, profile: F64, low: F64, high: F64) -> None:
+    """Write the ground of the two bins around every shot; a loop of its own, as all others read memory in order."""
+    for column in range(len(bins)):
+        b = np.uint64(bins[column])
+        low[column] = profile[b]
+        high[column] = profile[b + np.uint64(1)]
+
+
+@helper
+def _over(ranges: F32, cosine: F64, shares: F64, low: F64, high: F64, heights: F32) -> None:
+    """Write the heights of the shots of a line over the ground, on straight lines between bins."""
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        ground = low[column] + shares[column] * (high[column] - low[column])
+        heights[column] = np.float32(-r * cosine[column] - ground)
+
+
+@kernel("float32[:, ::1](float32[:, ::1], float64[::1], float64[::1], float64[:, ::1], int64, float64)")
+def ground_heights(range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float) -> F32:
+    """Return how far above the ground of its profile every return is.
+
+    ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64; ``profiles`` (groups, n_bins) float64,
+    metres; returns (lines, M) float32, metres.
+    """
+    n_lines, n_columns = range_m.shape
+    heights = np.empty((n_lines, n_columns), np.float32)
+    bins, shares = np.empty(n_columns, np.int32), np.empty(n_columns, np.float64)
+    low, high = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    for line in range(n_lines):
+        _floors(range_m[line], sine, profiles.shape[1], 1.0 / bin_m, bins, shares)
+        _look_up(bins, profiles[line // lines_together], low, high)
+        _over(range_m[line], cosine, shares, low, high, heights[line])
+    return heights
+
+
+@helper
+def _aim(
+    ranges: F32,
+    heights: F32,
+    beams: tuple[F64, F64],
+    thresholds: RunThresholds,
+    points: tuple[F64, F64, F64, F64, F64],
+    shots: I32,
+) -> int:
+    """Write place, range, tolerance and spacing of the shots of a line; list those high enough, return how many."""
+    sine, cosine = beams
+    side, up, far, tolerances, spacings = points
+    low, base, share = thresholds.above_m, thresholds.tolerance_m, thresholds.tolerance_share
+    angle = SPACINGS * thresholds.step_rad
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        y = r * sine[column]
+        side[column], up[column], far[column] = y, -r * cosine[column], r
+        tolerances[column] = base + share * r
+        spacings[column] = angle * r * r / max(abs(y), MIN_ASIDE_M)
+    n_shots = 0
+    for column in range(len(ranges)):
+        shots[n_shots] = column
+        # false where a height is missing
+        n_shots += int(np.float64(heights[column]) >= low)
+    return n_shots
+
+
+@inlined
+def _goes_on(
+    apart: float, up: float, spacing: float, tolerance: float, steep: float, gap: float, gap_steep: float
+) -> bool:
+    """Return whether a return continues a run, given its distances to the last one; false for NaN."""
+    beside = (tolerance + steep * spacing) + gap_steep * (up - spacing) if up > spacing else tolerance + steep * up
+    return bool((up <= gap) & (apart <= beside))
+
+
+@helper
+def _put_away(
+    run: int, n: float, passed: float, y: float, z: float, thresholds: RunThresholds, firsts: tuple[F64, F64], ends: F64
+) -> None:
+    """Write the shots, the returns from behind and the ends of a finished run; 0 shots if it is not kept."""
+    y_first, z_first = firsts
+    if run < 0:
+        return
+    ends[run, COUNT] = 0.0
+    up = abs(z - z_first[run])
+    is_kept = (n >= MIN_SHOTS) & (2.0 * passed <= n) & (up >= thresholds.short_m)
+    if is_kept & (abs(y - y_first[run]) <= thresholds.lean * up):
+        ends[run, COUNT], ends[run, PASSED] = n, passed
+        ends[run, LOWEST], ends[run, HIGHEST] = min(z_first[run], z), max(z_first[run], z)
+
+
+@inlined
+def _drop(
+    run: int,
+    n: float,
+    passed: float,
+    y: float,
+    z: float,
+    thresholds: RunThresholds,
+    firsts: tuple[F64, F64],
+    ends: F64,
+) -> None:
+    """Close a run, if there is one; short ones, which are most, without a call, which takes longer than the rest."""
+    if n >= MIN_SHOTS:
+        _put_away(run, n, passed, y, z, thresholds, firsts, ends)
+    elif run >= 0:
+        ends[run, COUNT] = 0.0
+
+
+@helper
+def _line_runs(
+    shots: I32,
+    points: tuple[F64, F64, F64, F64, F64],
+    thresholds: RunThresholds,
+    mine: I32,
+    firsts: tuple[F64, F64],
+    ends: F64,
+) -> int:
+    """Write the run of every shot of a list, counted from 0, and the data of the runs; return how many there are.
+
+    Three runs are open, the latest first. Of each the last shot is kept (y, z, range r), its shots n, the returns from
+    behind that passed it, and those since its last shot (waiting). They are variables, not an array, to stay in
+    registers.
+    """
+    side, up, far, tolerances, spacings = points
+    steep, gap, gap_steep, behind = thresholds.steep, thresholds.gap_m, thresholds.gap_steep, thresholds.behind_m
+    y_first, z_first = firsts
+    nothing = np.float64(np.nan)
+    run0, y0, z0, r0, n0, passed0, waiting0 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
+    run1, y1, z1, r1, n1, passed1, waiting1 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
+    run2, y2, z2, r2, n2, passed2, waiting2 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
+    n_runs = 0
+    for k in range(len(shots)):
+        column = np.uint64(shots[k])
+        y, z, r = side[column], up[column], far[column]
+        tolerance, spacing = tolerances[column], spacings[column]
+        if not _goes_on(abs(y - y0), abs(z - z0), spacing, tolerance, steep, gap, gap_steep):
+            run, n, passed = run1, n1, passed1 + waiting1
+            if not _goes_on(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
+                run, n, passed = run2, n2, passed2 + waiting2
+                if not _goes_on(abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep):
+                    _drop(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
+                    run, n, passed = n_runs, 0.0, 0.0
+                    y_first[n_runs], z_first[n_runs] = y, z
+                    n_runs += 1
+                run2, y2, z2, r2, n2, passed2, waiting2 = run1, y1, z1, r1, n1, passed1, waiting1
+            run1, y1, z1, r1, n1, passed1, waiting1 = run0, y0, z0, r0, n0, passed0, waiting0
+            run0, n0, passed0, waiting0 = run, n, passed, 0.0
+        y0, z0, r0 = y, z, r
+        n0 += 1.0
+        passed0 += waiting0
+        waiting0 = 0.0
+        waiting1 += 1.0 if r > r1 + behind else 0.0
+        waiting2 += 1.0 if r > r2 + behind else 0.0
+        mine[k] = run0
+    _put_away(run0, n0, passed0, y0, z0, thresholds, firsts, ends)
+    _put_away(run1, n1, passed1, y1, z1, thresholds, firsts, ends)
+    _put_away(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
+    return n_runs
+
+
+@kernel(
+    Tuple((int32[:, ::1], float64[:, ::1]))(
+        float32[:, ::1], float32[:, ::1], float64[::1], float64[::1], record(RunThresholds)
+    )
+)
+def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
+    """Find runs of returns of a line that go straight up or down in the scan plane.
+
+    A return continues the first of the last three runs that it follows steeply. Returns in between may be nearer, of
+    things in front of a stem; returns from behind are counted, because nothing is seen through a stem. A run is dropped
+    if more than half as many returns pass it as it has shots.
+
+    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64;
+    returns ``runs`` (lines, M) int32, ``table`` (n_runs + 1, 4) float64.
+    """
+    n_lines, n_columns = range_m.shape
+    runs = np.empty((n_lines, n_columns), np.int32)
+    table = np.empty((n_lines * (n_columns // MIN_SHOTS) + 1, 4), np.float64)
+    for i in range(4):
+        table[0, i] = 0.0
+    n_kept = 1
+    side, up, far = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    points = side, up, far, np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    firsts, ends = (np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)), np.empty((n_columns, 4))
+    shots, mine, number = (
+        np.empty(n_columns + 1, np.int32),
+        np.empty(n_columns, np.int32),
+        np.empty(n_columns, np.int32),
+    )
+    for line in range(n_lines):
+        n_shots = _aim(range_m[line], height_m[line], (sine, cosine), thresholds, points, shots)
+        n_runs = _line_runs(shots[:n_shots], points, thresholds, mine, firsts, ends)
+        for i in range(n_runs):
+            number[i] = 0
+            if ends[i, COUNT] > 0.0:
+                number[i] = n_kept
+                for one in range(4):
+                    table[n_kept, one] = ends[i, one]
+                n_kept += 1
+        row = runs[line]
+        for column in range(n_columns):
+            row[column] = 0
+        for k in range(n_shots):
+            row[shots[k]] = number[mine[k]]
+    kept = np.empty((n_kept, 4), np.float64)
+    for i in range(n_kept):
+        for one in range(4):
+            kept[i, one] = table[i, one]
+    return runs, kept
+
+
+@helper
+def _root(parent: I32, run: int) -> int:
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@helper
+def _join_lines(
+    ranges: tuple[F32, F32], runs: tuple[I32, I32], thresholds: StemThresholds, linked: I32, parent: I32
+) -> None:
+    """Join the runs of two successive lines that have shots of a column near to each other."""
+    earlier, later = ranges
+    before, own = runs
+    near, share = thresholds.near_m, thresholds.near_share
+    n_linked = 0
+    for column in range(len(own)):
+        linked[n_linked] = column
+        n_linked += (own[column] != 0) & (before[column] != 0)
+    last_run = last_before = 0
+    for k in range(n_linked):
+        place = np.uint64(linked[k])
+        r = np.float64(later[place])
+        run, other = own[place], before[place]
+        # most shots join the same runs as the one before
+        if (run == last_run) & (other == last_before):
+            continue
+        if abs(r - np.float64(earlier[place])) < near + share * r:
+            one, two = _root(parent, run), _root(parent, other)
+            parent[max(one, two)] = min(one, two)
+            last_run, last_before = run, other
+
+
+@kernel(boolean[:, ::1](float32[:, ::1], int32[:, ::1], float64[:, ::1], record(StemThresholds)))
+def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
+    """Mark the runs that are stems: those that go on from line to line and are high, long and opaque together.
+
+    ``range_m`` (lines, M) float32, metres; ``runs`` (lines, M) int32; ``table`` (n_runs + 1, 4) float64; returns
+    (lines, M) bool.
+    """
+    n_lines, n_columns = range_m.shape
+    n_runs = len(table)
+    parent = np.empty(n_runs, np.int32)
+    sums = np.empty((n_runs, 4), np.float64)
+    low, high = np.empty(n_runs, np.float64), np.empty(n_runs, np.float64)
+    for run in range(n_runs):
+        parent[run] = run
+        low[run], high[run] = np.inf, -np.inf
+        for one in range(4):
+            sums[run, one] = 0.0
+    linked = np.empty(n_columns + 1, np.int32)
+    for line in range(1, n_lines):
+        _join_lines((range_m[line - 1], range_m[line]), (runs[line - 1], runs[line]), thresholds, linked, parent)
+    for run in range(1, n_runs):
+        root = _root(parent, run)
+        sums[root, _SHOTS] += table[run, COUNT]
+        sums[root, _PASSED] += table[run, PASSED]
+        sums[root, _RUNS] += 1.0
+        sums[root, _LENGTH] += table[run, HIGHEST] - table[run, LOWEST]
+        low[root] = min(low[root], table[run, LOWEST])
+        high[root] = max(high[root], table[run, HIGHEST])
+    is_stem = np.empty(n_runs, np.bool_)
+    is_stem[0] = False
+    for run in range(1, n_runs):
+        root = _root(parent, run)
+        is_stem[run] = (
+            sums[root, _SHOTS] >= thresholds.shots
+            and sums[root, _RUNS] >= thresholds.runs
+            and high[root] - low[root] >= thresholds.extent_m
+            and sums[root, _LENGTH] >= thresholds.total_m
+            and sums[root, _LENGTH] >= thresholds.mean_m * sums[root, _RUNS]
+            and sums[root, _PASSED] <= thresholds.through_share * sums[root, _SHOTS]
+        )
+    stems = np.empty((n_lines, n_columns), np.bool_)
+    for line in range(n_lines):
+        own, row = runs[line], stems[line]
+        for column in range(n_columns):
+            row[column] = is_stem[np.uint64(own[column])]
+    return stems
+
+
+@helper
+def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
+    """Mark the shots of a line whose neighbours on both sides are about as high."""
+    n = len(heights)
+    flat[0] = flat[n - 1] = np.uint8(0)
+    before, own, after, marks = heights[: n - 2], heights[1 : n - 1], heights[2:], flat[1 : n - 1]
+    for i in range(n - 2):
+        height = np.float64(own[i])
+        marks[i] = np.uint8(
+            (abs(height - np.float64(before[i])) < limit) & (abs(height - np.float64(after[i])) < limit)
+        )
+
+
+@helper
+def _mark_beside(stems: Mask, line: int, across: U8, beside: U8) -> None:
+    """Mark the shots of a line that are, or have around them, a shot of a stem."""
+    n_lines, n = stems.shape
+    before, own, after = stems[max(line - 1, 0)], stems[line], stems[min(line + 1, n_lines - 1)]
+    for i in range(n):
+        across[i] = np.uint8(before[i] | own[i] | after[i])
+        beside[i] = across[i]
+    inner, outer = beside[: n - 1], across[1:]
+    for i in range(n - 1):
+        inner[i] |= outer[i]
+    inner, outer = beside[1:], across[: n - 1]
+    for i in range(n - 1):
+        inner[i] |= outer[i]
+
+
+@helper
+def _mark_adjacent(ranges: F32, limit: float, links: U8, adjacent: U8) -> None:
+    """Mark the shots of a line with an adjacent shot about as far."""
+    n = len(ranges)
+    for i in range(n - 1):
+        links[i] = np.uint8(abs(np.float64(ranges[i + 1]) - np.float64(ranges[i])) <= limit)
+    links[n - 1] = adjacent[0] = np.uint8(0)
+    for i in range(n - 1):
+        adjacent[i + 1] = links[i]
+    for i in range(n):
+        adjacent[i] |= links[i]
+
+
+@helper
+def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds: ForestThresholds, labels: U8) -> None:
+    """Label the shots of a line that need no other shots for it, and mark the others.
+
+    Without branches, so that the compiler can use vector instructions.
+    """
+    flat, beside, adjacent = marks
+    below, soil, cover, top = -thresholds.below_m, thresholds.soil_m, thresholds.cover_m, thresholds.top_m
+    for i in range(len(heights)):
+        height = np.float64(heights[i])
+        is_ground = (height <= soil) | ((height <= cover) & (flat[i] != 0))
+        label = np.uint8(LABEL_VEGETATION) if adjacent[i] != 0 else np.uint8(_OPEN)
+        label = np.uint8(_TOUCHING) if (beside[i] != 0) & (height <= top) else label
+        label = np.uint8(LABEL_GROUND) if is_ground else label
+        stem = np.uint8(LABEL_STEM) if height <= top else np.uint8(LABEL_VEGETATION)
+        label = stem if stems[i] else label
+        label = np.uint8(LABEL_NOISE) if height < below else label
+        labels[i] = label if height == height else np.uint8(LABEL_MISSING)
+
+
+@helper
+def _touches_stem(range_m: F32, stems: Mask, line: int, column: int, limit: float) -> bool:
+    """Return whether one of the eight shots around is on a stem and about as far."""
+    n_lines, n_columns = range_m.shape
+    r = np.float64(range_m[line, column])
+    for i in range(max(line - 1, 0), min(line + 2, n_lines)):
+        for k in range(max(column - 1, 0), min(column + 2, n_columns)):
+            if stems[i, k] and abs(np.float64(range_m[i, k]) - r) <= limit:
+                return True
+    return False
+
+
+@helper
+def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, limit: float) -> bool:
+    """Return whether another shot nearby is about as far."""
+    n_lines, n_columns = range_m.shape
+    r = np.float64(range_m[line, column])
+    first, last = max(column - columns_around, 0), min(column + columns_around + 1, n_columns)
+    # its own line first, where one is found most often
+    for k in range(first, last):
+        if k != column and abs(np.float64(range_m[line, k]) - r) <= limit:
+            return True
+    for i in range(max(line - LINES_AROUND, 0), min(line + LINES_AROUND + 1, n_lines)):
+        if i != line:
+            for k in range(first, last):
+                if abs(np.float64(range_m[i, k]) - r) <= limit:
+                    return True
+    return False
+
+
+@kernel(uint8[:, ::1](float32[:, ::1], float32[:, ::1], boolean[:, ::1], int64, record(ForestThresholds)))
+def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
+    """Label a block of forest.
+
+    ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``stems`` (lines, M) bool; returns
+    (lines, M) uint8.
+    """
+    n_lines, n_columns = range_m.shape
+    labels = np.empty((n_lines, n_columns), np.uint8)
+    flat, across, beside = np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8)
+    adjacent, shots = np.empty(n_columns, np.uint8), np.empty(n_columns + 1, np.int32)
+    limit = thresholds.near_m
+    for line in range(n_lines):
+        row = labels[line]
+        _mark_flat(height_m[line], thresholds.flat_m, flat)
+        _mark_beside(stems, line, across, beside)
+        # a negative limit means that no shot is alone
+        _mark_adjacent(range_m[line], limit if limit >= 0.0 else np.inf, across, adjacent)
+        _label_plain(height_m[line], stems[line], (flat, beside, adjacent), thresholds, row)
+        n_shots = 0
+        for column in range(n_columns):
+            shots[n_shots] = column
+            n_shots += row[column] >= _TOUCHING
+        for k in range(n_shots):
+            column = shots[k]
+            if row[column] == _TOUCHING and _touches_stem(range_m, stems, line, column, thresholds.beside_m):
+                row[column] = LABEL_STEM
+            else:
+                plant = limit < 0.0 or adjacent[column] or _has_near_shot(range_m, line, column, columns_around, limit)
+                row[column] = LABEL_VEGETATION if plant else LABEL_NOISE
+    return labels

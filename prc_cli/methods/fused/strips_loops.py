@@ -1,0 +1,377 @@
+"""Loops of the fused classifier over shots above the ground, sorted into narrow strips beside the scanner.
+
+A strip is :data:`STRIP_M` wide; heights above the ground are divided into slots of :data:`SLOT_M`, one bit each. Level
+surfaces are kept in bins of half the width. Strips of adjacent lines are combined: lines are close together, and
+upright things stay in their strip from line to line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, inlined, kernel, record, uint8, uint64
+from prc_cli.methods.fused.thresholds import StripThresholds, WallThresholds
+
+Slots = NDArray[np.uint64]
+
+STRIPS, STRIP_M, SLOT_M = 320, np.float32(0.5), np.float32(0.25)
+"""Number of strips, half of them on either side, their width and the height of a slot [m]."""
+SLOTS = 64
+"""Slots of a strip; the last holds everything higher."""
+LINES = 2
+"""Lines before and after that are combined with a line."""
+NO_TOP = np.float32(-1e9)
+"""Top where there is no wall [m]."""
+LEAST_COSINE = np.float32(0.3)
+"""Lower limit of the cosine by which a shot's height extent is computed."""
+UPRIGHT_CHORDS = 2
+"""Least upright chords, of three, of a shot on an upright surface."""
+
+
+_FAR_BINS = np.float32(1e6)
+"""Limit of bin numbers, so that they fit an integer."""
+
+
+@inlined
+def _bin(y: np.float32, width: np.float32) -> np.int32:
+    """Return which of the bins to the left and right a shot is in, 0 = the first beside the scanner."""
+    return np.int32(np.floor(min(max(y / width, -_FAR_BINS), _FAR_BINS)))
+
+
+@helper
+def _list_counted(
+    ranges: F32,
+    side: F32,
+    above: F32,
+    near: U8,
+    step: np.float32,
+    thresholds: StripThresholds,
+    strips: I32,
+    extents: F32,
+    shots: I32,
+) -> int:
+    """List the shots of a line that count, return how many; write their strips and height extents.
+
+    One result a loop: the compiler cannot prove that several do not overlap.
+    """
+    least, foot = thresholds.least_near, thresholds.foot_m
+    for i in range(len(ranges)):
+        counted = (above[i] >= foot) & (np.float32(near[i]) >= least)
+        b = _bin(side[i] if counted else np.float32(0.0), STRIP_M) + np.int32(STRIPS // 2)
+        strips[i] = b if counted & (b >= 0) & (b < STRIPS) else np.int32(-1)
+    for i in range(len(ranges)):
+        extents[i] = ranges[i] * step / max(abs(side[i]) / ranges[i], LEAST_COSINE)
+    n = 0
+    for i in range(len(ranges)):
+        shots[n] = i
+        n += strips[i] >= 0
+    return n
+
+
+@helper
+def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
+    """Mark the shots of a line that are rough between rough ones.
+
+    In crowns all shots are; at the ends of a pole or an edge of a wall a single one is.
+    """
+    m = len(pairs)
+    for i in range(m):
+        rough[i] = np.uint8(np.float32(pairs[i]) <= most)
+    before, own, after = pairs[: m - 2], rough[1 : m - 1], pairs[2:]
+    for i in range(m - 2):
+        own[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
+
+
+@helper
+def _mark_kinds(
+    points: tuple[F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    thresholds: StripThresholds,
+    slots: U8,
+    rough: U8,
+    upright: U8,
+    level: U8,
+) -> None:
+    """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces.
+
+    What is level and higher than the scanner is seen from below: a ceiling.
+    """
+    height, above = points
+    _, pairs, up, flat = counts
+    foot, most_rough, least_smooth = thresholds.foot_m, thresholds.rough, thresholds.smooth
+    least_level, level_top = thresholds.level_smooth, thresholds.level_top_m
+    for i in range(len(above)):
+        h = above[i] if above[i] >= foot else np.float32(0.0)
+        slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
+    _mark_rough(pairs, most_rough, rough)
+    for i in range(len(above)):
+        upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & (up[i] >= UPRIGHT_CHORDS))
+    for i in range(len(above)):
+        level[i] = np.uint8(
+            (np.float32(pairs[i]) >= least_level)
+            & (flat[i] > up[i])
+            & (above[i] < level_top)
+            & (above[i] >= foot)
+            & (height[i] < np.float32(0.0))
+        )
+
+
+@helper
+def _keep_walls(upright: U8, extents: F32, side: F32, height: F32, wall: F32, place: F32, top: F32) -> None:
+    """Write the shares of a line's shots in walls: height extent, that times side, and top; 0 or no top off walls."""
+    for i in range(len(upright)):
+        wall[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
+    for i in range(len(upright)):
+        place[i] = extents[i] * side[i] if upright[i] != 0 else np.float32(0.0)
+    for i in range(len(upright)):
+        top[i] = height[i] if upright[i] != 0 else NO_TOP
+
+
+@helper
+def _fill_line(
+    shots: I32,
+    strips: I32,
+    slot: U8,
+    is_rough: U8,
+    heights: tuple[F32, F32, F32, F32],
+    slots: tuple[Slots, Slots],
+    sums: tuple[F32, F32, F32, F32],
+) -> None:
+    """Put the shots of a list into the strips of their line."""
+    extents, on_wall, at, top_of = heights
+    every, rough = slots
+    length, wall, place, top = sums
+    # sums stay in registers until the next shot is in another strip
+    b = np.uint64(0)
+    bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
+    for k in range(len(shots)):
+        i = np.uint64(shots[k])
+        own = np.uint64(strips[i])
+        if own != b:
+            every[b], rough[b], length[b], wall[b], place[b], top[b] = (
+                bits, rough_bits, all_m, wall_m, place_m, highest
+            )  # fmt: skip
+            b = own
+            bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
+        bits |= np.uint64(1) << np.uint64(slot[i])
+        rough_bits |= np.uint64(is_rough[i]) << np.uint64(slot[i])
+        all_m += extents[i]
+        wall_m += on_wall[i]
+        place_m += at[i]
+        highest = max(highest, top_of[i])
+    every[b], rough[b], length[b], wall[b], place[b], top[b] = bits, rough_bits, all_m, wall_m, place_m, highest
+
+
+@helper
+def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8) -> None:
+    """Mark the bins between every shot on a level surface and the adjacent shots, where these are close."""
+    n = 0
+    for k in range(len(shots)):
+        i = shots[k]
+        shots[n] = i
+        n += marks[i]
+    for k in range(n):
+        i = shots[k]
+        y = side[i]
+        first, last = y, y
+        for j in (i - 1, i + 1):
+            if 0 <= j < len(side) and abs(side[j] - y) < jump:
+                first, last = min(first, side[j]), max(last, side[j])
+        low = max(int(_bin(first, STRIP_M / np.float32(2.0))) + STRIPS, 0)
+        high = min(int(_bin(last, STRIP_M / np.float32(2.0))) + STRIPS, 2 * STRIPS - 1)
+        for q in range(low, high + 1):
+            levels[q] = 1
+
+
+@kernel(
+    Tuple(
+        (
+            uint64[:, ::1],
+            uint64[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            uint8[:, ::1],
+        )
+    )(
+        float32[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint8[:, ::1], 4),
+        UniTuple(float32[::1], 2),
+        float32,
+        record(StripThresholds),
+    )
+)
+def fill_strips(
+    range_m: F32,
+    above_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    beams: tuple[F32, F32],
+    step: np.float32,
+    thresholds: StripThresholds,
+) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
+    """Sort shots above the ground into strips, line by line.
+
+    ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8; ``beams`` tuple of (M,)
+    float32; returns every, rough : (lines, STRIPS) uint64, length_m, wall_m, place, top_m : (lines, STRIPS) float32,
+    ``levels`` (lines, 2 STRIPS) uint8.
+    """
+    n_lines, m = range_m.shape
+    side, height = np.empty(m, np.float32), np.empty(m, np.float32)
+    every, rough = np.empty((n_lines, STRIPS), np.uint64), np.empty((n_lines, STRIPS), np.uint64)
+    length, wall = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
+    place, top = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
+    levels = np.empty((n_lines, 2 * STRIPS), np.uint8)
+    shots, strips = np.empty(m + 1, np.int32), np.empty(m, np.int32)
+    slot, marks = np.empty(m, np.uint8), np.empty((3, m), np.uint8)
+    heights = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32)
+    for k in range(n_lines):
+        for b in range(STRIPS):
+            every[k, b] = rough[k, b] = np.uint64(0)
+            length[k, b] = wall[k, b] = place[k, b] = np.float32(0.0)
+            top[k, b] = NO_TOP
+        for q in range(2 * STRIPS):
+            levels[k, q] = np.uint8(0)
+        own, above = range_m[k], above_m[k]
+        for i in range(m):
+            side[i] = own[i] * beams[0][i]
+        for i in range(m):
+            height[i] = -(own[i] * beams[1][i])
+        n = _list_counted(own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots)
+        seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
+        _mark_kinds((height, above), seen, thresholds, slot, marks[0], marks[1], marks[2])
+        _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
+        sums = length[k], wall[k], place[k], top[k]
+        _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)
+        _mark_levels(shots[:n], marks[2], side, thresholds.jump_m, levels[k])
+    return every, rough, length, wall, place, top, levels
+
+
+@kernel("uint64[:, ::1](uint64[:, ::1])")
+def widen_slots(slots: Slots) -> Slots:
+    """Combine the slots of a line with those of the lines and strips around.
+
+    ``slots`` (lines + 4, STRIPS) uint64; returns (lines, STRIPS) uint64.
+    """
+    n_lines = slots.shape[0] - 2 * LINES
+    wide = np.empty((n_lines, STRIPS), np.uint64)
+    lines = np.empty(STRIPS + 2, np.uint64)
+    lines[0] = lines[STRIPS + 1] = np.uint64(0)
+    for line in range(n_lines):
+        row = wide[line]
+        for b in range(STRIPS):
+            lines[b + 1] = (
+                slots[line, b] | slots[line + 1, b] | slots[line + 2, b] | slots[line + 3, b] | slots[line + 4, b]
+            )
+        for b in range(STRIPS):
+            row[b] = lines[b] | lines[b + 1] | lines[b + 2]
+    return wide
+
+
+@kernel("uint8[:, ::1](uint8[:, ::1])")
+def widen_levels(levels: U8) -> U8:
+    """Combine the level surfaces of a line with those of the lines around.
+
+    ``levels`` (lines + 4, 2 STRIPS) uint8; returns (lines, 2 STRIPS) uint8.
+    """
+    n_lines, n = levels.shape[0] - 2 * LINES, levels.shape[1]
+    wide = np.empty((n_lines, n), np.uint8)
+    for line in range(n_lines):
+        row = wide[line]
+        for b in range(n):
+            row[b] = (
+                levels[line, b] | levels[line + 1, b] | levels[line + 2, b] | levels[line + 3, b] | levels[line + 4, b]
+            )
+    return wide
+
+
+@helper
+def _sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
+    """Add up the values of five lines, and then of three strips."""
+    for b in range(STRIPS):
+        before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
+        lines[b + 1] = (before + values[line + 3, b]) + values[line + 4, b]
+    lines[0] = lines[STRIPS + 1] = np.float32(0.0)
+    for b in range(STRIPS):
+        sums[b] = (lines[b] + lines[b + 1]) + lines[b + 2]
+
+
+@helper
+def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
+    """Find the highest of five lines and three strips."""
+    for b in range(STRIPS):
+        before, after = max(values[line, b], values[line + 1, b]), max(values[line + 3, b], values[line + 4, b])
+        lines[b + 1] = max(max(before, values[line + 2, b]), after)
+    lines[0] = lines[STRIPS + 1] = NO_TOP
+    for b in range(STRIPS):
+        tops[b] = max(max(lines[b], lines[b + 1]), lines[b + 2])
+
+
+@helper
+def _lines_around(values: F32, line: int, there: U8, counts: U8) -> None:
+    """Count the lines, of five, that have something in a strip or beside it."""
+    for b in range(STRIPS):
+        counts[b] = 0
+    there[0] = there[STRIPS + 1] = 0
+    for k in range(line, line + 2 * LINES + 1):
+        for b in range(STRIPS):
+            there[b + 1] = values[k, b] > 0
+        for b in range(STRIPS):
+            counts[b] += there[b] | there[b + 1] | there[b + 2]
+
+
+@helper
+def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, found: tuple[F32, F32, F32]) -> None:
+    """Write for every strip of a line the wall in front of it, seen from the scanner, and the wall behind it."""
+    at, top, ahead = found
+    half = STRIPS // 2
+    for s in range(2):
+        way = 1 if s == 0 else -1
+        first = half if s == 0 else half - 1
+        last = -1
+        for k in range(half):
+            b = first + way * k
+            if is_wall[b]:
+                last = b
+            if last >= 0:
+                at[b], top[b] = wall_at[last], tops[last]
+        last = -1
+        for k in range(half - 1, -1, -1):
+            b = first + way * k
+            if is_wall[b]:
+                last = b
+            if last >= 0 and abs(wall_at[last]) - np.float32(k) * STRIP_M <= thresholds.before_m + STRIP_M:
+                ahead[b] = wall_at[last]
+
+
+@kernel(UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), uint8[:, ::1], record(WallThresholds)))
+def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
+    """Find the walls beside every line: strips with enough smooth upright surface.
+
+    ``sums`` tuple of (lines + 4, STRIPS) float32; ``flanks`` (lines, STRIPS) uint8; returns at_m, top_m : (lines,
+    STRIPS) float32, metres, ``ahead_m`` (lines, STRIPS) float32, metres.
+    """
+    length, wall, place, top = sums
+    n_lines = length.shape[0] - 2 * LINES
+    at, tops = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
+    ahead, lines = np.empty((n_lines, STRIPS), np.float32), np.empty(STRIPS + 2, np.float32)
+    lengths, walls, places = (np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32))
+    highest, wall_at, is_wall = np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.uint8)
+    there, n_lines_there = np.empty(STRIPS + 2, np.uint8), np.empty(STRIPS, np.uint8)
+    enough = thresholds.height_m * np.float32(2 * LINES + 1)
+    for line in range(n_lines):
+        _sum_around(length, line, lines, lengths)
+        _sum_around(wall, line, lines, walls)
+        _sum_around(place, line, lines, places)
+        _top_around(top, line, lines, highest)
+        _lines_around(wall, line, there, n_lines_there)
+        for b in range(STRIPS):
+            at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
+            is_wall[b] = (walls[b] >= enough) & (walls[b] >= thresholds.share * lengths[b]) & (walls[b] > 0)
+            is_wall[b] &= (flanks[line, b] == 0) & (np.float32(n_lines_there[b]) >= thresholds.lines)
+            wall_at[b] = places[b] / walls[b] if is_wall[b] else np.float32(0.0)
+        _look_out(is_wall, wall_at, highest, thresholds, (at[line], tops[line], ahead[line]))
+    return at, tops, ahead

@@ -1,0 +1,95 @@
+"""Classes in the built environment (Lehtola et al. 2019, II-F): ground, buildings, vegetation, noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.core.classes import Label
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, I64, U8
+from prc_cli.methods.prc.components import Components
+from prc_cli.methods.prc.surfaces import Surfaces
+
+_OTHERS = np.array([Label.MISSING, Label.NOISE, Label.VEGETATION], dtype=np.uint8)
+
+
+class UrbanParams(Params):
+    """Which smooth segment is the ground (``[prc.urban]``)."""
+
+    ground: Literal["running-total", "block"] = Field(
+        "running-total",
+        description='the ground is the smooth segment with most shots: "running-total" counts them since the segment '
+        'began, "block" in the block alone, where a large facade may win',
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Totals:
+    """Smooth shots so far, by segment that may continue in the next block; ended segments are dropped."""
+
+    ids: I64
+    """(n,) int64, segment ids, ascending."""
+    counts: I64
+    """(n,) int64, smooth shots."""
+
+    @classmethod
+    def none(cls) -> Totals:
+        """Return the totals before the first block."""
+        return cls(np.empty(0, np.int64), np.empty(0, np.int64))
+
+    def of(self, ids: I64) -> I64:
+        """Return the counts of the given ids, 0 where one is unknown, (len(ids),) int64."""
+        if not len(self.ids):
+            return np.zeros(len(ids), dtype=np.int64)
+        place = np.minimum(np.searchsorted(self.ids, ids), len(self.ids) - 1)
+        counts: I64 = np.where(self.ids[place] == ids, self.counts[place], 0)
+        return counts
+
+
+@stage("classes")
+def count_smooth(surfaces: Surfaces) -> I64:
+    """Count the smooth shots of every component, (n + 1,) int64."""
+    h = surfaces.components
+    counts = h.pixels - kernels.count_covered(surfaces.supported, surfaces.covered, h.image, len(h.pixels) - 1)
+    counts[0] = 0
+    return counts
+
+
+@stage("classes")
+def find_ground(
+    components: Components, smooth: I64, last_line: I64, totals: Totals, params: UrbanParams
+) -> tuple[int, Totals]:
+    """Find the smooth segment with most shots so far, on ties the oldest.
+
+    ``smooth`` (n + 1,) int64; ``last_line`` (M,) int64.
+    """
+    present = np.flatnonzero(smooth)
+    ids, position = np.unique(components.ids[present], return_inverse=True)
+    if not len(ids):
+        return 0, Totals.none()
+    here = np.zeros(len(ids), dtype=np.int64)
+    np.add.at(here, position, smooth[present])
+    running = here + totals.of(ids)
+    ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # on ties the first: oldest
+    here_last = last_line[np.flatnonzero(last_line[1:] != last_line[:-1])]  # all but the last shot's, once a stretch
+    may_go_on = np.zeros(len(ids), dtype=bool)
+    may_go_on[np.searchsorted(ids, here_last[here_last > 0])] = True
+    may_go_on |= ids == last_line[-1]
+    return int(ground), Totals(ids[may_go_on], running[may_go_on])
+
+
+@stage("classes")
+def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
+    """Label a block of the built environment.
+
+    ``window`` (reach + lines * M + reach,) float32, metres; returns (lines, M) uint8.
+    """
+    h = surfaces.components
+    label_of = np.where(h.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))
+    return kernels.draw_components(window, surfaces.supported, surfaces.covered, h.image, label_of, _OTHERS)

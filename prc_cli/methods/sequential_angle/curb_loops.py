@@ -1,0 +1,403 @@
+"""Loops for curbs: where one may begin in a row, and regions of vertical points across lines (Stamos et al. 2012, 6).
+
+Regions grow line by line, so that a region is known to be complete as soon as a line adds nothing to it. What can no
+longer be a curb because it is too high, walls above all, is merged into one label and costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.kernels.cache import Tuple, boolean, float32, helper, inlined, int32, int64, kernel, record, uint8
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
+
+NONE, HIGH, REJECTED, CURB, FIRST_REGION = 0, 1, 2, 3, 4
+"""Labels: not vertical; too high for a curb; decided, not a curb; decided, a curb; from here on regions undecided."""
+
+_MISSING = 0
+_VERTICAL = 3
+
+
+class _Table(NamedTuple):
+    """All regions by label, the fixed ones included, and the labels of all lines.
+
+    Take its arrays before a loop, not in it: numba counts the reference every time.
+    """
+
+    parent: I32
+    """Label of the region that this one has become a part of, its own while it is one by itself."""
+    side: I32
+    first: I32
+    """First line."""
+    last: I32
+    """Last line."""
+    possible: Mask
+    """Whether there is a possible curb point."""
+    low: F32
+    """Lowest height [m]."""
+    high: F32
+    """Highest height [m]."""
+    labels: I32
+    """(lines * sides, n) int32, label of every point."""
+
+
+@inlined
+def _lies_over(farthest: F32, count: int, reach: int, own: float, under: float) -> bool:
+    """Tell whether one of the valid points before lies farther away than a point."""
+    most = own
+    for i in range(max(count - reach, 0), count):
+        most = max(most, farthest[i])
+    return bool(np.float64(most) - np.float64(own) > under)
+
+
+@kernel(
+    Tuple((boolean[::1], int32[::1]))(
+        uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], boolean[:, ::1], float32[::1], record(CurbThresholds)
+    )
+)
+def possible_curbs(
+    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
+) -> tuple[Mask, I32]:
+    """Find the first vertical point after the ground of every row that nothing lies under.
+
+    ``surface`` (R, n) uint8; ``range_m`` (R, n) float32, metres; ``xyz`` (R, n, 3) float32, metres; ``ground`` (R, n)
+    bool; ``z_g`` (R,) float32, metres; returns ``found`` (R,) bool, ``beam`` (R,) int32.
+    """
+    n_rows, n = surface.shape
+    reach, under = thresholds.under_points, thresholds.under_m
+    found = np.zeros(n_rows, np.bool_)
+    beam = np.full(n_rows, -1, np.int32)
+    farthest = np.empty(n + 1, np.float32)
+    for row in range(n_rows):
+        last = n - 1
+        while last >= 0 and not ground[row, last]:
+            last -= 1
+        if last < 0:
+            continue
+        limit = np.float64(z_g[row]) + thresholds.search_height_m
+        # ranges of the valid points, from the first that can matter
+        first = last
+        wanted = reach
+        while first > 0 and wanted > 0:
+            wanted -= surface[row, first] != _MISSING
+            first -= 1
+        count = int(np.int64(0))
+        for k in range(first, n):
+            kind = surface[row, k]
+            if kind == _MISSING:
+                continue
+            own = range_m[row, k]
+            if k > last and np.float64(xyz[row, k, 2]) > limit:
+                break
+            if k > last and kind == _VERTICAL and not _lies_over(farthest, count, reach, own, under):
+                found[row] = True
+                beam[row] = k
+                break
+            farthest[count] = own
+            count += 1
+    return found, beam
+
+
+@inlined
+def _root(parent: I32, label: int) -> int:
+    """Follow a label to the one that stands for its region, shortening the way for the next one."""
+    while parent[label] != label:
+        parent[label] = parent[parent[label]]
+        label = parent[label]
+    return label
+
+
+@inlined
+def _near(here: F32, k: int, there: F32, j: int, reach_2: float) -> bool:
+    """Tell whether two points lie within the grouping distance."""
+    dx = np.float64(here[k, 0]) - np.float64(there[j, 0])
+    dy = np.float64(here[k, 1]) - np.float64(there[j, 1])
+    dz = np.float64(here[k, 2]) - np.float64(there[j, 2])
+    return bool(dx * dx + dy * dy + dz * dz < reach_2)
+
+
+@inlined
+def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> int:
+    """Make two regions one."""
+    parent, last, low, high = table.parent, table.last, table.low, table.high
+    if one == HIGH or other == HIGH:
+        parent[one] = HIGH
+        parent[other] = HIGH
+        return HIGH
+    kept, gone = min(one, other), max(one, other)
+    parent[gone] = kept
+    if thresholds.by_line and last[one] != last[other]:
+        later = one if last[one] > last[other] else other
+        low[kept] = low[later]
+        high[kept] = high[later]
+    else:
+        low[kept] = min(low[one], low[other])
+        high[kept] = max(high[one], high[other])
+    table.first[kept] = min(table.first[one], table.first[other])
+    last[kept] = max(last[one], last[other])
+    table.possible[kept] = table.possible[one] or table.possible[other]
+    if np.float64(high[kept]) - np.float64(low[kept]) > thresholds.max_height_m:
+        parent[kept] = HIGH
+        return HIGH
+    return kept
+
+
+@helper
+def _is_straight(table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, limit: float) -> bool:
+    """Tell whether the angle changes little from point to point of a region, in the median."""
+    parent, labels, side = table.parent, table.labels, table.side[region]
+    n_before = (len(labels) - len(signed)) // n_sides
+    below = 0
+    others = 0
+    largest_below = -np.inf
+    smallest_other = np.inf
+    for line in range(table.first[region], table.last[region] + 1):
+        own = labels[line * n_sides + side]
+        new = line - n_before
+        # lines before this call are kept at the end of what was carried over
+        angles = signed[new * n_sides + side] if new >= 0 else above_signed[len(above_signed) + new * n_sides + side]
+        for k in range(1, len(own)):
+            if own[k] < FIRST_REGION or own[k - 1] < FIRST_REGION:
+                continue
+            if _root(parent, own[k]) != region or _root(parent, own[k - 1]) != region:
+                continue
+            change = abs(np.float64(angles[k]) - np.float64(angles[k - 1]))
+            if change < limit:
+                below += 1
+                largest_below = max(largest_below, change)
+            elif change >= limit:  # neither holds for NaN
+                others += 1
+                smallest_other = min(smallest_other, change)
+    if below == others:  # the median lies between the two
+        return below > 0 and (largest_below + smallest_other) / 2.0 < limit
+    return below > others
+
+
+@helper
+def _decide(
+    table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, thresholds: CurbThresholds
+) -> None:
+    """Decide whether a complete region is a curb."""
+    accepted = False
+    high_m = np.float64(table.high[region]) - np.float64(table.low[region])
+    if table.possible[region] and high_m >= thresholds.min_height_m:
+        n_lines = table.last[region] - table.first[region] + 1
+        accepted = n_lines >= thresholds.min_lines or _is_straight(
+            table, signed, above_signed, region, n_sides, thresholds.curvature_deg
+        )
+    table.parent[region] = CURB if accepted else REJECTED
+
+
+@helper
+def _connect_row(
+    table: _Table, surface: U8, here: F32, above: F32, row: int, n_sides: int, start: int, n_ids: int,
+    thresholds: CurbThresholds,
+) -> int:  # fmt: skip
+    """Label the vertical points of a row, joining them to each other and to those of the row above.
+
+    ``row`` counts from the beginning of the labels. New regions are numbered from ``n_ids`` on; returns how many.
+    """
+    n = len(surface)
+    side, line = row % n_sides, row // n_sides
+    own, up = table.labels[row], table.labels[row - n_sides]
+    parent, low, high = table.parent, table.low, table.high
+    sides, first, last, possible = table.side, table.first, table.last, table.possible
+    reach_2 = thresholds.grouping_m * thresholds.grouping_m
+    n_new = 0
+    for k in range(n):
+        if surface[k] != _VERTICAL:
+            own[k] = NONE
+            continue
+        z = here[k, 2]
+        label = NONE
+        if k > 0 and own[k - 1] != NONE and _near(here, k, here, k - 1, reach_2):
+            label = _root(parent, own[k - 1])
+            if label != HIGH:
+                low[label] = min(low[label], z)
+                high[label] = max(high[label], z)
+                if np.float64(high[label]) - np.float64(low[label]) > thresholds.max_height_m:
+                    parent[label] = HIGH
+                    label = HIGH
+        else:
+            label = n_ids + n_new
+            parent[label] = label
+            sides[label] = side
+            first[label] = last[label] = line
+            possible[label] = False
+            low[label] = high[label] = z
+            n_new += 1
+        for j in range(max(k - 1, 0), min(k + 2, n)):
+            if up[j] == NONE:
+                continue
+            other = _root(parent, up[j])
+            if other in (label, REJECTED, CURB) or not _near(here, k, above, j, reach_2):
+                continue
+            label = _join(table, label, other, thresholds)
+        if k == start and label != HIGH:
+            possible[label] = True
+        own[k] = label
+    return n_new
+
+
+@helper
+def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int) -> _Table:
+    """Return a table with room for so many lines and labels that holds the regions that are open."""
+    n = regions.labels.shape[1]
+    labels = np.empty((n_lines * n_sides, n), np.int32)
+    before = regions.labels
+    for row in range(len(before)):
+        for k in range(n):
+            labels[row, k] = before[row, k]
+    table = _Table(
+        parent=np.empty(capacity, np.int32),
+        side=np.empty(capacity, np.int32),
+        first=np.empty(capacity, np.int32),
+        last=np.empty(capacity, np.int32),
+        possible=np.empty(capacity, np.bool_),
+        low=np.empty(capacity, np.float32),
+        high=np.empty(capacity, np.float32),
+        labels=labels,
+    )
+    for label in range(FIRST_REGION + len(regions.side)):
+        table.parent[label] = label
+    for i in range(len(regions.side)):
+        label = FIRST_REGION + i
+        table.side[label] = regions.side[i]
+        table.first[label], table.last[label] = regions.first[i], regions.last[i]
+        table.possible[label] = regions.possible[i]
+        table.low[label], table.high[label] = regions.low_m[i], regions.high_m[i]
+    return table
+
+
+@helper
+def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) -> OpenRegions:
+    """Return rows and regions for the next call: labels that stand for themselves, numbered as they come."""
+    labels, parent = table.labels, table.parent
+    n_rows, n = labels.shape
+    first_row = begin * n_sides
+    left = np.empty((n_rows - first_row, n), np.int32)
+    number = np.zeros(n_ids, np.int32)
+    number[HIGH] = HIGH
+    number[REJECTED] = REJECTED
+    number[CURB] = CURB
+    n_left = 0
+    for row in range(n_rows - first_row):
+        for k in range(n):
+            label = labels[row + first_row, k]
+            label = _root(parent, label) if label > HIGH else label
+            if label != NONE and number[label] == 0:
+                number[label] = FIRST_REGION + n_left
+                n_left += 1
+            left[row, k] = number[label]
+    found = OpenRegions(
+        labels=left,
+        n_given=n_given,
+        side=np.empty(n_left, np.int32),
+        first=np.empty(n_left, np.int32),
+        last=np.empty(n_left, np.int32),
+        possible=np.empty(n_left, np.bool_),
+        low_m=np.empty(n_left, np.float32),
+        high_m=np.empty(n_left, np.float32),
+    )
+    for label in range(FIRST_REGION, n_ids):
+        if number[label] != 0:
+            i = number[label] - FIRST_REGION
+            found.side[i] = table.side[label]
+            found.first[i] = table.first[label] - begin
+            found.last[i] = table.last[label] - begin
+            found.possible[i] = table.possible[label]
+            found.low_m[i], found.high_m[i] = table.low[label], table.high[label]
+    return found
+
+
+@kernel(
+    Tuple((boolean[:, ::1], record(OpenRegions)))(
+        uint8[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        int32[::1],
+        int64,
+        float32[:, :, ::1],
+        float32[:, ::1],
+        record(OpenRegions),
+        record(CurbThresholds),
+        boolean,
+    )
+)
+def connect_verticals(
+    surface: U8,
+    xyz: F32,
+    signed: F32,
+    possible: I32,
+    n_sides: int,
+    above_xyz: F32,
+    above_signed: F32,
+    regions: OpenRegions,
+    thresholds: CurbThresholds,
+    last: bool,
+) -> tuple[Mask, OpenRegions]:
+    """Connect vertical points across lines and decide which of the regions are curbs.
+
+    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``signed`` (R, n) float32, degrees; ``possible`` (R,)
+    int32; ``above_xyz`` (n_sides, n, 3) float32, metres; returns ``curb`` (F, n) bool.
+    """
+    n_rows, n = surface.shape
+    n_before = len(regions.labels)
+    n_lines = (n_before + n_rows) // n_sides
+    n_vertical = 0
+    for row in range(n_rows):
+        for k in range(n):
+            n_vertical += surface[row, k] == _VERTICAL
+    n_ids = FIRST_REGION + len(regions.side)
+    table = _open_table(regions, n_sides, n_lines, n_ids + n_vertical)
+    parent, first_line, last_line, labels = table.parent, table.first, table.last, table.labels
+    undecided = np.empty((n_sides, n_ids + n_vertical), np.int32)
+    n_undecided = np.zeros(n_sides, np.int64)
+    for label in range(FIRST_REGION, n_ids):
+        side = table.side[label]
+        undecided[side, n_undecided[side]] = label
+        n_undecided[side] += 1
+
+    for row in range(n_rows):
+        side, line = row % n_sides, (n_before + row) // n_sides
+        above = xyz[row - n_sides] if row >= n_sides else above_xyz[side]
+        n_new = _connect_row(
+            table, surface[row], xyz[row], above, n_before + row, n_sides, possible[row], n_ids, thresholds
+        )
+        for label in range(n_ids, n_ids + n_new):
+            undecided[side, n_undecided[side]] = label
+            n_undecided[side] += 1
+        n_ids += n_new
+        # what got nothing from this line is complete
+        kept = 0
+        for i in range(n_undecided[side]):
+            label = undecided[side, i]
+            if parent[label] != label:
+                continue
+            if last_line[label] == line and line - first_line[label] + 1 < thresholds.max_lines:
+                undecided[side, kept] = label
+                kept += 1
+            else:
+                _decide(table, signed, above_signed, label, n_sides, thresholds)
+        n_undecided[side] = kept
+
+    first_open = n_lines
+    for side in range(n_sides):
+        for i in range(n_undecided[side]):
+            label = undecided[side, i]
+            if last:
+                _decide(table, signed, above_signed, label, n_sides, thresholds)
+            else:
+                first_open = min(first_open, first_line[label])
+
+    curb = np.empty(((first_open - regions.n_given) * n_sides, n), np.bool_)
+    for row in range(len(curb)):
+        for k in range(n):
+            label = labels[row + regions.n_given * n_sides, k]
+            curb[row, k] = label > HIGH and _root(parent, label) == CURB
+    begin = min(first_open, n_lines - 1)
+    n_given = n_lines - begin if first_open == n_lines else 0
+    return curb, _carry(table, n_sides, begin, n_given, n_ids)

@@ -1,0 +1,956 @@
+"""Loops over rows: modes of samples, the ground within a row and its height across rows (Stamos et al. 2012, sec. 5).
+
+The ground algorithm asks after every point whether the line angles so far have one mode. Mean shift from every sample
+would make that cubic in the points of a row. Here samples fall into bins of an eighth of a bandwidth, the density of
+a bin is a sum of whole numbers from one table, and a sample that is added changes it by additions alone: exact, in any
+order, hence equal to the density computed anew. Its maxima are the points where mean shift ends, the minima between
+them part their samples.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.kernels.cache import Tuple, boolean, float32, helper, inlined, int32, kernel, record, uint8
+from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds, PotentialGround
+
+PER_BANDWIDTH = 8
+"""Bins of a bandwidth."""
+HALF = 43
+"""Bins on either side beyond which the table is zero, 5.4 bandwidths."""
+WEIGHT = np.rint(2.0**20 * np.exp(-0.5 * (np.arange(-HALF, HALF + 2) / PER_BANDWIDTH) ** 2)).astype(np.int64)
+"""Gaussian kernel in whole numbers, one entry a bin, and a zero at the end."""
+CLEAR = 2 * PER_BANDWIDTH - 1
+"""Samples that span at most this many bins have one mode: means within two standard deviations give a density whose
+logarithm is concave, since the variance of what lies in an interval is at most the square of half its length."""
+LARGEST_DEG = 360.0
+"""Line angles lie between 0 and this."""
+LOWEST_M = -310.0
+"""Height where the histogram of heights begins; what lies beyond its ends counts in its end bins."""
+PER_METRE = 500
+"""Its bins in a metre, 2 mm each."""
+N_HEIGHTS = 370 * PER_METRE
+"""Its bins, up to 60 m above the scanner."""
+BEHIND = 2
+"""Horizontal points behind a gap in a surface that have to continue its line."""
+
+_HORIZONTAL = 2
+_MISSING = 0
+
+_FIGURES = np.dtype(
+    [
+        (name, np.int64)
+        for name in (
+            "n",  # heights in the histogram
+            "first", "last",  # their first and last bin
+            "median", "below",  # the bin of their median, and heights in the bins below
+            "width",  # bins of the histogram in a coarse bin
+            "lo", "hi",  # first and last coarse bin
+            "cleared_from", "cleared_to",  # coarse bins between which memory has been cleared: not all three megabytes
+            "oldest", "newest",  # ends of the queue
+        )
+    ]
+)  # fmt: skip
+_AT_ONCE = 250
+"""Bins of the histogram of heights that are looked at together for whether there is anything."""
+
+
+class _Row(NamedTuple):
+    """One row.
+
+    Take its arrays before a loop, not in it, and call nothing with an array for every point: numba counts the
+    references of each array that is taken or handed over, in atomic steps, which took most of the time.
+    """
+
+    surface: U8
+    xyz: F32
+    horizontal: F32
+    phihat: F32
+    ahead: I32
+
+
+class _Scratch(NamedTuple):
+    """Memory for the line angles of a row and their modes; ``hist`` and ``density`` are zero between calls."""
+
+    sampled: I32
+    """Beams of the samples."""
+    angles: F64
+    """(2, n) float64, line angles of the samples, and room for their bins."""
+    hist: I64
+    """Samples in every bin, with :data:`HALF` bins more at either end."""
+    density: I64
+    tops: I64
+    counts: I64
+
+
+class _Heights(NamedTuple):
+    """Heights of rows: all in fine bins, and those that count in coarse ones with their density."""
+
+    histogram: I32
+    queue: I32
+    """Bins of the heights that are remembered, between the figures ``oldest`` and ``newest``."""
+    hist: I64
+    """Heights in every coarse bin, with :data:`HALF` bins more at the beginning."""
+    density: I64
+    figures: NDArray[np.void]
+    """(1,) of :data:`_FIGURES`."""
+
+
+@helper
+def _walk(hist: I64, density: I64, lo: int, hi: int, tops: I64, counts: I64) -> int:
+    """List the maxima of a density from low to high: twice their place, and the samples between the minima around."""
+    n = 0
+    last = 0
+    best = 0
+    k = lo
+    while k <= hi:
+        count = 0
+        while k < hi and density[k + 1] >= density[k]:
+            count += hist[k]
+            k += 1
+        height = density[k]
+        first = k
+        while first > lo and density[first - 1] == height:
+            first -= 1
+        top = first + k
+        count += hist[k]
+        while k < hi and density[k + 1] <= density[k]:
+            k += 1
+            count += hist[k]
+        k += 1
+        if n > 0 and top - last < PER_BANDWIDTH:  # twice a place against twice half a bandwidth
+            counts[n - 1] += count
+            if height > best:
+                tops[n - 1] = top
+                best = height
+        else:
+            tops[n] = top
+            counts[n] = count
+            best = height
+            n += 1
+        last = top
+    return n
+
+
+@inlined
+def _spread(density: I64, q: int, count: int) -> None:
+    """Add so many samples in a bin to the density."""
+    first = np.uint64(q - HALF)  # unsigned, and no view of the array: for vector instructions, and no count of views
+    for j in range(np.uint64(2 * HALF + 1)):
+        density[first + j] += count * WEIGHT[j]
+
+
+@helper
+def _build(hist: I64, density: I64, lo: int, hi: int) -> None:
+    """Compute the density of binned samples; it must be zero before."""
+    for q in range(lo, hi + 1):
+        if hist[q] > 0:
+            _spread(density, q, hist[q])
+
+
+@inlined
+def _density_at(hist: I64, q: int) -> int:
+    """Compute the density of binned samples in one bin."""
+    first = np.uint64(q - HALF)
+    total = 0
+    for j in range(np.uint64(2 * HALF + 1)):
+        total += hist[first + j] * WEIGHT[j]
+    return total
+
+
+@helper
+def _forget(hist: I64, lo: int, hi: int) -> None:
+    """Forget samples."""
+    for q in range(max(lo, HALF), hi + 1):
+        hist[q] = 0
+
+
+@helper
+def _clear_density(density: I64, lo: int, hi: int) -> None:
+    """Forget the density of samples."""
+    for q in range(max(lo, HALF) - HALF, hi + HALF + 1 if hi >= lo else 0):
+        density[q] = 0
+
+
+@helper
+def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
+    """Forget all samples and their density."""
+    _forget(hist, lo, hi)
+    _clear_density(density, lo, hi)
+
+
+@kernel("Tuple((float64[::1], int64[::1]))(float64[::1], float64)")
+def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
+    """Find the modes of samples by mean shift with a Gaussian kernel (Comaniciu and Meer 2002), on a grid.
+
+    ``values`` (n,) float64; returns ``places`` (m,) float64, ``counts`` (m,) int64.
+    """
+    width = bandwidth / PER_BANDWIDTH
+    if len(values) == 0:
+        return np.empty(0, np.float64), np.empty(0, np.int64)
+    lowest = highest = math.floor(values[0] / width)
+    for value in values:
+        q = math.floor(value / width)
+        lowest, highest = min(lowest, q), max(highest, q)
+    first, last = int(np.int64(HALF)), HALF + highest - lowest
+    hist = np.zeros(last + 1 + HALF, np.int64)
+    density = np.zeros(last + 1 + HALF, np.int64)
+    for value in values:
+        hist[math.floor(value / width) - lowest + HALF] += 1
+    _build(hist, density, first, last)
+    tops = np.empty(last + 1, np.int64)
+    counts = np.empty(last + 1, np.int64)
+    n = _walk(hist, density, first, last, tops, counts)
+    n_kept = 0
+    for i in range(n):
+        n_kept += counts[i] > 0
+    places = np.empty(n_kept, np.float64)
+    samples = np.empty(n_kept, np.int64)
+    n_kept = 0
+    for i in range(n):
+        if counts[i] > 0:
+            places[n_kept] = (tops[i] / 2.0 - HALF + lowest + 0.5) * width
+            samples[n_kept] = counts[i]
+            n_kept += 1
+    return places, samples
+
+
+@helper
+def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, noise: float) -> float:
+    """Return the bandwidth for line angles [deg] at a point with a chord to another one.
+
+    The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from the cross product.
+    """
+    other = ahead[one]
+    x, y, z = np.float64(xyz[one, 0]), np.float64(xyz[one, 1]), np.float64(xyz[one, 2])
+    dx, dy, dz = np.float64(xyz[other, 0]) - x, np.float64(xyz[other, 1]) - y, np.float64(xyz[other, 2]) - z
+    cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+    cross = math.sqrt(cx * cx + cy * cy + cz * cz)
+    chord_2 = dx * dx + dy * dy + dz * dz
+    sigma = 57.29577951308232 * 1.4142135623730951 * noise * cross / (chord_2 * math.sqrt(x * x + y * y + z * z))
+    found = max(least, sigmas * sigma)
+    return found if found < 180.0 else 180.0  # also where there is no chord
+
+
+@inlined
+def _bin(angle: float, width: float, size: int) -> int:
+    """Return the bin of a line angle."""
+    return min(max(math.floor(angle / width), 0), size - 1) + HALF
+
+
+@helper
+def _count(angles: F64, n: int, width: float, size: int, hist: I64) -> None:
+    """Count line angles, the first row of ``angles``, in their bins; the other row takes these, many at a time."""
+    for i in range(n):
+        angles[1, i] = min(max(np.floor(angles[0, i] / width), 0.0), size - 1.0)
+    for i in range(n):
+        hist[int(angles[1, i]) + HALF] += 1
+
+
+@helper
+def _fits(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, guard: float) -> bool:
+    """Tell whether a point lies at the height of the local line through the last points."""
+    first = max(n_points - n_fit, 0)
+    count = n_points - first
+    mean_x = 0.0
+    mean_z = 0.0
+    for i in range(first, n_points):
+        mean_x += np.float64(horizontal[beams[i]])
+        mean_z += np.float64(xyz[beams[i], 2])
+    mean_x /= count
+    mean_z /= count
+    sxx = 0.0
+    sxz = 0.0
+    for i in range(first, n_points):
+        dx = np.float64(horizontal[beams[i]]) - mean_x
+        sxx += dx * dx
+        sxz += dx * (np.float64(xyz[beams[i], 2]) - mean_z)
+    slope = sxz / (sxx + count * guard * guard)
+    expected = mean_z + slope * (np.float64(horizontal[k]) - mean_x)
+    return bool(abs(np.float64(xyz[k, 2]) - expected) <= guard)
+
+
+@helper
+def _bridged(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    beams: I32,
+    n_points: int,
+    k: int,
+    n: int,
+    n_fit: int,
+    bridge: int,
+    step: float,
+) -> int:
+    """Return the horizontal point at which a line goes on behind a few points that are not horizontal, or ``k``."""
+    end = k
+    passed = 0
+    while k < n and surface[k] != _HORIZONTAL:
+        if surface[k] != _MISSING:
+            passed += 1
+            if passed > bridge:
+                return end
+        k += 1
+    behind = k
+    seen = 0
+    while k < n and seen < BEHIND:
+        if surface[k] != _MISSING:
+            if surface[k] != _HORIZONTAL or not _fits(xyz, horizontal, beams, n_points, k, n_fit, step):
+                return end
+            seen += 1
+        k += 1
+    return behind if seen == BEHIND else end
+
+
+@helper
+def _follow_peak(hist: I64, peak: int, q: int) -> int:
+    """Return the only maximum of a density after a sample was added, given the one before; -1 = there may be two.
+
+    A second one can only arise between it and the new sample, on either side of which both parts of the density rise,
+    or fall, together.
+    """
+    i, end = min(peak, q), max(peak, q)
+    if i == end:
+        return peak
+    top = i
+    here = _density_at(hist, i)
+    rising = True
+    while i < end:
+        there = _density_at(hist, i + 1)
+        if there < here:
+            rising = False
+        elif there > here and not rising:
+            return -1
+        here = there
+        i += 1
+        if rising:
+            top = i
+    return top
+
+
+@helper
+def _count_modes(scratch: _Scratch, lo: int, hi: int, least: int) -> tuple[int, int]:
+    """Count the modes of so many samples at least, and return the bin of the maximum too, -1 = there are several."""
+    density, tops, counts = scratch.density, scratch.tops, scratch.counts
+    _build(scratch.hist, density, lo, hi)
+    n_modes = _walk(scratch.hist, density, lo, hi, tops, counts)
+    _clear_density(density, lo, hi)
+    enough = 0
+    for i in range(n_modes):
+        enough += counts[i] >= least
+    return enough, tops[0] // 2 if n_modes == 1 else int(np.int64(-1))
+
+
+@helper
+def _potential(  # noqa: PLR0915 - what every point goes through calls nothing with an array
+    row: _Row, n: int, start: int, thresholds: GroundThresholds, beams: I32, scratch: _Scratch
+) -> tuple[int, float]:
+    """Find potential ground in a row from a beam on: how many points, left in ``beams``, and the bandwidth (part a).
+
+    What every point goes through stands here, see :class:`_Row`. As long as the samples lie so close together that they
+    have one mode, the least and the largest angle say so, and no bin is counted.
+    """
+    surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
+    sampled, angles, hist = scratch.sampled, scratch.angles, scratch.hist
+    jump, n_fit, first_run, least = (
+        thresholds.jump_m, thresholds.growth_points, thresholds.first_run, thresholds.mode_samples
+    )  # fmt: skip
+    size = len(hist) - 2 * HALF
+    n_points = n_samples = renew_at = int(np.int64(0))  # not the literal, for which helpers would be compiled once more
+    lo = hi = peak = int(np.int64(-1))
+    b = width = 0.0
+    angle = least_deg = most_deg = lowest_deg = highest_deg = np.nan
+    k = start
+    growing = built = False
+    while True:
+        # the next horizontal point; more than a few that are neither that nor missing end the run
+        while k < n and surface[k] == _MISSING:
+            k += 1
+        if n_points > 0 and k < n and surface[k] != _HORIZONTAL:
+            k = _bridged(
+                surface, xyz, horizontal, beams, n_points, k, n, n_fit, thresholds.bridge, thresholds.bridge_height_m
+            )
+        if k >= n or surface[k] != _HORIZONTAL:
+            if growing or k >= n:
+                break
+            n_points = int(np.int64(0))
+            k += 1
+            continue
+        if n_points > 0:
+            # at another height than the points before, and than their line goes on to
+            rise = abs(np.float64(xyz[k, 2]) - np.float64(xyz[beams[n_points - 1], 2]))
+            if rise > jump and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump):
+                if growing:
+                    break
+                n_points = int(np.int64(0))
+        beams[n_points] = k
+        n_points += 1
+        k += 1
+        if n_points < first_run:
+            continue
+        # the points but the last one that have a line angle are samples
+        before = n_samples
+        if not growing:
+            n_samples = renew_at = int(np.int64(0))
+            least_deg, most_deg = np.inf, -np.inf
+        for i in range(n_points - 2 if growing else 0, n_points - 1):
+            angle = np.float64(phihat[beams[i]])
+            sampled[n_samples] = beams[i]
+            angles[0, n_samples] = angle
+            n_samples += angle == angle
+            lowest_deg, highest_deg = least_deg, most_deg
+            least_deg = angle if angle < least_deg else least_deg
+            most_deg = angle if angle > most_deg else most_deg
+        if growing and n_samples == before:
+            continue
+        one_mode = n_samples >= least
+        if one_mode:
+            q = int(np.int64(0))
+            if n_samples >= renew_at:
+                # the bandwidth follows the middle of the set whenever the set has grown by a half: that keeps the
+                # work proportional to the number of points, whatever the bandwidth does
+                renew_at = n_samples + n_samples // 2 + 1
+                b = _bandwidth(
+                    xyz, row.ahead, sampled[n_samples // 2], thresholds.bandwidth_deg, thresholds.bandwidth_sigmas,
+                    thresholds.range_noise_m,
+                )  # fmt: skip
+                width = b / PER_BANDWIDTH
+                if built:
+                    _forget(hist, lo, hi)
+                lo, hi, built = _bin(least_deg, width, size), _bin(most_deg, width, size), False
+            elif built or angle < lowest_deg or angle > highest_deg:
+                q = _bin(angle, width, size)
+                lo, hi = min(lo, q), max(hi, q)
+                hist[q] += built
+            if hi - lo > CLEAR:
+                if not built:
+                    _count(angles, n_samples, width, size, hist)
+                    built, peak = True, int(np.int64(-1))
+                if peak >= 0:
+                    peak = _follow_peak(hist, peak, q)
+                if peak < 0:
+                    n_modes, peak = _count_modes(scratch, lo, hi, least)
+                    one_mode = n_modes == 1
+        if growing and not one_mode:
+            break
+        if one_mode:
+            growing = True
+        else:  # no ground at this start: go one point on
+            for i in range(n_points - 1):
+                beams[i] = beams[i + 1]
+            n_points -= 1
+    if built:
+        _forget(hist, lo, hi)
+    return n_points - 2 if growing else 0, b
+
+
+@helper
+def _lowest_mean(xyz: F32, beams: I32, n_points: int, lowest: int, near: int) -> float:
+    """Return the mean height of the lowest of the first points, of all if ``near`` is 0."""
+    heights = np.empty(lowest, np.float64)
+    kept = 0
+    for i in range(min(n_points, near) if near > 0 else n_points):
+        z = np.float64(xyz[beams[i], 2])
+        if kept == lowest and z >= heights[kept - 1]:
+            continue
+        j = kept if kept < lowest else kept - 1
+        while j > 0 and heights[j - 1] > z:
+            heights[j] = heights[j - 1]
+            j -= 1
+        heights[j] = z
+        kept = min(kept + 1, lowest)
+    total = 0.0
+    for i in range(kept):
+        total += heights[i]
+    return total / kept
+
+
+@helper
+def _main(counts: I64, n: int) -> int:
+    """Return the mode with most samples, of equals the lowest."""
+    best = 0
+    for i in range(1, n):
+        if counts[i] > counts[best]:
+            best = i
+    return best
+
+
+@helper
+def _extend(row: _Row, n: int, beams: I32, n_points: int, mode: float, b: float, thresholds: GroundThresholds) -> int:
+    """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
+    surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
+    n_fit, guard = thresholds.growth_points, thresholds.growth_height_m
+    k = int(np.int64(beams[n_points - 1] + 1))
+    while k < n:
+        if surface[k] == _MISSING:
+            k += 1
+            continue
+        if surface[k] != _HORIZONTAL:
+            k = _bridged(
+                surface, xyz, horizontal, beams, n_points, k, n, n_fit, thresholds.bridge, thresholds.bridge_height_m
+            )
+            if surface[k] != _HORIZONTAL:
+                break
+        # a point without a line angle is judged by its height alone
+        if abs(np.float64(phihat[k]) - mode) > b:
+            break
+        if not _fits(xyz, horizontal, beams, n_points, k, n_fit, guard):
+            break
+        beams[n_points] = k
+        n_points += 1
+        k += 1
+    return n_points
+
+
+@helper
+def _main_angle(phihat: F32, beams: I32, n_points: int, b: float, scratch: _Scratch) -> float:
+    """Return the main mode of the line angles of some points [deg]."""
+    angles, hist, density, tops, counts = scratch.angles, scratch.hist, scratch.density, scratch.tops, scratch.counts
+    size = len(hist) - 2 * HALF
+    width = b / PER_BANDWIDTH
+    least_deg, most_deg = np.inf, -np.inf
+    n_samples = int(np.int64(0))
+    for i in range(n_points):
+        angle = np.float64(phihat[beams[i]])
+        angles[0, n_samples] = angle
+        n_samples += angle == angle
+        least_deg = angle if angle < least_deg else least_deg
+        most_deg = angle if angle > most_deg else most_deg
+    lo, hi = _bin(least_deg, width, size), _bin(most_deg, width, size)
+    _count(angles, n_samples, width, size, hist)
+    _build(hist, density, lo, hi)
+    best = _main(counts, _walk(hist, density, lo, hi, tops, counts))
+    _clear(hist, density, lo, hi)
+    return float((tops[best] / 2.0 - HALF + 0.5) * width)
+
+
+@helper
+def _end_of_run(surface: U8, start: int, n: int, bridge: int) -> int:
+    """Return the beam behind the last horizontal one that no more than a few others part from those before."""
+    end = k = start
+    passed = 0
+    while k < n and passed <= bridge:
+        if surface[k] == _HORIZONTAL:
+            passed = 0
+            end = k + 1
+        elif surface[k] != _MISSING:
+            passed += 1
+        k += 1
+    return end
+
+
+@helper
+def _resume(
+    row: _Row, n: int, beams: I32, n_points: int, more: I32, thresholds: GroundThresholds, scratch: _Scratch
+) -> int:
+    """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
+    surface, guard = row.surface, thresholds.growth_height_m
+    start = k = int(np.int64(beams[n_points - 1] + 1))
+    end = _end_of_run(surface, start, n, thresholds.bridge)
+    crossed = False
+    while start < end:
+        n_more, b = _potential(row, end, start, thresholds, more, scratch)
+        if n_more == 0:
+            break
+        start = int(np.int64(more[n_more - 1] + 1))
+        while k < more[0]:
+            crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
+            k += 1
+        if _fits(
+            row.xyz, row.horizontal, beams, n_points, int(np.int64(more[0])), thresholds.growth_points,
+            min(thresholds.bridge_height_m, guard) if crossed else guard,
+        ):  # fmt: skip
+            for i in range(n_more):
+                beams[n_points + i] = more[i]
+            mode = _main_angle(row.phihat, more, n_more, b, scratch)
+            n_points = _extend(row, end, beams, n_points + n_more, mode, b, thresholds)
+            start = k = int(np.int64(beams[n_points - 1] + 1))
+            crossed = False
+    return n_points
+
+
+@helper
+def _grow(
+    row: _Row, n: int, beams: I32, n_points: int, b: float, more: I32, thresholds: GroundThresholds, scratch: _Scratch
+) -> int:
+    """Grow accepted ground over the rest of its run; returns how many points are in ``beams`` then."""
+    mode = _main_angle(row.phihat, beams, n_points, b, scratch)
+    n_points = _extend(row, n, beams, n_points, mode, b, thresholds)
+    return _resume(row, n, beams, n_points, more, thresholds, scratch) if thresholds.resume else n_points
+
+
+@helper
+def _height_bin(z: float) -> int:
+    """Return the bin of a height; what lies outside counts in the end bins."""
+    return int(min(max((z - LOWEST_M) * PER_METRE, 0.0), N_HEIGHTS - 1.0))
+
+
+@helper
+def _reach(heights: _Heights, q: int) -> None:
+    """Clear memory as far as a sample in a coarse bin needs it."""
+    hist, density, figures = heights.hist, heights.density, heights.figures[0]
+    if figures["cleared_from"] == figures["cleared_to"]:
+        figures["cleared_from"] = figures["cleared_to"] = q - HALF
+    for i in range(q - HALF, figures["cleared_from"]):
+        hist[i] = density[i] = 0
+    for i in range(figures["cleared_to"], q + HALF + 1):
+        hist[i] = density[i] = 0
+    figures["cleared_from"] = min(figures["cleared_from"], q - HALF)
+    figures["cleared_to"] = max(figures["cleared_to"], q + HALF + 1)
+
+
+@helper
+def _coarse(heights: _Heights, width: int) -> None:
+    """Bin the histogram of heights in an eighth of the bandwidth."""
+    histogram, hist, figures = heights.histogram, heights.hist, heights.figures[0]
+    if figures["n"] > 0:
+        _clear(hist, heights.density, figures["lo"], figures["hi"])
+    lo, hi = figures["first"] // width + HALF, figures["last"] // width + HALF
+    _reach(heights, lo)
+    _reach(heights, hi)
+    n = int(np.int64(0))
+    for i in range(figures["first"], figures["last"] + 1):
+        if histogram[i] > 0:
+            hist[i // width + HALF] += histogram[i]
+            n += histogram[i]
+    figures["n"], figures["width"], figures["lo"], figures["hi"] = n, width, lo, hi
+    _build(hist, heights.density, lo, hi)
+
+
+@helper
+def _height_width(median: int, share: float) -> int:
+    """Return an eighth of the bandwidth of heights in bins, rounded up."""
+    return max(1, math.ceil(share * abs(median + 0.5 + PER_METRE * LOWEST_M) / PER_BANDWIDTH))
+
+
+@helper
+def _new_heights(histogram: I32, queue: I32, n_queued: int, share: float) -> _Heights:
+    """Take a histogram of heights up."""
+    heights = _Heights(
+        histogram=histogram,
+        queue=queue,
+        hist=np.empty(N_HEIGHTS + 2 * HALF, np.int64),
+        density=np.empty(N_HEIGHTS + 2 * HALF, np.int64),
+        figures=np.zeros(1, _FIGURES),
+    )
+    heights.figures[0]["newest"] = n_queued
+    _open_heights(heights, share)
+    return heights
+
+
+@helper
+def _open_heights(heights: _Heights, share: float) -> None:
+    """Find the ends of a histogram of heights, its (lower) median, its density."""
+    histogram, figures = heights.histogram, heights.figures[0]
+    n = int(np.int64(0))
+    for begin in range(0, N_HEIGHTS, _AT_ONCE):
+        there = 0
+        for i in range(begin, begin + _AT_ONCE):
+            there += histogram[i]
+        if there == 0:
+            continue
+        for i in range(begin, begin + _AT_ONCE):
+            if histogram[i] > 0:
+                figures["first"] = i if n == 0 else figures["first"]
+                figures["last"] = i
+                n += histogram[i]
+    if n == 0:
+        return
+    figures["median"] = figures["first"]
+    figures["below"] = 0
+    _settle(heights, n)
+    _coarse(heights, _height_width(figures["median"], share))
+
+
+@helper
+def _settle(heights: _Heights, n: int) -> None:
+    """Bring the median of n heights to its place."""
+    histogram, figures = heights.histogram, heights.figures[0]
+    median, below = figures["median"], figures["below"]
+    rank = (n - 1) // 2
+    while below > rank:
+        median -= 1
+        below -= histogram[median]
+    while below + histogram[median] <= rank:
+        below += histogram[median]
+        median += 1
+    figures["median"] = median
+    figures["below"] = below
+
+
+@helper
+def _add_height(heights: _Heights, new: int, share: float) -> None:
+    """Add a height to histogram, median and density."""
+    figures = heights.figures[0]
+    heights.histogram[new] += 1
+    if figures["n"] == 0:
+        _open_heights(heights, share)
+        return
+    figures["first"] = min(figures["first"], new)
+    figures["last"] = max(figures["last"], new)
+    figures["below"] += new < figures["median"]
+    _settle(heights, figures["n"] + 1)
+    width = _height_width(figures["median"], share)
+    if width == figures["width"]:
+        q = new // width + HALF
+        _reach(heights, q)
+        heights.hist[q] += 1
+        _spread(heights.density, q, int(np.int64(1)))
+        figures["lo"] = min(figures["lo"], q)
+        figures["hi"] = max(figures["hi"], q)
+        figures["n"] += 1
+    else:
+        _coarse(heights, width)
+
+
+@helper
+def _forget_height(heights: _Heights, old: int, share: float) -> None:
+    """Take a height, not the last one, out of histogram, median and density."""
+    histogram, figures = heights.histogram, heights.figures[0]
+    histogram[old] -= 1
+    width = figures["width"]
+    q = old // width + HALF
+    heights.hist[q] -= 1
+    _spread(heights.density, q, int(np.int64(-1)))
+    figures["n"] -= 1
+    while histogram[figures["first"]] == 0:
+        figures["first"] += 1
+    while histogram[figures["last"]] == 0:
+        figures["last"] -= 1
+    figures["lo"] = figures["first"] // width + HALF
+    figures["hi"] = figures["last"] // width + HALF
+    figures["below"] -= old < figures["median"]
+    _settle(heights, figures["n"])
+    if _height_width(figures["median"], share) != width:
+        _coarse(heights, _height_width(figures["median"], share))
+
+
+@helper
+def _count_height(heights: _Heights, z: float, memory: int, share: float) -> None:
+    """Add a height, and forget the oldest one when there are more than can be remembered."""
+    figures = heights.figures[0]
+    new = _height_bin(z)
+    _add_height(heights, new, share)
+    if memory > 0:
+        heights.queue[figures["newest"]] = new
+        figures["newest"] += 1
+        if figures["newest"] - figures["oldest"] > memory:
+            _forget_height(heights, int(np.int64(heights.queue[figures["oldest"]])), share)
+            figures["oldest"] += 1
+
+
+@helper
+def _lowest(tops: I64, counts: I64, best: int, width: int, roof_m: float, roof_share: float) -> int:
+    """Return the lowest mode that makes a roof of the main one: far enough below, with a share of its samples."""
+    for i in range(best):
+        below_m = (((tops[best] - tops[i]) * width) // 2) / PER_METRE
+        if below_m >= roof_m and np.float64(counts[i]) >= roof_share * np.float64(counts[best]):
+            return i
+    return best
+
+
+@helper
+def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_share: float) -> tuple[int, float]:
+    """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins.
+
+    Where the main mode is a roof, those of the ground below it.
+    """
+    histogram, figures = heights.histogram, heights.figures[0]
+    if figures["n"] == 0:
+        return 0, np.nan
+    width = figures["width"]
+    best = _main(counts, _walk(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts))
+    best = _lowest(tops, counts, best, width, roof_m, roof_share)
+    place = ((tops[best] - 2 * HALF) * width + width) // 2
+    shift = 0.0
+    for _ in range(20):
+        moment = 0
+        mass = 0
+        reach = (HALF + 1) * width - 1
+        for i in range(max(figures["first"], place - reach), min(figures["last"], place + reach) + 1):
+            if histogram[i] > 0:
+                away = abs(i - place)
+                j = away // width
+                rest = away - j * width
+                weight = (WEIGHT[HALF + j] * (width - rest) + WEIGHT[HALF + j + 1] * rest) // width
+                moment += weight * histogram[i] * (i - place)
+                mass += weight * histogram[i]
+        if mass == 0:
+            break
+        shift = moment / mass
+        step = math.floor(shift + 0.5)
+        if step == 0:
+            break
+        place += step
+        shift = 0.0
+    return counts[best], (place + 0.5 + shift) / PER_METRE + LOWEST_M
+
+
+@kernel("Tuple((int64, float64, int32[::1], int32[::1]))(float64[::1], float64, float64, float64)")
+def main_height(heights: F64, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32, I32]:
+    """Find the main mode of heights.
+
+    ``heights`` (n,) float64, metres; returns ``bins`` (n,) int32, ``histogram`` (N_HEIGHTS,) int32.
+    """
+    histogram = np.zeros(N_HEIGHTS, np.int32)
+    bins = np.empty(len(heights), np.int32)
+    for i in range(len(heights)):
+        bins[i] = _height_bin(heights[i])
+        histogram[bins[i]] += 1
+    found = _new_heights(histogram, bins, int(np.int64(0)), share)
+    tops, counts = np.empty(N_HEIGHTS, np.int64), np.empty(N_HEIGHTS, np.int64)
+    count, height = _main_height(found, tops, counts, roof_m, roof_share)
+    return count, height, bins, histogram
+
+
+@helper
+def _new_scratch(n: int, size: int, n_modes: int) -> _Scratch:
+    """Return memory for rows of n beams and so many bins of line angles."""
+    return _Scratch(
+        sampled=np.empty(n + 1, np.int32),
+        angles=np.empty((2, n + 1), np.float64),
+        hist=np.zeros(size + 2 * HALF, np.int64),
+        density=np.zeros(size + 2 * HALF, np.int64),
+        tops=np.empty(n_modes, np.int64),
+        counts=np.empty(n_modes, np.int64),
+    )
+
+
+@kernel(
+    record(PotentialGround)(
+        uint8[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        int32[:, ::1],
+        int32[::1],
+        record(GroundThresholds),
+    )
+)
+def potential_heights(
+    surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
+) -> PotentialGround:
+    """Find the first potential ground of every row and its height (part a).
+
+    ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``horizontal`` (R, n) float32, metres; ``phihat`` (R,
+    n) float32, degrees; ``ahead`` (R, n) int32; ``n_beams`` (R,) int32.
+    """
+    n_rows, n = surface.shape
+    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
+    scratch = _new_scratch(n, size, size)
+    beams = np.empty(n + 1, np.int32)
+    first = np.empty(n_rows, np.int32)
+    last = np.empty(n_rows, np.int32)
+    bandwidth = np.empty(n_rows, np.float64)
+    height = np.empty(n_rows, np.float64)
+    for i in range(n_rows):
+        row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
+        n_points, b = _potential(row, int(np.int64(n_beams[i])), int(np.int64(0)), thresholds, beams, scratch)
+        first[i] = last[i] = -1
+        bandwidth[i] = height[i] = np.nan
+        if n_points > 0:
+            first[i] = beams[0]
+            last[i] = beams[n_points - 1]
+            bandwidth[i] = b
+            height[i] = _lowest_mean(row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points)
+    return PotentialGround(first, last, bandwidth, height)
+
+
+@helper
+def _horizontal_beams(surface: U8, first: int, last: int, beams: I32) -> int:
+    """List the horizontal points from one beam to another; returns how many; none where the first one is -1."""
+    n_points = int(np.int64(0))
+    if first >= 0:
+        for k in range(first, last + 1):
+            beams[n_points] = k
+            n_points += surface[k] == _HORIZONTAL
+    return n_points
+
+
+@kernel(
+    Tuple((boolean[:, ::1], float32[::1], record(GroundState)))(
+        uint8[:, ::1],
+        float32[:, :, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        int32[:, ::1],
+        int32[::1],
+        record(PotentialGround),
+        record(GroundState),
+        record(GroundThresholds),
+    )
+)
+def ground_rows(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    phihat: F32,
+    ahead: I32,
+    n_beams: I32,
+    potential: PotentialGround,
+    state: GroundState,
+    thresholds: GroundThresholds,
+) -> tuple[Mask, F32, GroundState]:
+    """Verify and grow the ground of every row and follow its height (part b).
+
+    Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
+    """
+    n_rows, n = surface.shape
+    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
+    scratch = _new_scratch(n, size, max(size, N_HEIGHTS))
+    tops, counts = scratch.tops, scratch.counts
+    beams = np.empty(n + 1, np.int32)
+    more = np.empty(n + 1, np.int32)
+    n_recent = len(state.recent)
+    queue = np.empty(n_recent + n_rows, np.int32)
+    queue[:n_recent] = state.recent
+    memory, share, z_g = thresholds.memory_heights, thresholds.height_bandwidth, state.z_g
+    roof_m, roof_share = thresholds.roof_m, thresholds.roof_share
+    heights = _new_heights(state.histogram.copy(), queue, n_recent, share)
+    figures = heights.figures[0]
+    ground = np.zeros((n_rows, n), np.bool_)
+    z_rows = np.empty(n_rows, np.float32)
+    side_m, follow_m = state.side_m.copy(), thresholds.follow_m
+    for i in range(n_rows):
+        row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
+        n_valid = int(np.int64(n_beams[i]))
+        to_count = i >= state.n_in_histogram_ahead
+        side = i % len(side_m)
+        z_row, accepted = np.nan, False
+        # the first potential ground is known
+        n_points = _horizontal_beams(row.surface, potential.first[i], potential.last[i], beams)
+        b, z_i = potential.bandwidth_deg[i], potential.height_m[i]
+        while n_points > 0:
+            if to_count and figures["n"] < thresholds.start_heights:  # too few to begin with: caught up on the way
+                _count_height(heights, z_i, memory, share)
+                to_count = False
+                if z_g == z_g or figures["n"] >= thresholds.least_heights:
+                    _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
+            accepted = abs(z_i - z_g) < max(thresholds.height_tolerance * abs(z_g), thresholds.height_tolerance_m)
+            accepted = accepted or abs(z_i - side_m[side]) < follow_m
+            if accepted or z_row != z_row:
+                z_row = z_i
+            if accepted:
+                break
+            start = int(np.int64(beams[n_points - 1] + 1))
+            n_points, b = _potential(row, n_valid, start, thresholds, beams, scratch)
+            if n_points > 0:
+                z_i = _lowest_mean(row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points)
+        if accepted:
+            side_m[side] = z_i
+            for j in range(_grow(row, n_valid, beams, n_points, b, more, thresholds, scratch)):
+                ground[i, beams[j]] = True
+        if to_count and z_row == z_row and (accepted or thresholds.all_heights):
+            _count_height(heights, z_row, memory, share)
+            if accepted or thresholds.renew_every:
+                _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
+        z_rows[i] = z_g
+    recent = queue[figures["oldest"] : figures["newest"]].copy()
+    ahead_still = max(state.n_in_histogram_ahead - n_rows, 0)
+    return ground, z_rows, GroundState(heights.histogram, recent, z_g, ahead_still, side_m)

@@ -1,0 +1,453 @@
+"""Loops of the simulated sensor, from surfaces to ranges: echoes, their mixture, loss, noise and stray light.
+
+Random numbers are hashes of seed, line, column and purpose, so that they depend on nothing else. Powers are in 1/m²:
+share of the light that comes back from a surface, times the cosine of incidence, over the square of the range.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int32, int64, kernel, record, uint8
+from prc_cli.simulation.thresholds import SensorModel
+
+GLASS, LEAVED, CURVED = 1, 2, 4
+"""Bits of what a body is."""
+LABEL_MISSING, LABEL_NOISE = 0, 2
+"""As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
+
+_FOR_NOISE, _FOR_LOSS, _FOR_STRAY, _FOR_PLACE, _FOR_GLASS, _FOR_LEAVES, _FOR_EDGE, _FOR_ECHO, _FOR_SKY = range(9)
+_WHITE = 0.9
+"""Reflectance of what data sheets call white."""
+_FLASH = 0.9986
+"""Cosine of three degrees: glass at nearly normal incidence mirrors the beam back."""
+_SKY_COLUMNS, _SKY_LINES = 24, 100
+"""Bright patches of the sky: number in a line, and lines of each."""
+
+_GHOST_REFLECTANCE = 0.1
+"""Of what a pane mirrors, with the loss at the pane, twice."""
+_NOTHING = 128
+"""Bit of a shot that meets nothing."""
+_T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
+"""Columns of the echoes, and first rows of the shots of a line: range, power, tangent of incidence, label."""
+_STEEP, _BEFORE, _AFTER, _N_WORK = range(4, 8)
+"""More of these rows: slope of flat surfaces, and the shares of the beam on what the shots beside it meet."""
+
+_HITS = Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))
+
+
+@helper
+def _mix(x: np.uint64) -> np.uint64:
+    """Scramble 64 bits (finaliser of SplitMix64, Steele et al. 2014)."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@helper
+def _key(seed: int, line: int) -> np.uint64:
+    return _mix(_mix(np.uint64(seed)) + np.uint64(line) * np.uint64(0x9E3779B97F4A7C15))
+
+
+@helper
+def _draw(key: np.uint64, column: int, purpose: int) -> float:
+    """Return a number in 0..1 for a shot and a purpose."""
+    bits = key + np.uint64(column) * np.uint64(0xD1B54A32D192ED03) + np.uint64(purpose) * np.uint64(0x8CB92BA72F3D8DD7)
+    return float(_mix(bits) >> np.uint64(11)) * 2.0**-53
+
+
+@helper
+def _normal(uniform: float, quantiles: F64) -> float:
+    """Return the quantile of the standard normal law, from a table."""
+    place = uniform * (quantiles.shape[0] - 1)
+    i = int(place)
+    return float(quantiles[i] + (place - i) * (quantiles[i + 1] - quantiles[i]))
+
+
+@helper
+def _cosine(facing: float) -> float:
+    return min(max(abs(facing), 0.02), 1.0)
+
+
+@helper
+def _slope(facing: float) -> float:
+    """Return the tangent of the angle of incidence."""
+    cosine = _cosine(facing)
+    return float(np.sqrt(1.0 - cosine * cosine) / cosine)
+
+
+@helper
+def _goes_on(key: np.uint64, column: int, what: int, facing: float, model: SensorModel) -> bool:
+    """Return whether the light goes on behind the first surface: through glass, or past a leaf."""
+    if what & GLASS:
+        return abs(facing) < _FLASH and _draw(key, column, _FOR_GLASS) >= model.pane_share + model.ghost_share
+    return what & LEAVED != 0 and model.max_returns > 1 and _draw(key, column, _FOR_LEAVES) < model.leaves_share
+
+
+@helper
+def _prepare(t: F64, body: I32, facing: F64, surface: F64, kind: U8, model: SensorModel, work: F64, what: U8) -> None:
+    """Write power, slope and label of what every shot of a line meets, and what it is."""
+    for column in range(t.shape[0]):
+        one = body[column]
+        if one < 0:
+            what[column] = _NOTHING
+            work[_T, column] = np.inf
+            continue
+        what[column] = kind[one, 1]
+        work[_T, column] = t[column]
+        work[_LABEL, column] = kind[one, 0]
+        work[_POWER, column] = surface[one, 0] * _cosine(facing[column]) / (t[column] * t[column])
+        slope = _slope(facing[column])
+        work[_SLOPE, column] = 0.0 if kind[one, 1] & LEAVED else slope
+        # slanted planes have steps too; the slope of round bodies and leaves is not that of their edge
+        work[_STEEP, column] = 0.0 if kind[one, 1] & (LEAVED | CURVED) else slope
+
+
+@helper
+def _split(key: np.uint64, body: I32, work: F64, what: U8, model: SensorModel) -> None:
+    """Write the shares of every beam, up to half, that fall on the surfaces of the adjacent shots.
+
+    An edge lies anywhere between two shots, each of which it splits if it is within its width.
+    """
+    m = body.shape[0]
+    for column in range(m):
+        work[_BEFORE, column] = 0.0
+        work[_AFTER, column] = 0.0
+    for column in range(m - 1):
+        both = what[column] | what[column + 1]
+        if both & GLASS or what[column] & what[column + 1] & _NOTHING:
+            continue
+        near = min(work[_T, column], work[_T, column + 1])
+        if not both & _NOTHING:
+            gap = abs(work[_T, column + 1] - work[_T, column])
+            if gap <= model.edge_m or (body[column] == body[column + 1] and not both & LEAVED):
+                continue
+            steepest = max(work[_STEEP, column], work[_STEEP, column + 1])
+            if gap <= model.edge_m + 2.0 * model.step_rad * near * steepest:
+                continue
+        beside = _draw(key, column, _FOR_EDGE)
+        shots_apart = model.step_rad * near / (model.exit_m + model.divergence * near)
+        work[_AFTER, column] = max(0.5 - beside * shots_apart, 0.0)
+        work[_BEFORE, column + 1] = max(0.5 - (1.0 - beside) * shots_apart, 0.0)
+
+
+@helper
+def _pane_echo(
+    key: np.uint64, column: int, facing: float, mirrored: float, work: F64, model: SensorModel, echo: F64
+) -> int:
+    """Write the echo of glass itself, or of what it mirrors; return how many echoes there are, 0 or 1."""
+    t = work[_T, column]
+    echo[0, _T] = t
+    echo[0, _POWER] = work[_POWER, column]
+    echo[0, _SLOPE] = work[_SLOPE, column]
+    echo[0, _LABEL] = work[_LABEL, column]
+    if abs(facing) >= _FLASH:
+        echo[0, _POWER] = _cosine(facing) / (t * t)
+        return 1
+    chance = _draw(key, column, _FOR_GLASS)
+    if chance >= model.pane_share + model.ghost_share:
+        return 0
+    if chance >= model.pane_share:
+        # mirrored things seem to lie behind the pane, as far as they are in front; the same for the whole pane
+        echo[0, _T] = t * (1.3 + 1.7 * mirrored)
+        echo[0, _POWER] = _GHOST_REFLECTANCE / (echo[0, _T] * echo[0, _T])
+        echo[0, _SLOPE] = 0.0
+        echo[0, _LABEL] = LABEL_NOISE
+    return 1
+
+
+@helper
+def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: int) -> int:
+    """Insert an echo, by range; return how many there are now."""
+    i = n
+    while i > 0 and echo[i - 1, _T] > t:
+        for j in range(_N_ECHO):
+            echo[i, j] = echo[i - 1, j]
+        i -= 1
+    echo[i, _T] = t
+    echo[i, _POWER] = power
+    echo[i, _SLOPE] = slope
+    echo[i, _LABEL] = label
+    return n + 1
+
+
+@helper
+def _merge(echo: F64, n: int, model: SensorModel) -> int:
+    """Merge echoes that the scanner cannot separate: all of them, or those within a pulse; return how many remain."""
+    kept = 0
+    for i in range(1, n):
+        gap = echo[i, _T] - echo[kept, _T]
+        if not model.is_cw and gap > model.pulse_m:
+            kept += 1
+            for j in range(_N_ECHO):
+                echo[kept, j] = echo[i, j]
+            continue
+        share = echo[i, _POWER] / (echo[kept, _POWER] + echo[i, _POWER])
+        if gap * (1.0 - share) <= model.edge_m:
+            echo[kept, _SLOPE] = echo[i, _SLOPE]
+            echo[kept, _LABEL] = echo[i, _LABEL]
+        elif gap * share > model.edge_m:
+            echo[kept, _SLOPE] = 0.0
+            # between two leaves it is still the tree
+            if echo[kept, _LABEL] != echo[i, _LABEL]:
+                echo[kept, _LABEL] = LABEL_NOISE
+        echo[kept, _T] += share * gap
+        echo[kept, _POWER] += echo[i, _POWER]
+    return min(kept + 1, n)
+
+
+@helper
+def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
+    """Return whether an echo is found: half of those at the power of the half range; odds by its fourth power."""
+    strength = power / model.half_power
+    fourth = strength * strength * strength * strength
+    return bool(chance * (1.0 + fourth) < fourth * (1.0 - model.lost_share))
+
+
+@helper
+def _sigma(power: float, t: float, slope: float, model: SensorModel) -> float:
+    """Return the range noise: from weakness, and from the depth that the beam spans on a slanted surface."""
+    width = model.exit_m + model.divergence * t
+    return float(model.noise_m + model.noise_per_m * np.sqrt(_WHITE / power) + model.noise_spread * width * slope)
+
+
+@helper
+def _brightness(seed: int, line: int, column: int, n_columns: int) -> float:
+    """Return 0 for sky and 1 for bright sky, smooth from patch to patch."""
+    i = line // _SKY_LINES
+    v = (line - i * _SKY_LINES) / _SKY_LINES
+    place = column * _SKY_COLUMNS / n_columns
+    j = int(place)
+    u = place - j
+    before, after = _key(seed, i), _key(seed, i + 1)
+    early = _draw(before, j, _FOR_SKY) * (1.0 - u) + _draw(before, j + 1, _FOR_SKY) * u
+    late = _draw(after, j, _FOR_SKY) * (1.0 - u) + _draw(after, j + 1, _FOR_SKY) * u
+    return min(max(6.0 * (early * (1.0 - v) + late * v) - 3.6, 0.0), 1.0)
+
+
+@helper
+def _rounded(t: float, model: SensorModel) -> float:
+    """Return the range as it is given, NaN outside of the limits."""
+    steps = np.floor(t / model.resolution_m + 0.5) * model.resolution_m
+    return steps if model.nearest_m <= steps <= model.farthest_m else np.nan
+
+
+@kernel(boolean[:, ::1](_HITS, uint8[:, ::1], record(SensorModel), int64, int64))
+def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
+    """Mark the shots whose light goes on behind the surface that it meets first.
+
+    ``kind`` (n, 2) uint8; returns (lines, M) bool.
+    """
+    body, facing = hits[1], hits[2]
+    behind = np.zeros(body.shape, np.bool_)
+    for i in range(body.shape[0]):
+        key = _key(seed, first_line + i)
+        for column in range(body.shape[1]):
+            one = body[i, column]
+            if one >= 0 and kind[one, 1] & (GLASS | LEAVED):
+                behind[i, column] = _goes_on(key, column, kind[one, 1], facing[i, column], model)
+    return behind
+
+
+@helper
+def _echoes(
+    key: np.uint64,
+    column: int,
+    facing: float,
+    behind: tuple[float, int, float],
+    bodies: tuple[I32, F64, U8],
+    work: F64,
+    what: U8,
+    model: SensorModel,
+    echo: F64,
+) -> int:
+    """Write the echoes of a shot, from near to far; return how many there are."""
+    body, surface, kind = bodies
+    n = 1
+    if what[column] & GLASS:
+        n = _pane_echo(key, column, facing, surface[body[column], 1], work, model, echo)
+    else:
+        echo[0, _T] = work[_T, column]
+        echo[0, _POWER] = work[_POWER, column]
+        echo[0, _SLOPE] = work[_SLOPE, column]
+        echo[0, _LABEL] = work[_LABEL, column]
+    two = behind[1]
+    if two >= 0 and _goes_on(key, column, what[column], facing, model):
+        part = 0.6
+        if n == 1:
+            part = 0.2 + 0.6 * _draw(key, column, _FOR_ECHO)
+            echo[0, _POWER] *= 1.0 - part
+        power = part * (surface[two, 0] * _cosine(behind[2]) / (behind[0] * behind[0]))
+        slope = 0.0 if kind[two, 1] & LEAVED else _slope(behind[2])
+        n = _add_echo(echo, n, behind[0], power, slope, kind[two, 0])
+    side = -1 if work[_BEFORE, column] > 0.0 else 1
+    share = work[_BEFORE, column] if side < 0 else work[_AFTER, column]
+    if share > 0.0:
+        for j in range(n):
+            echo[j, _POWER] *= 1.0 - share
+        other = column + side
+        if not what[other] & _NOTHING:
+            power = share * work[_POWER, other]
+            n = _add_echo(echo, n, work[_T, other], power, work[_SLOPE, other], work[_LABEL, other])
+    return _merge(echo, n, model)
+
+
+@helper
+def _measure(
+    key: np.uint64, column: int, number: int, t: float, power: float, slope: float, model: SensorModel, quantiles: F64
+) -> tuple[float, bool]:
+    """Return the range that is given for an echo, NaN = not found, and whether it was wrapped."""
+    if not _is_answered(power, _draw(key, column, _FOR_LOSS + 16 * number), model):
+        return np.nan, False
+    deviate = _normal(_draw(key, column, _FOR_NOISE + 16 * number), quantiles)
+    t = t + deviate * _sigma(power, t, slope, model)
+    wraps = model.ambiguity_m > 0.0 and t >= model.ambiguity_m
+    if wraps:
+        t -= np.floor(t / model.ambiguity_m) * model.ambiguity_m
+    return _rounded(t, model), wraps
+
+
+@helper
+def _find(key: np.uint64, column: int, model: SensorModel, quantiles: F64, echo: F64, n: int) -> int:
+    """Keep the echoes that are found, at most as many as the scanner gives, with range noise."""
+    found = 0
+    for i in range(n):
+        power, label = echo[i, _POWER], echo[i, _LABEL]
+        t, wraps = _measure(key, column, i, echo[i, _T], power, echo[i, _SLOPE], model, quantiles)
+        if np.isnan(t):
+            continue
+        # a scanner of one return takes the strongest
+        if model.max_returns == 1 and found == 1:
+            if power <= echo[0, _POWER]:
+                continue
+            found = 0
+        if found < model.max_returns:
+            echo[found, _T] = t
+            echo[found, _POWER] = power
+            echo[found, _LABEL] = LABEL_NOISE if wraps else label
+            found += 1
+    return found
+
+
+@helper
+def _stray(
+    key: np.uint64,
+    place: tuple[int, int, int],
+    seed: int,
+    chance: float,
+    is_sky: bool,
+    model: SensorModel,
+    quantiles: F64,
+    echo: F64,
+    n: int,
+) -> int:
+    """Let background light replace or move the range of a continuous wave; return how many returns there are."""
+    line, column, n_columns = place
+    share = model.background_share
+    if n == 0:
+        share = model.sky_share
+        if is_sky and model.bright_sky_share > 0.0:
+            share += (model.bright_sky_share - share) * _brightness(seed, line, column, n_columns)
+    elif share <= chance < share + model.cluster_share:
+        off = _normal(_draw(key, column, _FOR_PLACE), quantiles) * model.cluster_m
+        echo[0, _T] = _rounded(echo[0, _T] + off, model)
+        if abs(off) > model.edge_m:
+            echo[0, _LABEL] = LABEL_NOISE
+        return 0 if np.isnan(echo[0, _T]) else n
+    if chance >= share:
+        return n
+    reach = model.ambiguity_m if model.ambiguity_m > 0.0 else model.farthest_m
+    echo[0, _T] = _rounded(_draw(key, column, _FOR_PLACE) * reach, model)
+    echo[0, _POWER] = model.half_power
+    echo[0, _LABEL] = LABEL_NOISE
+    return 0 if np.isnan(echo[0, _T]) else 1
+
+
+@helper
+def _keep(
+    line: int, column: int, echo: F64, j: int, place: int, extra: I32, ranges: F32, labels: U8, intensities: F32
+) -> None:
+    """Write a further return."""
+    extra[place, 0] = line
+    extra[place, 1] = column
+    ranges[place] = np.float32(echo[j, _T])
+    labels[place] = np.uint8(echo[j, _LABEL])
+    intensities[place] = np.float32(echo[j, _POWER] / (_WHITE / 100.0))
+
+
+@kernel(
+    Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))(
+        _HITS, _HITS, float64[:, ::1], uint8[:, ::1], record(SensorModel), float64[::1], int64, int64
+    )
+)
+def sense(
+    hits: tuple[F64, I32, F64],
+    behind: tuple[F64, I32, F64],
+    surface: F64,
+    kind: U8,
+    model: SensorModel,
+    quantiles: F64,
+    first_line: int,
+    seed: int,
+) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
+    """Compute what the scanner measures of the surfaces that the beams of consecutive lines meet.
+
+    ``surface`` (n, 2) float64; ``kind`` (n, 2) uint8; ``quantiles`` (k,) float64; returns ``range_m`` (lines, M)
+    float32, ``label`` (lines, M) uint8, ``intensity`` (lines, M) float32, ``extra`` (e, 2) int32, ``extra_range_m``
+    (e,) float32, ``extra_label`` (e,) uint8, ``extra_intensity`` (e,) float32.
+    """
+    n_lines, m = hits[0].shape
+    ranges = np.full((n_lines, m), np.float32(np.nan), np.float32)
+    labels = np.zeros((n_lines, m), np.uint8)
+    intensities = np.zeros((n_lines, m), np.float32)
+    room = n_lines * m * 2 if model.max_returns > 1 else 0
+    extra = np.empty((room, 2), np.int32)
+    extra_range, extra_label = np.empty(room, np.float32), np.empty(room, np.uint8)
+    extra_intensity = np.empty(room, np.float32)
+    n_extra = 0
+    echo = np.empty((4, _N_ECHO))
+    work, what = np.empty((_N_WORK, m)), np.empty(m, np.uint8)
+    looked = behind[0].shape[0] == n_lines
+    splits = GLASS | LEAVED if model.max_returns > 1 else GLASS
+    stray_with = model.background_share + model.cluster_share
+    stray_without = max(model.sky_share, model.bright_sky_share)
+    for i in range(n_lines):
+        key = _key(seed, first_line + i)
+        body = hits[1][i]
+        _prepare(hits[0][i], body, hits[2][i], surface, kind, model, work, what)
+        _split(key, body, work, what, model)
+        for column in range(m):
+            n = 0
+            is_there = not what[column] & _NOTHING
+            is_split = what[column] & splits != 0 or work[_BEFORE, column] + work[_AFTER, column] > 0.0
+            if is_there and is_split:
+                second = (np.inf, -1, 1.0)
+                if looked and what[column] & splits:
+                    second = (behind[0][i, column], int(behind[1][i, column]), behind[2][i, column])
+                n = _echoes(key, column, hits[2][i, column], second, (body, surface, kind), work, what, model, echo)
+                n = _find(key, column, model, quantiles, echo, n)
+            elif is_there:
+                power = work[_POWER, column]
+                t, wraps = _measure(key, column, 0, work[_T, column], power, work[_SLOPE, column], model, quantiles)
+                if not np.isnan(t):
+                    n = 1
+                    echo[0, _T] = t
+                    echo[0, _POWER] = power
+                    echo[0, _LABEL] = LABEL_NOISE if wraps else work[_LABEL, column]
+            if model.is_cw:
+                # most shots do not stray
+                chance = _draw(key, column, _FOR_STRAY)
+                if chance < (stray_with if n > 0 else stray_without):
+                    place = (first_line + i, column, m)
+                    n = _stray(key, place, seed, chance, what[column] == _NOTHING, model, quantiles, echo, n)
+            if n > 0:
+                ranges[i, column] = np.float32(echo[0, _T])
+                labels[i, column] = np.uint8(echo[0, _LABEL])
+                intensities[i, column] = np.float32(echo[0, _POWER] / (_WHITE / 100.0))
+            for j in range(1, n):
+                _keep(i, column, echo, j, n_extra, extra, extra_range, extra_label, extra_intensity)
+                n_extra += 1
+    kept = slice(0, n_extra)
+    further = (extra[kept].copy(), extra_range[kept].copy(), extra_label[kept].copy(), extra_intensity[kept].copy())
+    return ranges, labels, intensities, *further

@@ -1,0 +1,140 @@
+"""Confidence of the fused method: what it means, where it is written, and what it does not depend on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli.config import load_config
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.stream import ExtraReturns, ScanBlock
+from prc_cli.core.types import U8
+from prc_cli.jobs.classify import classify, classify_ranges, label_blocks
+from prc_cli.methods.fused.confidence import MEASURES, N_QUESTIONS, QUESTIONS, load_table
+from tests.methods.fused.street_lines import BEAM, street_lines
+
+ON = {"output": {"confidence": True}, "input": {"nadir": 0.0}}
+
+
+def confidence(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> U8:
+    """Label a block in pieces; return the confidence of all lines."""
+    params = load_config(preset=preset).config.classifier
+    pieces = (
+        replace(block, first_line=a, range_m=block.range_m[a : a + size], is_last=a + size >= block.n_lines)
+        for a in range(0, block.n_lines, size)
+    )
+    found = [item.confidence for item in label_blocks(pieces, params, confidence=True, threads=threads)]
+    return np.concatenate([one for one in found if one is not None])
+
+
+@pytest.mark.parametrize("preset", ["fused", "fused-forest"])
+def test_it_is_a_percentage_of_every_return(preset: str) -> None:
+    ranges = street_lines(140)[0]
+    found = confidence(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    assert (found.dtype, found.shape) == (np.uint8, ranges.shape)
+    assert (found[np.isnan(ranges)] == 0).all()
+    there = found[~np.isnan(ranges)]
+    assert there.min() > 0
+    assert 90 < there.max() <= 100
+
+
+def test_it_depends_neither_on_threads_nor_on_cuts() -> None:
+    block = ScanBlock(0, street_lines(150)[0], beam_rad=BEAM, is_last=True)
+    whole = confidence("fused", block, 150)
+    np.testing.assert_array_equal(confidence("fused", block, 17, threads=3), whole)
+
+
+def test_labels_are_the_same_without_it() -> None:
+    block = ScanBlock(0, street_lines(140)[0], beam_rad=BEAM, is_last=True)
+    params = load_config(preset="fused").config.classifier
+    on, off = (list(label_blocks(iter([block]), params, confidence=wanted)) for wanted in (True, False))
+    for one, other in zip(on, off, strict=True):
+        np.testing.assert_array_equal(one.labels, other.labels)
+        assert other.confidence is None
+        assert other.extra_confidence is None
+
+
+def test_stray_points_take_confidence_from_a_road() -> None:
+    ranges = street_lines(140)[0]
+    road = np.abs(np.rad2deg(BEAM)) < 20
+    plain = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[40:60, road]
+    rng = np.random.default_rng(1)
+    noisy = ranges.copy()
+    noisy[40:60, road] += rng.normal(0, 0.1, (20, int(road.sum()))).astype(np.float32)
+    rough = confidence("fused", ScanBlock(0, noisy, beam_rad=BEAM, is_last=True))[40:60, road]
+    assert np.median(plain) >= 99
+    assert rough.mean() < plain.mean() - 5
+
+
+def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
+    ranges = street_lines(140)[0]
+    line, column = np.array([10, 10], np.int32), np.array([200, 200], np.int32)
+    far = np.array([ranges[10, 200] + 0.01, 90.0], np.float32)
+    block = ScanBlock(
+        0, ranges, beam_rad=BEAM, is_last=True, extra=ExtraReturns(line, column, far, np.arange(2) + ranges.size)
+    )
+    params = load_config(preset="fused").config.classifier
+    first = next(iter(label_blocks(iter([block]), params, confidence=True)))
+    assert first.confidence is not None
+    assert first.extra_confidence is not None
+    assert first.extra_confidence[0] in first.confidence[9:12, 196:205]
+    assert first.extra_confidence[1] == 0  # agrees with no shot
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".csv", ".parquet"])
+def test_files_hold_it(tmp_path: Path, suffix: str) -> None:
+    ranges = street_lines(140)[0]
+    np.savez(tmp_path / "s.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
+    output = tmp_path / f"o{suffix}"
+    classify(tmp_path / "s.npz", output, load_config(options=ON))
+    expected = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    if suffix == ".laz":
+        found = np.asarray(laspy.read(output)["confidence"])
+        expected = expected[~np.isnan(ranges)]
+    elif suffix == ".csv":
+        assert output.read_text().splitlines()[0] == "record,class,name,confidence"
+        found = np.loadtxt(output, delimiter=",", skiprows=1, usecols=3)
+    else:
+        import pyarrow.parquet as pq
+
+        found = pq.read_table(output)["confidence"].to_numpy()
+    np.testing.assert_array_equal(found, expected.ravel())
+
+
+def test_an_image_has_it() -> None:
+    ranges = street_lines(140)[0]
+    found = classify_ranges(ranges, load_config(options=ON), beam_rad=BEAM)
+    expected = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    assert found.confidence is not None
+    np.testing.assert_array_equal(found.confidence, expected)
+    assert classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM).confidence is None
+
+
+@pytest.mark.parametrize("preset", ["urban", "street-scan", None])
+def test_other_methods_refuse_it(tmp_path: Path, preset: str | None) -> None:
+    angles = {} if preset is None else {"angle_deg": np.rad2deg(BEAM)}
+    few = 12 if preset is None else 1  # columns, too few to measure their angles
+    np.savez(tmp_path / "s.npz", range_m=street_lines(140)[0][:, ::few], **angles)
+    config = load_config(preset=preset, options=ON)
+    with pytest.raises(ConfigError, match=r"output\.confidence: found a method .* expected fused; give --preset fused"):
+        classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
+    assert not (tmp_path / "o.csv").exists()
+
+
+@pytest.mark.parametrize("environment", ["urban", "forest"])
+def test_every_label_has_its_questions_and_its_row(environment: str) -> None:
+    place = "forest" if environment == "forest" else "urban"
+    method = load_config(preset="fused" if place == "urban" else "fused-forest").config.classifier.method()
+    told = method.gives - {Label.MISSING, Label.UNCLASSIFIED}
+    assert set(QUESTIONS[place]) == told
+    for label, questions in QUESTIONS[place].items():
+        assert len(questions) == len(set(questions)) == N_QUESTIONS
+        assert set(questions) <= set(MEASURES)
+        row = load_table(place)[label]
+        assert 0 < row.min() <= row.max() <= 100
+        assert np.unique(row).size > 20

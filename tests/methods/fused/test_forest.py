@@ -1,0 +1,276 @@
+"""Ground, stems, vegetation and noise of a forest: hand-made scenes, single steps, and a simulated walk."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.config import load_config
+from prc_cli.core.blocks import join
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, F64, U8
+from prc_cli.jobs.classify import classify_ranges
+from prc_cli.methods.fused.forest import ForestParams, forest
+from prc_cli.methods.fused.forest_noise import forest_noise
+from prc_cli.methods.fused.plane import Plane
+from prc_cli.methods.fused.stems import StemsParams, find_stems
+from prc_cli.methods.fused.terrain import TerrainParams, heights_over_ground
+from prc_cli.simulation.settings import load_settings
+from prc_cli.simulation.simulation import open_simulation
+
+HEIGHT_M = 2.0
+N_LINES = 12
+BEAM = np.deg2rad(np.arange(-150.0, 150.0, 0.1))
+PLANE = Plane.of(BEAM)
+SKY = np.cos(BEAM) < -0.5
+
+
+def ground(slope: float = 0.0) -> F64:
+    """Ranges of one line on a plane, HEIGHT_M below the scanner, rising to the left by the slope; inf = sky."""
+    with np.errstate(divide="ignore"):
+        down = np.cos(BEAM) + slope * np.sin(BEAM)
+        return np.where(down > 0.02, HEIGHT_M / np.where(down > 0.02, down, 1.0), np.inf)
+
+
+def stem(side_m: float, top_m: float = 30.0) -> F64:
+    """Ranges of one line on an upright body at a place to the side; inf elsewhere."""
+    with np.errstate(divide="ignore"):
+        ranges = np.where(np.sin(BEAM) * side_m > 0, side_m / np.sin(BEAM), np.inf)
+    return np.where(-ranges * np.cos(BEAM) + HEIGHT_M <= top_m, ranges, np.inf)
+
+
+def leaves(rng: np.random.Generator, near_m: float, deep_m: float, share: float) -> F64:
+    """Ranges of every shot of a block on leaves, anywhere within a depth, above the horizon; inf between them."""
+    shape = (N_LINES, len(BEAM))
+    hit = (rng.random(shape) < share) & (np.cos(BEAM) < 0)
+    return np.where(hit, near_m + deep_m * rng.random(shape), np.inf)
+
+
+def image(*bodies: F64) -> F32:
+    """The nearest of some bodies, as a block of lines."""
+    nearest = np.minimum.reduce([np.broadcast_to(body, (N_LINES, len(BEAM))) for body in bodies])
+    return np.where(np.isfinite(nearest), nearest, np.nan).astype(np.float32)
+
+
+def labels_of(ranges: F32, **options: Any) -> U8:
+    return forest(ranges, PLANE, 0.0, ForestParams.model_validate(options))
+
+
+def count(labels: U8, where: Any) -> dict[str, int]:
+    found = np.bincount(labels[np.broadcast_to(where, labels.shape)], minlength=len(Label))
+    return {label.name: n for label, n in zip(Label, found.tolist(), strict=True) if n}
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2, -0.35])
+def test_ground_is_ground_on_a_slope_too(slope: float) -> None:
+    labels = labels_of(image(ground(slope)))
+    near = np.abs(np.rad2deg(BEAM)) < 60
+    assert count(labels, near) == {"GROUND": N_LINES * int(near.sum())}
+
+
+def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
+    ranges = image(ground(), stem(5.0))
+    labels = labels_of(ranges)
+    high = -ranges * np.cos(BEAM) + HEIGHT_M
+    on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (high > 0.2)
+    assert set(count(labels, on_stem)) == {"STEM"}
+    assert set(count(labels, high < 0.02)) == {"GROUND"}
+
+
+def test_stems_end_where_they_are_said_to() -> None:
+    ranges = image(ground(), stem(5.0))
+    high = -ranges * np.cos(BEAM) + HEIGHT_M
+    labels = labels_of(ranges, stem_top_m=4.0)
+    assert set(count(labels, (high > 0.2) & (high < 3.9))) == {"STEM"}
+    assert set(count(labels, high > 4.1)) == {"VEGETATION"}
+
+
+def test_a_stump_is_too_low_for_a_stem() -> None:
+    labels = labels_of(image(ground(), stem(5.0, top_m=0.4)))
+    assert "STEM" not in count(labels, True)
+
+
+def test_leaves_are_vegetation_and_a_stem_between_them_is_seen() -> None:
+    rng = np.random.default_rng(1)
+    ranges = image(ground(), stem(5.0, top_m=12.0), leaves(rng, 3.0, 1.5, 0.5))
+    labels = labels_of(ranges)
+    on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001)
+    assert count(labels, on_stem)["STEM"] > 0.9 * on_stem.sum()
+    on_leaf = ~on_stem & (np.cos(BEAM) < -0.1) & ~np.isnan(ranges)
+    found = count(labels, on_leaf)
+    assert found["VEGETATION"] > 0.9 * on_leaf.sum()
+
+
+def test_a_stem_goes_on_behind_what_hides_it() -> None:
+    """Slats leave pieces too short for stems."""
+    behind = stem(5.0)
+    high = np.where(np.isfinite(behind), -behind * np.cos(BEAM), 0.0)
+    slats = np.where(np.mod(high, 0.3) > 0.09, behind - 1.0, np.inf)
+    ranges = image(ground(), behind, slats)
+    between = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (high > -1.5) & (high < 3.0)
+    assert count(labels_of(ranges), between)["STEM"] > 0.9 * between.sum()
+    assert "STEM" not in count(labels_of(ranges, stems={"gaps": {"enabled": False}}), between)
+
+
+def test_what_is_seen_through_is_no_stem() -> None:
+    """A curtain: every second shot passes it and meets a wall behind."""
+    every_second = np.where(np.arange(len(BEAM)) % 2, stem(5.0), np.inf)
+    ranges = image(ground(), every_second, stem(7.0))
+    near = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001)
+    assert "STEM" not in count(labels_of(ranges), near)
+    blind = labels_of(ranges, stems={"opacity": {"enabled": False}})
+    assert count(blind, near)["STEM"] > 0.8 * near.sum()
+
+
+def test_a_stem_goes_on_from_line_to_line() -> None:
+    """One line that has what no other has is not a stem, unless lines are judged alone."""
+    ranges = image(ground())
+    ranges[6] = image(ground(), stem(5.0))[6]
+    assert "STEM" not in count(labels_of(ranges), True)
+    assert "STEM" in count(labels_of(ranges, stems={"joining": {"enabled": False}}), True)
+
+
+def test_a_shot_that_touches_a_stem_is_of_it() -> None:
+    ranges = image(ground(), stem(5.0))
+    column = int(np.argmin(np.abs(BEAM - np.deg2rad(90))))
+    ranges[5, column] += 0.045
+    assert labels_of(ranges)[5, column] == Label.STEM
+    assert labels_of(ranges, touching={"enabled": False})[5, column] != Label.STEM
+
+
+def test_noise_is_alone_or_below_the_ground() -> None:
+    ranges = image(ground())
+    sky, soil = int(np.flatnonzero(SKY)[3]), int(np.argmin(np.abs(BEAM - 0.5)))
+    ranges[4, sky] = 17.0
+    ranges[4, soil] *= 1.4
+    labels = labels_of(ranges)
+    assert labels[4, sky] == labels[4, soil] == Label.NOISE
+    assert labels_of(ranges, company={"enabled": False})[4, sky] == Label.VEGETATION
+    ranges[5, sky + 1] = 17.2
+    assert labels_of(ranges)[4, sky] == Label.VEGETATION
+
+
+def test_flat_places_are_ground_up_to_a_greater_height() -> None:
+    ranges = image(ground())
+    heights = heights_over_ground(ranges, PLANE, TerrainParams())
+    assert np.nanmax(np.abs(heights[:, np.abs(BEAM) < 1.2])) < 0.03
+    # a mound 0.1 m high among lower ground
+    mound = np.abs(BEAM - 0.5) < 0.02
+    ranges[:, mound] *= 1 - 0.1 / HEIGHT_M
+    inside = np.abs(BEAM - 0.5) < 0.018
+    assert set(count(labels_of(ranges), inside)) == {"GROUND"}
+    assert "GROUND" not in count(labels_of(ranges, flat={"enabled": False}), inside)
+
+
+def test_ground_behind_a_bush_is_bridged() -> None:
+    """Where no ground is seen its height lies on a straight line between what is seen on either side."""
+    hidden = (BEAM > 0.6) & (BEAM < 0.9)
+    bush = np.where(hidden, 1.2, np.inf)
+    heights = heights_over_ground(image(ground(), bush), PLANE, TerrainParams())
+    expected = HEIGHT_M - 1.2 * np.cos(BEAM[hidden])
+    np.testing.assert_allclose(heights[:, hidden], np.tile(expected, (N_LINES, 1)), atol=0.03)
+
+
+def test_blocks_are_labelled_by_themselves() -> None:
+    rng = np.random.default_rng(2)
+    ranges = image(ground(), stem(5.0), leaves(rng, 3.0, 1.5, 0.3))
+    halves = [labels_of(np.ascontiguousarray(ranges[i : i + 8])) for i in (0, 8)]
+    inner = np.r_[0:6, 10:12]
+    np.testing.assert_array_equal(labels_of(ranges)[inner], np.concatenate(halves)[inner])
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 1), (1, 2), (5, 40)])
+def test_small_and_empty_blocks(shape: tuple[int, int]) -> None:
+    plane = Plane.of(np.linspace(-1.0, 1.0, shape[1]))
+    nothing = np.full(shape, np.nan, dtype=np.float32)
+    assert (forest(nothing, plane, 0.0, ForestParams()) == Label.MISSING).all()
+    labels = forest(np.full(shape, 5.0, dtype=np.float32), plane, 0.0, ForestParams())
+    assert (labels != Label.MISSING).all()
+
+
+def test_no_ground_is_no_reason_against_stems() -> None:
+    ranges = image(stem(5.0))
+    ranges[:, np.cos(BEAM) > 0] = np.nan
+    heights = np.full(ranges.shape, 1e9, dtype=np.float32)
+    heights[np.isnan(ranges)] = np.nan
+    assert find_stems(ranges, heights, PLANE, 0.0, StemsParams()).sum() > 0.9 * np.isfinite(ranges).sum()
+
+
+@cache
+def walk() -> tuple[F32, F64, U8]:
+    """A second in a simulated forest, every second column."""
+    options = {"seed": 9101, "lines": 96, "sight_m": 40.0, "scanner": {"points_per_line": 2135}}
+    scan = open_simulation("forest", load_settings("forest", options=options), threads=1).scan
+    items = list(scan.labelled_blocks())
+    block = join([item.block for item in items])
+    assert block.angle_rad is not None
+    return block.range_m, block.angle_rad, np.concatenate([item.labels for item in items])
+
+
+def test_stems_and_ground_of_a_simulated_walk() -> None:
+    """Fewer lines and columns than a user has; the figures of whole walks are in the documentation."""
+    ranges, angle, reference = walk()
+    labels = forest(ranges, Plane.of(angle), 0.0, ForestParams())
+    for label, recall, precision in ((Label.STEM, 0.75, 0.9), (Label.GROUND, 0.9, 0.85), (Label.NOISE, 0.35, 0.6)):
+        both = np.count_nonzero((labels == label) & (reference == label))
+        assert both > recall * np.count_nonzero(reference == label), label.name
+        assert both > precision * np.count_nonzero(labels == label), label.name
+    np.testing.assert_array_equal(labels == Label.MISSING, np.isnan(ranges))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_preset_labels_a_stream_block_by_block(threads: int) -> None:
+    ranges, angle, _ = walk()
+    config = load_config(preset="fused-forest", options={"fused": {"lines_per_block": 40}})
+    found = classify_ranges(ranges, config, beam_rad=angle, threads=threads).labels
+    parts = [np.ascontiguousarray(ranges[i : i + 40]) for i in range(0, len(ranges), 40)]
+    plane = Plane.of(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
+    np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, 0.0, ForestParams()) for part in parts]))
+
+
+def test_sides_may_be_exchanged() -> None:
+    """Mirrored beams are the same forest."""
+    ranges, angle, _ = walk()
+    labels = forest(ranges, Plane.of(angle), 0.0, ForestParams())
+    mirrored = forest(ranges, Plane.of(-angle), 0.0, ForestParams())
+    assert (labels == mirrored).mean() > 0.999
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.01, 0.03])
+def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
+    ranges, angle, reference = walk()
+    noisy = ranges + np.random.default_rng(1).normal(0, noise_m, ranges.shape).astype(np.float32)
+    measured = forest_noise(noisy)
+    assert measured is not None
+    assert measured == pytest.approx(noise_m, rel=0.25)
+    aware, not_aware = (forest(noisy, Plane.of(angle), told, ForestParams()) for told in (measured, 0.0))
+    stems = reference == Label.STEM
+    assert (aware == Label.STEM)[stems].mean() > 0.75
+    if noise_m == 0.03:
+        soil = reference == Label.GROUND
+        assert (aware == Label.GROUND)[soil].mean() > (not_aware == Label.GROUND)[soil].mean() + 0.1
+        by_preset = classify_ranges(noisy, load_config(preset="fused-forest"), beam_rad=angle).labels
+        assert (by_preset == aware).mean() > 0.99
+
+
+def test_noise_of_too_few_runs_is_unknown() -> None:
+    assert forest_noise(np.full((400, 10), 5.0, np.float32)) is None
+    assert forest_noise(np.full((40, 100), np.nan, np.float32)) is None
+    # edges are no noise
+    steps = np.tile(np.repeat([2.0, 9.0], 50), (100, 3)).astype(np.float32)
+    assert forest_noise(steps) == 0.0
+
+
+def test_a_run_is_as_wide_as_the_noise() -> None:
+    ranges = image(ground(), stem(5.0))
+    noisy = ranges + np.random.default_rng(1).normal(0, 0.03, ranges.shape).astype(np.float32)
+    on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (-ranges * np.cos(BEAM) > 1 - HEIGHT_M)
+    heights = heights_over_ground(noisy, PLANE, TerrainParams())
+    found = {told: find_stems(noisy, heights, PLANE, told, StemsParams())[on_stem].mean() for told in (0.0, 0.03)}
+    assert found[0.03] > 0.97
+    assert found[0.03] > found[0.0] + 0.03
+    unaware = StemsParams(noise_sigmas=0.0)
+    assert find_stems(noisy, heights, PLANE, 0.03, unaware)[on_stem].mean() == found[0.0]

@@ -1,0 +1,91 @@
+"""Heights above the ground, of every method that has one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli.config import load_config
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F32
+from prc_cli.jobs.classify import classify, label_blocks
+from prc_cli.methods.fused.heights import true_heights
+from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines
+
+
+def heights(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> F32:
+    """Label a block in pieces; return the heights of all lines."""
+    params = load_config(preset=preset).config.classifier
+    pieces = (
+        replace(block, first_line=a, range_m=block.range_m[a : a + size],
+                xyz_m=None if block.xyz_m is None else block.xyz_m[a : a + size],
+                is_last=a + size >= block.n_lines)
+        for a in range(0, block.n_lines, size)
+    )  # fmt: skip
+    found = [item.above_m for item in label_blocks(pieces, params, stages=True, threads=threads)]
+    assert all(one is not None for one in found)
+    return np.concatenate([one for one in found if one is not None])
+
+
+@pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
+def test_heights_are_those_above_the_road(preset: str) -> None:
+    ranges, kind = street_lines(150)
+    found = heights(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    assert found.dtype == np.float32
+    assert (np.isnan(found) == np.isnan(ranges)).mean() > 0.999
+    expected = HEIGHT_M - ranges * np.cos(BEAM)
+    road = (kind == GROUND) & np.isfinite(found) & (np.abs(expected) < 0.05)
+    assert np.quantile(np.abs(found - expected)[road], 0.99) < 0.08
+    facade = (kind == BUILDING) & np.isfinite(found)
+    facade[50:100] = False  # behind the car
+    # the sidewalk before it is 0.12 m higher than the road
+    assert np.quantile(np.abs(found - expected)[facade], 0.9) < 0.16
+
+
+def test_they_do_not_depend_on_threads_and_cuts() -> None:
+    block = ScanBlock(0, street_lines(150)[0], beam_rad=BEAM, is_last=True)
+    whole = heights("fused", block, 150)
+    np.testing.assert_array_equal(heights("fused", block, 17, threads=3), whole)
+
+
+def test_a_leaning_plane_has_true_heights() -> None:
+    ranges = street_lines(20)[0]
+    up = -ranges * np.cos(BEAM) * 0.8
+    xyz = np.stack([np.sqrt(np.maximum(ranges**2 - up**2, 0)), np.zeros_like(up), up], axis=-1).astype(np.float32)
+    block = ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM)
+    above = np.full(ranges.shape, 2.0, np.float32)
+    above[0, 0] = 1e9
+    found = true_heights(above, block)
+    assert np.isnan(found[0, 0])
+    np.testing.assert_allclose(found[1:], 1.6, rtol=1e-5)
+    np.testing.assert_array_equal(true_heights(above, replace(block, xyz_m=None))[1:], above[1:])
+
+
+def test_prc_has_none(tmp_path: Path) -> None:
+    np.savez(tmp_path / "s.npz", range_m=street_lines(140)[0], angle_deg=np.rad2deg(BEAM))
+    config = load_config(preset="urban", options={"output": {"stages": True}})
+    classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
+    heading = (tmp_path / "o.csv").read_text().splitlines()[0]
+    assert heading == "record,class,name,critical_zeta_p,critical_zeta_s"
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".csv"])
+def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
+    ranges = street_lines(140)[0]
+    np.savez(tmp_path / "s.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
+    config = load_config(options={"output": {"stages": True}, "input": {"nadir": 0.0}})
+    output = tmp_path / f"o{suffix}"
+    assert not [one for one in classify(tmp_path / "s.npz", output, config).record.notices if "stages" in one]
+    block = ScanBlock(0, ranges, beam_rad=BEAM, is_last=True)
+    expected = heights("fused", block, 128)
+    if suffix == ".laz":
+        las = laspy.read(output)
+        assert "surface" not in las.point_format.extra_dimension_names
+        found = np.asarray(las["height_above_ground"])
+        np.testing.assert_allclose(found, expected[~np.isnan(ranges)], atol=1e-4)
+    else:
+        assert output.read_text().splitlines()[0].endswith("height_above_ground")

@@ -1,0 +1,179 @@
+"""Lines close together, standing, and stop and go: neighbours that see other leaves, labels that are kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I64, U8
+from prc_cli.methods.base import OneByOne
+from prc_cli.methods.fused import spacing_loops as loops
+from prc_cli.methods.fused.neighbours import SmoothnessParams, smooth_pairs
+from prc_cli.methods.fused.pipeline import FusedParams, FusedScanner, classify_block, initial_state
+from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.spacing import (
+    IN_LINE_PAIRS,
+    SPACED_LINES,
+    STANDS,
+    Halt,
+    Spacing,
+    SpacingParams,
+    keep_labels,
+    spaced_pairs,
+    strides_of,
+)
+from prc_cli.methods.fused.thresholds import SpacingThresholds, typed
+from tests.methods.fused.street_lines import BEAM, BUILDING, VEGETATION, street_lines
+
+SCANNER = FusedScanner.of(BEAM)
+PLANE = ScanPlane.of(BEAM)
+NOISE_M = 0.002
+OFF = {"spacing": {"enabled": False}}
+
+
+def drive(places: I64, n_lines: int = 48) -> tuple[F32, U8]:
+    """Return a street seen from given places along it, with fresh range noise."""
+    ranges, kind = street_lines(n_lines, noise_m=0.0)
+    noise = np.random.default_rng(2).normal(0, NOISE_M, (len(places), len(BEAM)))
+    return ranges[places] + noise.astype(np.float32), kind[places]
+
+
+def labelled(ranges: F32, k: int = 64, **settings: object) -> tuple[U8, I64]:
+    """Return the labels of a drive in blocks of k lines, and the distances of lines after every block."""
+    params = FusedParams.model_validate({"lines_per_block": k, "sensor": {"range_noise_m": NOISE_M}, **settings})
+    turn = OneByOne(initial_state(SCANNER))
+    parts, strides = [], []
+    for first in range(0, len(ranges), k):
+        following = ranges[first + k : first + k + SPACED_LINES]
+        parts.append(classify_block(ranges[first : first + k], following, SCANNER, turn, params))
+        strides.append(turn.state.spacing.stride)
+    return np.concatenate(parts), np.array(strides)
+
+
+def share(labels: U8, kind: U8, one: int, label: Label) -> float:
+    return float((labels[kind == one] == label).mean())
+
+
+@pytest.mark.parametrize(("slower", "stride"), [(1, 1), (3, 2), (5, 4), (10, 8), (18, 16)])
+def test_neighbours_are_as_far_away_as_leaves_are_wide(slower: int, stride: int) -> None:
+    ranges, _ = drive(np.arange(slower * 48) // slower)
+    assert labelled(ranges)[1][0] == stride
+
+
+def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
+    normal, kind = drive(np.arange(48))
+    usual = share(labelled(normal)[0], kind, VEGETATION, Label.VEGETATION)
+    slow, kind = drive(np.arange(48 * 12) // 12)
+    aware, not_aware = labelled(slow)[0], labelled(slow, **OFF)[0]
+    assert share(aware, kind, VEGETATION, Label.VEGETATION) > usual - 0.02
+    assert share(aware, kind, BUILDING, Label.BUILDING) > 0.97
+    assert share(not_aware, kind, VEGETATION, Label.VEGETATION) < usual - 0.02
+
+
+def test_things_are_as_many_lines_wide_in_a_slow_drive() -> None:
+    normal, _ = drive(np.arange(48))
+    slow, _ = drive(np.arange(48 * 4) // 4)
+    usual = labelled(normal)[0]
+    inner = slice(8, 40)
+    assert (labelled(slow)[0][2::4][inner] == usual[inner]).mean() > 0.985
+
+
+def test_a_drive_that_stops_keeps_its_labels() -> None:
+    places = np.concatenate([np.arange(40), np.full(150, 40), np.arange(40, 48)])
+    ranges, kind = drive(places)
+    labels, strides = labelled(ranges)
+    stop = slice(100, 185)
+    assert STANDS in strides
+    normal = labelled(drive(np.arange(48))[0])[0][40]
+    surface = np.isin(kind[40], (BUILDING, VEGETATION))
+    assert (labels[stop] == normal)[:, surface].mean() > 0.96
+    for one, label in ((BUILDING, Label.BUILDING), (VEGETATION, Label.VEGETATION)):
+        assert share(labels[stop], kind[stop], one, label) > share(normal, kind[40], one, label) - 0.03
+
+
+def test_normal_drives_are_labelled_as_without() -> None:
+    ranges, _ = drive(np.arange(48))
+    np.testing.assert_array_equal(labelled(ranges)[0], labelled(ranges, **OFF)[0])
+
+
+def test_labels_hardly_depend_on_the_size_of_blocks() -> None:
+    places = np.concatenate([np.arange(20), np.arange(80, 160) // 4, np.full(60, 40), np.arange(40, 48)])
+    ranges, _ = drive(places)
+    whole = labelled(ranges, 200)[0]
+    for k in (1, 7, 13, 64):
+        # every eighth line needs more lines around a block than are known
+        assert (labelled(ranges, k)[0] != whole).mean() < 0.001
+
+
+def test_too_few_leaves_change_nothing() -> None:
+    counts = np.zeros((59, 6, 2), np.int32)
+    counts[:, :, 0] = counts[:, :-1, 1] = 1
+    strides, _ = strides_of(counts, Spacing.none(), 0, 40, SpacingParams())
+    assert (strides == 1).all()
+    counts *= 9
+    strides, after = strides_of(counts, Spacing.none(), 0, 40, SpacingParams())
+    assert strides[-1] == after.stride == STANDS
+    # a distance that is in use is left for a smaller one only if that sees clearly fewer leaves again
+    again = np.array([[100, 60], [100, 35], [100, 10], [100, 5], [100, 5], [100, 0]], np.int32)
+    for now, expected in ((1, 2), (4, 4)):
+        known = Spacing(np.zeros((6, 2)), now)
+        assert strides_of(np.tile(again, (30, 1, 1)), known, 0, 11, SpacingParams())[1].stride == expected
+
+
+def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
+    ranges, _ = street_lines(80)
+    margin = SPACED_LINES - 3
+    strides = np.array([1, 1, 4, 4, 4, 4, 4, 2, 2, 0, 0, 16, 16, 16, 1, 8], np.int64)
+    noise_m = np.where(np.arange(len(strides)) < 6, 2 * NOISE_M, NOISE_M)
+    found = spaced_pairs(ranges, strides, PLANE, noise_m, SmoothnessParams())
+    for i, stride in enumerate(strides.tolist()):
+        rows = np.full((5, len(BEAM)), np.nan, np.float32)
+        rows[2] = ranges[margin + i]
+        if stride != STANDS:
+            rows = ranges[margin + i - 2 * stride : margin + i + 2 * stride + 1 : stride]
+        pairs = smooth_pairs(np.ascontiguousarray(rows), PLANE, float(noise_m[i]), SmoothnessParams())[0]
+        np.testing.assert_array_equal(found[i], pairs if stride != STANDS else IN_LINE_PAIRS[pairs])
+
+
+def test_a_leaf_that_many_shots_hit_is_rough_and_a_wall_is_smooth() -> None:
+    beam = np.deg2rad(np.arange(80.0, 100.0, 0.05))
+    plane, distance_m = ScanPlane.of(beam), 4.0
+    rng = np.random.default_rng(6)
+    # leaves 2.5 cm wide, each turned its own way, the shots 3.5 mm apart
+    leaf = (beam * distance_m / 0.025).astype(np.int64)
+    leaf -= leaf[0]
+    depth_m = rng.uniform(0, 0.5, (5, leaf[-1] + 1))[:, leaf]
+    turned = rng.uniform(-1, 1, (5, leaf[-1] + 1))[:, leaf] * ((beam * distance_m) % 0.025)
+    noise = rng.normal(0, NOISE_M, (5, len(beam)))
+    leaves = (distance_m + depth_m + turned + noise).astype(np.float32)
+    wall = (distance_m / np.sin(beam) + noise).astype(np.float32)
+    shares = {}
+    for apart_m in (0.0, 0.012):
+        params = SmoothnessParams(apart_m=apart_m)
+        shares[apart_m] = [
+            float((smooth_pairs(one, plane, NOISE_M, params)[0, 16:-16] >= 4).mean()) for one in (leaves, wall)
+        ]
+    assert shares[0.0][0] > 0.5
+    assert shares[0.012][0] < 0.25
+    assert min(shares[0.0][1], shares[0.012][1]) > 0.95
+
+
+def test_only_shots_that_are_as_far_as_before_keep_their_labels() -> None:
+    limits = typed(SpacingThresholds, tolerance_m=0.1, tolerance_per_m=0.0, near_m=1.0)
+    halt = Halt(np.array([5, 5, 5, np.nan], np.float32), np.array([3, 2, 3, 0], np.uint8))
+    ranges = np.array([[5.05, 5, 6, 7], [5, 5, 5, 5], [9, 9, 9, 9], [9, 9, 9, 9]], np.float32)
+    labels = np.full((4, 4), int(Label.VEGETATION), np.uint8)
+    labels[2] = int(Label.BUILDING)
+    kept, after = keep_labels(labels, ranges, np.array([0, 0, 1, 0]), halt, np.full(4, NOISE_M), lambda _: limits)
+    leaf, wall = int(Label.VEGETATION), int(Label.BUILDING)
+    assert kept.tolist() == [[3, leaf, leaf, leaf], [3, leaf, 3, leaf], [wall] * 4, [wall] * 4]
+    assert after.range_m.tolist() == [9, 9, 9, 9]
+    assert labels[3, 0] == leaf
+
+
+def test_stage_and_loop_agree_on_the_lines_that_are_compared() -> None:
+    from prc_cli.methods.fused import plane, spacing
+
+    assert (spacing.LAGS, spacing.MOST_LAG, spacing.EVERY_LINE) == (loops.LAGS, loops.MOST_LAG, loops.EVERY_LINE)
+    assert spacing.BESIDE_LINES == plane.AROUND_LINES - plane.INNER_LINES

@@ -1,0 +1,305 @@
+"""The fused classifier on a street of planes: classes, switched-off steps, blocks, threads."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import ExtraReturns, ScanBlock
+from prc_cli.core.types import F32, U8
+from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.base import LABELS_ALONE, OneByOne
+from prc_cli.methods.fused import pipeline
+from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, FusedState, initial_state
+from prc_cli.methods.fused.plane import NoiseAlong, ScanPlane, SensorParams
+from prc_cli.methods.run import run_blocks
+from tests.methods.fused.street_lines import (
+    BEAM,
+    BUILDING,
+    CAR,
+    GROUND,
+    HEIGHT_M,
+    STRAY,
+    VEGETATION,
+    street_lines,
+)
+
+PLANE = ScanPlane.of(BEAM)
+SCANNER = FusedScanner.of(BEAM)
+EXPECTED = {
+    GROUND: Label.GROUND,
+    BUILDING: Label.BUILDING,
+    VEGETATION: Label.VEGETATION,
+    STRAY: Label.NOISE,
+    CAR: Label.CAR,
+}
+
+
+def classify_block(
+    ranges: F32, following: F32 | None, state: FusedState, params: FusedParams, scanner: FusedScanner = SCANNER
+) -> tuple[U8, FusedState]:
+    """Classify one block: its labels, and the state after it."""
+    turn = OneByOne(state)
+    (found,) = Fused(params).label(ScanBlock(0, ranges, next_m=following), scanner, turn, LABELS_ALONE)
+    return found.labels, turn.state
+
+
+def classified(ranges: F32, params: FusedParams | None = None) -> U8:
+    params = params or FusedParams()
+    state, parts, k = initial_state(SCANNER), [], params.lines_per_block
+    for first in range(0, len(ranges), k):
+        labels, state = classify_block(ranges[first : first + k], ranges[first + k : first + k + 5], state, params)
+        parts.append(labels)
+    return np.concatenate(parts)
+
+
+def recalls(labels: U8, kind: U8) -> dict[int, float]:
+    labels = np.where(labels == Label.CURB, np.uint8(Label.GROUND), labels)
+    return {one: float((labels[kind == one] == label).mean()) for one, label in EXPECTED.items()}
+
+
+@pytest.fixture(scope="module")
+def street() -> tuple[F32, U8]:
+    return street_lines(60)
+
+
+def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
+    labels, kind = classified(street[0]), street[1]
+    found = recalls(labels, kind)
+    assert found[GROUND] > 0.99
+    assert found[BUILDING] > 0.97
+    assert found[VEGETATION] > 0.93
+    assert found[STRAY] > 0.85
+    assert found[CAR] > 0.85
+    assert (kind[labels == Label.GROUND] == GROUND).mean() > 0.98
+    assert ((labels == Label.MISSING) == np.isnan(street[0])).all()
+
+
+def test_a_scanner_of_a_centimetre_of_noise_sees_the_same_street() -> None:
+    ranges, kind = street_lines(60, noise_m=0.01)
+    found = recalls(classified(ranges), kind)
+    assert min(found[GROUND], found[BUILDING]) > 0.96
+    assert found[VEGETATION] > 0.75
+
+
+def noise_along(ranges: F32, params: SensorParams, k: int = 128) -> list[float]:
+    """Return what is known of the noise at every line, of a stream in blocks of k lines."""
+    noise, found = NoiseAlong(), []
+    following = np.concatenate([ranges, np.full((47, len(BEAM)), np.nan, np.float32)])
+    for first in range(0, len(ranges), k):
+        n_lines = min(k, len(ranges) - first)
+        noise = noise.after(following[first : first + n_lines + 47], first, PLANE, params)
+        found += noise.of_lines(first, n_lines + 47, params)[:n_lines].tolist()
+    return found
+
+
+def test_the_noise_of_ranges_is_measured() -> None:
+    for noise_m in (0.002, 0.005, 0.01):
+        ranges, _ = street_lines(40, noise_m=noise_m)
+        assert noise_along(ranges, SensorParams()) == pytest.approx([noise_m] * 40, rel=0.25)
+    assert noise_along(ranges, SensorParams(range_noise_m=0.004)) == [0.004] * 40
+    nothing = np.full((8, len(BEAM)), np.nan, np.float32)
+    assert noise_along(nothing, SensorParams()) == [SensorParams().default_noise_m] * 8
+
+
+def test_the_noise_is_measured_on_the_same_lines_however_a_stream_is_cut() -> None:
+    ranges, _ = street_lines(300)
+    ranges += (
+        np.random.default_rng(9).exponential(0.03, ranges.shape).astype(np.float32)
+        * (300 - np.arange(300))[:, None].astype(np.float32)
+        / np.float32(300)
+    )
+    whole = noise_along(ranges, SensorParams(), 300)
+    assert len(set(whole)) > 5
+    for k in (1, 50, 128):
+        assert noise_along(ranges, SensorParams(), k) == whole
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_a_drive_that_begins_beneath_trees_sees_better_later(again: bool) -> None:
+    ranges = np.tile(street_lines(64)[0], (8, 1))
+    leaves = np.random.default_rng(8).exponential(0.1, ranges.shape).astype(np.float32)
+    leaves[256:384] = 0
+    found = noise_along(ranges + leaves, SensorParams(again=again))
+    assert (found[-1] < 0.003) == again
+    assert min(found[:288]) > 0.003
+
+
+@pytest.mark.parametrize(
+    ("off", "kind"),
+    [
+        ({"company": {"least": 0}, "noise": {"spikes": False}}, STRAY),
+        ({"cars": {"enabled": False}}, CAR),
+        ({"leaves": {"share": 0.0, "share_before_walls": 0.0}}, VEGETATION),
+        ({"ground": {"step_m": 0.0, "slope": 0.0, "gap_slope": 0.0, "level_m": 0.0, "soil_m": 0.0}}, GROUND),
+    ],
+)
+def test_a_step_that_is_off_is_missed(street: tuple[F32, U8], off: dict[str, Any], kind: int) -> None:
+    usual = recalls(classified(street[0]), street[1])[kind]
+    assert recalls(classified(street[0], FusedParams(**off)), street[1])[kind] < usual - 0.2
+
+
+def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]) -> None:
+    ranges, kind = street[0].copy(), street[1]
+    rng = np.random.default_rng(5)
+    height = -ranges * np.cos(BEAM) + HEIGHT_M
+    window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.6)
+    ranges[window] *= rng.uniform(1.05, 1.13, int(window.sum())).astype(np.float32)
+    with_walls, without = (
+        classified(ranges, FusedParams(walls={"enabled": on}, votes={"enabled": False})) for on in (True, False)
+    )
+    assert (with_walls[window] == Label.BUILDING).mean() > 0.8
+    assert (without[window] == Label.BUILDING).mean() < 0.5
+
+
+def test_lonely_ranges_far_behind_the_windows_of_a_wall_are_noise(street: tuple[F32, U8]) -> None:
+    ranges, kind = street[0].copy(), street[1]
+    rng = np.random.default_rng(6)
+    height = -ranges * np.cos(BEAM) + HEIGHT_M
+    window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.5)
+    ranges[window] *= rng.uniform(1.8, 2.4, int(window.sum())).astype(np.float32)
+    found, missed = (classified(ranges, FusedParams(noise={"ghosts": on})) for on in (True, False))
+    assert (found[window] == Label.NOISE).mean() > 0.6
+    assert (missed[window] == Label.NOISE).mean() < 0.3
+
+
+def test_what_few_shots_are_left_of_a_wall_are_building(street: tuple[F32, U8]) -> None:
+    ranges, kind = street[0].copy(), street[1]
+    rng = np.random.default_rng(7)
+    height = -ranges * np.cos(BEAM) + HEIGHT_M
+    band = (kind == BUILDING) & (height > 2) & (height < 4)
+    ranges[band & (rng.random(ranges.shape) < 0.9)] = np.nan
+    left = band & ~np.isnan(ranges)
+    # four of five lines must see a wall, which the outermost lines of a stream do not have around them
+    left[:2] = left[-2:] = False
+    found, missed = (classified(ranges, FusedParams(noise={"held": on, "sparse": False})) for on in (True, False))
+    assert (found[left] == Label.BUILDING).mean() > 0.9
+    assert (missed[left] == Label.BUILDING).mean() < 0.6
+
+
+def test_votes_settle_single_shots(street: tuple[F32, U8]) -> None:
+    ranges, kind = street
+    voted, alone = (classified(ranges, FusedParams(votes={"enabled": on})) for on in (True, False))
+    assert recalls(voted, kind)[VEGETATION] > recalls(alone, kind)[VEGETATION]
+
+
+def test_labels_do_not_depend_on_threads(street: tuple[F32, U8]) -> None:
+    ranges, params = street[0], FusedParams(lines_per_block=16)
+    for threads in (1, 3):
+        found = run_blocks(iter([ScanBlock(0, ranges, beam_rad=BEAM)]), Fused(params), threads=threads)
+        labels = np.concatenate([item.labels for item in found])
+        np.testing.assert_array_equal(labels, classified(ranges, params))
+
+
+def test_what_a_block_leaves_does_not_grow(street: tuple[F32, U8]) -> None:
+    state, params = initial_state(SCANNER), FusedParams(lines_per_block=20)
+    for first in range(0, 60, 20):
+        _, state = classify_block(street[0][first : first + 20], None, state, params)
+        assert state.tail.shape == (35, len(BEAM))
+        assert state.tail.base is None, "a view would keep the whole block alive"
+        assert state.memory.height_m.shape == (2, 320)
+
+
+def test_the_ground_is_found_again_behind_a_long_car() -> None:
+    """The road beside the car is not seen for a while: it is where it was."""
+    ranges, kind = street_lines(60)
+    hidden = ranges.copy()
+    hidden[20:40, 760:1060] = np.nan
+    labels = classified(hidden)
+    road = (kind == GROUND) & ~np.isnan(hidden)
+    assert (labels[road] == Label.GROUND).mean() > 0.98
+
+
+@pytest.mark.parametrize("hidden", ["left", "both"])
+def test_the_ground_is_found_again_after_more_lines_without_it_than_are_remembered(hidden: str) -> None:
+    """A lorry hides a side, or the stream has a gap: the walk does not begin at the height of the scanner."""
+    ranges, kind = street_lines(150)
+    left = BEAM >= 0
+    ranges[72:136, left if hidden == "left" else slice(None)] = np.nan
+    labels = classified(ranges, FusedParams(lines_per_block=70))[138:, left]
+    assert (labels[kind[138:, left] == GROUND] == Label.GROUND).mean() > 0.98
+
+
+def test_the_noise_is_measured_in_the_first_lines_that_tell_it() -> None:
+    ranges = np.tile(street_lines(64)[0], (4, 1))
+    ranges[:224] = np.nan
+    for params in (SensorParams(), SensorParams(again=False)):
+        assert noise_along(ranges, params) == [params.default_noise_m] * 256
+        later = np.concatenate([ranges, ranges[224:]])
+        assert noise_along(later, params)[256:] == pytest.approx([0.002] * 32, rel=0.25)
+
+
+def test_any_lines_are_labelled() -> None:
+    rng = np.random.default_rng(3)
+    for shape in ((1, 1), (1, 7), (3, 2), (5, 40)):
+        beam = np.deg2rad(np.linspace(-80, 80, shape[1]))
+        for share in (0.0, 0.5, 1.0):
+            ranges = rng.uniform(0.5, 80, shape).astype(np.float32)
+            ranges[rng.random(shape) < share] = np.nan
+            scanner = FusedScanner.of(beam)
+            labels, _ = classify_block(ranges, None, initial_state(scanner), FusedParams(), scanner)
+            assert labels.shape == shape
+            assert ((labels == Label.MISSING) == np.isnan(ranges)).all()
+
+
+def test_blocks_that_cannot_be_are_refused() -> None:
+    state, params = initial_state(SCANNER), FusedParams(lines_per_block=4)
+    for shape in ((0, len(BEAM)), (5, len(BEAM)), (2, 7)):
+        with pytest.raises(InputError, match="block of ranges"):
+            classify_block(np.ones(shape, np.float32), None, state, params)
+    with pytest.raises(InputError, match="block of ranges"):
+        classify_block(np.ones((2, len(BEAM)), np.float32), np.ones((1, 3), np.float32), state, params)
+
+
+@pytest.mark.parametrize("step", ["_measure", "see", "_follow", "_decide"])
+def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    """Before, in, between and after the steps that hand on: nobody waits for a turn that never comes."""
+    plain = getattr(pipeline, step)
+    calls: list[None] = []
+
+    def fails(*arguments: object) -> object:
+        calls.append(None)
+        if len(calls) == 2:
+            raise MemoryError(step)
+        return plain(*arguments)
+
+    monkeypatch.setattr(pipeline, step, fails)
+    block = ScanBlock(0, np.ones((24, len(BEAM)), np.float32), beam_rad=BEAM)
+    with pytest.raises(MemoryError, match=step):
+        list(run_blocks(iter([block]), Fused(FusedParams(lines_per_block=4)), threads=2))
+
+
+def test_a_further_return_of_a_leaf_that_is_on_its_own_is_a_leaf(street: tuple[F32, U8]) -> None:
+    ranges = street[0]
+    cells = [np.argwhere(classified(ranges) == label)[::50] for label in (Label.VEGETATION, Label.GROUND)]
+    line, column = np.concatenate(cells).astype(np.int32).T
+    far = np.full(len(line), 500.0, np.float32)
+    extra = ExtraReturns(line, column, far, np.arange(len(line), dtype=np.int64))
+    block = ScanBlock(0, ranges, beam_rad=BEAM, extra=extra, is_last=True)
+    found = [item.extra_labels for item in label_blocks(iter([block]), FusedParams(lines_per_block=60))]
+    leaves = len(cells[0])
+    assert (found[0][:leaves] == Label.VEGETATION).all()
+    assert (found[0][leaves:] == Label.NOISE).all()
+
+
+def test_labels_do_not_depend_on_how_the_stream_is_cut(street: tuple[F32, U8]) -> None:
+    ranges, params = street[0], FusedParams(lines_per_block=16)
+    cuts = [0, 1, 7, 30, 31, 60]
+    blocks = (ScanBlock(a, ranges[a:b], beam_rad=BEAM, is_last=b == 60) for a, b in pairwise(cuts))
+    labels = np.concatenate([item.labels for item in label_blocks(blocks, params, threads=2)])
+    np.testing.assert_array_equal(labels, classified(ranges, params))
+
+
+@pytest.mark.parametrize("absurd", [1e-38, 1e-6, 1e5, 1e19, 3e38])
+def test_absurd_ranges_are_labelled(street: tuple[F32, U8], absurd: float) -> None:
+    ranges = street[0][:12].copy()
+    ranges[:, ::3] = absurd
+    assert (classified(ranges) != Label.MISSING).sum() == np.isfinite(ranges).sum()
+    ranges[:] = absurd
+    labels = classified(ranges)
+    assert (labels != Label.MISSING).all()

@@ -1,0 +1,115 @@
+"""Spectra of cars and of foliage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.random import Generator
+
+from prc_cli.core.types import F32, I32
+from prc_cli.methods.sequential_angle.fourier import FourierParams, fourier
+from tests.methods.sequential_angle.car_lines import car, road, see, signed_angles
+
+
+class PlainFourierParams(FourierParams):
+    """Without the readings that are ours, so that every rule is tested by itself."""
+
+    longest: int = 0
+
+
+PARAMS = PlainFourierParams()
+WHOLE = PlainFourierParams(window=0)
+
+
+def foliage(rng: Generator, rows: int, n: int) -> F32:
+    """Independent ranges, neighbouring beams much closer than leaves are deep: nearly along the beam, either way."""
+    signs = np.where(rng.random((rows, n)) < 2 / 3, -1, 1)
+    return (signs * np.abs(90 + rng.normal(0, 20, (rows, n)))).astype(np.float32)
+
+
+def sides_and_roofs(rng: Generator, rows: int, n: int) -> F32:
+    """A side, a sloping part and a roof, of changing shares, with the noise of angles."""
+    angles = np.zeros((rows, n))
+    for row in range(rows):
+        edges = np.sort(rng.uniform(0.2, 0.9, 2)) * n
+        k = np.arange(n)
+        angles[row] = np.where(k < edges[0], 5.0, np.where(k < edges[1], 35.0, 88.0))
+    return (angles + rng.normal(0, 15, (rows, n))).astype(np.float32)
+
+
+def whole(rows: F32) -> I32:
+    return np.array([(row, 0, rows.shape[1] - 1) for row in range(len(rows))], np.int32)
+
+
+@pytest.mark.parametrize(("n", "share"), [(32, 0.92), (64, 0.85), (128, 0.65), (256, 0.20), (512, 0.0)])
+def test_share_of_foliage_that_is_told(n: int, share: float) -> None:
+    rows = foliage(np.random.default_rng(n), 600, n)
+    told = 1 - fourier(rows, whole(rows), WHOLE).mean()
+    assert abs(told - share) < 0.08
+
+
+@pytest.mark.parametrize(("n", "most"), [(32, 0.08), (128, 0.0), (256, 0.0), (512, 0.0)])
+def test_cars_are_kept(n: int, most: float) -> None:
+    rows = sides_and_roofs(np.random.default_rng(n), 400, n)
+    assert 1 - fourier(rows, whole(rows), WHOLE).mean() <= most
+
+
+def test_windows_tell_long_foliage_too() -> None:
+    rng = np.random.default_rng(5)
+    leaves, bodies = foliage(rng, 200, 512), sides_and_roofs(rng, 200, 512)
+    assert fourier(leaves, whole(leaves), WHOLE).mean() > 0.95
+    assert fourier(leaves, whole(leaves), PARAMS).mean() < 0.1
+    # a window on the side alone has a small mean: half of the windows may fail
+    assert 0.85 < fourier(bodies, whole(bodies), PARAMS).mean() < 1
+
+
+def test_simulated_car_is_a_car() -> None:
+    found = see([[*road(), *car(6.0)], [*road(), *car(9.0, glass=False)]], np.random.default_rng(2))
+    signed = signed_angles(found.lines)
+    intervals = []
+    for row, names in enumerate(found.names):
+        beams = [k for k, name in enumerate(names) if name == "car" and found.surface[row, k]]
+        intervals.append((row, beams[0], beams[-1]))
+    assert fourier(signed, np.array(intervals, np.int32), PARAMS).all()
+
+
+def test_mean_is_one_of_the_frequencies() -> None:
+    """Without F_0 the noise on a flat car would be the largest frequency there is."""
+    noise = np.random.default_rng(8).normal(0, 5, (20, 64))
+    assert fourier((noise + 60).astype(np.float32), whole(noise), PARAMS).all()
+    assert not fourier((noise - noise.mean(axis=1, keepdims=True)).astype(np.float32), whole(noise), PARAMS).all()
+
+
+def test_few_angles_are_no_car_and_missing_ones_do_not_count() -> None:
+    row = np.full((1, 20), 50.0, np.float32)
+    intervals = np.array([[0, 0, 6], [0, 0, 7], [0, 5, 5]], np.int32)
+    assert fourier(row, intervals, PARAMS).tolist() == [False, True, False]
+    row[0, 3] = np.nan
+    assert fourier(row, intervals, PARAMS).tolist() == [False, False, False]
+    assert fourier(row, intervals, PlainFourierParams(min_points=1)).all()
+    assert fourier(np.full_like(row, np.nan), intervals, PlainFourierParams(min_points=1)).tolist() == [False] * 3
+    assert fourier(row, np.empty((0, 3), np.int32), PARAMS).shape == (0,)
+
+
+def test_exactly_half_is_not_above_half() -> None:
+    rows = np.array([[3, 1] * 4, [3.01, 0.99] * 4], np.float32)
+    assert fourier(rows, whole(rows), PARAMS).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(("k", "is_car"), [(15, True), (16, False), (17, False), (64, False)])
+def test_band_begins_at_an_eighth(k: int, is_car: bool) -> None:
+    n = 128
+    row = 30 + 40 * np.cos(2 * np.pi * k * np.arange(n) / n)
+    assert fourier(row[None].astype(np.float32), whole(row[None]), WHOLE)[0] == is_car
+
+
+def test_cost_of_a_long_interval_is_bounded() -> None:
+    rows = foliage(np.random.default_rng(1), 1, 40_000)
+    assert not fourier(rows, whole(rows), PlainFourierParams(window=0, max_points=64))[0]
+    assert not fourier(rows, whole(rows), PlainFourierParams(window=1000, max_points=64))[0]
+    assert fourier(rows, whole(rows), WHOLE)[0]
+
+
+def test_step_can_be_left_out() -> None:
+    rows = foliage(np.random.default_rng(1), 5, 32)
+    assert fourier(rows, whole(rows), PlainFourierParams(enabled=False)).all()

@@ -1,0 +1,347 @@
+"""Ground within a row and across rows."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.methods.sequential_angle.ground import (
+    GroundParams,
+    GroundState,
+    ground,
+    initial_ground,
+    potential_ground,
+)
+from prc_cli.methods.sequential_angle.lines import VerticalLines
+from tests.methods.sequential_angle.profiles import NOISE_M, ROAD_Z, H, Scene, Segment, V, scan, street
+
+PARAMS = GroundParams(start_heights=50)
+
+
+def follow(
+    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, state: GroundState, params: GroundParams
+) -> tuple[Mask, F32, GroundState]:
+    """Both parts of the algorithm."""
+    potential = potential_ground(lines, surface, phihat, ahead, params, range_noise_m=NOISE_M)
+    return ground(lines, surface, phihat, ahead, potential, state, params, range_noise_m=NOISE_M)
+
+
+def find(scene: Scene, params: GroundParams = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
+    found = potential_ground(scene.lines, scene.surface, scene.phihat, scene.ahead, params, range_noise_m=NOISE_M)
+    state = initial_ground(found.height_m, params)
+    return found.height_m, *follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
+
+
+def road(scene: Scene) -> Mask:
+    mask: Mask = (scene.surface == H) & (scene.lines.horizontal_m < 5.99) & (scene.lines.xyz_m[..., 2] < -1.2)
+    return mask
+
+
+def hedge() -> list[Segment]:
+    """A flat hedge top, as wide as 2.5 m, that hides the road from below the scanner to 4.5 m."""
+    return [(0.0, -1.0, 2.5, -1.0, H), *street()]
+
+
+@pytest.mark.parametrize("slope", [-3.0, 0.0, 3.0])
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_road_is_ground_over_slopes_and_missing_shots(slope: float, missing: float) -> None:
+    scene = scan([street(slope_deg=slope)] * 20, n=1500, missing=missing)
+    _, found, z_g, _ = find(scene)
+    assert found[road(scene)].mean() > 0.98
+    assert road(scene)[found].mean() > 0.995
+    assert np.all(np.abs(z_g - ROAD_Z) < (0.35 if slope else 0.03))
+
+
+def test_without_resuming_some_lines_lose_the_road() -> None:
+    """Why the search resumes: noise of neighbouring shots near the scanner parts the first points of some lines."""
+    scene = scan([street()] * 40, n=2154)
+    assert find(scene)[1][road(scene)].mean() > 0.99
+    assert find(scene, GroundParams(start_heights=50, resume=False))[1][road(scene)].mean() < 0.95
+
+
+def test_height_is_robust_against_hedges_in_a_third_of_the_lines() -> None:
+    scene = scan([hedge() if i % 10 < 3 else street() for i in range(80)], n=1500)
+    heights, found, z_g, _ = find(scene)
+    assert np.sum(np.abs(heights - ROAD_Z) > 0.5) == 24
+    assert np.all(np.abs(z_g - ROAD_Z) < 0.03)
+    # the road behind the hedge is found by repeating the search after it
+    assert not (found & (scene.lines.xyz_m[..., 2] > -1.1)).any()
+    assert found[road(scene)].mean() > 0.95
+    assert found[::10].any(axis=1).mean() > 0.8  # rows with a hedge
+
+
+def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
+    scene = scan([street()] * 3, n=1000, noise_m=0.0)
+    step = int(np.flatnonzero(scene.surface[0] == V)[0])
+    flat = np.where(scene.surface == V, np.uint8(0), scene.surface)  # curb and wall missing
+    phihat = np.where(flat == H, np.float32(90.0), np.float32(np.nan))  # which does not see the step
+    state = initial_ground(np.full(3, ROAD_Z), PARAMS)
+
+    def climbed(**values: float) -> bool:
+        params = GroundParams.model_validate({"resume": False, "bandwidth_sigmas": 0, **values})
+        found, _, _ = follow(scene.lines, flat, phihat, scene.ahead, state, params)
+        assert found[:, : step - 5].any(axis=1).all()
+        return bool(found[:, step:].any())
+
+    assert not climbed()
+    assert climbed(jump_m=1000.0)
+    assert climbed(growth_height_m=0.5)  # potential ground ends at the jump, and growth takes it
+
+
+def test_height_follows_all_lines_after_the_first_fifty_only() -> None:
+    lower = [(x0, z0 - 0.12, x1, z1 - 0.12, kind) for x0, z0, x1, z1, kind in street(wall=False)]
+    scene = scan([street(wall=False)] * 60 + [lower] * 120, n=400)
+    heights, found, z_g, state = find(scene)
+    assert len(set(z_g[:50].tolist())) == 1  # the rows of the first estimate
+    assert z_g[60] == pytest.approx(ROAD_Z, abs=0.03)
+    assert z_g[-1] == pytest.approx(ROAD_Z - 0.12, abs=0.03)  # most heights are the lower ones by now
+    assert state.histogram.sum() == np.sum(~np.isnan(heights))
+    assert found.any(axis=1).all()
+
+
+def test_accepted_heights_alone_can_be_counted() -> None:
+    scene = scan([street()] * 50 + [[(0.3, -0.5, 4.0, -0.5, H)]] * 20, n=300)
+    assert find(scene)[3].histogram.sum() == 70
+    assert find(scene, GroundParams(start_heights=50, heights="accepted"))[3].histogram.sum() == 50
+
+
+def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
+    scene = scan([street()] * 30, n=300)
+    nothing = initial_ground(np.full(4, np.nan), PARAMS)
+    assert np.isnan(nothing.z_g)
+    assert nothing.n_in_histogram_ahead == 4
+    scene.surface[:4] = 0
+    found, z_g, state = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS)
+    assert np.isnan(z_g[: 4 + 9]).all()  # known from the tenth height on
+    assert not found[: 4 + 9].any()
+    assert found[4 + 9 :].any(axis=1).all()
+    assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
+    assert state.n_in_histogram_ahead == 0
+    few, first = np.full(40, np.nan), np.array([-0.4, -0.3])
+    few[[7, 20]] = first
+    assert np.isnan(initial_ground(few, PARAMS).z_g)
+    assert initial_ground(few, GroundParams(start_heights=50, least_heights=1)).z_g < 0
+    found, z_g, _ = follow(
+        scene.lines, scene.surface, scene.phihat, scene.ahead, initial_ground(few, PARAMS)._replace(
+        n_in_histogram_ahead=0), PARAMS,
+    )  # fmt: skip
+    assert np.flatnonzero(np.isnan(z_g)).tolist() == list(range(4 + 7))
+    assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
+    assert found[4 + 7 :].any(axis=1).all()
+
+
+def plane(slope_deg: float, turned_deg: float = 0.0) -> Scene:
+    """Half-lines all around on a slope, from 1 m to 15 m."""
+    rise = np.tan(np.deg2rad(slope_deg)) * np.cos(np.deg2rad(np.arange(0, 360, 4) + turned_deg))
+    far = [[(0.6, ROAD_Z + 0.6 * t, 15.0, ROAD_Z + 15 * t, H)] for t in rise.tolist()]
+    return scan(far, n=300)
+
+
+@pytest.mark.parametrize("slope", [0.5, 1.0, 3.0, 5.0])
+def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> None:
+    for turned in (0.0, 90.0, 200.0):
+        scene = plane(slope, turned)
+        _, found, z_g, _ = find(scene)
+        shares = found.sum(axis=1) / (scene.surface == H).sum(axis=1)
+        assert shares.mean() > 0.98
+        assert shares.min() > 0.8
+        assert np.all(np.abs(z_g - ROAD_Z) < 0.1)
+
+
+def test_lowest_points_of_all_potential_ground_lose_a_slope() -> None:
+    scene = plane(3.0)
+    found = find(scene, GroundParams(start_heights=50, height_points=0, renew="accepted", follow_m=0))[1]
+    assert found[scene.surface == H].mean() < 0.9
+
+
+def test_ground_is_followed_along_its_own_side() -> None:
+    """One side sinks and the other one rises by half a metre: no height holds for both."""
+    away_m = np.repeat(np.minimum(np.arange(120) * 0.01, 0.5), 2) * np.tile([-1.0, 1.0], 120)
+    scene = scan([[(0.6, ROAD_Z + up, 15.0, ROAD_Z + up, H)] for up in away_m.tolist()], n=150)
+    heights = find(scene)[0]
+
+    def at_the_end(n_sides: int, **values: float) -> list[float]:
+        params = GroundParams.model_validate({"start_heights": 50, **values})
+        state = initial_ground(heights, params, n_sides)
+        found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
+        first, left = scene.rows(0, 78), scene.rows(78, 240)  # the state holds the heights of both sides
+        before, _, state = follow(first.lines, first.surface, first.phihat, first.ahead, state, params)
+        behind, _, _ = follow(left.lines, left.surface, left.phihat, left.ahead, state, params)
+        np.testing.assert_array_equal(np.concatenate([before, behind]), found)
+        return [float(found[side::2][-40:].any(axis=1).mean()) for side in (0, 1)]
+
+    assert at_the_end(2) == [1.0, 1.0]
+    assert at_the_end(2, follow_m=0) == [1.0, 0.0]  # the dominant height is that of one of them
+    assert at_the_end(1) == [1.0, 0.0]  # the height of the other side is of no use
+
+
+def test_what_steps_up_at_once_is_not_followed() -> None:
+    bonnet: list[Segment] = [(0.3, ROAD_Z + 0.5, 6.0, ROAD_Z + 0.5, H)]
+    scene = scan([street()] * 60 + [bonnet] * 20 + [street()] * 20, n=300)
+    found = find(scene)[1]
+    assert found.any(axis=1).tolist() == [True] * 60 + [False] * 20 + [True] * 20
+
+
+@pytest.mark.parametrize(("below_m", "left"), [(0.9, True), (0.4, False)])
+def test_the_bonnet_of_a_car_is_not_the_ground(below_m: float, left: bool) -> None:
+    bonnet: list[Segment] = [(0.3, ROAD_Z + below_m, 6.0, ROAD_Z + below_m, H)]
+    scene = scan([bonnet] * 80 + [street()] * 30, n=300)
+    _, found, z_g, _ = find(scene)
+    assert found[105:].any(axis=1).all() == left
+    assert (abs(z_g[-1] - ROAD_Z) < 0.03) == left
+    off = GroundParams(start_heights=50, roof_m=1000)
+    assert not find(scene, off)[1][80:].any()
+
+
+@pytest.mark.parametrize("memory", [100, 0])
+def test_a_wrong_first_estimate_is_left_behind(memory: int) -> None:
+    ramp: list[Segment] = [(0.3, -0.9, 6.0, -0.9, H)]
+    scene = scan([ramp] * 49 + [street()] * 150, n=300)
+    _, found, z_g, _ = find(scene, GroundParams(start_heights=50, memory_heights=memory))
+    assert found[105:].any(axis=1).all()
+    np.testing.assert_allclose(z_g[105:], ROAD_Z, atol=0.03)
+    assert not find(scene, GroundParams(start_heights=50, renew="accepted"))[1][60:].any()
+
+
+def test_old_heights_are_forgotten() -> None:
+    lower = [(x0, z0 - 0.5, x1, z1 - 0.5, kind) for x0, z0, x1, z1, kind in street(wall=False)]
+    scene = scan([street(wall=False)] * 300 + [lower] * 120, n=200)
+    _, found, _, state = find(scene, GroundParams(start_heights=50, memory_heights=100))
+    assert state.histogram.sum() == len(state.recent) == 100
+    assert found[360:].any(axis=1).all()
+    whole = find(scene, GroundParams(start_heights=50, memory_heights=0))
+    assert not whole[1][360:].any()
+    assert whole[3].histogram.sum() == 420
+    assert len(whole[3].recent) == 0
+
+
+def noisy(scene: Scene, at: list[int]) -> Scene:
+    """Shots of the road that the coarse layer takes for a wall or a leaf."""
+    surface, phihat = scene.surface.copy(), scene.phihat.copy()
+    for number, k in enumerate(at):
+        surface[:, k] = V if number % 2 else 1
+        phihat[:, k] = np.nan
+    return replace(scene, surface=surface, phihat=phihat)
+
+
+def test_noisy_shots_do_not_end_the_road() -> None:
+    scene = noisy(scan([street()] * 20, n=1000), [5, 60, 61, 130, 131, 132, 133, 300])
+    _, found, _, _ = find(scene)
+    assert found[road(scene)].mean() > 0.97
+    assert not found[:, [5, 60, 61, 130, 131, 132, 133, 300]].any()
+    assert find(scene, GroundParams(start_heights=50, bridge=0))[1][road(scene)].mean() < 0.4
+    scene = noisy(scan([street()] * 20, n=1000), [130, 131, 132, 133, 134])
+    assert find(scene)[1][road(scene)].mean() < 0.6
+
+
+@pytest.mark.parametrize("curb_m", [0.08, 0.12, 0.15])
+@pytest.mark.parametrize("n", [300, 1000])
+def test_ground_ends_at_a_curb_however_few_shots_meet_it(curb_m: float, n: int) -> None:
+    scene = scan([street(curb_m)] * 20, n=n)
+    assert ((scene.surface == V) & (scene.lines.horizontal_m < 6.1)).any(axis=1).all()
+    _, found, _, _ = find(scene)
+    assert found[road(scene)].mean() > 0.95
+    assert not found[scene.lines.horizontal_m > 6.1].any()
+
+
+@pytest.mark.parametrize("deep", [65.0, 100.0, 290.0])
+def test_ground_far_below(deep: float) -> None:
+    scene = scan([[(1.0, -deep, deep, -deep, H)]] * 20, n=400)
+    _, found, z_g, _ = find(scene)
+    assert found[scene.surface == H].mean() > 0.95
+    np.testing.assert_allclose(z_g, -deep, atol=0.05)
+
+
+def test_scanner_near_the_ground() -> None:
+    scene = scan([[(0.2, -0.12, 1.0, -0.12, H)]] * 20, n=300)
+    assert find(scene)[1].any(axis=1).all()
+    low = initial_ground(np.full(50, -0.15), PARAMS)._replace(n_in_histogram_ahead=0)
+    for limit, everywhere in ((0.05, True), (0.0, False)):
+        params = GroundParams(start_heights=50, height_tolerance_m=limit, renew="accepted")
+        found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params)
+        assert found.any(axis=1).all() == everywhere
+
+
+@pytest.mark.parametrize("n_sides", [1, 2])
+def test_cuts_change_nothing(n_sides: int) -> None:
+    profiles = [hedge() if i % 7 == 0 else street(car=i % 5 == 0) for i in range(70)]
+    scene = scan(profiles, n=250, n_sides=n_sides, missing=0.1)
+    params = GroundParams(start_heights=20, memory_heights=30)
+    heights, whole, z_whole, last = find(scene, params)
+    rng = np.random.default_rng(2)
+    for _ in range(4):
+        cuts = np.sort(rng.integers(0, 71, 5)) * n_sides
+        edges = [0, *cuts.tolist(), len(scene.surface)]
+        state = initial_ground(heights, params)
+        parts = []
+        for first, end in pairwise(edges):
+            part = scene.rows(first, end)
+            found, z_g, state = follow(part.lines, part.surface, part.phihat, part.ahead, state, params)
+            parts.append((found, z_g))
+        np.testing.assert_array_equal(np.concatenate([found for found, _ in parts]), whole)
+        np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)
+        np.testing.assert_array_equal(state.histogram, last.histogram)
+        np.testing.assert_array_equal(state.recent, last.recent)
+        assert state.z_g == last.z_g
+
+
+def test_missing_rows_vertical_rows_and_no_rows_have_no_ground() -> None:
+    scene = scan([street()] * 6, n=200)
+    scene.surface[:] = 0
+    heights, found, z_g, _ = find(scene)
+    assert np.isnan(heights).all()
+    assert not found.any()
+    assert np.isnan(z_g).all()
+    scene.surface[:] = V
+    assert not find(scene)[1].any()
+    assert find(scene.rows(0, 0))[1].shape == (0, 200)
+
+
+def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> None:
+    scene = scan([street()], n=300, noise_m=0.0)
+    scene.surface[0, 9:14] = V  # more than are passed over
+    scene.surface[0, 30:35] = V
+    state = initial_ground(np.full(50, ROAD_Z), PARAMS)._replace(n_in_histogram_ahead=0)
+    found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS)
+    assert np.flatnonzero(found[0]).tolist() == list(range(14, 30))
+
+
+def test_literal_set_can_be_chosen() -> None:
+    literal = GroundParams(start_heights=50, bandwidth_sigmas=0, resume=False)
+    scene = scan([street()] * 10, n=300, noise_m=0.0)
+    assert find(scene, literal)[1].any()
+
+
+@pytest.mark.parametrize("kind", ["one", "uniform", "alternating", "outlier"])
+def test_long_rows_take_no_more_than_their_share(kind: str) -> None:
+    """No exact timing on a shared machine: four times the beams must not take sixteen times as long."""
+
+    def seconds(n: int) -> float:
+        rng = np.random.default_rng(1)
+        x = np.linspace(1, 200, n)
+        xyz = np.stack([x, 0 * x, rng.normal(-1.8, 0.005, n)], axis=-1).astype(np.float32)[None]
+        scene = scan([street()], n=n)
+        horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
+        lines = replace(scene.lines, xyz_m=xyz, horizontal_m=horizontal, range_m=np.linalg.norm(xyz, axis=-1))
+        angle = {
+            "one": 90 + rng.normal(0, 1, n),
+            "uniform": rng.uniform(0, 300, n),
+            "alternating": 90 + np.arange(n) % 2 * 30.0,
+            "outlier": np.where(np.arange(n) == 5, 200, 90 + rng.normal(0, 4, n)),
+        }[kind]
+        ahead = np.append(np.arange(1, n), -1).astype(np.int32)[None]
+        surface = np.full((1, n), H, np.uint8)
+        best = np.inf
+        for _ in range(3):
+            begin = time.process_time()
+            potential_ground(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS, range_noise_m=NOISE_M)
+            best = min(best, time.process_time() - begin)
+        return best
+
+    # four times as much to do takes sixteen times as long if it grows with the square, and that every time
+    assert any(seconds(20_000) < 10 * seconds(5_000) + 0.002 for _ in range(5))

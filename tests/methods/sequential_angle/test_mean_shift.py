@@ -1,0 +1,93 @@
+"""Mean shift on a grid against the textbook form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import PrcError
+from prc_cli.core.types import F64
+from prc_cli.methods.sequential_angle.mean_shift import mean_shift
+
+
+def literal(values: F64, bandwidth: float) -> list[int]:
+    """Shift a Gaussian window from every sample until it stands, merge where they end; samples of every mode."""
+    ends = []
+    for value in values:
+        place = value
+        while True:
+            weight = np.exp(-0.5 * ((values - place) / bandwidth) ** 2)
+            shifted = float(weight @ values / weight.sum())
+            if abs(shifted - place) < 1e-3 * bandwidth:
+                break
+            place = shifted
+        ends.append(shifted)
+    ends.sort()
+    return [len(group) for group in np.split(ends, np.flatnonzero(np.diff(ends) >= bandwidth / 2) + 1)]
+
+
+def test_grid_decides_on_one_mode_as_literal_mean_shift_does() -> None:
+    rng = np.random.default_rng(3)
+    one_mode, groups, sizes = [], 0, 0
+    for _ in range(600):
+        apart = rng.choice([0.0, 0.0, 1.5, 2.5, 3.5, 6.0])
+        second = rng.random(n := int(rng.integers(9, 50))) < rng.choice([0.1, 0.5])
+        values = rng.normal(0, rng.choice([0.2, 0.5, 1.0]), n) + apart * second
+        expected, found = literal(values, 1.0), mean_shift(values, 1.0).counts.tolist()
+        one_mode.append((sum(c >= 2 for c in expected) == 1) == (sum(c >= 2 for c in found) == 1))
+        groups += len(expected) == len(found)
+        sizes += expected == found
+    assert np.mean(one_mode) >= 0.98  # .993 of these
+    assert groups / 600 >= 0.97
+    assert sizes / 600 >= 0.85
+
+
+def test_a_gaussian_has_one_mode_from_a_bandwidth_of_its_deviation_on() -> None:
+    rng = np.random.default_rng(4)
+
+    def share(b: float, n: int) -> float:
+        return float(np.mean([len(mean_shift(rng.normal(0, 1, n), b).counts) == 1 for _ in range(200)]))
+
+    assert 0.3 < share(0.5, 9) < 0.7
+    for n in (9, 50, 200):
+        assert share(1.0, n) >= 0.98
+        assert share(2.0, n) == 1.0
+
+
+def test_equal_groups_part_beyond_two_bandwidths_and_a_lone_point_later() -> None:
+    def n_modes(apart: float, n_second: int) -> int:
+        return len(mean_shift(np.array([0.0] * 8 + [apart] * n_second), 1.0).counts)
+
+    assert n_modes(2.0, 8) == 1
+    assert n_modes(2.25, 8) == 2
+    assert n_modes(2.75, 1) == 1
+    assert n_modes(4.0, 1) == 2
+
+
+def test_main_mode_is_the_largest_and_of_equals_the_lowest() -> None:
+    assert mean_shift(np.array([1.0, 1.0, 9.0, 9.0, 9.0]), 1.0).main() == pytest.approx(9.0, abs=0.125)
+    assert mean_shift(np.array([1.0, 1.0, 9.0, 9.0]), 1.0).main() == pytest.approx(1.0, abs=0.125)
+    assert np.isnan(mean_shift(np.empty(0), 1.0).main())
+
+
+def test_order_of_samples_changes_nothing() -> None:
+    rng = np.random.default_rng(5)
+    values = rng.normal(0, 3, 200)
+    one, other = mean_shift(values, 0.7), mean_shift(rng.permutation(values), 0.7)
+    assert one.places.tolist() == other.places.tolist()
+    assert one.counts.tolist() == other.counts.tolist()
+    assert one.counts.sum() == 200
+
+
+@pytest.mark.parametrize(
+    ("values", "bandwidth", "message"),
+    [
+        ([1.0, np.nan], 1.0, "finite"),
+        ([1.0], 0.0, "positive"),
+        ([1.0], np.inf, "positive"),
+        ([0.0, 1e9], 1.0, "at most a million"),
+    ],
+)
+def test_what_has_no_modes_is_told(values: list[float], bandwidth: float, message: str) -> None:
+    with pytest.raises(PrcError, match=message):
+        mean_shift(np.array(values), bandwidth)
