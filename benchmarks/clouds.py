@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.peak import peak_mib
 from prc_cli.formats import open_source
+from prc_cli.formats.clouds.ply import read_ply_header
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ply.header import read_ply_header
 from prc_cli.streams.open import open_input
 from tests.conftest import data_folder
 

@@ -31,7 +31,7 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64, I32, I64, U8, Mask
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.fused import confidence, pipeline
 from prc_cli.methods.fused.confidence import N_CELLS, QUESTIONS, Environment, confidence_of, load_table

@@ -35,7 +35,7 @@ from prc_cli.cli import cli
 from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params, model_in
-from prc_cli.formats.writing.options import HIGH_NOISE_CODE
+from prc_cli.formats.writing.columns import HIGH_NOISE_CODE
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
 from prc_cli.streams.evidence.checks import CHECKS

@@ -24,7 +24,7 @@ from prc_cli.core.samples import samples_folder
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.registry import has_layout, is_dump
-from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.columns import OutputConfig
 from prc_cli.methods.base import MethodParams
 from prc_cli.methods.methods import METHODS, MethodName, MethodTables, table_of
 

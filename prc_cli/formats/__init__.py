@@ -48,7 +48,7 @@ def check_input(path: Path) -> str:
 
 def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
     """Return which file of a folder to name."""
-    from prc_cli.formats.echopulse.read import count_file
+    from prc_cli.formats.echopulse import count_file
 
     counts = count_file(path)
     if counts is not None:

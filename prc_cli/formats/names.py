@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from prc_cli.core.facts import KnownRule
-from prc_cli.formats.layout import FACTORS, UNITS
+from prc_cli.formats.options import FACTORS, UNITS
 from prc_cli.formats.records import STANDARD_NAMES
 
 NAMES: dict[str, tuple[str, ...]] = {

@@ -1,8 +1,8 @@
-"""Cleans ranges: invalid ones become missing and are counted by reason."""
+"""Ranges: invalid ones become missing, and which return of a shot the range image shows."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from prc_cli import kernels
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import Assumption, ReadTally
-from prc_cli.core.types import F32
+from prc_cli.core.types import F32, Mask
 from prc_cli.formats.options import InputConfig
 
 KEY = "input.range_scale"
@@ -49,3 +49,75 @@ def refuse_scale(config: InputConfig, path: str, why: str) -> None:
     """Refuse a scale of ranges that would do nothing."""
     if config.range_scale != 1.0:
         raise ConfigError(KEY, f"found {config.range_scale:g}, which does nothing for {path}: {why}", "leave it out")
+
+
+ReturnRule: TypeAlias = Literal["strongest", "first", "last"]
+"""The return of a shot that the range image shows (``input.return``)."""
+
+
+def continues_run(keys: tuple[NDArray[Any], ...], number_of_returns: NDArray[Any]) -> Mask:
+    """Mark records that may belong to the same shot as the record before."""
+    several = number_of_returns > 1
+    same: Mask = np.zeros(len(several), np.bool_)
+    same[1:] = several[1:] & (number_of_returns[1:] == number_of_returns[:-1])
+    for key in keys:
+        same[1:] &= key[1:] == key[:-1]
+    return same
+
+
+def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
+    """Mark the first record of every shot.
+
+    Two shots of two returns with one coarse time stamp:
+
+    >>> mark_shots(np.array([False, True, True, True]), np.array([1, 2, 1, 2]))
+    array([ True, False,  True, False])
+    """
+    starts: Mask = ~continues
+    if return_number is None or starts.all():
+        return starts
+    position = np.arange(len(starts))
+    first_of_run = np.maximum.accumulate(np.where(starts, position, 0))
+    again = return_number == return_number[first_of_run]
+    again[1:] |= return_number[1:] == return_number[:-1]
+    starts |= continues & again
+    return starts
+
+
+def choose_returns(
+    starts: Mask,
+    range_m: F32,
+    intensity: NDArray[Any] | None,
+    return_number: NDArray[Any] | None,
+    rule: ReturnRule,
+) -> Mask:
+    """Mark the one return of every shot that the range image shows.
+
+    Returns without range are chosen only if no return of the shot has one; ties go to the earlier return.
+
+    >>> starts = np.array([True, False, True])
+    >>> choose_returns(starts, np.array([5.0, 9.0, 7.0], np.float32), np.array([10, 30, 5]), None, "strongest")
+    array([False,  True,  True])
+    """
+    if starts.all():
+        return starts
+    n = len(starts)
+    if rule == "strongest" and intensity is not None:
+        score = np.where(np.isfinite(intensity), intensity, -np.inf)
+    else:
+        order = np.arange(n) if return_number is None else return_number
+        score = order.astype(np.float64) if rule == "last" else -order.astype(np.float64)
+        score[np.isnan(score)] = -np.inf
+    # returns with a range first, then the highest score among them
+    first = np.flatnonzero(starts)
+    shot = np.cumsum(starts) - 1
+    valid = ~np.isnan(range_m)
+    candidate = valid | ~np.logical_or.reduceat(valid, first)[shot]
+    score = np.where(candidate, score, -np.inf)
+    best = candidate & (score == np.maximum.reduceat(score, first)[shot])
+    position = np.flatnonzero(best)
+    earliest = np.ones(len(position), np.bool_)
+    earliest[1:] = shot[position[1:]] != shot[position[:-1]]
+    chosen: Mask = np.zeros(n, np.bool_)
+    chosen[position[earliest]] = True
+    return chosen

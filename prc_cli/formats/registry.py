@@ -19,16 +19,15 @@ from prc_cli.core.files import suffix_of
 
 if TYPE_CHECKING:
     from prc_cli.core.stream import ScanStream
-    from prc_cli.formats.labels.read import CodeSource
+    from prc_cli.formats.labels import CodeSource
     from prc_cli.formats.options import InputConfig, Layout
     from prc_cli.formats.records import RecordSource
-    from prc_cli.formats.writing.base import LabelWriter
-    from prc_cli.formats.writing.options import LabelOutput
-    from prc_cli.formats.writing.stream_writer import StreamShape, StreamWriter
+    from prc_cli.formats.writing.base import LabelWriter, StreamShape, StreamWriter
+    from prc_cli.formats.writing.columns import LabelOutput
 
 ENTRY_POINTS = "prc_cli.formats"
 """Group of the entry points of other packages."""
-_ROOMS = ("raw_binary", "text", "ply", "pcd", "las", "arrays", "ptx", "e57", "bags", "packets", "labels", "tables")
+_ROOMS = ("raw_binary", "text", "clouds", "las", "arrays", "organised", "bags", "packets", "labels", "tables")
 """Rooms of this package, in the order in which messages list their suffixes."""
 
 Held: TypeAlias = Literal["codes", "registered", "relative", "angles", "times", "intensity", "returns"]

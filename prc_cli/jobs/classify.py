@@ -29,11 +29,10 @@ from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, Scan
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input
-from prc_cli.formats.label_files import open_writer
 from prc_cli.formats.ranges import clean_ranges
+from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.base import LabelWriter
-from prc_cli.formats.writing.columns import asked_columns
-from prc_cli.formats.writing.options import LabelOutput
+from prc_cli.formats.writing.columns import LabelOutput, asked_columns
 from prc_cli.formats.writing.record import (
     Fingerprint,
     FingerprintBeside,

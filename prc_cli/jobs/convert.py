@@ -24,20 +24,19 @@ from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.arrays.read import CLASS
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.labels.read import NAMES, open_codes
+from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.copy import copy_las, read_las
 from prc_cli.formats.records import RecordSource
-from prc_cli.formats.stream_files import (
+from prc_cli.formats.writing import (
     check_stream_output,
     open_stream_writer,
     outputs_of,
     stream_suffix,
 )
+from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
 from prc_cli.formats.writing.coordinates import LinesApart
+from prc_cli.formats.writing.disk import RecordValues, Spool
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
-from prc_cli.formats.writing.record_values import RecordValues
-from prc_cli.formats.writing.spool import Spool
-from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 from prc_cli.jobs.classify import Counts, Progress, run_record
 from prc_cli.jobs.coordinates import XYZ, Carried, axes_of, carry, lines_apart
 from prc_cli.jobs.progress import advance

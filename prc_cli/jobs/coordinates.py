@@ -18,9 +18,9 @@ from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64
 from prc_cli.formats import open_source
 from prc_cli.formats.records import RecordSource
+from prc_cli.formats.writing.base import NO_CODE
 from prc_cli.formats.writing.coordinates import SPACING_M, LinesApart, Placement
-from prc_cli.formats.writing.record_values import RecordValues
-from prc_cli.formats.writing.stream_writer import NO_CODE
+from prc_cli.formats.writing.disk import RecordValues
 from prc_cli.streams.beams import BeamStream, with_beams
 from prc_cli.streams.window import grid_of
 

@@ -11,7 +11,7 @@ from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_output, check_output
 from prc_cli.formats import open_source
-from prc_cli.formats.clouds import CloudSource
+from prc_cli.formats.clouds.source import CloudSource
 from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.registry import is_dump

@@ -24,15 +24,15 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.formats import LAS_SUFFIXES
-from prc_cli.formats.stream_files import (
+from prc_cli.formats.writing import (
     check_stream_output,
     open_stream_writer,
     outputs_of,
     stream_suffix,
 )
+from prc_cli.formats.writing.base import StreamItem, StreamShape
+from prc_cli.formats.writing.disk import StraightCodes
 from prc_cli.formats.writing.record import ClassCount, Fingerprint, RunRecord
-from prc_cli.formats.writing.straight import StraightCodes
-from prc_cli.formats.writing.stream_writer import StreamItem, StreamShape
 from prc_cli.jobs.classify import Counts, Progress
 from prc_cli.simulation.drive import SimulatedBlock
 from prc_cli.simulation.forest.scene import ForestScene

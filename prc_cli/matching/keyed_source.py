@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64, I64, U8
-from prc_cli.formats.labels.read import NO_CODE, CodeSource
+from prc_cli.formats.labels import NO_CODE, CodeSource
 from prc_cli.formats.records import DerivedSource, RecordChunk
 from prc_cli.matching.join import CODE, KEY, SAME
 from prc_cli.matching.key_rule import KeyRule, exact_keys

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats.labels.read import code_suffix_of
+from prc_cli.formats.labels import code_suffix_of
 
 _SHOWN = 4
 

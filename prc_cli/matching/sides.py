@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.formats.labels.read import CodeSource, open_codes
+from prc_cli.formats.labels import CodeSource, open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.tables.read import open_table

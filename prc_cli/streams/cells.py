@@ -9,7 +9,7 @@ import numpy as np
 
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64
-from prc_cli.formats.returns import ReturnRule, choose_returns
+from prc_cli.formats.ranges import ReturnRule, choose_returns
 from prc_cli.streams.columns import ColumnRule, find_columns, is_within
 from prc_cli.streams.table import INTENSITY, LINE, RANGE, RECORD, START, XYZ, Table, n_rows, take
 from prc_cli.streams.whole_lines import WholeLines

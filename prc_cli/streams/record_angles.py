@@ -8,8 +8,8 @@ import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64
+from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import RecordSource
-from prc_cli.formats.returns import continues_run, mark_shots
 from prc_cli.streams.angles import find_angle_grid, find_sweep
 from prc_cli.streams.columns import begins_line, columns_by_angle, spread_columns
 from prc_cli.streams.lines import LineState, lines_by_wrap

@@ -10,8 +10,8 @@ from difflib import SequenceMatcher
 from prc_cli.core.errors import ConfigError, InputError, OrderError
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, parse_rate
+from prc_cli.formats.ranges import ReturnRule
 from prc_cli.formats.records import STANDARD_NAMES, RecordSource
-from prc_cli.formats.returns import ReturnRule
 from prc_cli.streams.order import Policy
 from prc_cli.streams.ranges import XYZ, is_sensor_xyz
 from prc_cli.streams.record_angles import columns_of_angles, has_sweeps, lacks_shots, turns_round

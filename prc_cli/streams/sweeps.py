@@ -15,8 +15,8 @@ import numpy as np
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import RecordSource
-from prc_cli.formats.returns import continues_run, mark_shots
 from prc_cli.streams.down import wrap
 from prc_cli.streams.evidence.rates import TimedScan, measure_sweeps
 from prc_cli.streams.grid import GridStream

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.bags import FORMATS as BAGS
-from prc_cli.formats.trajectory.poses import is_tum, read_poses, read_tum, turned
-from prc_cli.formats.trajectory.sbet import project, read_sbet
-from prc_cli.formats.trajectory.text import read_text
+from prc_cli.formats.trajectory import is_tum, project, read_poses, read_sbet, read_text, read_tum, turned
 
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9

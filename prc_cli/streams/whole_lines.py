@@ -13,7 +13,7 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally
 from prc_cli.core.types import F64, Mask
-from prc_cli.formats.returns import continues_run, mark_shots
+from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.streams.columns import StampState, spread_stamps
 from prc_cli.streams.limits import Admission, admit_lines
 from prc_cli.streams.lines import LineRule, LineState, find_lines

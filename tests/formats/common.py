@@ -11,9 +11,9 @@ import numpy as np
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, I64, U8
-from prc_cli.formats.label_files import open_writer
+from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.base import LabelWriter
-from prc_cli.formats.writing.options import LabelOutput
+from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import Fingerprint, RunRecord
 
 URBAN = (Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION)

@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import ConfigError
-from prc_cli.formats.layout import decode, record_dtype
-from prc_cli.formats.options import RANGES_ONLY, Layout, LayoutField
+from prc_cli.formats.options import RANGES_ONLY, Layout, LayoutField, decode, record_dtype
 from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.text.read import TextSource

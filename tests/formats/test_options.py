@@ -8,12 +8,12 @@ import pytest
 
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
-from prc_cli.formats.layout import record_dtype
 from prc_cli.formats.options import (
     MAX_RECORD_BYTES,
     InputConfig,
     Layout,
     parse_origin,
+    record_dtype,
 )
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.formats.e57 import file as e57_file
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import Pose, is_rotation
-from prc_cli.formats.ptx import read as ptx
+from prc_cli.formats.organised import e57_file, ptx
+from prc_cli.formats.organised.scans import Pose, is_rotation
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
     Scan,
@@ -37,7 +36,7 @@ def peak_bytes(path: Path) -> int:
 
 @pytest.mark.parametrize("kind", ["ptx", "e57", "e57 row by row"])
 def test_memory_does_not_grow_with_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-    monkeypatch.setattr("prc_cli.formats.organised.CHUNK_SHOTS", 2048)
+    monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", 2048)
     monkeypatch.setattr(e57_file, "CHUNK_POINTS", 1024)
     monkeypatch.setattr(ptx, "TEXT_BYTES", 1 << 15)
     peaks = []

@@ -17,7 +17,7 @@ from prc_cli.core.types import I64
 from prc_cli.formats.las import laz
 from prc_cli.formats.las.header import find_points_per_line, open_source, read_header
 from prc_cli.formats.las.laz import LazRecords
-from prc_cli.formats.ptx import read as ptx
+from prc_cli.formats.organised import ptx
 from prc_cli.formats.tables.read import _check_names, _damaged
 from prc_cli.formats.writing.base import MISSING_CODE, ScatterWriter, StagedWriter
 

@@ -12,8 +12,8 @@ from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ptx import read as ptx
-from prc_cli.formats.ptx.read import PtxStream
+from prc_cli.formats.organised import ptx
+from prc_cli.formats.organised.ptx import PtxStream
 from prc_cli.jobs.classify import classify
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
@@ -145,7 +145,7 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         tmp_path / "a.ptx", ptx_scan(grid_points(8, 6), rotation=turn_x(20)) + ptx_scan(grid_points(3, 9))
     )
     whole = scans_of(PtxStream(path, AUTO))
-    monkeypatch.setattr("prc_cli.formats.organised.CHUNK_SHOTS", shots)
+    monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
     monkeypatch.setattr(ptx, "TEXT_BYTES", text_bytes)
     for block, one in zip(scans_of(PtxStream(path, AUTO)), whole, strict=True):
         assert equal(block.range_m, one.range_m)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.returns import choose_returns, continues_run, mark_shots
+from prc_cli.formats.ranges import choose_returns, continues_run, mark_shots
 from tests.streams.record_lists import open_records, read
 
 NAN = np.nan

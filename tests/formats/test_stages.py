@@ -15,8 +15,7 @@ from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, StageLabels
 from prc_cli.formats.writing import base as base_module
-from prc_cli.formats.writing.columns import OPTIONAL_COLUMNS
-from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.columns import OPTIONAL_COLUMNS, OutputConfig
 from tests.formats.common import (
     URBAN,
     labelled,

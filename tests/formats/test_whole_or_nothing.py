@@ -14,7 +14,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, OutputError, OutputExistsError
 from prc_cli.core.files import place
-from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.columns import OutputConfig
 from tests import patience
 from tests.formats.common import (
     labelled,

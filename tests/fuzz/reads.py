@@ -12,7 +12,7 @@ from prc_cli.core.config import build, read_toml
 from prc_cli.core.errors import PrcError
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.formats import open_source
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.tables.read import open_table
 from prc_cli.jobs.batch.clean import own_folder

@@ -23,7 +23,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.formats import open_source
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ptx.read import PtxStream
+from prc_cli.formats.organised.ptx import PtxStream
 from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import to_number
 from prc_cli.formats.text.read import TextSource

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import PrcError
 from prc_cli.formats import check_input, open_images, open_source
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.registry import by_suffix
 from tests import patience

@@ -15,7 +15,7 @@ from prc_cli.core.blocks import join
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, OutputExistsError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import classify, open_stream
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, reference_path, simulate

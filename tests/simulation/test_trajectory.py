@@ -11,8 +11,7 @@ from pydantic import ValidationError
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64
-from prc_cli.formats.trajectory.sbet import project, read_sbet
-from prc_cli.formats.trajectory.text import read_text
+from prc_cli.formats.trajectory import project, read_sbet, read_text
 from prc_cli.simulation.scanners import SCANNERS
 from prc_cli.simulation.trajectory import MOTIONS, MotionParams, Station, Trajectory, aim
 from prc_cli.simulation.trajectory_files import Frame, write_trajectory

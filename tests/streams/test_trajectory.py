@@ -62,7 +62,7 @@ def test_delimiters_and_names(tmp_path: Path, text: str) -> None:
 
 
 def test_many_rows_cross_the_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.formats.trajectory.text._BATCH", 7)
+    monkeypatch.setattr("prc_cli.formats.trajectory._BATCH", 7)
     rows = "".join(f"{t},{2 * t},0,1\n" for t in range(100))
     track = load(write(tmp_path / "drive.csv", "time,x,y,z\n" + rows))
     np.testing.assert_array_equal(track.xyz_m[:, 0], np.arange(100) * 2.0)

@@ -4,7 +4,7 @@ from prc_cli.formats.registry import Format
 
 _IMAGES = "prc_cli.formats.arrays.read:open_array"
 _COLUMNS = "prc_cli.formats.tables.read:ArrayTable"
-_CODES = "prc_cli.formats.labels.read:open_array_codes"
+_CODES = "prc_cli.formats.labels:open_array_codes"
 
 FORMATS = (
     Format(
@@ -16,7 +16,7 @@ FORMATS = (
         write_stream="prc_cli.formats.arrays.write:NpyStream",
         holds=frozenset(),
         labels=(".npy",),
-        write_labels="prc_cli.formats.labels.write:open_label_writer",
+        write_labels="prc_cli.formats.labels:open_label_writer",
         codes=(".npy",),
         open_codes=_CODES,
     ),

@@ -17,9 +17,8 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.arrays.rows import ArrayFile, NpyHeader, Rows
-from prc_cli.formats.layout import FACTORS
 from prc_cli.formats.names import ZENITH, angle_rules, split_unit, usual_names
-from prc_cli.formats.options import InputConfig
+from prc_cli.formats.options import FACTORS, InputConfig
 from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
 
 CHUNK_SHOTS = 1 << 19

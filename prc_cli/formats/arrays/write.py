@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F64
-from prc_cli.formats.writing.straight import npy_header
-from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.base import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.disk import npy_header
 
 COPY_BYTES = 1 << 20
 _EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -14,9 +14,8 @@ from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.bags.cursor import Cursor, ShortMessageError
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import MAX_POINTS_PER_LINE, lines_per_block
-from prc_cli.formats.ranges import clean_ranges
-from prc_cli.formats.returns import choose_returns
+from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE, lines_per_block
+from prc_cli.formats.ranges import choose_returns, clean_ranges
 
 LASER, ECHOES = "sensor_msgs/LaserScan", "sensor_msgs/MultiEchoLaserScan"
 MAX_ECHOES = 64

@@ -15,7 +15,7 @@ from prc_cli.formats.bags.cursor import ShortMessageError
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, parse_laser
 from prc_cli.formats.bags.packed import OUSTER, PACKED, parse_packets
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import check_rules, check_width
+from prc_cli.formats.organised.scans import check_rules, check_width
 from prc_cli.formats.packets.ouster import read_metadata
 from prc_cli.formats.packets.scanners import PacketLines, is_scan
 

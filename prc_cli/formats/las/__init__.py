@@ -14,6 +14,6 @@ FORMATS = (
         labels=SUFFIXES,
         write_labels="prc_cli.formats.las.rewrite:open_label_writer",
         codes=SUFFIXES,
-        open_codes="prc_cli.formats.labels.read:open_las_codes",
+        open_codes="prc_cli.formats.labels:open_las_codes",
     ),
 )

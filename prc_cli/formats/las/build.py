@@ -25,12 +25,10 @@ from prc_cli.formats.las.header import LASZIP_KEY, RECORD_KEY, Vlr, make_vlr
 from prc_cli.formats.las.lookup import lookup_vlr
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
 from prc_cli.formats.las.sinks import LasSink, LazSink, PointSink, Target, batch_size, new_laszip_payload
-from prc_cli.formats.writing.base import StagedWriter, close_quietly
-from prc_cli.formats.writing.columns import RANGE, ExtraDimension, asked_columns
+from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape, close_quietly
+from prc_cli.formats.writing.columns import RANGE, ExtraDimension, OutputConfig, asked_columns
 from prc_cli.formats.writing.coordinates import LinesApart, Placement, coordinates
-from prc_cli.formats.writing.options import OutputConfig
 from prc_cli.formats.writing.record import RunRecord
-from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 
 SCAN_LINE = ExtraDimension("scan_line", np.dtype("<u4"), "scan line in the stream")
 COLUMN = ExtraDimension("column", np.dtype("<u4"), "shot in the scan line")
@@ -310,7 +308,7 @@ class LasStream(LasBuilder):
         return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {unknown}",)
 
     def add_item(self, item: StreamItem) -> None:
-        """Take a block (see :class:`prc_cli.formats.writing.stream_writer.StreamWriter`)."""
+        """Take a block (see :class:`prc_cli.formats.writing.base.StreamWriter`)."""
         block = item.block
         self._item = item
         codes = self._codes_of(item.codes, block.range_m.shape)

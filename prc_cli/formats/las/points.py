@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.las.header import DAMAGED, EXTRA_BYTES_KEY, LasHeader, Vlr, make_vlr, standard_bytes, text_of
-from prc_cli.formats.layout import FACTORS
 from prc_cli.formats.names import usual_names
+from prc_cli.formats.options import FACTORS
 from prc_cli.formats.writing.columns import ExtraDimension
 
 FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}

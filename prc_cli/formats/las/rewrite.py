@@ -48,8 +48,7 @@ from prc_cli.formats.las.points import (
 from prc_cli.formats.las.sinks import PointSink, Target, batch_records, crc
 from prc_cli.formats.las.splice import find_chunks, splice_classes, splice_records
 from prc_cli.formats.writing.base import Columns, LabelWriter, ScatterWriter
-from prc_cli.formats.writing.columns import OPTIONAL_COLUMNS, asked_columns
-from prc_cli.formats.writing.options import FIVE_BIT_LIMIT, LabelOutput, OutputConfig
+from prc_cli.formats.writing.columns import FIVE_BIT_LIMIT, OPTIONAL_COLUMNS, LabelOutput, OutputConfig, asked_columns
 from prc_cli.formats.writing.record import RunRecord
 
 

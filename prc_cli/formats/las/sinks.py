@@ -18,7 +18,7 @@ from prc_cli.core.files import begin_flush
 from prc_cli.core.types import U8
 from prc_cli.formats.las.header import LASZIP_KEY, LasHeader, Source, Vlr, make_vlr
 from prc_cli.formats.las.laz import CHUNK_SIZE_AT, ITEMS_AT
-from prc_cli.formats.writing.spool import WRITE_BYTES
+from prc_cli.formats.writing.disk import WRITE_BYTES
 
 CHUNK_POINTS = 50_000
 """Records in a compressed chunk, laszip's own default."""

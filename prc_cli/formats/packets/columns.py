@@ -17,7 +17,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import CHUNK_SHOTS
+from prc_cli.formats.organised.scans import CHUNK_SHOTS
 from prc_cli.formats.ranges import clean_ranges
 
 MAX_EMPTY = 64

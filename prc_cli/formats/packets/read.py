@@ -10,7 +10,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import check_rules, check_width
+from prc_cli.formats.organised.scans import check_rules, check_width
 from prc_cli.formats.packets.capture import CaptureCount, Datagram, read_datagrams
 from prc_cli.formats.packets.ouster import Metadata, read_metadata
 from prc_cli.formats.packets.scanners import PacketLines, is_scan, open_decoder

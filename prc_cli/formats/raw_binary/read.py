@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import open_to_read
-from prc_cli.formats.layout import decode, record_dtype
-from prc_cli.formats.options import RANGES_ONLY, Layout
+from prc_cli.formats.options import RANGES_ONLY, Layout, decode, record_dtype
 from prc_cli.formats.records import RecordChunk, RecordSource, standard_first
 
 CHUNK_RECORDS = 1 << 18
@@ -138,7 +137,7 @@ class RawBinarySource(LayoutRecords):
 def open_dump(path: Path, layout: Layout | None) -> RecordSource:
     """Open a dump by its layout, as ranges alone where the layout has no fields, or a folder of pulses by its file."""
     if path.name.startswith("pulse-"):
-        from prc_cli.formats.echopulse.read import EchoPulseSource, is_count_file
+        from prc_cli.formats.echopulse import EchoPulseSource, is_count_file
 
         if is_count_file(path):
             return EchoPulseSource(path)

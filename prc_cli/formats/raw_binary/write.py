@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.types import F64, I64
+from prc_cli.formats.writing.base import StagedStreamWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.coordinates import coordinates
-from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem, StreamShape
 
 EVEN_RAD = 1e-10
 """Angles are written as start and step if all are this close to even steps [rad]."""

@@ -14,9 +14,8 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
 from prc_cli.core.limits import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.layout import decode
 from prc_cli.formats.names import usual_names
-from prc_cli.formats.options import LayoutField
+from prc_cli.formats.options import LayoutField, decode
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.registry import by_suffix
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import I64
-from prc_cli.formats.writing.stream_writer import (
+from prc_cli.formats.writing.base import (
     NO_CODE,
     StagedStreamWriter,
     StreamItem,

@@ -19,9 +19,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F64
-from prc_cli.formats.layout import check_fields, decode
 from prc_cli.formats.names import angle_rules
-from prc_cli.formats.options import Layout
+from prc_cli.formats.options import Layout, check_fields, decode
 from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
 from prc_cli.formats.text.columns import CLOUD_SUFFIXES, TextColumn, find_columns
 from prc_cli.formats.text.dialect import (

@@ -1,1 +1,72 @@
-"""Shared parts of writers: atomic outputs, their options and their run record."""
+"""Chooses the writer of an output by its suffix, and checks the output before any work is done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import check_output, suffix_of
+from prc_cli.formats.registry import by_suffix
+from prc_cli.formats.writing.base import LabelWriter, StreamShape, StreamWriter
+from prc_cli.formats.writing.columns import LabelOutput, check_codes
+from prc_cli.formats.writing.record import record_path
+
+
+def open_writer(output: LabelOutput, *, overwrite: bool) -> LabelWriter:
+    """Choose and check a writer; nothing is created before its ``with`` block.
+
+    >>> from pathlib import Path
+    >>> from prc_cli.core.classes import ClassCodes
+    >>> tif = LabelOutput(path=Path("a.tif"), source=Path("a.bin"), n_records=0, points_per_line=4, codes=ClassCodes())
+    >>> open_writer(tif, overwrite=False)
+    Traceback (most recent call last):
+    ...
+    prc_cli.core.errors.ConfigError: a.tif: found suffix '.tif', expected one of .csv, .las, .laz, .npy, .parquet, \
+.pcd, .ply; choose an output name that ends in one of them
+    """
+    path, known = output.path, by_suffix("labels")
+    suffix = path.suffix.lower()
+    if suffix not in known:
+        problem = f"found suffix {path.suffix!r}, expected one of {', '.join(sorted(known))}"
+        raise ConfigError(str(path), problem, "choose an output name that ends in one of them")
+    check_codes(output.codes, output.options)
+    check_output(path, overwrite=overwrite, inputs=(output.source,))
+    check_output(record_path(path), overwrite=overwrite, inputs=(output.source,))
+    return known[suffix].label_writer(output)
+
+
+def stream_suffix(path: Path) -> str:
+    """Return the suffix, which decides the writer.
+
+    >>> stream_suffix(Path("drive.CSV.gz"))
+    '.csv.gz'
+    >>> stream_suffix(Path("drive.xyz"))
+    Traceback (most recent call last):
+    ...
+    prc_cli.core.errors.ConfigError: drive.xyz: found suffix '.xyz', expected one of .bin .csv .csv.gz .csv.zst .ply \
+.pcd .las .laz .npy .npz .e57 .parquet; choose an output name that ends in one of them
+    """
+    suffix, known = suffix_of(path), by_suffix("streams")
+    if suffix not in known:
+        problem = f"found suffix {suffix!r}, expected one of {' '.join(known)}"
+        raise ConfigError(str(path), problem, "choose an output name that ends in one of them")
+    return suffix
+
+
+def outputs_of(path: Path) -> tuple[Path, ...]:
+    """Return all files of a stream output, the run record included."""
+    from prc_cli.formats.raw_binary.write import config_path
+
+    beside = (config_path(path),) if stream_suffix(path) == ".bin" else ()
+    return (path, *beside, record_path(path))
+
+
+def check_stream_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
+    """Refuse an output before any work is done."""
+    for each in outputs_of(path):
+        check_output(each, overwrite=overwrite, inputs=inputs)
+
+
+def open_stream_writer(path: Path, shape: StreamShape) -> StreamWriter:
+    """Choose a writer by the suffix of the output; nothing is created before its ``with`` block."""
+    return by_suffix("streams")[stream_suffix(path)].stream_writer(path, shape)

@@ -21,7 +21,7 @@ from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict as scores_as_dict
 from prc_cli.evaluation.scores import Scores, scores
 from prc_cli.formats import LAS_SUFFIXES
-from prc_cli.formats.labels.read import code_suffix_of
+from prc_cli.formats.labels import code_suffix_of
 from prc_cli.jobs.batch.judges import Judges, Pair
 from prc_cli.jobs.batch.types import Problem
 from prc_cli.jobs.evaluate.chosen import DEFAULT_MAPPING, MAPPINGS, mapping_of_runs

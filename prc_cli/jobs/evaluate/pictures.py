@@ -17,7 +17,7 @@ from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.charts import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.mapping import Side as SideName
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.render.frames import open_for_pictures, upright
 from prc_cli.matching.pairs import files_of, stem_of

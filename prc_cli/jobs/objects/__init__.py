@@ -27,9 +27,9 @@ from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.core.types import U8
 from prc_cli.formats import check_input, open_source
-from prc_cli.formats.labels.read import NAMES
+from prc_cli.formats.labels import NAMES
+from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.record import RunRecord, record_path
-from prc_cli.formats.writing.stream_writer import StreamItem
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record, usual_labels
 from prc_cli.jobs.convert import check_unchanged, open_items

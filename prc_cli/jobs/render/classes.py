@@ -13,7 +13,7 @@ from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import I64, U8, Mask
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
-from prc_cli.formats.labels.read import NO_CODE, open_codes
+from prc_cli.formats.labels import NO_CODE, open_codes
 from prc_cli.imaging.pictures import MISSING_COLOUR, NOT_SCORED_COLOUR
 from prc_cli.jobs.render.options import RenderOptions
 

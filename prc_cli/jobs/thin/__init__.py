@@ -23,13 +23,12 @@ from prc_cli.core.files import atomic_outputs, file_state, suffix_of, temporary_
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import I32, U8, Mask
 from prc_cli.formats import LAS_SUFFIXES
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.copy import check_copied, copy_las, read_las
-from prc_cli.formats.stream_files import open_stream_writer, outputs_of, stream_suffix
+from prc_cli.formats.writing import open_stream_writer, outputs_of, stream_suffix
+from prc_cli.formats.writing.base import NO_CODE, StreamItem
+from prc_cli.formats.writing.disk import RecordValues, Spool
 from prc_cli.formats.writing.record import RunRecord, record_path
-from prc_cli.formats.writing.record_values import RecordValues
-from prc_cli.formats.writing.spool import Spool
-from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import (
     Counts,

@@ -10,7 +10,7 @@ from fractions import Fraction
 
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError
-from prc_cli.formats.writing.options import HIGH_NOISE_CODE
+from prc_cli.formats.writing.columns import HIGH_NOISE_CODE
 
 MAX_DENOMINATOR = 1_000_000
 """Largest denominator of a fraction."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ExtraReturns
 from prc_cli.core.types import F64, I32, I64, Mask
-from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem
+from prc_cli.formats.writing.base import NO_CODE, StreamItem
 from prc_cli.jobs.thin.rules import ThinRule
 
 _GOLDEN = 0.618

@@ -28,7 +28,7 @@ class TransferOptions:
     same: tuple[str, ...] = ()
     """Further integer dimensions that must be equal, such as ``scanner_channel``; at most two."""
     dimension: str | None = None
-    """Column or dimension with the class codes; default as :func:`~prc_cli.formats.labels.read.open_codes`."""
+    """Column or dimension with the class codes; default as :func:`~prc_cli.formats.labels.open_codes`."""
     carry: tuple[str, ...] = ()
     """Dimensions of classified LAS labels to copy as well: ``segment_id``, ``range``, ``surface``,
     ``dense_vegetation``, ``ground_height``, ``height_above_ground``, ``confidence``."""

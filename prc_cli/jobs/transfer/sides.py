@@ -16,7 +16,7 @@ from prc_cli.formats import (
     check_input,
     open_source,
 )
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource

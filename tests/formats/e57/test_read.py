@@ -13,11 +13,11 @@ import pytest
 
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.e57 import check as e57_check
-from prc_cli.formats.e57 import file as e57_file
-from prc_cli.formats.e57 import read as e57
-from prc_cli.formats.e57.read import E57Stream
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.organised import e57_file
+from prc_cli.formats.organised import e57_file as e57_check
+from prc_cli.formats.organised import e57_read as e57
+from prc_cli.formats.organised.e57_read import E57Stream
 from prc_cli.jobs.classify import classify
 from prc_cli.streams.open import open_input
 from tests import patience
@@ -97,7 +97,7 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     scans = [Scan(item, rotation=(0.8, 0.6, 0, 0)) for item in (*fields, e57_fields(other))]
     path = write_e57(tmp_path / "a.e57", scans)
     whole = scans_of(E57Stream(path, AUTO))
-    monkeypatch.setattr("prc_cli.formats.organised.CHUNK_SHOTS", shots)
+    monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
     monkeypatch.setattr(e57_file, "CHUNK_POINTS", chunk)
     for block, one in zip(scans_of(E57Stream(path, AUTO)), whole, strict=True):
         assert equal(block.range_m, one.range_m)

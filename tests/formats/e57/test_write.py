@@ -12,10 +12,10 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, ScanBlock, StreamInfo
-from prc_cli.formats.e57 import write as stream_e57
-from prc_cli.formats.stream_files import open_stream_writer
+from prc_cli.formats.organised import e57_write as stream_e57
+from prc_cli.formats.writing import open_stream_writer
+from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.record import Fingerprint, RunRecord
-from prc_cli.formats.writing.stream_writer import StreamItem, StreamShape
 from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.convert import convert
 from tests.formats.organised_files import grid_points, ptx_scan, write_text

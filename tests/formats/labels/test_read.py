@@ -13,7 +13,7 @@ import pytest
 from pyarrow import parquet
 
 from prc_cli.core.errors import ConfigError, InputError, PrcError
-from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.labels import open_codes
 
 CODES = [2, 2, 7, 0, 64, 5]
 
@@ -133,7 +133,7 @@ def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, found: str) -> No
 
 
 def test_the_record_of_a_wrong_code_is_counted_over_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.formats.labels.read.CHUNK_RECORDS", 4)
+    monkeypatch.setattr("prc_cli.formats.labels.CODES_AT_ONCE", 4)
     path = tmp_path / "codes.npy"
     np.save(path, np.array([1, 2, 3, 4, 5, 6, 7.5, 8.5]))
     assert "record 6: found the class code 7.5" in refused(path)

@@ -11,7 +11,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns
 from prc_cli.formats.writing import base as base_module
-from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import (
     URBAN,
     labelled,

@@ -14,8 +14,8 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock
 from prc_cli.formats.las import sinks as codec_module
+from prc_cli.formats.writing.columns import OutputConfig
 from prc_cli.formats.writing.coordinates import SPACING_M
-from prc_cli.formats.writing.options import OutputConfig
 from tests.formats.common import (
     FOREST,
     labelled,

@@ -11,8 +11,8 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.formats import open_source
+from prc_cli.formats.clouds.pcd import decode_lzf
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.pcd.lzf import decode_lzf
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array, lzf, pcd
 

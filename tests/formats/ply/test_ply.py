@@ -9,7 +9,8 @@ import pytest
 
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
-from prc_cli.formats import clouds, open_source
+from prc_cli.formats import open_source
+from prc_cli.formats.clouds import source as clouds
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.open import open_input

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.trajectory.poses import is_tum, read_poses, read_tum, turned
+from prc_cli.formats.trajectory import is_tum, read_poses, read_tum, turned
 from prc_cli.streams.trajectory import load_trajectory
 from tests.formats.bags import recordings as made
 from tests.fuzz.seeds import seed

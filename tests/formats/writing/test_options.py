@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
-from prc_cli.formats.writing.options import OutputConfig, check_codes, class_names
+from prc_cli.formats.writing.columns import OutputConfig, check_codes, class_names
 
 
 def test_below_32_names_the_first_key_that_is_too_high() -> None:

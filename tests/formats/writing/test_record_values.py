@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.formats.writing import record_values
-from prc_cli.formats.writing.record_values import RecordValues
+from prc_cli.formats.writing import disk as record_values
+from prc_cli.formats.writing.disk import RecordValues
 
 
 def test_records_far_apart_are_read_page_by_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

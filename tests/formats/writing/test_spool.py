@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prc_cli.formats.writing import spool as module
-from prc_cli.formats.writing.spool import Spool
+from prc_cli.formats.writing import disk as module
+from prc_cli.formats.writing.disk import Spool
 
 
 def read(spool: Spool, n: int = 1000) -> np.ndarray:

@@ -15,7 +15,7 @@ from prc_cli.core.files import open_to_read
 from prc_cli.core.stream import Assumption, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import (
+from prc_cli.formats.organised.scans import (
     INTENSITY_STEPS,
     MAX_LINES,
     MAX_POINTS_PER_LINE,

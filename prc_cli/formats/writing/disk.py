@@ -1,11 +1,8 @@
-"""A column of values by record index on disk: written in scan order, read in record order.
-
-The orders differ when several scanners share a file or a file was sorted; then values are scattered into a temporary
-file page by page. Memory is a page and a buffer, whatever the size of the file.
-"""
+"""Columns of values by record index on disk."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -13,7 +10,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from prc_cli.core.types import I64
+from prc_cli.core.bytewise import count_bytes
+from prc_cli.core.types import I64, U8
 
 PAGE_BYTES = 1 << 20
 BUFFER_ITEMS = 1 << 20
@@ -161,3 +159,120 @@ def write_all(handle: BinaryIO, data: memoryview) -> None:
     done = 0
     while done < len(data):
         done += handle.write(data[done : done + WRITE_BYTES])
+
+
+PAGE_RECORDS = 1 << 16
+"""Records per page, where the requested ones lie far apart."""
+
+
+class RecordValues:
+    """Records in a temporary file.
+
+    >>> import tempfile
+    >>> values = RecordValues(Path(tempfile.mkdtemp()) / "v", np.dtype("i4"), -5)
+    >>> values.append(np.arange(100, 110, dtype=np.int32))
+    >>> values.get(np.array([[3, -1], [9, 12]]))
+    array([[103,  -5],
+           [109,  -5]], dtype=int32)
+    >>> values.close()
+    """
+
+    def __init__(self, path: Path, dtype: np.dtype[Any], fill: Any) -> None:
+        self._dtype = dtype
+        self._fill = fill
+        self._n = 0
+        self._file: BinaryIO = path.open("w+b", buffering=0)
+
+    def __len__(self) -> int:
+        """Return the number of records held."""
+        return self._n
+
+    def append(self, values: NDArray[Any]) -> None:
+        """Add the values of the next records."""
+        self._file.seek(0, 2)
+        write_all(self._file, np.ascontiguousarray(values, self._dtype).view(np.uint8).reshape(-1).data)
+        self._n += len(values)
+
+    def get(self, record: I64) -> NDArray[Any]:
+        """Return the values of records, in the shape of ``record``; unknown indices give the fill value."""
+        flat = record.ravel()
+        result = np.full(flat.shape, np.array(self._fill, self._dtype), self._dtype)
+        held = np.flatnonzero((flat >= 0) & (flat < self._n))
+        if not len(held):
+            return result.reshape(record.shape)
+        wanted = flat[held]
+        low, high = int(wanted.min()), int(wanted.max()) + 1
+        if high - low <= 4 * max(len(held), PAGE_RECORDS):
+            result[held] = self._read(low, high - low)[wanted - low]
+            return result.reshape(record.shape)
+        order = np.argsort(wanted, kind="stable")
+        held, wanted = held[order], wanted[order]
+        page = wanted // PAGE_RECORDS
+        starts = np.flatnonzero(np.concatenate(([True], page[1:] != page[:-1])))
+        for start, stop in zip(starts, [*starts[1:], len(wanted)], strict=True):
+            first = int(wanted[start])
+            span = self._read(first, int(wanted[stop - 1]) + 1 - first)
+            result[held[start:stop]] = span[wanted[start:stop] - first]
+        return result.reshape(record.shape)
+
+    def close(self) -> None:
+        """Close the temporary file."""
+        self._file.close()
+
+    def _read(self, first: int, n: int) -> NDArray[Any]:
+        self._file.seek(first * self._dtype.itemsize)
+        return np.fromfile(self._file, self._dtype, n)
+
+
+class StraightCodes:
+    """A ``.npy`` file of class codes to append to.
+
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "codes.npy"
+    >>> straight = StraightCodes(path)
+    >>> straight.append(np.array([2, 2, 7], np.uint8))
+    >>> straight.finish()
+    >>> np.load(path), straight.counts[2]
+    (array([2, 2, 7], dtype=uint8), np.int64(2))
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.n = 0
+        """Codes so far."""
+        self.counts: I64 = np.zeros(256, np.int64)
+        """(256,) int64, records by code."""
+        self._file: BinaryIO = path.open("w+b", buffering=0)
+        self._start = len(npy_header("|u1", (0,)))
+        self._file.write(bytes(self._start))
+
+    def append(self, codes: U8) -> None:
+        """Write the codes of the next records, (n,) uint8."""
+        self._file.seek(self._start + self.n)
+        write_all(self._file, np.ascontiguousarray(codes).data)
+        self.counts += count_bytes(codes)
+        self.n += len(codes)
+
+    def chunks(self, n: int) -> Iterator[U8]:
+        """Read the codes again, up to ``n`` at a time."""
+        self._file.seek(self._start)
+        for first in range(0, self.n, n):
+            yield np.fromfile(self._file, np.uint8, min(n, self.n - first))
+
+    def finish(self) -> None:
+        """Write the header and close the file."""
+        header = npy_header("|u1", (self.n,))
+        assert len(header) == self._start, "numpy leaves room for any length of an array"
+        self._file.seek(0)
+        write_all(self._file, memoryview(header))
+        self._file.close()
+
+    def close(self) -> None:
+        """Close the file without completing it."""
+        self._file.close()
+
+
+def npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
+    """Return the header of a ``.npy`` file."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": dtype, "fortran_order": False, "shape": shape})
+    return header.getvalue()

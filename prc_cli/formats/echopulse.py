@@ -20,8 +20,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64
-from prc_cli.formats.layout import decode
-from prc_cli.formats.options import LayoutField
+from prc_cli.formats.options import LayoutField, decode
 from prc_cli.formats.records import RecordChunk, standard_first
 from prc_cli.formats.text.dialect import shorten, to_number
 

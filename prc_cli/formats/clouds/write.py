@@ -1,7 +1,4 @@
-"""Writers of PLY and PCD: whole streams, classified inputs of other formats, and clouds with their classes added.
-
-Files are binary and little-endian. Their header has a fixed size, because counts are known at the end.
-"""
+"""Writers of PLY and PCD: whole streams, classified inputs of other formats, and clouds with their classes added."""
 
 from __future__ import annotations
 
@@ -16,14 +13,29 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F64
-from prc_cli.formats.clouds import CHUNK_RECORDS, NO_CELL, OWN_COMMENT, CloudSource
+from prc_cli.formats.clouds.source import CHUNK_RECORDS, NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.tables.write import stream_rows
-from prc_cli.formats.writing.base import LabelWriter, ScatterWriter, StagedWriter, close_quietly
-from prc_cli.formats.writing.columns import RANGE, ExtraDimension, OptionalColumn, Values, asked_columns
+from prc_cli.formats.writing.base import (
+    NO_CODE,
+    LabelWriter,
+    ScatterWriter,
+    StagedStreamWriter,
+    StagedWriter,
+    StreamItem,
+    StreamShape,
+    close_quietly,
+)
+from prc_cli.formats.writing.columns import (
+    RANGE,
+    ExtraDimension,
+    LabelOutput,
+    OptionalColumn,
+    OutputConfig,
+    Values,
+    asked_columns,
+)
 from prc_cli.formats.writing.coordinates import LinesApart, Placement, coordinates
-from prc_cli.formats.writing.options import LabelOutput, OutputConfig
 from prc_cli.formats.writing.record import RunRecord
-from prc_cli.formats.writing.stream_writer import NO_CODE, StagedStreamWriter, StreamItem, StreamShape
 
 CLOUD_SUFFIXES = (".ply", ".pcd")
 """Files of these writers."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.tables.write import number_returns
-from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.base import StagedStreamWriter, StreamItem, StreamShape
 
 POINTS_AT_ONCE = 1 << 17
 """Points per call of the library."""

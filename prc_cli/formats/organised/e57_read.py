@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I64
-from prc_cli.formats.e57.file import (
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.organised.e57_file import (
     CARTESIAN,
     CARTESIAN_STATE,
     COLUMN,
@@ -32,8 +33,7 @@ from prc_cli.formats.e57.file import (
     E57File,
     E57Scan,
 )
-from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import (
+from prc_cli.formats.organised.scans import (
     INTENSITY_STEPS,
     MAX_LINES,
     MAX_POINTS_PER_LINE,
@@ -48,8 +48,7 @@ from prc_cli.formats.organised import (
     spans,
     to_float32,
 )
-from prc_cli.formats.ranges import clean_ranges
-from prc_cli.formats.returns import choose_returns
+from prc_cli.formats.ranges import choose_returns, clean_ranges
 
 MAX_RETURNS = 64
 """Most points per cell, averaged over a line: the points of a line are held in memory."""

@@ -1,7 +1,4 @@
-"""Organised scans (rows by columns): shared parts of PTX and E57.
-
-Every scan of the file becomes a scanner of the stream, every column a scan line, every row a beam.
-"""
+"""Organised scans (rows by columns): shared parts of PTX and E57."""
 
 from __future__ import annotations
 

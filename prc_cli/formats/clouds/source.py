@@ -14,9 +14,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64, Mask
-from prc_cli.formats.layout import check_fields, decode
 from prc_cli.formats.names import NAMES, angle_rules, usual_names
-from prc_cli.formats.options import Layout, LayoutField
+from prc_cli.formats.options import Layout, LayoutField, check_fields, decode
 from prc_cli.formats.records import STANDARD_NAMES, RecordChunk, standard_first
 
 CHUNK_RECORDS = 1 << 18

@@ -1,1 +1,0 @@
-"""Folders of pulses and echoes, one array a file (Stereopolis, LI3DS)."""

@@ -1,0 +1,15 @@
+"""Organised scans, rows by columns: PTX as text, and E57 (ASTM E2807) in a binary container."""
+
+from prc_cli.formats.registry import Format
+
+FORMATS = (
+    Format(name="PTX", scans=(".ptx",), images="prc_cli.formats.organised.ptx:open_ptx"),
+    Format(
+        name="E57",
+        scans=(".e57",),
+        images="prc_cli.formats.organised.e57_read:open_e57",
+        streams={".e57": "organised scans, relative to the scanner"},
+        write_stream="prc_cli.formats.organised.e57_write:E57Stream",
+        holds=frozenset(("relative", "angles", "times", "intensity", "returns")),
+    ),
+)

@@ -1,5 +1,0 @@
-"""PTX, organised scans as text."""
-
-from prc_cli.formats.registry import Format
-
-FORMATS = (Format(name="PTX", scans=(".ptx",), images="prc_cli.formats.ptx.read:open_ptx"),)

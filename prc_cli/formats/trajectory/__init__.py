@@ -1,1 +1,0 @@
-"""Trajectories as files: text and SBET."""
