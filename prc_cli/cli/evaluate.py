@@ -30,7 +30,7 @@ from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.evaluate.pictures import class_pictures
-from prc_cli.jobs.render.heading import origin
+from prc_cli.jobs.render.colours import origin
 from prc_cli.matching.pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}

@@ -17,7 +17,7 @@ from prc_cli.jobs.classify import Progress, RunSummary, classify
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.jobs.render import RenderOptions, render
-from prc_cli.jobs.render.heading import origin
+from prc_cli.jobs.render.colours import origin
 from prc_cli.jobs.render.viewer import render_viewer
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, load_settings

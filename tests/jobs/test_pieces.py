@@ -242,6 +242,6 @@ def test_what_other_programs_and_pages_rely_on() -> None:
 
 def test_axes_of_a_view_from_above_are_in_metres() -> None:
     camera = FromAbove(left=100.0, top=50.0, metres=0.25, size=(40, 24), highest=9.0)
-    panel = _panel(np.zeros((24, 40, 3), np.uint8), camera, None, None, "class")  # type: ignore[arg-type]
+    panel = _panel(np.zeros((24, 40, 3), np.uint8), camera, None, "class")
     assert (panel.x.first, panel.x.stop, panel.y.first, panel.y.stop) == (100.0, 110.0, 50.0, 44.0)
     assert panel.note.startswith("scale bar 2 m, 1 pixel = 25 cm")

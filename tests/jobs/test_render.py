@@ -20,12 +20,10 @@ from prc_cli.imaging.sheet import Axis
 from prc_cli.imaging.stages import TRIGGER_COLOUR, trigger_codes, trigger_picture
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, _pages, render
-from prc_cli.jobs.render.classes import LABEL_TABLE, Vocabulary
 from prc_cli.jobs.render.cloud import _draw_scale
-from prc_cli.jobs.render.frames import turns
+from prc_cli.jobs.render.colours import LABEL_TABLE, Vocabulary
 from prc_cli.jobs.render.options import FIGURE_1, choose_steps
-from prc_cli.jobs.render.scan import Part, _choose_layout, _elevations, choose_part, draw_scan
-from prc_cli.jobs.render.stages import INTERVALS
+from prc_cli.jobs.render.scan import INTERVALS, Part, _choose_layout, _elevations, choose_part, draw_scan, turns
 from tests.formats.organised_files import grid_points, ptx_scan, write_text
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
@@ -183,7 +181,7 @@ def test_existing_labels_are_drawn_without_a_classifier(
 ) -> None:
     classify(drive, tmp_path / "labels.npy", urban)
     expected = draw_scan(drive, urban, RenderOptions(steps=("range", "classes")), tmp_path)
-    monkeypatch.setattr("prc_cli.jobs.render.frames.label_blocks", None)
+    monkeypatch.setattr("prc_cli.jobs.render.scan.label_blocks", None)
     drawing = draw_scan(drive, urban, RenderOptions(labels=tmp_path / "labels.npy"), tmp_path)
     for one, other in zip(drawing.strips[0], expected.strips[0], strict=True):
         assert np.array_equal(one.picture, other.picture)
@@ -336,9 +334,9 @@ def test_unknown_steps(method: str, options: dict[str, tuple[str, ...]], expecte
         ({"lines": (9, 9)}, "--only-lines: found 9:9"),
     ],
 )
-def test_parts_that_are_not_there(options: dict[str, object], expected: str, urban: LoadedConfig) -> None:
+def test_parts_that_are_not_there(drive: Path, options: dict[str, object], expected: str, urban: LoadedConfig) -> None:
     with pytest.raises(ConfigError, match=expected):
-        choose_part(RenderOptions(**options), urban, 137)  # type: ignore[arg-type]
+        choose_part(RenderOptions(**options), urban, open_stream(drive, urban))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

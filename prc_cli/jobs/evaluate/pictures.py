@@ -19,7 +19,7 @@ from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.mapping import Side as SideName
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
-from prc_cli.jobs.render.frames import open_for_pictures, upright
+from prc_cli.jobs.render.scan import open_for_pictures, upright
 from prc_cli.matching.pairs import files_of, stem_of
 from prc_cli.matching.sides import LINE, Side, SideFile
 

@@ -16,16 +16,8 @@ from prc_cli.imaging.page import html_page
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
 from prc_cli.jobs.choice import decide, decided_by
 from prc_cli.jobs.classify import Progress
-from prc_cli.jobs.render.options import (
-    CAPTIONS,
-    COLOURS,
-    PRC_STEPS,
-    SUFFIXES,
-    VIEWS,
-    RenderOptions,
-    RenderResult,
-)
-from prc_cli.jobs.render.scan import Drawing, describe, draw_scan
+from prc_cli.jobs.render.options import CAPTIONS, COLOURS, PRC_STEPS, SUFFIXES, VIEWS, RenderOptions, RenderResult
+from prc_cli.jobs.render.scan import NOT_LABELLED, Drawing, describe, draw_scan
 
 
 def render(
@@ -81,11 +73,10 @@ def render(
     with temporary_folder("prc-render-") as scratch:
         if chosen.view == "scan":
             drawing = draw_scan(source, config, chosen, scratch, progress)
-            head = describe(drawing, config, chosen, source.name)
             result = RenderResult(
-                files=(), size=(0, 0), drawn=head, steps=drawing.steps, lines=(drawing.part.first, drawing.part.stop),
-                thinned_by=drawing.thinned_by, counts=drawing.counts, n_compared=drawing.n_compared,
-                n_differing=drawing.n_differing,
+                (), (0, 0), describe(drawing, config, chosen, source.name), drawing.steps,
+                (drawing.part.first, drawing.part.stop), drawing.thinned_by, drawing.counts, drawing.n_compared,
+                drawing.n_differing,
             )  # fmt: skip
             pages, key = _pages(drawing), drawing.key
         else:
@@ -102,7 +93,7 @@ def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> Load
         return config
     steps = set(options.steps or ())
     of_prc = options.figure1 or options.block is not None or steps & set(PRC_STEPS)
-    if of_prc or options.labels is not None or (steps and not steps - {"range", "intensity", "reference"}):
+    if of_prc or options.labels is not None or (steps and not steps - NOT_LABELLED):
         return decided_by(MethodChoice("urban", "its steps are asked for"), config)
     return decide(source, config)
 
@@ -110,28 +101,20 @@ def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> Load
 def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
     """Distribute the strips over pages, each with its heading."""
     pages = []
-    for first in range(0, len(drawing.strips), drawing.strips_per_page):
-        strips = drawing.strips[first : first + drawing.strips_per_page]
+    per_page, part = drawing.strips_per_page, drawing.part
+    for first in range(0, len(drawing.strips), per_page):
+        strips = drawing.strips[first : first + per_page]
+        lines = [axis for strip in strips for axis in (strip[0].x, strip[0].y) if axis.name == "line"]
+        heading = f"lines {lines[0].first:,.0f} to {min(lines[-1].stop, part.stop) - 1:,.0f}"
         panels = [panel for strip in strips for panel in strip]
-        along = [axis for axis in (strips[0][0].x, strips[0][0].y) if axis.name == "line"]
-        last = [axis for axis in (strips[-1][0].x, strips[-1][0].y) if axis.name == "line"]
-        stop = min(last[0].stop, drawing.part.stop)
-        several = len(drawing.strips) > drawing.strips_per_page
-        pages.append((f"lines {along[0].first:,.0f} to {stop - 1:,.0f}" if several else "", panels))
+        pages.append((heading if len(drawing.strips) > per_page else "", panels))
     return pages
 
 
 def _write(
-    output: Path,
-    name: str,
-    result: RenderResult,
-    pages: Sequence[tuple[str, list[Panel]]],
-    key: Key,
-    *,
-    max_height: int,
-    overwrite: bool,
-    inputs: tuple[Path, ...],
-) -> RenderResult:
+    output: Path, name: str, result: RenderResult, pages: Sequence[tuple[str, list[Panel]]], key: Key,
+    *, max_height: int, overwrite: bool, inputs: tuple[Path, ...],
+) -> RenderResult:  # fmt: skip
     """Write all pages or none."""
     if output.suffix.lower() == ".html":
         text = html_page(name, result.drawn, pages, key, f"prc {__version__}")

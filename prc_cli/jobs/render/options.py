@@ -13,8 +13,6 @@ View: TypeAlias = Literal["scan", "top", "perspective"]
 VIEWS: tuple[View, ...] = ("scan", "top", "perspective")
 ColourBy: TypeAlias = Literal["class", "range", "height", "intensity", "confidence"]
 COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity", "confidence")
-CONFIDENCE_LIMITS = (50.0, 100.0)
-"""Ends of the colour scale of confidence [per cent]; less is drawn as the lower one."""
 SUFFIXES = (".png", ".html")
 
 PRC_STEPS = ("support", "critical", "background", "components", "segments", "surfaces", "segmentation")
@@ -100,8 +98,6 @@ CAPTIONS: dict[str, tuple[str, str]] = {
 }
 """Title and caption of every step."""
 
-LABEL_FILE_STEPS = ("range", "intensity", "classes")
-"""Steps of an existing result: label files hold no intermediate images."""
 ON_REQUEST = ("intensity", "confidence", "critical", "dense", "triggers", "dividers", "tests")
 """Steps that are drawn only where they are named."""
 REFERENCE_STEPS = ("reference", "difference")
@@ -177,39 +173,29 @@ class RenderResult(Brief):
     """Remarks for the reader of the picture."""
 
 
-def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
-    """Return the steps that can be drawn."""
-    if options.labels is not None:
-        steps: tuple[str, ...] = LABEL_FILE_STEPS
-    elif method == "sequential-angle":
-        steps = ("range", "intensity", *SEQUENTIAL_STEPS, "classes")
-    elif method == "fused":
-        steps = ("range", "intensity", "classes", "confidence")
-    else:
-        steps = ("range", "intensity", *PRC_STEPS, "classes")
-    return (*steps, *REFERENCE_STEPS) if options.reference is not None else steps
-
-
 def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     """Return the steps to draw: the requested ones, else all for a part, and only the result for a whole drive.
 
     >>> choose_steps("prc", RenderOptions())
     ('range', 'classes')
     """
-    possible = possible_steps(method, options)
+    own = {"sequential-angle": (*SEQUENTIAL_STEPS, "classes"), "fused": ("classes", "confidence")}
+    # label files hold no intermediate images
+    steps = ("classes",) if options.labels is not None else own.get(method, (*PRC_STEPS, "classes"))
+    of_reference = () if options.reference is None else REFERENCE_STEPS
+    possible = ("range", "intensity", *steps, *of_reference)
     chosen = FIGURE_1 if options.figure1 else options.steps
     if chosen is None:
         whole = options.block is None and options.lines is None and method != "sequential-angle"
-        chosen = ("range", "classes") if whole else tuple(s for s in possible if s not in ON_REQUEST)
-        if whole and options.reference is not None:
-            chosen = (*chosen, *REFERENCE_STEPS)
-    elif options.figure1 and options.reference is not None:
+        chosen = ("range", "classes", *of_reference) if whole else tuple(s for s in possible if s not in ON_REQUEST)
+    elif options.figure1 and of_reference:
         chosen = (*chosen, "reference")
+    hint = f"possible here: {', '.join(possible)}"
     for step in chosen:
         if step not in possible:
-            raise ConfigError("--steps", _why_not(step, method, options), f"possible here: {', '.join(possible)}")
+            raise ConfigError("--steps", _why_not(step, method, options), hint)
     if not chosen:
-        raise ConfigError("--steps", "found none, expected at least one", f"possible here: {', '.join(possible)}")
+        raise ConfigError("--steps", "found none, expected at least one", hint)
     return tuple(dict.fromkeys(chosen))
 
 
@@ -218,6 +204,5 @@ def _why_not(step: str, method: str, options: RenderOptions) -> str:
         return f"{step!r} needs a reference, expected --reference FILE"
     if step not in CAPTIONS:
         return f"found {step!r}, which is no step"
-    if options.labels is not None:
-        return f"found {step!r}, which a label file does not hold"
-    return f"found {step!r}, which is no step of {method}"
+    holder = "which a label file does not hold" if options.labels is not None else f"which is no step of {method}"
+    return f"found {step!r}, {holder}"

@@ -2,65 +2,217 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig
-from prc_cli.core.classes import LABEL_COLOURS, Label
+from prc_cli.core.blocks import regroup
+from prc_cli.core.classes import LABEL_COLOURS, LABEL_OF_SURFACE, Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import ReadTally, ScanBlock
-from prc_cli.core.types import F64, I64, U8
-from prc_cli.imaging.pictures import (
-    AGREE_COLOUR,
-    Bar,
-    class_picture,
-    difference_picture,
-    mask_picture,
-    range_bar,
-    range_limits,
-    range_picture,
-    segment_picture,
-    value_bar,
-    value_limits,
-    value_picture,
-)
-from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Colour, Key, Panel, zoom_for
-from prc_cli.imaging.stages import critical_bar, critical_limits, critical_picture, trigger_key, trigger_picture
-from prc_cli.jobs.classify import Progress
+from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StageLabels
+from prc_cli.core.types import F64, I64, U8, Mask
+from prc_cli.evaluation.mapping import Side
+from prc_cli.imaging.pictures import AGREE_COLOUR, Bar, difference_picture, mask_picture, segment_picture
+from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Key, Panel, zoom_for
+from prc_cli.imaging.stages import trigger_codes, trigger_key, trigger_picture
+from prc_cli.jobs.classify import Progress, label_blocks, open_stream
 from prc_cli.jobs.progress import advance
-from prc_cli.jobs.render.classes import (
+from prc_cli.jobs.render.colours import (
     LABEL_TABLE,
     NOT_SCORED,
+    SCALES,
     ClassTable,
     RecordClasses,
     Vocabulary,
-    read_classes,
+    heading,
+    labels_of,
+    made_with,
     share_text,
+    thinned,
     vocabulary,
 )
-from prc_cli.jobs.render.frames import (
-    Frame,
-    Plane,
-    count_lines,
-    frames,
-    of_station,
-    open_for_pictures,
-    turns,
-    upright,
-)
-from prc_cli.jobs.render.heading import heading, made_by, made_with
-from prc_cli.jobs.render.options import CAPTIONS, CONFIDENCE_LIMITS, RenderOptions, choose_steps
-from prc_cli.jobs.render.stages import INTERVALS, TESTS
+from prc_cli.jobs.render.options import CAPTIONS, PRC_STEPS, RenderOptions, choose_steps
+from prc_cli.methods.base import MethodParams, OneByOne
+from prc_cli.methods.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
+from prc_cli.streams.beams import with_beams
 
+Plane: TypeAlias = NDArray[Any]
+"""(lines, M): ranges, masks, ids, labels."""
+Images: TypeAlias = dict[str, Plane]
+"""Planes by step."""
+
+TURN_LINES = 64
+"""Lines examined for a rotation of the scanner."""
+LEAST_TURN_RAD = 1e-4
+"""Smallest azimuth step between lines that counts as a rotation [rad]."""
+SEGMENT_COLOURS = 1 << 30
+"""Segment ids are drawn modulo this number."""
 STRIP_HEIGHT, PANEL_HEIGHT, UPRIGHT_HEIGHT = 380, 800, 1100
 """Highest picture of a strip of a folded drive, of a drive that needs no folding, of an upright scan [pixels]."""
 FOLD_FROM = 2
 """Length, in picture widths, above which vertical lines without rotation are folded into strips."""
 PAGE_ROOM = 140
 """Space for headline and key of a page [pixels]."""
+NOT_LABELLED = {"range", "intensity", "reference"}
+"""Steps that need no classifier."""
+_NO_RETURN, _AGREE, _PALE = "no return", "both agree", (226, 226, 226)
+
+INTERVALS = ClassTable(
+    (_NO_RETURN, "in no interval", "odd interval", "even interval"),
+    np.array([(255, 255, 255), _PALE, (213, 94, 0), (0, 114, 178)], np.uint8),
+)
+"""Intervals between dividers in turn, as in the paper's Fig. 4; 0 = missing."""
+TESTS = ClassTable(
+    (
+        _NO_RETURN, "in no interval", "tall vertical, cut out", "vegetation by its spectrum", "behind a high vertical",
+        "next to the ground", "behind a curb", "car",
+    ),
+    np.array(
+        [
+            (255, 255, 255), _PALE, LABEL_COLOURS[Label.VERTICAL], LABEL_COLOURS[Label.VEGETATION], (106, 61, 154),
+            LABEL_COLOURS[Label.HORIZONTAL], LABEL_COLOURS[Label.CURB], LABEL_COLOURS[Label.CAR],
+        ],
+        np.uint8,
+    ),
+)  # fmt: skip
+"""What became of the shots of intervals: :class:`~prc_cli.core.classes.CarTest` plus 1; 0 = missing."""
+STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
+
+
+def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
+    """Open a stream, with beam angles wherever they can be found, for any classifier."""
+    stream = open_stream(path, loaded)
+    if loaded.config.needs_beams:
+        return stream
+    # without a vertical direction pictures lie on their side; damage is reported when the stream is read
+    with suppress(InputError, ConfigError):
+        return with_beams(stream, loaded.config.input)
+    return stream
+
+
+def of_station(stream: ScanStream, station: int | None) -> Iterator[ScanBlock]:
+    """Yield the blocks of one scanner, by default the first."""
+    others: set[int] = set()
+    chosen, found = station, False
+    for block in stream.blocks():
+        if chosen is None:
+            chosen = block.scanner
+        if block.scanner == chosen:
+            found = True
+            yield block
+        else:
+            others.add(block.scanner)
+    if not found and others:
+        numbers = ", ".join(str(number) for number in sorted(others)[:20])
+        shown = f"one, number {numbers}" if len(others) == 1 else f"{len(others)}, numbers {numbers}"
+        shown += ", ..." if len(others) > 20 else ""
+        raise ConfigError("--station", f"found {station}, but {stream.info.path} holds {shown}")
+
+
+def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
+    """Return the columns of a vertical line from the sky to the ground; None if lines are not vertical.
+
+    >>> upright(np.deg2rad([10.0, 90.0, 140.0])).tolist()
+    [2, 1, 0]
+    """
+    if beam_rad is None or not ((beam_rad >= 0).all() or (beam_rad <= 0).all()):
+        return None
+    return np.argsort(-np.abs(beam_rad), kind="stable")
+
+
+def turns(block: ScanBlock) -> float:
+    """Return how a scanner turns from line to line, seen from above."""
+    if block.xyz_m is None or block.n_lines < 2:
+        return 0.0
+    x, y = (block.xyz_m[: TURN_LINES + 1, :, axis].astype(np.float64) for axis in (0, 1))
+    with np.errstate(invalid="ignore"):
+        step = np.arctan2(x[:-1] * y[1:] - y[:-1] * x[1:], x[:-1] * x[1:] + y[:-1] * y[1:])
+        step = step[(np.hypot(x, y)[:-1] > 0) & (np.hypot(x, y)[1:] > 0)]
+    middle = float(np.median(step)) if step.size else 0.0
+    return middle if abs(middle) > LEAST_TURN_RAD else 0.0
+
+
+def frames(
+    blocks: Iterator[ScanBlock], params: MethodParams, steps: tuple[str, ...], *, classify: bool
+) -> Iterator[tuple[ScanBlock, Images]]:
+    """Classify blocks as far as the steps need it; yield them with the images of the steps."""
+    found: Iterator[tuple[ScanBlock, Images]] = ((block, {}) for block in blocks)
+    if classify and isinstance(params, PrcParams) and set(steps) & set(PRC_STEPS):
+        found = _traced(blocks, params, steps)
+    elif classify:
+        found = _labelled(blocks, params, steps)
+    for block, planes in found:
+        if "intensity" in steps:
+            if block.intensity is None:
+                raise ConfigError("--steps", "found 'intensity', but the input has none")
+            planes["intensity"] = block.intensity
+        yield block, {"range": block.range_m, **planes}
+
+
+def _ids(segments: NDArray[np.int64]) -> Plane:
+    return np.where(segments > 0, segments % SEGMENT_COLOURS + 1, 0).astype(np.int32)
+
+
+def _critical(trace: PrcTrace) -> Plane:
+    """Return the larger critical threshold of every shot: from there on both neighbourhoods support it."""
+    assert trace.critical is not None
+    return np.maximum(trace.critical.in_line_m, trace.critical.adjacent_m)
+
+
+_TRACED: Mapping[str, Callable[[PrcTrace], Plane]] = {
+    "support": lambda trace: trace.supported,
+    "background": lambda trace: trace.background,
+    "critical": _critical,
+    # filling gives labels to shots of G alone, so without them the components are those before it
+    "components": lambda trace: np.where(trace.supported & ~trace.background, trace.components.image, np.int32(0)),
+    "segments": lambda trace: _ids(trace.components.to_segments()),
+    "surfaces": lambda trace: _ids(trace.surfaces.to_patches()),
+    "segmentation": lambda trace: _ids(trace.surfaces.to_segments()),
+}
+_SURFACES = np.array(LABEL_OF_SURFACE, np.uint8)
+_STAGES: Mapping[str, Callable[[StageLabels, Mask], Plane]] = {
+    "coarse": lambda stages, seen: _SURFACES[stages.surface],
+    "dense": lambda stages, seen: np.where(
+        stages.dense_vegetation, Label.VEGETATION, np.where(seen, Label.UNCLASSIFIED, Label.MISSING)
+    ).astype(np.uint8),
+    "ground": lambda stages, seen: np.where(seen, stages.ground_height_m, np.float32(np.nan)),
+    "triggers": lambda stages, seen: trigger_codes(_SURFACES[stages.car_surface], stages.trigger),
+    "dividers": lambda stages, seen: np.where(
+        seen, np.where(stages.car_interval == 0, 1, 3 - stages.car_interval % 2), 0
+    ).astype(np.uint8),
+    "tests": lambda stages, seen: np.where(seen, stages.car_test + np.uint8(1), 0).astype(np.uint8),
+}
+
+
+def _traced(
+    blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ...]
+) -> Iterator[tuple[ScanBlock, Images]]:
+    """Run PRC over the blocks of one scanner, and keep its intermediate images."""
+    turn: OneByOne[PrcState] | None = None
+    for block in regroup(blocks, params.lines_per_block):
+        turn = turn or OneByOne(initial_state(block.points_per_line))
+        trace = classify_block(
+            block.range_m, block.next_m, turn, params, segments=True, critical="critical" in steps
+        )  # fmt: skip
+        yield block, {"classes": trace.labels, **{step: _TRACED[step](trace) for step in steps if step in _TRACED}}
+
+
+def _labelled(
+    blocks: Iterator[ScanBlock], params: MethodParams, steps: tuple[str, ...]
+) -> Iterator[tuple[ScanBlock, Images]]:
+    for item in label_blocks(blocks, params, stages=True, confidence="confidence" in steps):
+        planes, seen, stages = {"classes": item.labels}, ~np.isnan(item.block.range_m), item.stages
+        if item.confidence is not None:
+            planes["confidence"] = np.where(seen, item.confidence.astype(np.float32), np.float32(np.nan))
+        if stages is not None:
+            planes |= {step: _STAGES[step](stages, seen) for step in steps if step in _STAGES}
+        yield item.block, planes
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +229,15 @@ class Part:
         """Whether all lines are drawn."""
         return self.stop - self.first == self.n_lines
 
+    def inside(self, block: ScanBlock) -> tuple[int, int]:
+        """Return which lines of a block are drawn: the first, and the last + 1."""
+        return max(self.first - block.first_line, 0), min(self.stop - block.first_line, block.n_lines)
+
+    def sentence(self) -> str:
+        """Name the lines for a headline."""
+        lines = "all" if self.is_whole else f"lines {self.first:,} to {self.stop - 1:,} of"
+        return f"{lines} {self.n_lines:,}"
+
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
@@ -92,21 +253,6 @@ class Drawing:
     counts: dict[str, int]
     n_compared: int
     n_differing: int
-
-
-@dataclass(slots=True)
-class _Kept:
-    """Thinned images and full counts, collected while the stream is read."""
-
-    planes: dict[str, list[Plane]] = field(default_factory=dict)
-    counts: dict[str, I64] = field(default_factory=dict)
-    """Shots by class of every class image, before thinning."""
-    n_compared: int = 0
-    n_differing: int = 0
-    beam_rad: F64 | None = None
-    turn_rad: float = 0.0
-    tally: ReadTally = field(default_factory=ReadTally)
-    n_read: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,60 +279,56 @@ def draw_scan(
     words = vocabulary(options, loaded.config.classes)
     stream = open_for_pictures(loaded, source)
     # labels are checked first: they are small, and classifying takes long
-    given = _read(options.labels, options.labels_dimension, words, "predicted", folder)
-    reference = _read(options.reference, options.reference_dimension, words, "reference", folder)
-    for side in (given, reference):
-        if side is not None:
-            side.check(stream.info.n_records)
-    part = choose_part(options, loaded, count_lines(stream, options.station, loaded))
-    first = next(of_station(stream.blocks(), options.station, stream.info.path), None)
+    sides: dict[Side, RecordClasses] = {}
+    if options.labels is not None:
+        sides["predicted"] = words.read(options.labels, options.labels_dimension, "predicted", folder)
+    if options.reference is not None:
+        sides["reference"] = words.read(options.reference, options.reference_dimension, "reference", folder)
+    for given in sides.values():
+        given.check(stream.info.n_records)
+    part = choose_part(options, loaded, stream)
+    first = next(of_station(stream, options.station), None)
     if first is None:
         raise InputError(str(source), "found no scan lines, expected at least one")
     layout = _choose_layout(first, part, len(steps), options)
-    labelled = given is None and bool(set(steps) - {"range", "intensity", "reference"})
-    kept = _Kept(beam_rad=first.beam_rad, turn_rad=turns(first))
-    blocks = of_station(stream.blocks(), options.station, stream.info.path)
-    info = stream.info
-    for frame in frames(blocks, loaded, steps, classify=labelled):
-        frame = _with_classes(frame, words, given, reference)
-        _keep(kept, frame, part, layout, steps, words)
-        advance(progress, frame.block, info)
-        if frame.block.first_line + frame.block.n_lines >= part.stop:
+    own = words.table if "predicted" in sides else LABEL_TABLE.without(options.hide)
+    sheet = _Sheet(part, layout, steps, words, own, first.beam_rad, turns(first))
+    classify = "predicted" not in sides and bool(set(steps) - NOT_LABELLED)
+    info, tally, n_read = stream.info, ReadTally(), 0
+    for block, planes in frames(
+        of_station(stream, options.station), loaded.config.classifier, steps, classify=classify
+    ):
+        _add_sides(block, planes, words, sides)
+        sheet.keep(block, planes)
+        advance(progress, block, info)
+        tally, n_read = tally + block.tally, max(n_read, int(block.records().max(initial=-1)) + 1)
+        if block.first_line + block.n_lines >= part.stop:
             break
-    if part.stop == part.n_lines and kept.tally.n_records:
-        for side in (given, reference):
-            if side is not None and stream.info.n_records is None and options.station is None:
-                side.check(max(kept.tally.n_records, kept.n_read))
-    own = words.table if given is not None else LABEL_TABLE.without(options.hide)
-    return _draw(kept, part, layout, steps, words, own)
+    if part.stop == part.n_lines and tally.n_records and stream.info.n_records is None and options.station is None:
+        for given in sides.values():
+            given.check(max(tally.n_records, n_read))
+    return sheet.drawing()
 
 
 def _check_part(method: str, options: RenderOptions) -> None:
     if options.block is not None and options.lines is not None:
         raise ConfigError("--block", "given together with --only-lines, expected one of them")
     if options.figure1 and method != "prc":
-        raise ConfigError("--figure1", f"belongs to prc, found the method {method}", _METHOD)
+        raise ConfigError("--figure1", f"belongs to prc, found the method {method}", "add --method prc")
     if options.figure1 and options.labels is not None:
         problem = "the figure shows the steps of prc, which a label file does not hold"
         raise ConfigError("--figure1", problem, "leave --labels out")
     if options.block is not None and method != "prc":
-        hint = "give --only-lines A:B"
-        raise ConfigError("--block", f"the {method} method has no blocks", hint)
+        raise ConfigError("--block", f"the {method} method has no blocks", "give --only-lines A:B")
 
 
-_METHOD = "add --method prc"
-
-
-def _read(path: Path | None, dimension: str | None, words: Vocabulary, side: str, folder: Path) -> RecordClasses | None:
-    if path is None:
-        return None
-    if side == "predicted":
-        return read_classes(path, dimension, lambda codes: words.turn(codes, "predicted"), folder, side)
-    return read_classes(path, dimension, lambda codes: words.turn(codes, "reference"), folder, side)
-
-
-def choose_part(options: RenderOptions, loaded: LoadedConfig, n_lines: int) -> Part:
-    """Return the lines to draw."""
+def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream) -> Part:
+    """Return the lines to draw; reads the stream where its number of lines is not known otherwise."""
+    info = stream.info
+    is_alone = loaded.config.input.scanner == "none" and not info.facts.has_scans and options.station is None
+    n_lines = info.n_lines if is_alone else None
+    if n_lines is None:
+        n_lines = sum(block.n_lines for block in of_station(stream, options.station))
     k = loaded.config.prc.lines_per_block
     n_blocks = -(-n_lines // k)
     block = options.block
@@ -227,225 +369,167 @@ def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOp
     return _Layout("strips", line_step, column_step, -(-drawn // n_strips), per_page)
 
 
-def _with_classes(
-    frame: Frame, words: Vocabulary, given: RecordClasses | None, reference: RecordClasses | None
-) -> Frame:
+def _add_sides(block: ScanBlock, planes: Images, words: Vocabulary, sides: Mapping[Side, RecordClasses]) -> None:
     """Add the classes of label files, and the classifier's classes in the vocabulary of both sides."""
-    if given is None and reference is None:
-        return frame
-    planes = dict(frame.planes)
-    record, seen = frame.block.records(), ~np.isnan(frame.block.range_m)
-    if given is not None:
-        planes["classes"] = planes["predicted"] = words.mark_unscored(given.look_up(record), seen)
-    elif "classes" in planes:
+    record, seen = block.records(), ~np.isnan(block.range_m)
+    for side, given in sides.items():
+        planes[side] = words.mark_unscored(given.look_up(record), seen)
+    if "predicted" in sides:
+        planes["classes"] = planes["predicted"]
+    elif sides and "classes" in planes:
         planes["predicted"] = words.mark_unscored(words.turn_labels(planes["classes"]), seen)
-    if reference is not None:
-        planes["reference"] = words.mark_unscored(reference.look_up(record), seen)
-    return replace(frame, planes=planes)
 
 
-def _keep(
-    kept: _Kept, frame: Frame, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary
-) -> None:  # fmt: skip
-    """Count the part's shots, and keep the lines and columns to draw."""
-    block = frame.block
-    kept.tally = kept.tally + block.tally
-    kept.n_read = max(kept.n_read, int(block.records().max(initial=-1)) + 1)
-    low = max(part.first - block.first_line, 0)
-    high = min(part.stop - block.first_line, block.n_lines)
-    if low >= high:
-        return
-    inside = {name: plane[low:high] for name, plane in frame.planes.items()}
-    size = max(len(words.table.names), len(Label))
-    for side in ("classes", "predicted", "reference", *_STAGE_TABLES):
-        if side in inside:
-            counts = np.bincount(inside[side].ravel(), minlength=size)
-            kept.counts[side] = counts + kept.counts.get(side, 0)
-    if "predicted" in inside and "reference" in inside:
-        both = np.ones(inside["reference"].shape, bool)
-        for name in ("predicted", "reference"):
-            both &= (inside[name] > 0) & (inside[name] != words.unscored)
-        kept.n_compared += int(np.count_nonzero(both))
-        kept.n_differing += int(np.count_nonzero(both & (inside["predicted"] != inside["reference"])))
-    start = (part.first - block.first_line - low) % layout.line_step
-    wanted = {*steps, "predicted"} if "difference" in steps else set(steps)
-    for name, plane in inside.items():
-        if name in wanted or (name == "reference" and "difference" in steps):
-            thin = np.ascontiguousarray(plane[start :: layout.line_step, :: layout.column_step])
-            kept.planes.setdefault(name, []).append(thin)
+@dataclass(slots=True)
+class _Sheet:
+    """Thinned images and full counts, collected while the stream is read, then coloured on scales common to all."""
 
+    part: Part
+    layout: _Layout
+    steps: tuple[str, ...]
+    words: Vocabulary
+    own: ClassTable
+    """Table of the step ``classes``."""
+    beam_rad: F64 | None
+    turn_rad: float
+    kept: dict[str, list[Plane]] = field(default_factory=dict)
+    counts: dict[str, I64] = field(default_factory=dict)
+    """Shots by class of every class image, before thinning."""
+    n_compared: int = 0
+    n_differing: int = 0
 
-def _draw(
-    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, own: ClassTable
-) -> Drawing:  # fmt: skip
-    planes = {name: np.concatenate(parts) for name, parts in kept.planes.items()}
-    painter = _Painter(planes, steps, words, own)
-    if layout.kind != "strips":
-        painter.keys = _keys(kept, words, own)
-    if kept.n_compared:
-        painter.notes["difference"] = (
-            f"{share_text(kept.n_differing, kept.n_compared)} of {kept.n_compared:,} shots differ"
-        )
-    strips = tuple(_strips(painter, kept, part, layout))
-    key = _shared_key(kept, steps, words, own) if layout.kind == "strips" else ()
-    side, table = ("classes", own) if "classes" in kept.counts else ("reference", words.table)
-    found = kept.counts.get(side, np.zeros(len(table.names), np.int64))
-    counts = {name: int(count) for name, count in zip(table.names, found, strict=False) if count}
-    return Drawing(
-        strips, layout.strips_per_page, key, part, steps, (layout.line_step, layout.column_step), counts,
-        kept.n_compared, kept.n_differing,
-    )  # fmt: skip
+    @property
+    def tables(self) -> dict[str, ClassTable]:
+        """Classes of pictures, by step."""
+        return {"classes": self.own, "reference": self.words.table, **STAGE_TABLES}
 
+    def keep(self, block: ScanBlock, planes: Images) -> None:
+        """Count the part's shots, and keep the lines and columns to draw."""
+        low, high = self.part.inside(block)
+        if low >= high:
+            return
+        inside = {name: plane[low:high] for name, plane in planes.items()}
+        size = max(len(self.words.table.names), len(Label))
+        for side in ("classes", "predicted", "reference", *STAGE_TABLES):
+            if side in inside:
+                self.counts[side] = np.bincount(inside[side].ravel(), minlength=size) + self.counts.get(side, 0)
+        if "predicted" in inside and "reference" in inside:
+            one, other = inside["predicted"], inside["reference"]
+            both = (one > 0) & (one != self.words.unscored) & (other > 0) & (other != self.words.unscored)
+            self.n_compared += int(np.count_nonzero(both))
+            self.n_differing += int(np.count_nonzero(both & (one != other)))
+        start = (self.part.first - block.first_line - low) % self.layout.line_step
+        wanted = {*self.steps, *(("predicted", "reference") if "difference" in self.steps else ())}
+        for name in wanted & set(inside):
+            thin = np.ascontiguousarray(inside[name][start :: self.layout.line_step, :: self.layout.column_step])
+            self.kept.setdefault(name, []).append(thin)
 
-_STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
-"""Classes of the pictures of stages."""
+    def drawing(self) -> Drawing:
+        """Return the pictures."""
+        layout, part = self.layout, self.part
+        planes = {name: np.concatenate(parts) for name, parts in self.kept.items()}
+        scales = {step: SCALES[step].limits(planes[step]) for step in self.steps if step in SCALES}
+        keys = self._keys()
+        is_folded = layout.kind == "strips"
+        strips, n_drawn = [], len(next(iter(planes.values())))
+        for first in range(0, n_drawn, layout.strip):
+            stop = min(first + layout.strip, n_drawn)
+            lines = part.first + first * layout.line_step, part.first + stop * layout.line_step
+            panels = []
+            for step in self.steps:
+                picture, bar = self._paint(step, {name: plane[first:stop] for name, plane in planes.items()}, scales)
+                panels.append(self._panel(step, picture, bar, () if is_folded else keys.get(step, ()), lines))
+            strips.append(tuple(panels))
+        side, table = ("classes", self.own) if "classes" in self.counts else ("reference", self.words.table)
+        counts = table.count_by_name(self.counts.get(side, np.zeros(len(table.names), np.int64)))
+        return Drawing(
+            tuple(strips), layout.strips_per_page, self._shared_key(keys) if is_folded else (), part, self.steps,
+            (layout.line_step, layout.column_step), counts, self.n_compared, self.n_differing,
+        )  # fmt: skip
 
-
-def _keys(kept: _Kept, words: Vocabulary, own: ClassTable) -> dict[str, Key]:
-    """Return the key of every class picture: classes that occur, with shares."""
-    tables = {"classes": own, "reference": words.table, **_STAGE_TABLES}
-    keys: dict[str, Key] = {}
-    for step, counts in kept.counts.items():
-        if step in tables:
-            keys[step] = tables[step].key(counts[: len(tables[step].names)])
+    def _keys(self) -> dict[str, Key]:
+        """Return the key of every class picture: classes that occur, with shares."""
+        keys: dict[str, Key] = {}
+        for step, table in self.tables.items():
+            counts = self.counts.get(step)
+            if counts is None:
+                continue
+            keys[step] = table.key(counts[: len(table.names)])
             if counts[0]:
                 share = share_text(int(counts[0]), int(counts.sum()))
                 keys[step] += ((f"{_NO_RETURN} ({share} of all shots)", LABEL_COLOURS[Label.MISSING]),)
-    if "triggers" in kept.planes:
-        keys["triggers"] = trigger_key()
-    if "predicted" in kept.counts and "reference" in kept.counts:
-        counts = kept.counts["predicted"].copy()
-        counts[words.unscored] += kept.counts["reference"][words.unscored]
-        keys["difference"] = (("both agree", AGREE_COLOUR), *_names(words.table, counts))
-    return keys
+        if "triggers" in self.kept:
+            keys["triggers"] = trigger_key()
+        if "predicted" in self.counts and "reference" in self.counts:
+            counts = self.counts["predicted"].copy()
+            counts[self.words.unscored] += self.counts["reference"][self.words.unscored]
+            keys["difference"] = ((_AGREE, AGREE_COLOUR), *_names(self.words.table, counts))
+        return keys
 
+    def _shared_key(self, keys: dict[str, Key]) -> Key:
+        """Return one key for a sheet of strips; with shares only if they belong to a single picture."""
+        shown = [step for step in self.steps if step in keys]
+        if len(shown) == 1:
+            return keys[shown[0]]
+        entries: dict[Any, None] = {}
+        for step in shown:
+            table = self.tables.get(step)
+            key = keys[step] if table is None else _names(table, self.counts[step][: len(table.names)])
+            entries |= dict.fromkeys(key)
+        # entries that are no class go last
+        last = (NOT_SCORED, _AGREE, _NO_RETURN)
+        return tuple(sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1))
 
-_NO_RETURN = "no return"
+    def _paint(self, step: str, planes: Images, scales: Mapping[str, tuple[float, float]]) -> tuple[U8, Bar | None]:
+        """Return the (lines, columns, 3) picture of some of the drawn lines, and its colour bar."""
+        if step == "difference":
+            table, unscored = self.words.table.shown, self.words.unscored
+            return difference_picture(planes["predicted"], planes["reference"], table, unscored), None
+        plane = planes[step]
+        if step in SCALES:
+            return SCALES[step].picture(plane, scales[step]), SCALES[step].bar(scales[step])
+        if step in self.tables:
+            picture: U8 = self.tables[step].shown[plane]
+            return picture, None
+        if step == "triggers":
+            return trigger_picture(plane), None
+        return (mask_picture if step in ("support", "background") else segment_picture)(plane), None
+
+    def _panel(self, step: str, picture: U8, bar: Bar | None, key: Key, lines: tuple[int, int]) -> Panel:
+        """Orient a picture for viewing and add its axes."""
+        title, caption = CAPTIONS[step]
+        layout, (n, m) = self.layout, picture.shape[:2]
+        note = ""
+        if step == "difference" and self.n_compared:
+            note = f"{share_text(self.n_differing, self.n_compared)} of {self.n_compared:,} shots differ"
+        along, across = Axis("line", *lines), Axis("column", 0, m * layout.column_step)
+        beam_rad = None if self.beam_rad is None else self.beam_rad[:: layout.column_step]
+        order = upright(beam_rad)
+        if layout.kind == "paper":
+            return Panel(title, picture, across, along, note, bar, key, caption, zoom_for(m, n))
+        if beam_rad is None or order is None:
+            zoom = zoom_for(layout.strip, m)
+            return Panel(title, picture.swapaxes(0, 1), along, across, note, bar, key, caption, zoom)
+        picture = picture[:, order].swapaxes(0, 1)
+        if self.turn_rad > 0:
+            picture, along = picture[:, ::-1], Axis("line", lines[1], lines[0])
+        side = _elevations(beam_rad, order, m * layout.column_step)
+        return Panel(
+            title, picture, along, side, note, bar, key, caption, _upright_zoom(layout.strip, m, self._shape())
+        )
+
+    def _shape(self) -> float | None:
+        """Return the ratio of height to width of a drawn cell, as angles from the scanner; None = unknown."""
+        if not self.turn_rad or self.beam_rad is None or len(self.beam_rad) < 2:
+            return None
+        step = float(np.median(np.abs(np.diff(self.beam_rad))))
+        return step * self.layout.column_step / (abs(self.turn_rad) * self.layout.line_step)
 
 
 def _names(table: ClassTable, counts: I64) -> Key:
     """Return the classes that occur, without shares, which differ between pictures."""
-    order = [*range(1, len(table.names)), 0]
-    shown = [i for i in order if counts[i] and i not in table.hidden]
-    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in shown]
-    return tuple((name, (int(colour[0]), int(colour[1]), int(colour[2]))) for name, colour in found)
-
-
-def _shared_key(kept: _Kept, steps: tuple[str, ...], words: Vocabulary, own: ClassTable) -> Key:
-    """Return one key for a sheet of strips; with shares only if they belong to a single picture."""
-    keys = _keys(kept, words, own)
-    shown = [step for step in steps if step in keys]
-    if len(shown) == 1:
-        return keys[shown[0]]
-    entries: dict[tuple[str, Colour], None] = {}
-    for step in shown:
-        table = own if step == "classes" else _STAGE_TABLES.get(step, words.table)
-        if step in ("difference", "triggers"):
-            entries |= dict.fromkeys(keys[step])
-        else:
-            entries |= dict.fromkeys(_names(table, kept.counts[step][: len(table.names)]))
-    # entries that are no class go last
-    last = (NOT_SCORED, "both agree", _NO_RETURN)
-    return tuple(sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1))
-
-
-@dataclass(slots=True)
-class _Painter:
-    """Colours the images, with scales common to all strips and pages."""
-
-    planes: dict[str, Plane]
-    steps: tuple[str, ...]
-    words: Vocabulary
-    own: ClassTable
-    notes: dict[str, str] = field(default_factory=dict)
-    keys: dict[str, Key] = field(default_factory=dict)
-    """Keys of single pictures, if the sheet has no common key."""
-    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for step in self.steps:
-            if step == "range":
-                self.limits[step] = range_limits(self.planes[step])
-            elif step == "critical":
-                self.limits[step] = critical_limits(self.planes[step])
-            elif step in ("intensity", "ground"):
-                self.limits[step] = value_limits(self.planes[step])
-            elif step == "confidence":
-                self.limits[step] = CONFIDENCE_LIMITS
-
-    def paint(self, step: str, lines: slice) -> tuple[U8, Bar | None]:
-        """Return the (lines, columns, 3) picture of some of the drawn lines, and its colour bar."""
-        plane = self.planes["predicted" if step == "difference" else step][lines]
-        if step == "range":
-            return range_picture(plane, self.limits[step]), range_bar(self.limits[step])
-        if step in ("intensity", "ground", "confidence"):
-            unit = {"ground": "m", "confidence": "%"}.get(step, "")
-            return value_picture(plane, self.limits[step]), value_bar(self.limits[step], unit)
-        if step in ("support", "background"):
-            return mask_picture(plane), None
-        if step in ("components", "segments", "surfaces", "segmentation"):
-            return segment_picture(plane), None
-        if step == "critical":
-            return critical_picture(plane, self.limits[step]), critical_bar(self.limits[step])
-        if step == "triggers":
-            return trigger_picture(plane), None
-        if step in _STAGE_TABLES:
-            return class_picture(plane, _STAGE_TABLES[step].colours), None
-        if step == "classes":
-            return class_picture(plane, self.own.colours), None
-        reference = self.planes["reference"][lines]
-        if step == "reference":
-            return class_picture(reference, self.words.table.colours), None
-        return difference_picture(plane, reference, self.words.table.colours, self.words.unscored), None
-
-
-def _strips(painter: _Painter, kept: _Kept, part: Part, layout: _Layout) -> Iterator[tuple[Panel, ...]]:
-    drawn = len(next(iter(painter.planes.values())))
-    for first in range(0, drawn, layout.strip):
-        stop = min(first + layout.strip, drawn)
-        panels = []
-        for step in painter.steps:
-            picture, bar = painter.paint(step, slice(first, stop))
-            panels.append(_panel(step, picture, bar, painter, kept, layout, _lines_of(part, layout, first, stop)))
-        yield tuple(panels)
-
-
-def _lines_of(part: Part, layout: _Layout, first: int, stop: int) -> tuple[int, int]:
-    """Lines of the stream that a strip covers."""
-    return part.first + first * layout.line_step, part.first + stop * layout.line_step
-
-
-def _panel(
-    step: str, picture: U8, bar: Bar | None, painter: _Painter, kept: _Kept, layout: _Layout, lines: tuple[int, int]
-) -> Panel:  # fmt: skip
-    """Orient a picture for viewing and add its axes."""
-    title, caption = CAPTIONS[step]
-    n, m = picture.shape[:2]
-    along = Axis("line", *lines)
-    across = Axis("column", 0, m * layout.column_step)
-    note, key = painter.notes.get(step, ""), painter.keys.get(step, ())
-    order = upright(None if kept.beam_rad is None else kept.beam_rad[:: layout.column_step])
-    if layout.kind == "paper":
-        return Panel(title, picture, across, along, note, bar, key, caption, zoom_for(m, n))
-    if order is None:
-        zoom = zoom_for(layout.strip, m)
-        return Panel(title, picture.swapaxes(0, 1), along, across, note, bar, key, caption, zoom)
-    assert kept.beam_rad is not None
-    picture = picture[:, order].swapaxes(0, 1)
-    if kept.turn_rad > 0:
-        picture, along = picture[:, ::-1], Axis("line", lines[1], lines[0])
-    side = _elevations(kept.beam_rad[:: layout.column_step], order, m * layout.column_step)
-    return Panel(
-        title, picture, along, side, note, bar, key, caption, _upright_zoom(layout.strip, m, _shape(kept, layout))
-    )
-
-
-def _shape(kept: _Kept, layout: _Layout) -> float | None:
-    """Return the ratio of height to width of a drawn cell, as angles from the scanner; None = unknown."""
-    if not kept.turn_rad or kept.beam_rad is None or len(kept.beam_rad) < 2:
-        return None
-    step = float(np.median(np.abs(np.diff(kept.beam_rad))))
-    return step * layout.column_step / (abs(kept.turn_rad) * layout.line_step)
+    no_return = ((_NO_RETURN, table.colour(0)),) if counts[0] else ()
+    return (*((table.names[i], table.colour(i)) for i in table.drawn(counts)), *no_return)
 
 
 def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
@@ -462,7 +546,7 @@ def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
     return across, max(down, -(-240 // m))
 
 
-def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
+def _elevations(beam_rad: F64, order: NDArray[np.intp], n_columns: int) -> Axis:
     """Return the vertical axis of an upright picture: elevations if rows are evenly spaced, else columns."""
     elevation = np.rad2deg(np.abs(beam_rad[order])) - 90.0
     if len(elevation) > 2:
@@ -476,28 +560,17 @@ def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
 
 def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, name: str) -> str:
     """Return the headline of a picture: file, what labelled it, lines, day."""
-    part, config = drawing.part, loaded.config
-    words = [name]
+    part, labelled = drawing.part, ""
     if options.labels is not None:
-        labelled = made_by(options.labels)
-        words.append(f"labels of {options.labels.name}" + (f", {labelled}" if labelled else ""))
-    elif set(drawing.steps) - {"range", "intensity", "reference"}:
-        words.append(made_with(loaded))
-    if part.is_whole:
-        words.append(f"all {part.n_lines:,} lines")
-    else:
-        block = (
-            f"block {part.first // config.prc.lines_per_block}, "
-            if options.block is not None or options.figure1
-            else ""
-        )
-        words.append(f"{block}lines {part.first:,} to {part.stop - 1:,} of {part.n_lines:,}")
-    lines, columns = drawing.thinned_by
-    thinned = [f"1 {name} of {step}" for name, step in (("line", lines), ("column", columns)) if step > 1]
-    if thinned:
-        words.append(f"{' and '.join(thinned)} drawn")
-    if options.station is not None:
-        words.append(f"scanner {options.station}")
-    if options.hide:
-        words.append(f"without {', '.join(options.hide)}")
-    return heading(*words)
+        labelled = labels_of(options.labels)
+    elif set(drawing.steps) - NOT_LABELLED:
+        labelled = made_with(loaded)
+    lines = f"{part.sentence()} lines" if part.is_whole else part.sentence()
+    if not part.is_whole and (options.block is not None or options.figure1):
+        lines = f"block {part.first // loaded.config.prc.lines_per_block}, {lines}"
+    step = thinned(drawing.thinned_by)
+    return heading(
+        name, labelled, lines, f"{step} drawn" if step else "",
+        "" if options.station is None else f"scanner {options.station}",
+        f"without {', '.join(options.hide)}" if options.hide else "",
+    )  # fmt: skip

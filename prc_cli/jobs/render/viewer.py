@@ -15,66 +15,91 @@ from numpy.typing import NDArray
 
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, options_of, preset_of, refuse_window
-from prc_cli.core.classes import Label, Surface
+from prc_cli.core.classes import Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
-from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
-from prc_cli.core.types import F64, I64
+from prc_cli.core.stream import LabelledBlock, ScanStream
+from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.writing.coordinates import behind
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Progress, label_blocks, open_stream
+from prc_cli.jobs.classify import Progress, label_blocks
 from prc_cli.jobs.coordinates import spacing
-from prc_cli.jobs.render.classes import RecordClasses, Vocabulary, read_classes, share_text, vocabulary
-from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud
-from prc_cli.jobs.render.frames import count_lines, of_station, turns, upright
-from prc_cli.jobs.render.heading import heading, made_by, made_with
+from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud, records_of
+from prc_cli.jobs.render.colours import (
+    RecordClasses,
+    Vocabulary,
+    heading,
+    labels_of,
+    made_by,
+    made_with,
+    share_text,
+    thinned,
+    vocabulary,
+)
 from prc_cli.jobs.render.options import RenderOptions, RenderResult
-from prc_cli.jobs.render.scan import Part, choose_part
-from prc_cli.streams.beams import with_beams
+from prc_cli.jobs.render.scan import Part, choose_part, of_station, open_for_pictures, turns, upright
 
 _FLAT = 1e-3
 """Extent across a plane, as a share of that within, below which all lines are thought to lie in one plane."""
-
+_NONE = np.empty(0)
 STAGES: dict[str, Values] = {
-    "height_above_ground": Values("height above ground", np.empty(0), 0.001),
-    "ground_height": Values("height of the ground", np.empty(0), 0.001, is_scale=False),
+    "height_above_ground": Values("height above ground", _NONE, 0.001),
+    "ground_height": Values("height of the ground", _NONE, 0.001, is_scale=False),
     "surface": Values(
-        "coarse class",
-        np.empty(0),
-        1.0,
-        1,
-        "",
-        words={surface.value: surface.name.lower() for surface in Surface if surface},
+        "coarse class", _NONE, 1.0, 1, "", words={one.value: one.name.lower() for one in Surface if one}
     ),
-    "dense_vegetation": Values("dense vegetation", np.empty(0), 1.0, 1, "", words={0: "no", 1: "yes"}),
-    "segment_id": Values("segment", np.empty(0), 1.0, 4, "", is_scale=False),
-    "confidence": Values("confidence", np.empty(0), 1.0, 1, "%"),
-}
+    "dense_vegetation": Values("dense vegetation", _NONE, 1.0, 1, "", words={0: "no", 1: "yes"}),
+    "segment_id": Values("segment", _NONE, 1.0, 4, "", is_scale=False),
+    "confidence": Values("confidence", _NONE, 1.0, 1, "%"),
+}  # fmt: skip
 """Values of the classifier by the names of its output columns."""
 
 
 @dataclass(slots=True)
 class _Kept:
-    """Shots that the page holds, collected while the stream is read."""
+    """Shots that the page holds, collected while the stream is read: every n-th shot, but the counts of all."""
 
-    parts: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
-    counts: I64 = field(default_factory=lambda: np.zeros(1, np.int64))
+    part: Part
+    words: Vocabulary
+    given: RecordClasses | None
+    counts: I64
     """Shots by class over all lines, before thinning."""
+    step: tuple[int, int] = (1, 1)
+    parts: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
     beam_rad: F64 | None = None
     turn_rad: float = 0.0
 
-    def add(self, name: str, values: NDArray[Any]) -> None:
-        self.parts.setdefault(name, []).append(np.array(values))
+    def add(self, item: LabelledBlock) -> None:
+        """Keep the shots of a block."""
+        block, (low, high) = item.block, self.part.inside(item.block)
+        if self.beam_rad is None:
+            self.beam_rad, self.turn_rad = block.beam_rad, self.turn_rad or turns(block)
+        if low >= high:
+            return
+        record, seen = block.records(), ~np.isnan(block.range_m)
+        classes = self.words.turn_labels(item.labels) if self.given is None else self.given.look_up(record)
+        classes = self.words.mark_unscored(np.where(seen, classes, np.uint8(0)), seen)
+        self.counts += np.bincount(classes[low:high].ravel(), minlength=len(self.counts))
+        start = low + (self.part.first - block.first_line - low) % self.step[0]
+        cells = (slice(start, high, self.step[0]), slice(None, None, self.step[1]))
+        planes: dict[str, NDArray[Any] | None] = {
+            "range": block.range_m, "class": classes, "record": record, "time": block.time_s,
+            "intensity": block.intensity, "xyz": block.xyz_m, "height_above_ground": item.above_m,
+        }  # fmt: skip
+        if item.stages is not None:
+            planes["surface"], planes["dense_vegetation"] = item.stages.surface, item.stages.dense_vegetation
+            planes["ground_height"] = item.stages.ground_height_m
+        for name, plane in planes.items():
+            if plane is not None:
+                self.parts.setdefault(name, []).append(np.array(plane[cells]))
 
     def take(self, name: str) -> NDArray[Any] | None:
         """Return what was collected, if every block had it, and forget it."""
-        found = self.parts.pop(name, None)
-        if found is None or len(found) != len(self.parts.get("range", found)):
-            return None
-        return np.concatenate(found)
+        found = self.parts.pop(name, [])
+        return np.concatenate(found) if found and len(found) == len(self.parts["range"]) else None
 
 
 def render_viewer(
@@ -101,24 +126,22 @@ def render_viewer(
         if given is None:
             config = config if config.config.is_decided else decide(source, config)
             origin = made_with(config)
-        stream = _open(source, config)
+        stream = open_for_pictures(config, source)
         if given is not None:
             given.check(stream.info.n_records)
-        part = choose_part(chosen, config, count_lines(stream, chosen.station, config))
-        step, kept = _collect(stream, config, chosen, part, given, words, progress)
-        shots, notes = _shots(source, config, chosen, stream, part, step, kept, words)
-    lines = "all" if part.is_whole else f"lines {part.first:,} to {part.stop - 1:,} of"
-    head = heading(origin, f"{lines} {part.n_lines:,} lines", _thinned(step))
+        kept = _collect(stream, config, chosen, words, given, progress)
+        shots, notes = _shots(source, config, chosen, stream, kept)
+    part = kept.part
+    head = heading(origin, f"{part.sentence()} lines", thinned(kept.step))
     text = viewer_page(
         shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.",
         why="" if given is not None else _explain(source, config, chosen),
     )  # fmt: skip
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
-    names = words.table.names
-    counts = {name: int(count) for name, count in zip(names, kept.counts, strict=False) if count}
     return RenderResult(
-        (output,), (0, 0), f"{source.name} · {head}", lines=(part.first, part.stop), thinned_by=step, counts=counts,
+        (output,), (0, 0), f"{source.name} · {head}", lines=(part.first, part.stop), thinned_by=kept.step,
+        counts=words.table.count_by_name(kept.counts),
         n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()), notes=notes,
     )  # fmt: skip
 
@@ -129,17 +152,6 @@ def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
     words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
     words += [*options_of(loaded), *([] if station is None else ["--station", str(station)]), "--at"]
     return shlex.join(words)
-
-
-def _open(source: Path, loaded: LoadedConfig) -> ScanStream:
-    """Open a stream, with beam angles wherever they can be found, even from the ground."""
-    stream = open_stream(source, loaded)
-    if loaded.config.needs_beams:
-        return stream
-    # damage is reported when the stream is read
-    with suppress(InputError, ConfigError):
-        return with_beams(stream, loaded.config.input)
-    return stream
 
 
 def _check(output: Path, options: RenderOptions) -> None:
@@ -159,28 +171,13 @@ def _given(
 ) -> tuple[RecordClasses | None, str]:
     """Return the classes that exist, those of a label file or of the input itself, and where they are from."""
     if options.labels is not None:
-        by = made_by(options.labels)
-        found = read_classes(
-            options.labels, options.labels_dimension, lambda codes: words.turn(codes, "predicted"), folder, "classes"
-        )
-        return found, f"labels of {options.labels.name}" + (f", {by}" if by else "")
-    if source.suffix.lower() not in LAS_SUFFIXES or not _holds_classes(source, loaded):
-        return None, ""
-    found = read_classes(source, options.labels_dimension, words.turn_las, folder, "classes")
-    return found, made_by(source) or "classes of the file"
-
-
-def _holds_classes(source: Path, loaded: LoadedConfig) -> bool:
-    records = open_source(source, loaded.config.layout)
-    if records is None:
-        return False
+        found = words.read(options.labels, options.labels_dimension, "predicted", folder)
+        return found, labels_of(options.labels)
+    records = open_source(source, loaded.config.layout) if source.suffix.lower() in LAS_SUFFIXES else None
     name = "classification"
-    return any((~np.isin(chunk.values[name], NO_CLASSES)).any() for chunk in records.chunks((name,)))
-
-
-def _thinned(step: tuple[int, int]) -> str:
-    told = [f"1 {name} of {n}" for name, n in zip(("line", "column"), step, strict=True) if n > 1]
-    return " and ".join(told)
+    if records is None or not any((~np.isin(one.values[name], NO_CLASSES)).any() for one in records.chunks((name,))):
+        return None, ""
+    return words.read(source, options.labels_dimension, "las", folder), made_by(source) or "classes of the file"
 
 
 def _steps(n_lines: int, n_columns: int, most: int) -> tuple[int, int]:
@@ -199,34 +196,30 @@ def _steps(n_lines: int, n_columns: int, most: int) -> tuple[int, int]:
 
 
 def _collect(
-    stream: ScanStream,
-    loaded: LoadedConfig,
-    options: RenderOptions,
-    part: Part,
-    given: RecordClasses | None,
-    words: Vocabulary,
+    stream: ScanStream, loaded: LoadedConfig, options: RenderOptions, words: Vocabulary, given: RecordClasses | None,
     progress: Progress | None,
-) -> tuple[tuple[int, int], _Kept]:
-    """Read, and classify unless classes are given; keep every n-th shot of the lines to show, count them all."""
-    blocks = of_station(stream.blocks(), options.station, stream.info.path)
-    step, kept = (1, 1), _Kept(counts=np.zeros(len(words.table.names), np.int64))
-    for item in _labelled(blocks, loaded, classify=given is None):
+) -> _Kept:  # fmt: skip
+    """Read, and classify unless classes are given."""
+    part = choose_part(options, loaded, stream)
+    kept = _Kept(part, words, given, np.zeros(len(words.table.names), np.int64))
+    for item in _labelled(stream, loaded, options, classify=given is None):
         block = item.block
         if not kept.parts:
-            step = _steps(part.stop - part.first, block.points_per_line, options.shots)
-        if kept.beam_rad is None:
-            kept.beam_rad, kept.turn_rad = block.beam_rad, kept.turn_rad or turns(block)
-        _keep(kept, item, part, step, given, words)
+            kept.step = _steps(part.stop - part.first, block.points_per_line, options.shots)
+        kept.add(item)
         if progress is not None:
             progress(block.n_lines)
         if block.first_line + block.n_lines >= part.stop:
             break
     if not kept.parts:
         raise InputError(stream.info.path, "found no scan lines, expected at least one")
-    return step, kept
+    return kept
 
 
-def _labelled(blocks: Iterator[ScanBlock], loaded: LoadedConfig, *, classify: bool) -> Iterator[LabelledBlock]:
+def _labelled(
+    stream: ScanStream, loaded: LoadedConfig, options: RenderOptions, *, classify: bool
+) -> Iterator[LabelledBlock]:
+    blocks = of_station(stream, options.station)
     if classify:
         yield from label_blocks(blocks, loaded.config.classifier, stages=True)
         return
@@ -234,48 +227,13 @@ def _labelled(blocks: Iterator[ScanBlock], loaded: LoadedConfig, *, classify: bo
         yield LabelledBlock(block, np.zeros(block.range_m.shape, np.uint8), np.zeros(len(block.extra), np.uint8))
 
 
-def _keep(
-    kept: _Kept, item: LabelledBlock, part: Part, step: tuple[int, int], given: RecordClasses | None, words: Vocabulary
-) -> None:
-    block = item.block
-    low, high = max(part.first - block.first_line, 0), min(part.stop - block.first_line, block.n_lines)
-    if low >= high:
-        return
-    record, seen = block.records(), ~np.isnan(block.range_m)
-    classes = words.turn_labels(item.labels) if given is None else given.look_up(record)
-    classes = words.mark_unscored(np.where(seen, classes, np.uint8(0)), seen)
-    kept.counts += np.bincount(classes[low:high].ravel(), minlength=len(kept.counts))
-    start = low + (part.first - block.first_line - low) % step[0]
-    cells = (slice(start, high, step[0]), slice(None, None, step[1]))
-    planes: dict[str, NDArray[Any] | None] = {
-        "range": block.range_m, "class": classes, "record": record, "time": block.time_s, "intensity": block.intensity,
-        "xyz": block.xyz_m, "height_above_ground": item.above_m,
-    }  # fmt: skip
-    if item.stages is not None:
-        planes |= {
-            "surface": item.stages.surface,
-            "dense_vegetation": item.stages.dense_vegetation,
-            "ground_height": item.stages.ground_height_m,
-        }
-    for name, plane in planes.items():
-        if plane is not None:
-            kept.add(name, plane[cells])
-
-
 def _shots(
-    source: Path,
-    loaded: LoadedConfig,
-    options: RenderOptions,
-    stream: ScanStream,
-    part: Part,
-    step: tuple[int, int],
-    kept: _Kept,
-    words: Vocabulary,
+    source: Path, loaded: LoadedConfig, options: RenderOptions, stream: ScanStream, kept: _Kept
 ) -> tuple[Shots, tuple[str, ...]]:
     """Put together what the page shows, and what it says of it."""
-    classes = np.concatenate(kept.parts["class"])
-    range_m = np.concatenate(kept.parts["range"]).astype(np.float64)
-    record, seen = np.concatenate(kept.parts["record"]), classes > 0
+    words, step = kept.words, kept.step
+    classes, range_m, record = (np.concatenate(kept.parts[name]) for name in ("class", "range", "record"))
+    range_m, seen = range_m.astype(np.float64), classes > 0
     found = {name: kept.take(name) for name in ("time", "intensity", "xyz", *STAGES)}
     values: dict[str, F64] = {name: each.astype(np.float64) for name, each in found.items() if each is not None}
     sensor_m = values.pop("xyz", None)
@@ -286,40 +244,34 @@ def _shots(
     spacing_m, assumed = options.line_spacing_m, ""
     if spacing_m is None:
         spacing_m, assumed = spacing(stream.info, values.get("time"), in_forest=in_forest, step=step[0])
+    told = f"{spacing_m:.2g} m apart" + (f" ({assumed}; --line-spacing tells it)" if assumed else "")
+    how = f"The input has no trajectory: its lines are drawn one behind the other, {told}."
     beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
-    xyz_m, notes = _place(range_m, beam_rad, sensor_m, file_m, spacing_m * step[0], seen, _how(spacing_m, assumed))
-    noise = [place for place, name in enumerate(words.table.names) if name == Label.NOISE.name.lower()]
-    left_out = [*noise, *sorted(words.table.hidden)]
-    more = {name: _values(name, each, seen) for name, each in values.items() if np.isfinite(each[seen]).any()}
-    order = upright(beam_rad)
-    n_all = (part.stop - part.first) * stream.info.points_per_line
-    entries = _entries(words, kept.counts, options)
+    xyz_m, is_measured = _place(range_m, beam_rad, (file_m, sensor_m), spacing_m * step[0], seen)
+    notes = [] if is_measured else [how]
     if step != (1, 1):
-        told = f"The page holds {classes.size:,} of {n_all:,} shots, {_thinned(step)}; --shots sets the most."
-        notes = (*notes, told)
-    mirrored = order is not None and kept.turn_rad > 0
+        n_all = (kept.part.stop - kept.part.first) * stream.info.points_per_line
+        notes.append(f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; --shots sets the most.")
+    order, left_out = upright(beam_rad), sorted(words.table.hidden | words.noise)
     shots = Shots(
-        classes, range_m, xyz_m, seen & ~np.isin(classes, left_out), (part.first, 0), step, entries, more,
-        None if order is None else order.tolist(), mirrored,
+        classes, range_m, xyz_m, seen & ~np.isin(classes, left_out), (kept.part.first, 0), step,
+        _entries(words, kept.counts, left_out),
+        {name: _values(name, each, seen) for name, each in values.items() if np.isfinite(each[seen]).any()},
+        None if order is None else order.tolist(), order is not None and kept.turn_rad > 0,
     )  # fmt: skip
-    return shots, notes
+    return shots, tuple(notes)
 
 
-def _entries(words: Vocabulary, counts: I64, options: RenderOptions) -> list[ClassEntry]:
-    colours = vocabulary(replace(options, hide=()), words.codes).table.colours
-    total = max(int(counts[1:].sum()), 1)
+def _entries(words: Vocabulary, counts: I64, left_out: list[int]) -> list[ClassEntry]:
+    table, total = words.table, max(int(counts[1:].sum()), 1)
     return [
-        ClassEntry(
-            place, name, (int(colours[place][0]), int(colours[place][1]), int(colours[place][2])),
-            share_text(int(counts[place]), total),
-            place in words.table.hidden or name == Label.NOISE.name.lower(),
-        )
-        for place, name in enumerate(words.table.names)
+        ClassEntry(place, name, table.colour(place), share_text(int(counts[place]), total), place in left_out)
+        for place, name in enumerate(table.names)
         if place and counts[place]
-    ]  # fmt: skip
+    ]
 
 
-def _values(name: str, values: F64, seen: NDArray[np.bool_]) -> Values:
+def _values(name: str, values: F64, seen: Mask) -> Values:
     if name == "confidence":
         values = np.where(values > 0, values, np.nan)  # 0 is unknown
     if name in STAGES:
@@ -335,24 +287,18 @@ def _values(name: str, values: F64, seen: NDArray[np.bool_]) -> Values:
 def _of_files(source: Path, loaded: LoadedConfig, options: RenderOptions, record: I64) -> dict[str, F64]:
     """Return coordinates and stages that files hold, by name, each in the shape of ``record``."""
     found: dict[str, F64] = {}
-    cloud = None
+    cloud = labels = None
     with suppress(InputError):
         cloud = Cloud.open(source, loaded, options.station).records
+    # a label file that is no list of records, such as .npy, holds no stages
+    with suppress(PrcError):
+        labels = None if options.labels is None else open_source(options.labels, None)
     own = open_source(source, loaded.config.layout)
-    for records, names in ((cloud, AXES), (own, tuple(STAGES)), (_label_source(options.labels), tuple(STAGES))):
+    for records, names in ((cloud, AXES), (own, tuple(STAGES)), (labels, tuple(STAGES))):
         wanted = () if records is None else tuple(name for name in names if name in records.dimensions)
         if records is not None and wanted and (names is not AXES or wanted == AXES):
             found |= _look_up(records, wanted, record)
     return found
-
-
-def _label_source(labels: Path | None) -> RecordSource | None:
-    if labels is None:
-        return None
-    # a label file that is no list of records, such as .npy, holds no stages
-    with suppress(PrcError):
-        return open_source(labels, None)
-    return None
 
 
 def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict[str, F64]:
@@ -362,9 +308,7 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
     sorted_ids = flat[order]
     found = {name: np.full(flat.shape, np.nan) for name in names}
     for chunk in records.chunks(names):
-        ids = chunk.record
-        if ids is None:
-            ids = np.arange(chunk.first_record, chunk.first_record + chunk.n, dtype=np.int64)
+        ids = records_of(chunk)
         low, high = np.searchsorted(sorted_ids, (ids.min(initial=0), ids.max(initial=-1) + 1))
         if low >= high:
             continue
@@ -376,35 +320,24 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
     return {name: values.reshape(record.shape) for name, values in found.items()}
 
 
-def _how(spacing_m: float, assumed: str) -> str:
-    told = f"{spacing_m:.2g} m apart" + (f" ({assumed}; --line-spacing tells it)" if assumed else "")
-    return f"The input has no trajectory: its lines are drawn one behind the other, {told}."
-
-
 def _place(
-    range_m: F64,
-    beam_rad: F64 | None,
-    sensor_m: F64 | None,
-    file_m: F64 | None,
-    apart_m: float,
-    seen: NDArray[np.bool_],
-    how: str,
-) -> tuple[F64 | None, tuple[str, ...]]:
-    """Return where shots are, (lines, columns, 3) float64 [m], and a note where that is not as measured."""
-    for xyz_m in (file_m, sensor_m):
+    range_m: F64, beam_rad: F64 | None, measured_m: tuple[F64 | None, ...], apart_m: float, seen: Mask
+) -> tuple[F64 | None, bool]:
+    """Return where shots are, (lines, columns, 3) float64 [m], and whether that is as measured, or not known."""
+    behind_m = np.arange(len(range_m)) * apart_m
+    for xyz_m in measured_m:
         if xyz_m is None:
             continue
         placed = np.where(seen[..., None], xyz_m, np.nan)
         across = _normal(placed[np.isfinite(placed).all(axis=2)])
         if across is None:
-            return placed, ()
+            return placed, True
         # upright planes only: those of scan-plane coordinates say nothing of up and down
         if abs(across[2]) < 0.5:
-            return placed + np.arange(len(placed))[:, None, None] * apart_m * across, (how,)
+            return placed + behind_m[:, None, None] * across, False
     if beam_rad is None:
-        return None, ()
-    placed = behind(np.arange(len(range_m))[:, None] * apart_m, beam_rad, range_m)
-    return np.where(seen[..., None], placed, np.nan), (how,)
+        return None, True
+    return np.where(seen[..., None], behind(behind_m[:, None], beam_rad, range_m), np.nan), False
 
 
 def _normal(points: F64) -> F64 | None:
@@ -413,7 +346,4 @@ def _normal(points: F64) -> F64 | None:
         return None
     some = points[:: max(1, len(points) // 20_000)]
     _, extents, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
-    if extents[2] > _FLAT * extents[1]:
-        return None
-    found: F64 = axes[2]
-    return found
+    return None if extents[2] > _FLAT * extents[1] else np.asarray(axes[2])

@@ -1,0 +1,323 @@
+"""What the colours of a picture mean: tables of classes, label files, scales of values, and what made the labels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from prc_cli import __version__
+from prc_cli.config import LoadedConfig, preset_of
+from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
+from prc_cli.core.dates import today
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import I64, U8, Mask
+from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
+from prc_cli.formats.labels import NO_CODE, open_codes
+from prc_cli.formats.writing.record import PROGRAM, record_path
+from prc_cli.imaging.pictures import (
+    MISSING_COLOUR,
+    NOT_SCORED_COLOUR,
+    Bar,
+    range_bar,
+    range_limits,
+    range_picture,
+    value_bar,
+    value_limits,
+    value_picture,
+)
+from prc_cli.imaging.sheet import Colour, Key
+from prc_cli.imaging.stages import critical_bar, critical_limits, critical_picture
+from prc_cli.jobs.render.options import RenderOptions
+
+NOT_SCORED = "not scored"
+MAX_CLASSES = 250
+LARGEST_RECORD = 4 << 20
+"""Run records beyond are not looked at [bytes]."""
+
+
+class Scale(NamedTuple):
+    """How a value is coloured."""
+
+    limits: Callable[..., tuple[float, float]]
+    picture: Callable[..., U8]
+    bar: Callable[[tuple[float, float]], Bar]
+
+
+SCALES = {
+    "range": Scale(range_limits, range_picture, range_bar),
+    "critical": Scale(critical_limits, critical_picture, critical_bar),
+    "intensity": Scale(value_limits, value_picture, partial(value_bar, unit="")),
+    "ground": Scale(value_limits, value_picture, partial(value_bar, unit="m")),
+    "height": Scale(value_limits, value_picture, partial(value_bar, unit="m")),
+    # per cent; less is drawn as the lower one
+    "confidence": Scale(lambda _: (50.0, 100.0), value_picture, partial(value_bar, unit="%")),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ClassTable:
+    """Names and colours of classes; index 0 means none."""
+
+    names: tuple[str, ...]
+    colours: U8
+    """(n, 3) uint8."""
+    hidden: frozenset[int] = frozenset()
+    """Indices of classes that are not drawn."""
+
+    def without(self, names: Collection[str]) -> ClassTable:
+        """Return the table with some classes hidden, if it has them.
+
+        >>> sorted(LABEL_TABLE.without(["noise"]).hidden)
+        [2]
+        """
+        return replace(self, hidden=frozenset(i for i, name in enumerate(self.names) if i and name in names))
+
+    @property
+    def shown(self) -> U8:
+        """Colours in pictures of lines, (n, 3) uint8: hidden classes are white."""
+        colours = self.colours.copy()
+        colours[sorted(self.hidden)] = MISSING_COLOUR
+        return colours
+
+    def colour(self, place: int) -> Colour:
+        """Return the colour of a class."""
+        red, green, blue = self.colours[place].tolist()
+        return red, green, blue
+
+    def drawn(self, counts: I64) -> list[int]:
+        """Return the classes that occur and are not hidden."""
+        return [i for i in range(1, len(self.names)) if counts[i] and i not in self.hidden]
+
+    def key(self, counts: I64) -> Key:
+        """Return names and colours of the classes that occur, with their shares of all classified records."""
+        total = max(int(counts[self.drawn(counts)].sum()), 1)
+        return tuple(
+            (f"{self.names[i]} {share_text(int(counts[i]), total)}", self.colour(i)) for i in self.drawn(counts)
+        )
+
+    def count_by_name(self, counts: I64) -> dict[str, int]:
+        """Return the counts of the classes that occur."""
+        return {name: int(count) for name, count in zip(self.names, counts, strict=False) if count}
+
+
+def share_text(count: int, total: int) -> str:
+    """Write a share in per cent.
+
+    >>> share_text(1, 3), share_text(1, 100_000)
+    ('33.3 %', '<0.1 %')
+    """
+    share = 100 * count / total
+    return "<0.1 %" if 0 < share < 0.05 else f"{share:.1f} %"
+
+
+LABEL_TABLE = ClassTable(LABEL_NAMES, np.array([LABEL_COLOURS[label] for label in Label], np.uint8))
+"""The program's own classes, in the order of :class:`~prc_cli.core.classes.Label`."""
+ASPRS = {
+    3: Label.VEGETATION, 4: Label.VEGETATION, 5: Label.VEGETATION, 2: Label.GROUND, 6: Label.BUILDING, 7: Label.NOISE,
+    11: Label.GROUND, 18: Label.NOISE,
+}  # fmt: skip
+"""Codes of LAS 1.4, table 17, that have a counterpart among the program's classes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """The classes used to show and compare two sides."""
+
+    table: ClassTable
+    mapping: ClassMapping | None
+    codes: ClassCodes
+
+    @property
+    def unscored(self) -> int:
+        """Index of returns without a class, the last one of the table."""
+        return len(self.table.names) - 1
+
+    @property
+    def noise(self) -> set[int]:
+        """Indices of noise."""
+        return {i for i, name in enumerate(self.table.names) if name == LABEL_NAMES[Label.NOISE]}
+
+    def mark_unscored(self, places: U8, seen: Mask) -> U8:
+        """Give returns without a class their own index, (...) uint8 and (...) bool to (...) uint8."""
+        return np.where((places == 0) & seen, np.uint8(self.unscored), places)
+
+    def turn(self, codes: I64, side: Side) -> U8:
+        """Convert class codes of a side to indices of the table."""
+        if self.mapping is None:
+            return self._own(codes, side)
+        places = np.array([0, *(self.table.names.index(name) for name in self.mapping.names(side))], np.uint8)
+        found: U8 = places[self.mapping.class_indices(codes, side) + 1]
+        return found
+
+    def _own(self, codes: I64, side: Side) -> U8:
+        known = np.full(257, 255, np.uint8)
+        for label in reversed(Label):  # the first label of a code wins
+            known[self.codes.code(label)] = label
+        known[256] = Label.MISSING
+        inside = (codes >= NO_CODE) & (codes < 256)
+        found: U8 = known[np.where(inside, np.where(codes == NO_CODE, 256, codes), 255)]
+        wrong = ~inside | ((found == 255) & (codes != NO_CODE))
+        if wrong.any():
+            distinct = np.unique(codes[wrong])
+            shown = ", ".join(str(code) for code in distinct[:8]) + (", ..." if distinct.size > 8 else "")
+            problem = f"found {np.count_nonzero(wrong)} records with codes that are none of [classes]: {shown}"
+            raise InputError(f"{side} codes", problem, "add --mapping NAME|FILE.toml, which says what they mean")
+        return found
+
+    def turn_las(self, codes: I64) -> U8:
+        """Convert classes of a LAS file: the program's own codes first, then ASPRS codes; others are unclassified."""
+        if self.mapping is not None:
+            return self.turn(codes, "predicted")
+        table = np.full(256, Label.UNCLASSIFIED, np.uint8)
+        for code, label in ASPRS.items():
+            table[code] = label
+        for label in reversed(Label):
+            table[self.codes.code(label)] = label
+        found: U8 = table[np.clip(codes, 0, 255)]
+        return found
+
+    def turn_labels(self, labels: U8) -> U8:
+        """Convert labels of the program to indices of the table, as on the predicted side."""
+        if self.mapping is None:
+            return labels
+        lookup = self.codes.lookup().astype(np.int64)
+        turned = np.zeros(len(Label), np.uint8)
+        for label in np.flatnonzero(np.bincount(labels.ravel(), minlength=len(Label))):
+            if label != Label.MISSING:
+                turned[label] = self.turn(lookup[label : label + 1], "predicted")[0]
+        found: U8 = turned[labels]
+        return found
+
+    def read(self, path: Path, dimension: str | None, side: Side | Literal["las"], folder: Path) -> RecordClasses:
+        """Read a label file once; keep its classes in a file of one byte per record."""
+        n, target = 0, folder / f"{side}.classes"
+        with target.open("wb") as handle:
+            for codes in open_codes(path, dimension).chunks():
+                turned = self.turn_las(codes) if side == "las" else self.turn(codes, side)
+                turned.tofile(handle)
+                n += len(turned)
+        if not n:
+            raise InputError(str(path), "no labels, expected one a record", _HINT)
+        return RecordClasses(str(path), np.memmap(target, np.uint8, "r", shape=(n,)))
+
+
+def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
+    """Return the classes of a run: the program's own, or those of a mapping."""
+    mapping, names = None, LABEL_NAMES[1:]
+    if options.mapping is not None:
+        mapping = load_mapping(options.mapping)
+        found = dict.fromkeys((*mapping.names("reference"), *mapping.names("predicted")))
+        # the program's own classes first, in their order, then unknown ones
+        names = tuple(sorted(found, key=lambda one: LABEL_NAMES.index(one) if one in LABEL_NAMES else len(LABEL_NAMES)))
+        if len(names) > MAX_CLASSES:
+            raise InputError("class mapping", f"found {len(names)} classes, at most {MAX_CLASSES} can be drawn")
+    own = {LABEL_NAMES[label]: LABEL_COLOURS[label] for label in Label}
+    colours = [MISSING_COLOUR, *(own.get(name, LABEL_COLOURS[Label.UNCLASSIFIED]) for name in names), NOT_SCORED_COLOUR]
+    table = ClassTable((LABEL_NAMES[Label.MISSING], *names, NOT_SCORED), np.array(colours, np.uint8))
+    for name in options.hide:
+        if name not in table.names[1:]:
+            raise ConfigError("--hide", f"found {name!r}, expected classes: {', '.join(table.names[1:])}")
+    return Vocabulary(table.without(options.hide), mapping, codes)
+
+
+_HINT = "give the labels of this very file, in its order of records"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordClasses:
+    """The class of every record of an input."""
+
+    path: str
+    places: U8
+    """(records,) uint8, indices of the class table; memory-mapped."""
+
+    def look_up(self, record: I64) -> U8:
+        """Return the class of records, (...) int64 to (...) uint8; -1 = none."""
+        last = int(record.max(initial=-1))
+        if last >= len(self.places):
+            raise InputError(self.path, f"found {len(self.places):,} labels, but the input has record {last:,}", _HINT)
+        found: U8 = np.where(record >= 0, self.places[np.maximum(record, 0)], np.uint8(0))
+        return found
+
+    def check(self, n_records: int | None) -> None:
+        """Refuse labels of another length than the input."""
+        if n_records is not None and n_records != len(self.places):
+            problem = f"found {len(self.places):,} labels, expected {n_records:,}, one a record of the input"
+            raise InputError(self.path, problem, _HINT)
+
+
+def heading(*parts: str) -> str:
+    """Return a headline that ends with the day; empty parts are left out."""
+    return " · ".join(filter(None, (*parts, today())))
+
+
+def thinned(step: tuple[int, int]) -> str:
+    """Say which lines and columns are drawn.
+
+    >>> thinned((3, 2))
+    '1 line of 3 and 1 column of 2'
+    """
+    return " and ".join(f"1 {name} of {n}" for name, n in zip(("line", "column"), step, strict=True) if n > 1)
+
+
+def made_with(loaded: LoadedConfig) -> str:
+    """Return the preset, or the method where there is none, that a file is classified with.
+
+    >>> from prc_cli.config import load_config
+    >>> made_with(load_config(preset="forest")), made_with(load_config(options={"method": "prc"}))
+    ('preset forest', 'prc, urban')
+    """
+    preset, config = preset_of(loaded), loaded.config
+    if preset is not None:
+        return f"preset {preset}"
+    return f"prc, {config.prc.environment}" if config.method == "prc" else str(config.method)
+
+
+def made_by(labels: Path) -> str:
+    """Return what labelled a file according to the run record beside it; empty where there is none."""
+    return _method_of(_record_of(labels))
+
+
+def labels_of(labels: Path) -> str:
+    """Return the name of a label file, and what made it as far as its run record says."""
+    return ", ".join(filter(None, (f"labels of {labels.name}", made_by(labels))))
+
+
+def origin(labels: Sequence[Path]) -> tuple[str, ...]:
+    """Return what made a page about label files: day and version, method and input as far as run records name them."""
+    found = [_record_of(path) for path in labels]
+    methods = dict.fromkeys(filter(None, (_method_of(record) for record in found)))
+    inputs = dict.fromkeys(filter(None, (_text(record, "input", "name", 200) for record in found)))
+    source = f"{len(inputs):,} inputs" if len(inputs) > 1 else "".join(f"input {name}" for name in inputs)
+    return tuple(filter(None, (today(), f"prc {__version__}", ", ".join(methods), source)))
+
+
+def _record_of(labels: Path) -> Mapping[str, Any]:
+    """Return a run record; empty where it is absent or cannot be read, which is no reason to refuse a picture."""
+    with suppress(OSError, ValueError, RecursionError):
+        path = record_path(labels)
+        if path.stat().st_size <= LARGEST_RECORD:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(found, Mapping) and found.get("program") == PROGRAM:
+                return found
+    return {}
+
+
+def _method_of(record: Mapping[str, Any]) -> str:
+    for one in record.get("assumptions") or ():
+        if isinstance(one, Mapping) and one.get("key") == "method":
+            return str(one.get("value", ""))[:80]
+    return _text(record, "config", "method", 80)
+
+
+def _text(record: Mapping[str, Any], table: str, key: str, most: int) -> str:
+    found = record.get(table)
+    text = found.get(key) if isinstance(found, Mapping) else None
+    return text[:most] if isinstance(text, str) else ""
