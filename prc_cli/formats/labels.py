@@ -14,18 +14,15 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
-from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.writing.base import (
-    CHUNK_RECORDS,
     Columns,
     ScatterWriter,
-    close_quietly,
 )
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, Values, asked_columns
-from prc_cli.formats.writing.disk import StraightCodes, npy_header
+from prc_cli.formats.writing.disk import npy_header
 from prc_cli.formats.writing.record import RunRecord
 
 KITTI_SUFFIX = ".label"
@@ -302,8 +299,6 @@ class LabelFileWriter(ScatterWriter):
         asked = asked_columns(options)
         held = [column for column in asked if column.heading is not None and self._kind != ".npy"]
         super().__init__(path, codes, options, held, n_records, is_part=is_part)
-        self._straight: StraightCodes | None = None
-        """The output, as long as codes arrive in record order."""
         for column in asked:
             if column.heading is None:
                 self._notice(f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz")
@@ -311,40 +306,7 @@ class LabelFileWriter(ScatterWriter):
                 needs = f"{column.what}s need .csv, .parquet, .las or .laz"
                 self._notice(f"a .npy output holds class codes only; {needs}")
 
-    def _begin(self) -> None:
-        super()._begin()
-        if self._kind == ".npy" and not self._is_part:
-            self._straight = StraightCodes(self._temporary)
-            self._stack.callback(close_quietly, self._straight)
-
-    def _add(self, block: LabelledBlock) -> None:
-        scan = block.block
-        straight = self._straight
-        if straight is not None and scan.record is None and not len(scan.extra):
-            first = scan.first_line * scan.points_per_line
-            if first == straight.n and first + block.labels.size <= self._limit:
-                straight.append(self._encode(block.labels, scan.range_m).ravel())
-                return
-        self._leave_straight()
-        super()._add(block)
-
-    def _leave_straight(self) -> None:
-        """Switch to a spool, because records arrive out of order or with gaps."""
-        if self._straight is None:
-            return
-        first = 0
-        for codes in self._straight.chunks(CHUNK_RECORDS):
-            self._code_spool.put_run(first, codes)
-            first += len(codes)
-        self._straight.close()
-        self._straight = None
-
     def _write(self, record: RunRecord) -> RunRecord:
-        if self._straight is not None and self._straight.n == (self._n_records or record.n_records):
-            self._straight.finish()
-            self._counts += self._straight.counts
-            return self._completed(record)
-        self._leave_straight()
         total = self._total(record)
         columns = self._counted(total)
         if self._kind == ".npy":

@@ -17,7 +17,7 @@ from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_outputs, file_state, remove_stale, suffix_of, temporary_name
+from prc_cli.core.files import atomic_outputs, file_state, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
@@ -35,7 +35,7 @@ from prc_cli.formats.writing import (
 )
 from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
 from prc_cli.formats.writing.coordinates import LinesApart
-from prc_cli.formats.writing.disk import RecordValues, Spool
+from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.jobs.classify import Counts, Progress, run_record
 from prc_cli.jobs.coordinates import XYZ, Carried, axes_of, carry, lines_apart
@@ -230,10 +230,7 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
     facts = Facts(Counts.none())
     with contextlib.ExitStack() as stack:
         temporary, beside = stack.enter_context(atomic_outputs(output, record_path(output)))
-        path = temporary_name(output)
-        stack.callback(lambda: path.unlink(missing_ok=True))
-        stays = Spool(path, np.uint8, 0, n_records=las.n_records)
-        stack.callback(stays.close)
+        stays = stack.enter_context(DiskColumn(output, np.uint8, 0, n_records=las.n_records))
         stream = watched(
             open_input(source, loaded.config.input, loaded.config.layout), loaded.config.input, refuses=False
         )
@@ -357,11 +354,8 @@ def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib
     if found.n != info.n_records:
         problem = f"the array {CLASS!r} holds {found.n} codes, expected {info.n_records}, one a shot"
         raise InputError(str(source), problem, "give it the shape of the ranges or another name")
-    path = temporary_name(output)
-    stack.callback(lambda: path.unlink(missing_ok=True))
     kind = np.dtype([("code", "<i4")])
-    values = RecordValues(path, kind, (NO_CODE,))
-    stack.callback(values.close)
+    values = stack.enter_context(DiskColumn(output, kind, (NO_CODE,)))
     for codes in found.chunks():
         rows = np.empty(len(codes), kind)
         rows["code"] = np.where(np.abs(codes) < 2**31, codes, NO_CODE)

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import temporary_name
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64
 from prc_cli.formats import open_source
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.writing.base import NO_CODE
 from prc_cli.formats.writing.coordinates import SPACING_M, LinesApart, Placement
-from prc_cli.formats.writing.disk import RecordValues
+from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.streams.beams import BeamStream, with_beams
 from prc_cli.streams.window import grid_of
 
@@ -98,13 +97,13 @@ def spacing(info: StreamInfo, time_s: NDArray[Any] | None, *, in_forest: bool, s
 class Carried:
     """Values by record, read from the input as far as they are asked for."""
 
-    def __init__(self, values: RecordValues, rows: Iterator[tuple[NDArray[Any], int]]) -> None:
+    def __init__(self, values: DiskColumn, rows: Iterator[tuple[NDArray[Any], int]]) -> None:
         self._values, self._rows = values, rows
         self.n_odd = 0
         """Number of invalid codes so far."""
 
     def get(self, record: I64) -> NDArray[Any]:
-        """Return the values of records; see :meth:`RecordValues.get`."""
+        """Return the values of records; see :meth:`DiskColumn.get`."""
         last = int(record.max(initial=-1))
         while last >= len(self._values) and self._read():
             pass
@@ -136,11 +135,8 @@ def carry(
 ) -> Carried:
     """Keep classes and coordinates of records in a temporary file; also count invalid codes."""
     fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
-    path = temporary_name(output)
-    stack.callback(lambda: path.unlink(missing_ok=True))
     fill = (*((np.nan,) * len(xyz)), *([NO_CODE] if class_name is not None else []))
-    values = RecordValues(path, np.dtype(fields), fill)
-    stack.callback(values.close)
+    values = stack.enter_context(DiskColumn(output, np.dtype(fields), fill))
     rows = _rows_of(records, class_name, xyz, np.dtype(fields))
     stack.callback(rows.close)
     return Carried(values, rows)

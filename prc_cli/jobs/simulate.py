@@ -31,7 +31,7 @@ from prc_cli.formats.writing import (
     stream_suffix,
 )
 from prc_cli.formats.writing.base import StreamItem, StreamShape
-from prc_cli.formats.writing.disk import StraightCodes
+from prc_cli.formats.writing.disk import NpyFile
 from prc_cli.formats.writing.record import ClassCount, Fingerprint, RunRecord
 from prc_cli.jobs.classify import Counts, Progress
 from prc_cli.simulation.drive import SimulatedBlock
@@ -156,16 +156,16 @@ def simulate(
         if wanted.stems is not None:
             temporary = stack.enter_context(atomic_output(wanted.stems))
             temporary.write_text("".join(f"{row}\n" for row in _stem_rows(simulation)), encoding="utf-8", newline="\n")
-        codes_file: StraightCodes | None = None
+        codes_file: NpyFile | None = None
         if wanted.labels is not None:
-            codes_file = StraightCodes(stack.enter_context(atomic_output(wanted.labels)))
-            stack.callback(codes_file.close)
+            handle = stack.enter_context(stack.enter_context(atomic_output(wanted.labels)).open("w+b"))
+            codes_file = NpyFile(handle, "|u1")
         record, counts = _write(simulation, output, codes_file, frame, progress)
     return SimulationSummary(output, record, counts, (*outputs_of(output), *wanted.paths()))
 
 
 def _write(
-    simulation: Simulation, output: Path, codes_file: StraightCodes | None, frame: Frame, progress: Progress | None
+    simulation: Simulation, output: Path, codes_file: NpyFile | None, frame: Frame, progress: Progress | None
 ) -> tuple[RunRecord, Counts]:
     """Simulate and write the stream, and the codes beside it."""
     scan, suffix = simulation.scan, stream_suffix(output)

@@ -6,17 +6,16 @@ times keep input order, so the result depends neither on chunks nor on the lengt
 
 from __future__ import annotations
 
-import contextlib
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import BinaryIO, cast
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.errors import InputError
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.writing.disk import scratch_errors, scratch_file
 
 RUN_RECORDS = 1 << 19
 """Records sorted in memory at a time."""
@@ -43,14 +42,14 @@ class _SortedSource(DerivedSource):
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode, sort and deliver; see :func:`sorted_by_time`."""
-        with _temporary_file() as handle:
+        with scratch_file("sorting") as handle:
             runs: list[_Run] = []
             position = 0
             pending: NDArray[np.void] | None = None
             for records in self._runs(names):
                 # the last run stays in memory: an input of one run needs no disk
                 if pending is not None:
-                    with _disk_errors():
+                    with scratch_errors("sorting"):
                         handle.write(pending.view(np.uint8).data)
                     runs.append(_Run(handle, position, len(pending), pending.dtype))
                     position += pending.nbytes
@@ -134,7 +133,7 @@ class _Run:
         if self._handle is None or len(self.window) > n_records // 2 or wanted <= 0:
             return
         more = np.empty(wanted, self.window.dtype)
-        with _disk_errors():
+        with scratch_errors("sorting"):
             self._handle.seek(self._position)
             raw = self._handle.read(more.nbytes)
         more.view(np.uint8)[:] = np.frombuffer(raw, np.uint8)
@@ -166,26 +165,3 @@ def _merge(runs: list[_Run], merge_records: int) -> Iterator[NDArray[np.void]]:
             parts = [run.take(np.inf, with_equal=True) for run in runs]
         runs = [run for run in runs if len(run.window) or not run.is_all_here]
         yield _sort(parts)
-
-
-@contextlib.contextmanager
-def _temporary_file() -> Iterator[BinaryIO]:
-    """Return an unnamed temporary file; the system removes it when the process ends."""
-    with _disk_errors():
-        handle = tempfile.TemporaryFile(prefix="prc-sort-")  # noqa: SIM115 - closed below
-    try:
-        yield cast(BinaryIO, handle)
-    finally:
-        # close flushes: on a full disk it fails again and would hide the first error
-        with contextlib.suppress(OSError):
-            handle.close()
-
-
-@contextlib.contextmanager
-def _disk_errors() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        where = tempfile.gettempdir()
-        problem = f"the temporary file for sorting failed ({error.strerror or error})"
-        raise OutputError(where, problem, "free space there or point TMPDIR to a larger disk") from error

@@ -7,17 +7,15 @@ by columns in a temporary file.
 
 from __future__ import annotations
 
-import contextlib
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.options import InputConfig
@@ -49,6 +47,7 @@ from prc_cli.formats.organised.scans import (
     to_float32,
 )
 from prc_cli.formats.ranges import choose_returns, clean_ranges
+from prc_cli.formats.writing.disk import scratch_errors, scratch_file
 
 MAX_RETURNS = 64
 """Most points per cell, averaged over a line: the points of a line are held in memory."""
@@ -418,14 +417,14 @@ def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterat
 
     The size of every group is known, and so its position in the file; within a group, points keep their order.
     """
-    with _temporary_file() as handle:
+    with scratch_file("the points of a scan") as handle:
         filled = edges[:-1].copy()
         for chunk in points:
             group = chunk["line"] // lines
             order = np.argsort(group, kind="stable")
             chunk, group = chunk[order], group[order]
             starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
-            with _disk_errors():
+            with scratch_errors("the points of a scan"):
                 for start, stop in zip(starts, np.append(starts[1:], len(chunk)), strict=True):
                     own = int(group[start])
                     handle.seek(int(filled[own]) * _POINT.itemsize)
@@ -434,33 +433,10 @@ def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterat
         if not np.array_equal(filled, edges[1:]):
             raise InputError("E57", "the points changed while they were read", "run again when the copy is complete")
         for first, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            with _disk_errors():
+            with scratch_errors("the points of a scan"):
                 handle.seek(first * _POINT.itemsize)
                 raw = handle.read((stop - first) * _POINT.itemsize)
             yield np.frombuffer(raw, _POINT)
-
-
-@contextlib.contextmanager
-def _temporary_file() -> Iterator[IO[bytes]]:
-    """Return an unnamed temporary file; the system removes it when the process ends."""
-    with _disk_errors():
-        handle = tempfile.TemporaryFile(prefix="prc-e57-")  # noqa: SIM115 - closed below
-    try:
-        yield cast("IO[bytes]", handle)
-    finally:
-        with contextlib.suppress(OSError):
-            handle.close()
-
-
-@contextlib.contextmanager
-def _disk_errors() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        problem = f"the temporary file for the points of a scan failed ({error.strerror or error})"
-        raise OutputError(
-            tempfile.gettempdir(), problem, "free space there or point TMPDIR to a larger disk"
-        ) from error
 
 
 def open_e57(path: Path, config: InputConfig, lines_at_once: int) -> E57Stream:

@@ -22,7 +22,7 @@ from prc_cli.core.files import output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I32, I64, U8
 from prc_cli.formats.writing.columns import HIGH_NOISE_CODE, OptionalColumn, OutputConfig, Values, class_names
-from prc_cli.formats.writing.disk import Spool
+from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import ClassCount, RunRecord, fingerprint, record_path
 
 CHUNK_RECORDS = 400_000
@@ -186,12 +186,8 @@ class StagedWriter(StagedOutput):
     def _write(self, record: RunRecord) -> RunRecord:
         """Fill and close ``self._temporary``; return the completed record."""
 
-    def _spool(self, dtype: DTypeLike, fill: Any, n_records: int | None) -> Spool:
-        path = temporary_name(self.path)
-        self._stack.callback(remove_quietly, path)
-        spool = Spool(path, dtype, fill, n_records=n_records)
-        self._stack.callback(close_quietly, spool)  # close before removal: Windows cannot remove open files
-        return spool
+    def _spool(self, dtype: DTypeLike, fill: Any, n_records: int | None) -> DiskColumn:
+        return self._stack.enter_context(DiskColumn(self.path, dtype, fill, n_records=n_records))
 
     def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
         """Class codes of labels, same shape."""
@@ -258,8 +254,8 @@ class ScatterWriter(StagedWriter):
         super().__init__(path, codes, options, columns)
         self._n_records = n_records
         self._is_part = is_part
-        self._spools: dict[str, Spool] = {}
-        self._there: Spool | None = None
+        self._spools: dict[str, DiskColumn] = {}
+        self._there: DiskColumn | None = None
         """Of a part: 1 for every record that it holds."""
         self._first, self._stop = sys.maxsize, 0
         """Bounds of the records that it holds."""

@@ -19,7 +19,7 @@ from prc_cli.config import LoadedConfig, RunConfig, refuse_window
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_outputs, file_state, suffix_of, temporary_name
+from prc_cli.core.files import atomic_outputs, file_state, suffix_of
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import I32, U8, Mask
 from prc_cli.formats import LAS_SUFFIXES
@@ -27,7 +27,7 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.copy import check_copied, copy_las, read_las
 from prc_cli.formats.writing import open_stream_writer, outputs_of, stream_suffix
 from prc_cli.formats.writing.base import NO_CODE, StreamItem
-from prc_cli.formats.writing.disk import RecordValues, Spool
+from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import (
@@ -207,10 +207,7 @@ class _Run:
         with contextlib.ExitStack() as stack:
             files = atomic_outputs(self.output, record_path(self.output))
             temporary, beside = stack.enter_context(files)
-            path = temporary_name(self.output)
-            stack.callback(lambda: path.unlink(missing_ok=True))
-            stays = Spool(path, np.uint8, 1, n_records=las.n_records)
-            stack.callback(stays.close)
+            stays = stack.enter_context(DiskColumn(self.output, np.uint8, 1, n_records=las.n_records))
             with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (opened, items):
                 hints = _check_lines(self.source, opened)
                 for item, codes, extra_codes in items:
@@ -332,13 +329,13 @@ class _Run:
         sure = self._read_values(self.labels or self.source, CONFIDENCE, stack)
         return lambda block: (sure.get(block.records()), sure.get(block.extra.record))
 
-    def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> RecordValues:
+    def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> DiskColumn:
         """Load the codes of a label file for access by record."""
         values = self._read_values(path, None, stack)
         self._n_labels = len(values)
         return values
 
-    def _read_values(self, path: Path, dimension: str | None, stack: contextlib.ExitStack) -> RecordValues:
+    def _read_values(self, path: Path, dimension: str | None, stack: contextlib.ExitStack) -> DiskColumn:
         """Load codes, or another dimension of whole numbers, for access by record."""
         try:
             codes = open_codes(path, dimension)
@@ -347,10 +344,7 @@ class _Run:
                 raise
             hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
             raise ConfigError("--min-confidence", f"{path}: {refusal.problem}", hint) from refusal
-        place = temporary_name(self.output)
-        stack.callback(lambda: place.unlink(missing_ok=True))
-        values = RecordValues(place, np.dtype("<i4"), NO_CODE)
-        stack.callback(values.close)
+        values = stack.enter_context(DiskColumn(self.output, "<i4", NO_CODE))
         for chunk in codes.chunks():
             values.append(np.where(np.abs(chunk) < 2**31, chunk, NO_CODE).astype(np.int32))
         return values

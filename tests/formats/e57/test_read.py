@@ -425,7 +425,7 @@ def test_a_temporary_file_that_cannot_be_made_is_told(
     def full(**_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(e57.tempfile, "TemporaryFile", full)
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
     assert "No space left" in refused(put(tmp_path, raw))
 
 

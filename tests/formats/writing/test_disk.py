@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prc_cli.formats.writing import disk as module
+from prc_cli.formats.writing.disk import DiskColumn
+
+
+def read(column: DiskColumn, n: int = 1000) -> np.ndarray:
+    parts = list(column.chunks(n))
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+@pytest.mark.parametrize(("dtype", "fill"), [(np.uint8, 1), (np.uint32, 0), (np.float32, np.nan), (np.int64, -1)])
+def test_holes_read_as_the_fill_value(tmp_path: Path, dtype: type, fill: float) -> None:
+    column = DiskColumn(tmp_path / "s", dtype, fill, n_records=10)
+    column.put(np.array([7, 2]), np.array([5, 6], dtype))
+    expected: np.ndarray = np.full(10, fill, dtype)
+    expected[[7, 2]] = [5, 6]
+    assert read(column, 3).tobytes() == expected.tobytes()
+    column.close()
+
+
+def test_length_grows_with_the_records(tmp_path: Path) -> None:
+    column = DiskColumn(tmp_path / "s", np.uint8, 1)
+    assert len(column) == 0
+    assert list(column.chunks(5)) == []
+    column.put(np.array([3]), np.array([9], np.uint8))
+    assert read(column).tolist() == [1, 1, 1, 9]
+    assert np.concatenate(list(column.chunks(2, first=2, stop=6))).tolist() == [1, 9, 1, 1]
+    column.close()
+
+
+@pytest.mark.parametrize(("record", "told"), [(-1, "record -1 outside 0..4"), (4, "record 4 outside 0..4")])
+def test_records_out_of_bounds(tmp_path: Path, record: int, told: str) -> None:
+    column = DiskColumn(tmp_path / "s", np.uint8, 1, n_records=4)
+    with pytest.raises(IndexError, match=told):
+        column.put(np.array([record]), np.array([1], np.uint8))
+    column.close()
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.lists(st.tuples(st.integers(0, 200), st.integers(0, 2**32 - 1)), max_size=40), max_size=6))
+def test_equals_an_array_in_memory(
+    tmp_path_factory: pytest.TempPathFactory, parts: list[list[tuple[int, int]]]
+) -> None:
+    """Tiny pages and buffers: every boundary is met; the last value of a record stands."""
+    expected = np.full(201, 3, np.uint32)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "PAGE_BYTES", 32)
+        patch.setattr(module, "BUFFER_ITEMS", 16)
+        column = DiskColumn(tmp_path_factory.mktemp("s") / "s", np.uint32, 3, n_records=201)
+        for part in parts:
+            record = np.array([item[0] for item in part], np.int64)
+            values = np.array([item[1] for item in part], np.uint32)
+            column.put(record, values)
+            for index, value in part:
+                expected[index] = value
+        assert np.array_equal(read(column, 17), expected)
+        column.close()
+
+
+def test_the_caller_may_reuse_its_arrays(tmp_path: Path) -> None:
+    column = DiskColumn(tmp_path / "s", np.uint8, 0)
+    record, values = np.array([0, 1]), np.array([5, 6], np.uint8)
+    column.put(record, values)
+    record[:] = 9
+    values[:] = 9
+    assert read(column).tolist() == [5, 6]
+    column.close()
+
+
+def test_memory_stays_at_the_buffer(tmp_path: Path) -> None:
+    """A far record makes a hole in the file, not an array in memory."""
+    import tracemalloc
+
+    column = DiskColumn(tmp_path / "s", np.uint8, 1)
+    tracemalloc.start()
+    column.put(np.array([10**9, 5]), np.array([2, 3], np.uint8))
+    first = next(column.chunks(10))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert first.tolist() == [1, 1, 1, 1, 1, 3, 1, 1, 1, 1]
+    assert peak < 5_000_000
+    column.close()
+
+
+def test_runs_and_single_records_stand_in_the_order_they_came(tmp_path: Path) -> None:
+    column = DiskColumn(tmp_path / "s", np.uint8, 0, n_records=12)
+    for record in ([0, 1, 2, 3], [7, 2], [2, 3, 4], [5], [9, 3, 4, 12 - 1], [11]):
+        column.put(np.array(record), np.full(len(record), 10 * record[0] + len(record), np.uint8))
+    assert read(column).tolist() == [4, 4, 23, 94, 94, 51, 0, 72, 0, 94, 0, 111]
+    column.close()
+
+
+@pytest.mark.parametrize("page_bytes", [32, 1 << 20])
+def test_records_are_read_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, page_bytes: int) -> None:
+    monkeypatch.setattr(module, "PAGE_BYTES", page_bytes)
+    kind = np.dtype([("x", "<f8"), ("code", "<i4")])
+    rows = np.zeros(1000, kind)
+    rows["x"], rows["code"] = np.arange(1000) / 7, np.arange(1000)
+    wanted = np.array([[990, 1, -1, 2, 500], [1000, 7, 8, 501, 1]])
+    expected = np.where((wanted >= 0) & (wanted < 1000), wanted, -5)
+    with module.DiskColumn(tmp_path / "rows", kind, (np.nan, -5)) as column:
+        column.append(rows[:400])
+        column.append(rows[400:])
+        found = column.get(wanted)
+    assert np.array_equal(found["code"], expected)
+    assert np.array_equal(found["x"], np.where(expected < 0, np.nan, expected / 7), equal_nan=True)
+    assert list(tmp_path.iterdir()) == []
