@@ -15,8 +15,6 @@ from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_file
-from prc_cli.formats.organised import e57_file as e57_check
-from prc_cli.formats.organised import e57_read as e57
 from prc_cli.formats.organised.e57_read import E57Stream
 from prc_cli.jobs.classify import classify
 from prc_cli.streams.open import open_input
@@ -310,9 +308,9 @@ def test_frames_that_are_damaged(tmp_path: Path, raw: bytes) -> None:
 
 
 def test_large_xml_sections_are_refused(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(e57_check, "MAX_ELEMENTS", 30)
+    monkeypatch.setattr(e57_file, "MAX_ELEMENTS", 30)
     assert "more than 30 elements" in refused(put(tmp_path, raw))
-    monkeypatch.setattr(e57_check, "MAX_XML_BYTES", 1000)
+    monkeypatch.setattr(e57_file, "MAX_XML_BYTES", 1000)
     assert "expected at most 1000" in refused(put(tmp_path, raw))
 
 
@@ -321,7 +319,7 @@ def test_xml_may_be_nested_sixty_four_deep(tmp_path: Path, raw: bytes, monkeypat
     own = b"".join(raw[at : at + 1020] for at in range(start // 1024 * 1024, len(raw), 1024))[start % 1024 :][:length]
 
     def checked(xml: bytes) -> None:
-        e57_check.check_frame(put(tmp_path, replace_xml(raw, own, xml)))
+        e57_file.check_frame(put(tmp_path, replace_xml(raw, own, xml)))
 
     checked(b"<a>" * 64 + b"</a>" * 64)
     with pytest.raises(PrcError, match="inside one another 65 deep, expected at most 64"):
@@ -329,11 +327,11 @@ def test_xml_may_be_nested_sixty_four_deep(tmp_path: Path, raw: bytes, monkeypat
     # elements side by side are not deep
     checked(b"<a>" + b"<b></b>" * 100 + b"</a>")
     checked(b'<?xml version="1.0" encoding="utf-8"?><a/>')
-    monkeypatch.setattr(e57_check, "MAX_ELEMENTS", 30)
+    monkeypatch.setattr(e57_file, "MAX_ELEMENTS", 30)
     checked(b"<a>" + b"<b/>" * 29 + b"</a>")
     with pytest.raises(PrcError, match="more than 30 elements"):
         checked(b"<a>" + b"<b/>" * 30 + b"</a>")
-    monkeypatch.setattr(e57_check, "MAX_XML_BYTES", 1000)
+    monkeypatch.setattr(e57_file, "MAX_XML_BYTES", 1000)
     checked(b"<a>" + b" " * 993 + b"</a>")
     with pytest.raises(PrcError, match="section of 1001 bytes, expected at most 1000"):
         checked(b"<a>" + b" " * 994 + b"</a>")
