@@ -215,7 +215,7 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
 def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]) -> dict[str, Any]:
     """Return the state of an output folder as plain values."""
     return {
-        "at_work": [_holder_dict(found) for found in owners if found.alive],
+        "at_work": [asdict(found.owner) for found in owners if found.alive],
         "dead_owners": [asdict(found.owner) for found in owners if not found.alive],
         "counts": dict(Counter(entry.state for entry in entries)),
         "doubted": [asdict(doubt) for doubt in _doubts(entries)],
@@ -227,11 +227,6 @@ def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[
 def _doubts(entries: Sequence[Entry]) -> list[Doubted]:
     """Return the doubts about the finished files of a journal."""
     return [doubt for entry in entries for doubt in doubts_of(entry)]
-
-
-def _holder_dict(holder: Holder) -> dict[str, Any]:
-    silent_s = None if holder.silent_s is None else round(holder.silent_s, 1)
-    return asdict(holder.owner) | {"silent_s": silent_s}
 
 
 def _entry_dict(entry: Entry) -> dict[str, Any]:
@@ -264,8 +259,7 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
     ]  # fmt: skip
     tell(f"{out}: {count_of(len(entries), 'file')}: " + ", ".join(f"{count:,} {what}" for count, what in told if count))
     for found in living:
-        heard = "" if found.silent_s is None else f", last heard of {found.silent_s:.0f} s ago"
-        tell(f"at work: {found.owner}{heard}")
+        tell(f"at work: {found.owner}")
     if not living:
         tell("no run is at work")
     table = Table(title="last runs")

@@ -162,7 +162,7 @@ def test_what_a_dead_run_left_is_not_called_at_work_while_another_run_is(
         Entry(name, "running", "", "0", "r", 1, "2026-01-01", None, str(who), None)
         for name, who in (("old.laz", dead), ("new.laz", alive))
     ]
-    print_status(tmp_path, entries, runs, [Holder(tmp_path, alive, 1.0, alive=True)])
+    print_status(tmp_path, entries, runs, [Holder(tmp_path, alive, alive=True)])
     text = capsys.readouterr().out
     assert "2 files: 1 running, 1 cut off" in text
     assert "cut off old.laz" in text

@@ -378,7 +378,7 @@ def _state() -> dict[str, bytes]:
             journal.finish(failed("b.laz"))
         lock = {
             "host": "elsewhere", "pid": 2**22 + 7, "user": "me", "since": "2026-11-23T00:00:00+00:00", "shard": "",
-            "version": "0.1.0", "token": "0" * 32, "beats": False,
+            "version": "0.1.0", "token": "0" * 32,
         }  # fmt: skip
         options = {"archive": "pulses", "out": "out", "preset": "urban", "jobs": 1, "quiet": True, "only": ["*.bin"]}
         command = {"schema": 1, "folder": "/", "options": options}

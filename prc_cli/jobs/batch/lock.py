@@ -6,10 +6,6 @@ The lock ends with its process, however that ends. A JSON file beside it names t
 
 A run takes its own lock, writes the JSON file, and then looks for other runs that have files in common with it. Of two
 that start together at least one sees the other and stops.
-
-Some file systems have no locks. There the JSON file is the lock: its owner touches it every few seconds, and another
-run replaces it when it is old. If two runs do so at the same moment, the first finds the name of the other in the file
-before its next input and stops. Until then both write the same bytes.
 """
 
 from __future__ import annotations
@@ -21,9 +17,7 @@ import json
 import os
 import platform
 import secrets
-import threading
-import time
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -32,32 +26,19 @@ from types import TracebackType
 from filelock import FileLock, Timeout
 
 from prc_cli import __version__
-from prc_cli.core.errors import BusyError
-from prc_cli.core.files import (
-    atomic_output,
-    make_folder,
-    output_errors,
-    read_small,
-    refuse_links,
-    remove_stale,
-    temporary_name,
-)
+from prc_cli.core.errors import BusyError, OutputError
+from prc_cli.core.files import atomic_output, make_folder, output_errors, read_small, refuse_links, remove_stale
 from prc_cli.jobs.batch.types import Shard
 
 LOOK_S = 0.5
 """How long to wait for a lock, because a process that only looks whether it is held holds it for a moment [s]."""
 STATUS_S = 0.02
 """The same where the answer is only shown, and for a shard that started together with another run [s]."""
-BEAT_S = 10.0
-"""Time between two heartbeats where the file system has no locks [s]."""
-SILENT_S = 120.0
-"""An owner without heartbeat for so long is dead [s]."""
 _NO_LOCKS = frozenset({errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL})
 """What systems answer where a file system has no locks, or its lock server does not run."""
-_POLL_S = 0.01
 _MOST_BYTES = 1 << 16
 """Largest JSON file that is read [bytes]."""
-_file_lock = partial(FileLock, thread_local=False, poll_interval=_POLL_S, fallback_to_soft=False)
+_file_lock = partial(FileLock, thread_local=False, poll_interval=0.01, fallback_to_soft=False)
 
 
 def _user() -> str:
@@ -81,8 +62,6 @@ class Owner:
     version: str = __version__
     token: str = field(default_factory=lambda: secrets.token_hex(16))
     """Differs from that of every other lock."""
-    beats: bool = False
-    """The JSON file itself is the lock and is touched while its owner lives."""
 
     def __str__(self) -> str:
         part = f", shard {self.shard}" if self.shard else ""
@@ -99,8 +78,6 @@ class Holder:
     path: Path
     """The JSON file."""
     owner: Owner
-    silent_s: float | None
-    """Time since the last heartbeat [s]; None where the operating system holds the lock."""
     alive: bool
 
 
@@ -128,8 +105,6 @@ class Lock:
         self._folder = folder
         self._shard = shard
         self._lock = _file_lock(self.path.with_suffix(""))
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
     def __enter__(self) -> Lock:
         refuse_links(self._folder, Path(self._lock.lock_file))
@@ -162,44 +137,28 @@ class Lock:
         try:
             self._lock.acquire(LOOK_S)
         except Timeout:
-            raise _busy(Holder(self.path, _read(self.path) or _UNKNOWN, None, alive=True)) from None
+            raise _busy(self.path, _read(self.path) or _UNKNOWN) from None
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
-            self.owner = replace(self.owner, beats=True)
+            problem = f"this file system has no file locks ({error.strerror}), which keep a second run out"
+            hint = "choose an output folder on another disk; Lustre: mount it with -o flock"
+            raise OutputError(str(self._folder), problem, hint) from error
         self.inherited_from = _read(self.path)
-        self._sign()
+        with atomic_output(self.path, overwrite=True) as temporary:
+            temporary.write_text(json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii")
         self._refuse(LOOK_S if self._shard is None else STATUS_S)  # so that a shard gives way to the whole archive
-        if self.owner.beats:
-            self._thread.start()
 
     def _refuse(self, wait_s: float) -> None:
         """Raise if a living run has files in common with this one."""
-        now = _file_system_time(self.path)
         for path in self._folder.glob("lock*.json"):
             if path != self.path and self._shard is not None and path.name.endswith(f"-of-{self._shard.count}.json"):
                 continue
-            holder = _holder(path, now, wait_s, self.owner)
-            if holder is not None and holder.alive:
-                raise _busy(holder)
-
-    def _sign(self) -> None:
-        """Write the name of this run into the JSON file."""
-        with atomic_output(self.path, overwrite=True) as temporary:
-            temporary.write_text(json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii")
-
-    def _beat(self) -> None:
-        while not self._stop.wait(BEAT_S):
-            with contextlib.suppress(OSError):
-                found = _read(self.path)
-                if found is None or found.token != self.owner.token:
-                    return
-                os.utime(self.path)  # without a time, so that the file server sets its own
+            owner = _read(path)
+            if owner is not None and owner.token != self.owner.token and _is_held(path, wait_s):
+                raise _busy(path, owner)
 
     def _release(self) -> None:
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
         with contextlib.suppress(OSError):  # Windows keeps files that are open
             found = _read(self.path)
             if found is not None and found.token == self.owner.token:
@@ -211,68 +170,38 @@ class Lock:
 
 
 def holders(folder: Path) -> list[Holder]:
-    """Return who holds, or held, a lock of an output folder; for ``prc batch status``.
-
-    Heartbeats are compared with the clock of this machine.
-    """
-    found = (_holder(path, time.time(), STATUS_S) for path in sorted(folder.glob("lock*.json")))
-    return [holder for holder in found if holder is not None]
+    """Return who holds, or held, a lock of an output folder; for ``prc batch status``."""
+    found = ((path, _read(path)) for path in sorted(folder.glob("lock*.json")))
+    return [Holder(path, owner, _is_held(path, STATUS_S)) for path, owner in found if owner is not None]
 
 
 def has_locks(folder: Path) -> bool:
     """Tell whether the file system of an empty folder has locks; for ``prc doctor``."""
-    (folder / "lock").touch()
-    return _is_held(folder / "lock", LOOK_S) is not None
-
-
-def _holder(path: Path, now: float, wait_s: float, myself: Owner | None = None) -> Holder | None:
-    """Return who is named in a file, and whether that process lives; None without such a file, or if it names us.
-
-    ``now`` is the time of the file system [s], ``wait_s`` how long to wait for the lock [s].
-    """
     try:
-        owner, silent = _read(path), max(0.0, now - path.stat().st_mtime)
-    except FileNotFoundError:
-        return None
-    if owner is None or (myself is not None and owner.token == myself.token):
-        return None
-    held = None if owner.beats else _is_held(path.with_suffix(""), wait_s)
-    if held is None:
-        return Holder(path, owner, silent, silent < SILENT_S)
-    return Holder(path, owner, None, held)
+        with _file_lock(folder / "lock").acquire(LOOK_S):
+            return True
+    except OSError as error:
+        return error.errno not in _NO_LOCKS
 
 
-def _is_held(path: Path, wait_s: float) -> bool | None:
-    """Tell whether a process holds a lock; None where the file system has no locks."""
-    if not path.exists():
+def _is_held(path: Path, wait_s: float) -> bool:
+    """Tell whether a process holds the lock beside a JSON file; nobody does where the file system has no locks."""
+    lock = path.with_suffix("")
+    if not lock.exists():
         return False
     try:
-        with _file_lock(path).acquire(wait_s):
+        with _file_lock(lock).acquire(wait_s):
             return False
     except Timeout:
         return True
     except OSError as error:  # without permission to open the lock, what the JSON file says counts
-        return None if error.errno in _NO_LOCKS else True
-
-
-def _file_system_time(path: Path) -> float:
-    """Return the time of the file system of a path [s], which may be that of a server."""
-    trial = temporary_name(path)
-    try:
-        trial.touch()
-        return trial.stat().st_mtime
-    finally:
-        trial.unlink(missing_ok=True)
+        return error.errno not in _NO_LOCKS
 
 
 def _read(path: Path) -> Owner | None:
-    """Return the owner that a file names; None if there is no such file.
-
-    A file that is cut, or was edited by hand, has an unknown owner. Versions before 3 wrote heartbeats, and no
-    ``beats``.
-    """
+    """Return the owner that a file names, unknown if it was cut or edited; None if there is no such file."""
     try:
-        values = {"beats": True} | json.loads(read_small(path, _MOST_BYTES))
+        values = json.loads(read_small(path, _MOST_BYTES))
         owner = Owner(**{item.name: values[item.name] for item in fields(Owner)})
         if any(type(getattr(owner, item.name)) is not type(getattr(_UNKNOWN, item.name)) for item in fields(Owner)):
             return _UNKNOWN
@@ -287,13 +216,6 @@ def _read(path: Path) -> Owner | None:
         return _UNKNOWN
 
 
-def _busy(holder: Holder) -> BusyError:
-    problem = f"another run is at work here: {holder.owner}"
-    hint = "wait until it has ended"
-    if holder.owner.host == platform.node():
-        hint += f", or stop it: kill {holder.owner.pid}"
-    if holder.silent_s is not None:
-        problem += f", last heard of {holder.silent_s:.0f} s ago"
-        hint += f" (a dead one counts for {SILENT_S:.0f} s); where the file system has no locks, as here, give every"
-        hint += " machine a part of its own: --shard I/N"
-    return BusyError(str(holder.path), problem, hint)
+def _busy(path: Path, owner: Owner) -> BusyError:
+    here = f", or stop it: kill {owner.pid}" if owner.host == platform.node() else ""
+    return BusyError(str(path), f"another run is at work here: {owner}", f"wait until it has ended{here}")

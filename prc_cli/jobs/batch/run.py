@@ -167,8 +167,6 @@ class _Run:
         run = self._journal.begin_run(self._owner)
         if self._lock.inherited_from is not None:
             self._note(f"took over from a run that died: {self._lock.inherited_from}")
-        for notice in self._journal.notices:
-            self._note(notice)
         ended: Ended = "finished"
         evaluation: BatchEvaluation | None = None
         stop: BaseException | None = None

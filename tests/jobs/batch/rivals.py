@@ -75,7 +75,7 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
             log.write("died\n")
             os._exit(DIED)
 
-    for name in ("_read", "_is_held", "_file_system_time"):
+    for name in ("_read", "_is_held"):
         setattr(subject, name, _with_steps(getattr(subject, name), step))
     for name in ("acquire", "release"):
         setattr(subject.FileLock, name, _with_steps(getattr(subject.FileLock, name), step))

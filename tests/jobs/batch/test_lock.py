@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
@@ -23,7 +22,7 @@ from filelock import FileLock
 
 from prc_cli.core.errors import BusyError, ConfigError, OutputError
 from prc_cli.jobs.batch import lock as subject
-from prc_cli.jobs.batch.lock import Lock, Owner, holders, lock_path
+from prc_cli.jobs.batch.lock import Lock, Owner, has_locks, holders, lock_path
 from prc_cli.jobs.batch.types import Shard
 from tests.patience import run, start, wait_until
 
@@ -47,26 +46,10 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / ".prc"
 
 
-@pytest.fixture
-def without_locks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file system without locks, or without its lock server."""
-
-    def acquire(lock: FileLock, *arguments: Any, **named: Any) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    monkeypatch.setattr(FileLock, "acquire", acquire)
-
-
-def leave(path: Path, owner: Owner, silent_s: float = 0.0) -> None:
-    """Leave the file of an owner whose last heartbeat is so long ago."""
+def leave(path: Path, owner: Owner) -> None:
+    """Leave the file of an owner."""
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(asdict(owner)))
-    then = path.stat().st_mtime - silent_s
-    os.utime(path, (then, then))
-
-
-def beating() -> Owner:
-    return Owner(host="elsewhere", beats=True)
 
 
 @contextmanager
@@ -84,7 +67,6 @@ def test_a_lock_is_held_and_released(folder: Path) -> None:
     with Lock(folder) as lock:
         (holder,) = holders(folder)
         assert holder.alive
-        assert holder.silent_s is None
         assert holder.owner == lock.owner
         assert holder.owner.pid == os.getpid()
         lock.check()
@@ -114,12 +96,9 @@ def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
         ("11/12", "1/2", False),
     ],
 )
-@pytest.mark.parametrize("locks", [True, False])
 def test_runs_with_files_in_common_exclude_each_other(
-    folder: Path, request: pytest.FixtureRequest, first: str | None, second: str | None, together: bool, locks: bool
+    folder: Path, first: str | None, second: str | None, together: bool
 ) -> None:
-    if not locks:
-        request.getfixturevalue("without_locks")
     one, other = (None if text is None else Shard.parse(text) for text in (first, second))
     with Lock(folder, one) as lock:
         if together:
@@ -196,15 +175,9 @@ def test_a_file_that_names_nobody_stops_nobody(folder: Path, content: bytes) -> 
 
 
 @pytest.mark.parametrize("event", ["taken over", "removed"])
-@pytest.mark.parametrize("locks", [True, False])
-def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
-    folder: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, event: str, locks: bool
-) -> None:
-    """As after somebody removed files, or a machine slept and was taken for dead."""
-    if not locks:
-        request.getfixturevalue("without_locks")
-    monkeypatch.setattr(subject, "BEAT_S", 0.02)
-    other = beating()
+def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(folder: Path, event: str) -> None:
+    """As after somebody removed files."""
+    other = Owner(host="elsewhere")
     with Lock(folder) as lock:
         if event == "taken over":
             leave(lock.path, other)
@@ -245,11 +218,8 @@ def test_a_lock_that_may_not_be_opened_is_said_so(folder: Path, monkeypatch: pyt
         pass
 
 
-# -- file systems without locks ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("number", [errno.ENOTSUP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL])
-def test_without_locks_a_second_run_is_refused_and_told_of_shards(
+def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
     folder: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     def flock(handle: int, operation: int) -> None:
@@ -257,92 +227,10 @@ def test_without_locks_a_second_run_is_refused_and_told_of_shards(
 
     fcntl = pytest.importorskip("fcntl")
     monkeypatch.setattr(fcntl, "flock", flock)
-    with Lock(folder) as lock:
-        assert lock.owner.beats
-        lock.check()
-        (holder,) = holders(folder)
-        assert holder.alive
-        assert holder.silent_s is not None
-        with pytest.raises(BusyError, match="another run is at work") as caught, Lock(folder):
-            pass
-        assert caught.value.exit_code == 5
-        assert "--shard" in caught.value.hint
-    assert os.listdir(folder) == []
-
-
-def test_the_heartbeat_beats_while_the_lock_is_held(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None
-) -> None:
-    monkeypatch.setattr(subject, "BEAT_S", 0.02)
-    with Lock(folder) as lock:
-        os.utime(lock.path, (1000, 1000))
-        wait_until(lambda: lock.path.stat().st_mtime > 1000)
-        assert holders(folder)[0].silent_s is not None
-
-
-@pytest.mark.parametrize("locks", [True, False])
-@pytest.mark.parametrize(("silent_s", "alive"), [(0, True), (60, True), (121, False)])
-def test_owners_without_locks_live_by_their_heartbeat(
-    folder: Path, request: pytest.FixtureRequest, locks: bool, silent_s: float, alive: bool
-) -> None:
-    """Also for who has locks: machines may mount the same folder in different ways."""
-    if not locks:
-        request.getfixturevalue("without_locks")
-    other = beating()
-    leave(lock_path(folder), other, silent_s)
-    assert [holder.alive for holder in holders(folder)] == [alive]
-    if alive:
-        with pytest.raises(BusyError, match="last heard of"), Lock(folder):
-            pass
-    else:
-        with Lock(folder) as lock:
-            assert lock.inherited_from == other
-            lock.check()
-
-
-def test_the_lock_of_an_earlier_version_lives_by_its_heartbeat(folder: Path) -> None:
-    folder.mkdir()
-    table = asdict(beating()) | {"boot": "b", "pid_space": "", "born": "12"}
-    del table["beats"]
-    lock_path(folder).write_text(json.dumps(table))
-    with pytest.raises(BusyError, match="on elsewhere"), Lock(folder):
+    with pytest.raises(OutputError, match="this file system has no file locks.*another disk"), Lock(folder):
         pass
-
-
-@pytest.mark.parametrize("skew_s", [-86_400.0, 86_400.0])
-def test_clocks_of_machines_do_not_matter(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None, skew_s: float
-) -> None:
-    """Heartbeats are compared with the time of the file system, not with the clock of this machine."""
-    now = time.time
-    monkeypatch.setattr(subject.time, "time", lambda: now() + skew_s)
-    leave(lock_path(folder), beating(), silent_s=60)
-    with pytest.raises(BusyError), Lock(folder):
-        pass
-    leave(lock_path(folder), beating(), silent_s=180)
-    with Lock(folder):
-        pass
-
-
-def test_without_locks_one_of_two_that_start_together_stops(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None
-) -> None:
-    """Both found the same dead owner; the later one replaces the file of the earlier one, which finds out."""
-    leave(lock_path(folder), beating(), silent_s=180)
-    with ExitStack() as stack:
-        first = Lock(folder)
-        replace = Path.replace
-
-        def slow(path: Path, target: Path) -> Path:
-            monkeypatch.setattr(Path, "replace", replace)
-            stack.enter_context(first)
-            return replace(path, target)
-
-        monkeypatch.setattr(Path, "replace", slow)
-        second = stack.enter_context(Lock(folder))
-        second.check()
-        with pytest.raises(BusyError, match="taken over by"):
-            first.check()
+    assert holders(folder) == []
+    assert not has_locks(folder)
 
 
 # -- rivals -----------------------------------------------------------------------------------------------------------
@@ -373,7 +261,7 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
         with suppress(BusyError):
             inside.append(stack.enter_context(Lock(folder, shard)))
 
-    for name in ("_read", "_is_held", "_file_system_time"):
+    for name in ("_read", "_is_held"):
         monkeypatch.setattr(subject, name, stepped(getattr(subject, name)))
     for name in ("replace", "unlink"):
         monkeypatch.setattr(Path, name, stepped(getattr(Path, name)))
