@@ -6,13 +6,14 @@ Nothing is opened but folders.
 
 from __future__ import annotations
 
+import fnmatch
 import os
 import queue
 import re
 import stat
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
@@ -20,9 +21,7 @@ from typing import TypeAlias, TypeVar
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
-from prc_cli.formats import (
-    LAS_SUFFIXES,
-)
+from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.registry import by_suffix
 from prc_cli.jobs.batch.settings import BatchSettings
 from prc_cli.jobs.batch.summary import LeftOut
@@ -90,9 +89,7 @@ def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | L
     All calls that may hang are made here.
     """
     archive, out = _folders(settings)
-    tells_case = _tells_case(archive)
-    include = Patterns(settings.include, tells_case=tells_case)
-    exclude = Patterns(settings.exclude, tells_case=tells_case)
+    include, exclude = Patterns(settings.include), Patterns(settings.exclude)
     for item in _walk(archive, out, exclude):
         if isinstance(item, LeftOut):
             yield item
@@ -136,17 +133,6 @@ def _folder(archive: Path) -> Path:
     if not found.is_dir():
         raise ConfigError(str(archive), "is no folder, expected a tree of inputs", "prc classify takes a single file")
     return found
-
-
-def _tells_case(folder: Path) -> bool:
-    """Tell whether ``a`` and ``A`` are two files here, as on most systems."""
-    other = folder.with_name(folder.name.swapcase())
-    if other.name == folder.name:
-        return os.path.normcase("A") == "A"
-    try:
-        return not other.samefile(folder)
-    except OSError:
-        return True
 
 
 # -- walking ----------------------------------------------------------------------------------------------------------
@@ -254,7 +240,7 @@ def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Itera
 
 
 class Patterns:
-    """Glob patterns of names.
+    """Glob patterns of names; one without a slash is for the last part of a name.
 
     >>> Patterns(["*.laz"]).match("2026/a/b.laz"), Patterns(["2026/*.laz"]).match("2026/a/b.laz")
     (True, False)
@@ -262,75 +248,38 @@ class Patterns:
     (True, False)
     """
 
-    def __init__(self, patterns: Iterable[str], *, tells_case: bool = True) -> None:
-        flags = re.DOTALL if tells_case else re.DOTALL | re.IGNORECASE
-        self._whole: list[re.Pattern[str]] = []
-        self._last: list[re.Pattern[str]] = []
+    def __init__(self, patterns: Iterable[str]) -> None:
+        self._patterns: list[tuple[bool, list[re.Pattern[str] | None]]] = []
         for pattern in patterns:
             text = pattern.replace(os.sep, "/").removeprefix("./").rstrip("/")
             if not text or "\0" in text:
                 raise ConfigError("pattern", f"found {pattern!r}, expected a glob such as *.laz or night/**/*.laz")
-            compiled = re.compile(_regex(text.removeprefix("/")), flags)
-            (self._whole if "/" in text else self._last).append(compiled)
+            parts = text.removeprefix("/").split("/")
+            # a part of its own, so that no star matches a slash; None for any folders
+            compiled = [None if part == "**" else re.compile(fnmatch.translate(part)) for part in parts]
+            self._patterns.append(("/" in text, compiled))
 
     def __bool__(self) -> bool:
-        return bool(self._whole or self._last)
+        return bool(self._patterns)
 
     def match(self, name: str) -> bool:
         """Tell whether any pattern matches a name."""
-        last = name.rpartition("/")[2]
-        return any(one.fullmatch(name) for one in self._whole) or any(one.fullmatch(last) for one in self._last)
+        parts = name.split("/")
+        return any(_match(parts if whole else parts[-1:], pattern) for whole, pattern in self._patterns)
 
 
-def _regex(pattern: str) -> str:
-    """Translate a glob, each part between slashes on its own, so that no star matches a slash."""
-    parts = []
-    segments = pattern.split("/")
-    for i, segment in enumerate(segments):
-        last = i == len(segments) - 1
-        if segment == "**":
-            parts.append(".+" if last else "(?:[^/]+/)*")
+def _match(parts: Sequence[str], pattern: Sequence[re.Pattern[str] | None]) -> bool:
+    """Tell whether a pattern matches all parts of a name; ``**`` stands for any number, at the end for one or more."""
+    reached = {0}
+    """Numbers of parts that the pattern so far may stand for."""
+    for i, one in enumerate(pattern):
+        if one is None:
+            reached = set(range(min(reached) + (i == len(pattern) - 1), len(parts) + 1))
         else:
-            parts.append(_segment(segment) + ("" if last else "/"))
-    return "".join(parts)
-
-
-def _segment(text: str) -> str:
-    found: list[str] = []
-    i = 0
-    while i < len(text):
-        character = text[i]
-        i += 1
-        if character == "*":
-            if not found or found[-1] != "[^/]*":  # several stars in a row count as one, to avoid an exponential search
-                found.append("[^/]*")
-        elif character == "?":
-            found.append("[^/]")
-        elif character == "[" and (end := text.find("]", i + 1 + text.startswith("!", i))) > 0:
-            found.append(_set(text[i:end]))
-            i = end + 1
-        else:
-            found.append(re.escape(character))
-    return "".join(found)
-
-
-def _set(inside: str) -> str:
-    """Translate the text between brackets."""
-    negated = inside.startswith("!")
-    inside = inside[negated:]
-    ranges = []
-    i = 0
-    while i < len(inside):
-        if i + 2 < len(inside) and inside[i + 1] == "-":
-            if inside[i] <= inside[i + 2]:
-                ranges.append(f"{re.escape(inside[i])}-{re.escape(inside[i + 2])}")
-            i += 3
-        else:
-            ranges.append(re.escape(inside[i]))
-            i += 1
-    if negated:
-        return f"[^/{''.join(ranges)}]"
-    return f"(?!/)[{''.join(ranges)}]" if ranges else r"(?!)"
+            reached = {n + 1 for n in reached if n < len(parts) and one.match(parts[n])}
+        if not reached:
+            return False
+    return len(parts) in reached
 
 
 def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> int:

@@ -105,11 +105,6 @@ def test_a_star_crosses_no_folder() -> None:
     assert not Patterns(["q/a[/]b"]).match("q/a/b")
 
 
-def test_case_is_that_of_the_file_system() -> None:
-    assert not Patterns(["*.laz"]).match("A.LAZ")
-    assert Patterns(["*.laz"], tells_case=False).match("A.LAZ")
-
-
 @given(st.text(max_size=12))
 def test_names_match_themselves_when_nothing_in_them_is_special(name: str) -> None:
     name = name.replace("/", "").strip(".")
