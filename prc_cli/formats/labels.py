@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
 from prc_cli.core.types import F64, I64
@@ -21,7 +20,7 @@ from prc_cli.formats.writing.base import (
     Columns,
     ScatterWriter,
 )
-from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, Values, asked_columns
+from prc_cli.formats.writing.columns import LabelOutput, Values, asked_columns
 from prc_cli.formats.writing.disk import npy_header
 from prc_cli.formats.writing.record import RunRecord
 
@@ -292,13 +291,11 @@ class LabelFileWriter(ScatterWriter):
     ``ground_height`` (float32, ``nan`` = unknown).
     """
 
-    def __init__(
-        self, path: Path, codes: ClassCodes, options: OutputConfig, n_records: int | None, *, is_part: bool = False
-    ) -> None:
-        self._kind = path.suffix.lower()
-        asked = asked_columns(options)
+    def __init__(self, labels: LabelOutput) -> None:
+        self._kind = labels.path.suffix.lower()
+        asked = asked_columns(labels.options)
         held = [column for column in asked if column.heading is not None and self._kind != ".npy"]
-        super().__init__(path, codes, options, held, n_records, is_part=is_part)
+        super().__init__(labels, held, labels.n_records)
         for column in asked:
             if column.heading is None:
                 self._notice(f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz")
@@ -393,8 +390,3 @@ def _cell(text: str) -> str:
     line = io.StringIO()
     csv.writer(line, lineterminator="").writerow([text])
     return line.getvalue()
-
-
-def open_label_writer(output: LabelOutput) -> LabelFileWriter:
-    """Return the writer of labels alone."""
-    return LabelFileWriter(output.path, output.codes, output.options, output.n_records, is_part=output.is_part)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from prc_cli.formats.labels import CodeSource
     from prc_cli.formats.options import InputConfig, Layout
     from prc_cli.formats.records import RecordSource
-    from prc_cli.formats.writing.base import LabelWriter, StreamShape, StreamWriter
+    from prc_cli.formats.writing.base import StagedWriter, StreamShape
     from prc_cli.formats.writing.columns import LabelOutput
 
 ENTRY_POINTS = "prc_cli.formats"
@@ -56,13 +56,13 @@ class Format:
     streams: Mapping[str, str] = field(default_factory=dict)
     """Suffixes of streams that are written, each with what such a file is."""
     write_stream: str = ""
-    """Writes a stream: ``(path, shape) -> StreamWriter``."""
+    """Writes a stream: ``(path, shape) -> StagedWriter``."""
     holds: frozenset[Held] = EVERYTHING
     """What a written stream can hold."""
     labels: tuple[str, ...] = ()
     """Suffixes of outputs of ``prc classify``."""
     write_labels: str = ""
-    """Writes them: ``(output) -> LabelWriter``."""
+    """Writes them: ``(output) -> StagedWriter``."""
     codes: tuple[str, ...] = ()
     """Suffixes of files that class codes are read from."""
     open_codes: str = ""
@@ -78,11 +78,11 @@ class Format:
         """Open a range image or an organised scan."""
         return _call(self.images, path, config, lines_at_once)  # type: ignore[no-any-return]
 
-    def stream_writer(self, path: Path, shape: StreamShape) -> StreamWriter:
+    def stream_writer(self, path: Path, shape: StreamShape) -> StagedWriter:
         """Return the writer of a stream."""
         return _call(self.write_stream, path, shape)  # type: ignore[no-any-return]
 
-    def label_writer(self, output: LabelOutput) -> LabelWriter:
+    def label_writer(self, output: LabelOutput) -> StagedWriter:
         """Return the writer of a classified input."""
         return _call(self.write_labels, output)  # type: ignore[no-any-return]
 

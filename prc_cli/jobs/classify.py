@@ -31,7 +31,7 @@ from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.writing import open_writer
-from prc_cli.formats.writing.base import LabelWriter
+from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput, asked_columns
 from prc_cli.formats.writing.record import (
     Fingerprint,
@@ -364,7 +364,7 @@ def user_names(config: RunConfig) -> dict[int, str]:
 
 
 def _write_labels(
-    stream: ScanStream, writer: LabelWriter, config: RunConfig, threads: int, progress: Progress | None,
+    stream: ScanStream, writer: StagedWriter, config: RunConfig, threads: int, progress: Progress | None,
     result: ResultWatch,
 ) -> Counts:  # fmt: skip
     """Read, classify and write in parallel; with one thread one after the other.

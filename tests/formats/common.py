@@ -12,7 +12,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.formats.writing import open_writer
-from prc_cli.formats.writing.base import LabelWriter
+from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import Fingerprint, RunRecord
 
@@ -70,7 +70,7 @@ def record_blocks(labels: U8, m: int = 20, *, order: I64 | None = None, **fields
     return blocks
 
 
-def writer(path: Path, source: Path, *, overwrite: bool = False, **changes: Any) -> LabelWriter:
+def writer(path: Path, source: Path, *, overwrite: bool = False, **changes: Any) -> StagedWriter:
     output = LabelOutput(path=path, source=source, n_records=None, points_per_line=20, codes=ClassCodes())
     return open_writer(replace(output, **changes), overwrite=overwrite)
 

@@ -16,7 +16,7 @@ FORMATS = (
         write_stream="prc_cli.formats.arrays.write:NpyStream",
         holds=frozenset(),
         labels=(".npy",),
-        write_labels="prc_cli.formats.labels:open_label_writer",
+        write_labels="prc_cli.formats.labels:LabelFileWriter",
         codes=(".npy",),
         open_codes=_CODES,
     ),

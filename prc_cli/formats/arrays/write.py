@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.types import F64
-from prc_cli.formats.writing.base import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
 from prc_cli.formats.writing.disk import NpyFile
 
 COPY_BYTES = 1 << 20
@@ -20,27 +20,24 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Date of every member, the same as numpy's: equal runs give equal bytes."""
 
 
-class NpyStream(StagedStreamWriter):
+class NpyStream(StreamWriter):
     """Writer of (lines, M) float32 ranges, NaN = missing."""
 
     one_scanner = "a range image"
 
-    def _start(self) -> None:
-        self._handle = self._temporary.open("w+b")
-        self._stack.callback(self._handle.close)
-        self._array: NpyFile | None = None
+    _array: NpyFile | None = None
 
     def _add(self, item: StreamItem) -> None:
         if self._array is None:
             self._array = NpyFile(self._handle, "<f4", (item.block.points_per_line,))
         self._array.append(item.block.range_m)
 
-    def _write(self) -> None:
+    def _close(self) -> None:
         (self._array or NpyFile(self._handle, "<f4", (0,))).finish()
         self._handle.close()
 
 
-class NpzStream(StagedStreamWriter):
+class NpzStream(StreamWriter):
     """Writer of ``range_m``, ``angle_deg``, ``time_s``, ``xyz``, ``intensity`` and ``class``, as far as there are some.
 
     ``class`` holds class codes, (lines, M) int32; -1 = none.
@@ -53,9 +50,6 @@ class NpzStream(StagedStreamWriter):
         self._method = zipfile.ZIP_DEFLATED if shape.compress else zipfile.ZIP_STORED
         self._angle_deg: F64 | None = None
         self._parts: dict[str, NpyFile] = {}
-
-    def _start(self) -> None:
-        """Wait for the first block."""
 
     def _add(self, item: StreamItem) -> None:
         block, shape = item.block, self.shape
@@ -75,9 +69,9 @@ class NpzStream(StagedStreamWriter):
         if self._angle_deg is None and block.angle_rad is not None:
             self._angle_deg = np.rad2deg(block.angle_rad)
 
-    def _write(self) -> None:
+    def _close(self) -> None:
         # write to our own file object, so that a failed write shows the error of the system
-        with self._temporary.open("w+b") as target, zipfile.ZipFile(target, "w", self._method) as archive:
+        with self._handle, zipfile.ZipFile(self._handle, "w", self._method) as archive:
             for name, array in self._parts.items():
                 array.finish()
                 with self._member(archive, name) as member:

@@ -3,38 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
-from prc_cli.core.types import F64
 from prc_cli.formats.clouds.source import CHUNK_RECORDS, NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import (
     NO_CODE,
-    LabelWriter,
     ScatterWriter,
-    StagedStreamWriter,
     StagedWriter,
     StreamItem,
     StreamShape,
-    close_quietly,
 )
 from prc_cli.formats.writing.columns import (
     RANGE,
     ExtraDimension,
     LabelOutput,
     OptionalColumn,
-    OutputConfig,
     Values,
     asked_columns,
 )
-from prc_cli.formats.writing.coordinates import LinesApart, Placement, coordinates
+from prc_cli.formats.writing.coordinates import LinesApart
 from prc_cli.formats.writing.record import RunRecord
 
 CLOUD_SUFFIXES = (".ply", ".pcd")
@@ -83,7 +78,7 @@ def cloud_header(
     ).encode()
 
 
-def stream_dtype(shape: StreamShape, *, codes: bool) -> np.dtype[np.void]:
+def stream_dtype(shape: StreamShape) -> np.dtype[np.void]:
     """Return the record of a stream; thinned frames of spinning scanners are plain points."""
     xyz = "<f8" if shape.registered else "<f4"
     has_xyz = shape.xyz or shape.registered
@@ -99,7 +94,7 @@ def stream_dtype(shape: StreamShape, *, codes: bool) -> np.dtype[np.void]:
         ("return_number", "<u1", shape.returns and has_cells),
         ("number_of_returns", "<u1", shape.returns and has_cells),
         ("point_source_id", "<u4", shape.scanners),
-        (_CLASS, "<u1", codes),
+        (_CLASS, "<u1", shape.codes),
     ]
     return np.dtype([(name, kind) for name, kind, present in wanted if present])
 
@@ -128,18 +123,19 @@ def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
         yield slice(first, min(first + lines, n_lines))
 
 
-class CloudStream(StagedStreamWriter):
-    """Writer of a whole stream: a point per cell, NaN where a shot has no return, and one per further return.
+class CloudWriter(StagedWriter):
+    """Writer of a cloud, a point per cell, NaN where a shot has no return, and one per further return.
 
-    Where only returns are wanted, shots without one have no point.
+    Where only returns are wanted, as of classified inputs of other formats, shots without one have no point.
     """
 
-    def __init__(self, path: Path, shape: StreamShape) -> None:
-        super().__init__(path, shape)
-        self._dtype = stream_dtype(shape, codes=shape.codes)
-        self._n = 0
-        self._n_cells = 0
-        self._n_codes_lost = 0
+    def __init__(self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None) -> None:
+        super().__init__(path, labels)
+        for column in asked_columns(self._options):
+            if column.dimension is not RANGE:
+                self._notice(f"{self.path.suffix} outputs hold no {column.what}s; they need .las, .laz or .csv")
+        self._shape = shape
+        self._n = self._n_cells = self._n_codes_lost = 0
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -148,88 +144,52 @@ class CloudStream(StagedStreamWriter):
             return ()
         return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {_NO_CLASS}",)
 
-    def _start(self) -> None:
-        self._handle = self._temporary.open("wb")
-        self._stack.callback(close_quietly, self._handle)
-        self._handle.write(self._header())
-
-    def _header(self) -> bytes:
-        # further returns and lines of other lengths leave no rows of a width
-        width = self.shape.points_per_line if self._n == self._n_cells else None
-        comments = (f"{OWN_COMMENT}{self.shape.points_per_line}",)
-        return cloud_header(self.path.suffix.lower(), self._dtype, self._n, comments, width)
+    def _write_header(self) -> np.dtype[np.void]:
+        """Write the header, as long for any number of points; return the record."""
+        shape, m = self._shape, 0
+        if shape is None:  # no block has come
+            dtype = np.dtype([("range", "<f4"), (_CLASS, "<u1")])
+        else:
+            dtype, m = stream_dtype(shape), shape.points_per_line
+        # further returns, lines of other lengths and shots left out leave no rows of a width
+        width = m if self._labels is None and self._n == self._n_cells else None
+        comments = (f"{OWN_COMMENT}{m}",) if m else ()
+        self._handle.seek(0)
+        self._handle.write(cloud_header(self.path.suffix.lower(), dtype, self._n, comments, width))
+        return dtype
 
     def _add(self, item: StreamItem) -> None:
-        if item.codes is not None:
+        block, labels = item.block, self._labels
+        if labels is not None:
+            self._see_order(block)
+            if self._shape is None:
+                self._shape = StreamShape(
+                    block.points_per_line, scanners=True, returns=True, angles=block.angle_rad is not None,
+                    times=block.time_s is not None, xyz=True,
+                    registered=not (labels.place is None or isinstance(labels.place, LinesApart)),
+                    intensity=block.intensity is not None, codes=True,
+                )  # fmt: skip
+            if labels.place is not None or block.xyz_m is None:
+                own, extra = self._coordinates(item)
+                item = replace(item, registered_m=own, extra_registered_m=extra)
+        elif item.codes is not None:
             self._n_codes_lost += int(np.count_nonzero((item.codes > 255) | (item.codes < NO_CODE)))
-        for rows in _spans(item.block.n_lines, item.block.points_per_line):
+        assert self._shape is not None
+        if not self._n_cells:
+            self._dtype = self._write_header()
+        for rows in _spans(block.n_lines, block.points_per_line):
             found = stream_records(item, rows, self._dtype)
-            if self.shape.points:
-                found = found[~np.isnan(found["x"])]
+            if labels is not None or self._shape.points:
+                found = found[~np.isnan(found["x" if labels is None else "range"])]
+            if labels is not None:
+                self._count(np.ascontiguousarray(found[_CLASS]))
             self._n += len(found)
-            self._n_cells += (rows.stop - rows.start) * self.shape.points_per_line
+            self._n_cells += (rows.stop - rows.start) * self._shape.points_per_line
             self._handle.write(found.data)
 
-    def _write(self) -> None:
-        self._handle.seek(0)
-        self._handle.write(self._header())
+    def _close(self) -> None:
+        self._write_header()
         self._handle.close()
-
-
-class CloudBuilder(StagedWriter):
-    """Writer of the returns of a classified input of another format; missing shots have no point."""
-
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, place: Placement | None = None) -> None:
-        super().__init__(path, codes, options, ())
-        self._place = place
-        for column in asked_columns(options):
-            if column.dimension is not RANGE:
-                self._notice(f"{self.path.suffix} outputs hold no {column.what}s; they need .las, .laz or .csv")
-        self._dtype: np.dtype[np.void] | None = None
-        self._comments: tuple[str, ...] = ()
-        self._n = 0
-
-    def _start(self) -> None:
-        self._handle = self._temporary.open("wb")
-        self._stack.callback(close_quietly, self._handle)
-
-    def _begin(self) -> None:
-        """Wait for the first block."""
-
-    def _add(self, block: LabelledBlock) -> None:
-        scan = block.block
-        self._see_order(scan)
-        if self._dtype is None:
-            shape = StreamShape(
-                scan.points_per_line, scanners=True, returns=True, angles=scan.angle_rad is not None,
-                times=scan.time_s is not None, xyz=True,
-                registered=not (self._place is None or isinstance(self._place, LinesApart)),
-                intensity=scan.intensity is not None, codes=True,
-            )  # fmt: skip
-            self._dtype = stream_dtype(shape, codes=True)
-            self._comments = (f"{OWN_COMMENT}{scan.points_per_line}",)
-            self._handle.write(cloud_header(self.path.suffix.lower(), self._dtype, 0, self._comments))
-        codes = self._encode(block.labels, scan.range_m).astype(np.int32)
-        extra = self._encode(block.extra_labels, scan.extra.range_m).astype(np.int32)
-        placed: tuple[F64, F64] | tuple[()] = ()
-        if self._place is not None or scan.xyz_m is None:
-            placed, notice = coordinates(scan, self._place)
-            if notice:
-                self._notice(notice)
-        item = StreamItem(scan, codes, extra, *placed)
-        for rows in _spans(scan.n_lines, scan.points_per_line):
-            found = stream_records(item, rows, self._dtype)
-            found = found[~np.isnan(found["range"])]
-            self._count(np.ascontiguousarray(found[_CLASS]))
-            self._n += len(found)
-            self._handle.write(found.data)
-
-    def _write(self, record: RunRecord) -> RunRecord:
-        dtype = np.dtype([("range", "<f4"), (_CLASS, "<u1")]) if self._dtype is None else self._dtype
-        self._handle.seek(0)
-        self._handle.write(cloud_header(self.path.suffix.lower(), dtype, self._n, self._comments))
-        self._handle.close()
-        return self._completed(record)
 
 
 def _cell(block: LabelledBlock, axis: int) -> Values:
@@ -266,15 +226,12 @@ class CloudRewriter(ScatterWriter):
     A point without cell has line and column 4294967295. Properties of these names are replaced.
     """
 
-    def __init__(
-        self, path: Path, codes: ClassCodes, options: OutputConfig, source: CloudSource, points_per_line: int,
-        *, is_part: bool = False,
-    ) -> None:  # fmt: skip
-        asked = [column for column in asked_columns(options) if column.dimension is not RANGE]
+    def __init__(self, labels: LabelOutput, source: CloudSource) -> None:
+        asked = [column for column in asked_columns(labels.options) if column.dimension is not RANGE]
         own = {name.lower() for name in source.head.names}
         added = [_RANGE] if "range" not in source.dimensions else []
-        super().__init__(path, codes, options, [*_CELLS, *added, *asked], source.n_records, is_part=is_part)
-        self._own_comment = f"{OWN_COMMENT}{points_per_line}"
+        super().__init__(labels, [*_CELLS, *added, *asked], source.n_records)
+        self._own_comment = f"{OWN_COMMENT}{labels.points_per_line}"
         self._source = source
         self._kept = tuple(
             name for name in source.head.names
@@ -319,13 +276,12 @@ class CloudRewriter(ScatterWriter):
         return kind
 
 
-def open_label_writer(output: LabelOutput) -> LabelWriter:
+def open_label_writer(labels: LabelOutput) -> StagedWriter:
     """Return the writer that keeps the properties of a PLY or PCD input, or makes a new cloud of another input."""
-    if output.source.suffix.lower() in CLOUD_SUFFIXES:
+    if labels.source.suffix.lower() in CLOUD_SUFFIXES:
         from prc_cli.formats import open_source
 
-        cloud = open_source(output.source)
+        cloud = open_source(labels.source)
         if isinstance(cloud, CloudSource):
-            what = output.path, output.codes, output.options, cloud, output.points_per_line
-            return CloudRewriter(*what, is_part=output.is_part)
-    return CloudBuilder(output.path, output.codes, output.options, output.place)
+            return CloudRewriter(labels, cloud)
+    return CloudWriter(labels.path, labels=labels)

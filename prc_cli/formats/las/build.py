@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from prc_cli import __version__
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
-from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats.las.copy import RECORD_TEXT
 from prc_cli.formats.las.crs import vlr_of_crs
@@ -25,9 +25,9 @@ from prc_cli.formats.las.header import LASZIP_KEY, RECORD_KEY, Vlr, make_vlr
 from prc_cli.formats.las.lookup import lookup_vlr
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
 from prc_cli.formats.las.sinks import LasSink, LazSink, PointSink, Target, batch_size, new_laszip_payload
-from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape, close_quietly
-from prc_cli.formats.writing.columns import RANGE, ExtraDimension, OutputConfig, asked_columns
-from prc_cli.formats.writing.coordinates import LinesApart, Placement, coordinates
+from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, asked_columns
+from prc_cli.formats.writing.coordinates import LinesApart
 from prc_cli.formats.writing.record import RunRecord
 
 SCAN_LINE = ExtraDimension("scan_line", np.dtype("<u4"), "scan line in the stream")
@@ -42,44 +42,48 @@ _CREATION_DATE = slice(90, 94)
 
 
 class LasBuilder(StagedWriter):
-    """Writer of a new LAS or LAZ file; missing shots have no record."""
+    """Writer of a new LAS or LAZ file, of labels or of a stream; missing shots have no record.
 
-    def __init__(
-        self,
-        path: Path,
-        codes: ClassCodes,
-        options: OutputConfig,
-        points_per_line: int,
-        user_names: Mapping[int, str] | None = None,
-        place: Placement | None = None,
-    ) -> None:
+    In a stream the chosen return of a shot comes first, whatever its number: reading the file chooses it again.
+    """
+
+    def __init__(self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None) -> None:
         # every built file has the range
-        columns = [column for column in asked_columns(options) if column.dimension is not RANGE]
-        super().__init__(path, codes, options, columns)
-        self._points_per_line = points_per_line
-        self._more_vlrs: list[Vlr] = []
-        self._user_names = dict(user_names or {})
+        asked = [] if labels is None else asked_columns(labels.options)
+        super().__init__(path, labels, [column for column in asked if column.dimension is not RANGE])
+        self._crs = "" if shape is None else shape.crs
+        self._user_names: Mapping[int, str] = {}
+        self._has_offset = True
+        if labels is not None:
+            self._user_names = labels.user_names
+            self._has_offset = labels.place is None or isinstance(labels.place, LinesApart)
+        elif shape is not None:
+            # which codes come is not known before; without classes there are none
+            self._user_names = ClassCodes().user_names() if shape.codes else {}
+            self._has_offset = not shape.registered
         self._compress = path.suffix.lower() == ".laz"
         self._by_return = np.zeros(15, np.int64)
         self._low = np.full(3, np.iinfo(np.int64).max, np.int64)
         self._high = np.full(3, np.iinfo(np.int64).min, np.int64)
         self._offset_m = np.zeros(3)
-        self._place = place
-        self._has_offset = place is None or isinstance(place, LinesApart)
-        self._n_clipped = 0
-        self._n_timeless = 0
-        self._n_timed = 0
+        self._n_clipped = self._n_timeless = self._n_timed = self._n_codes_lost = 0
 
-    def _start(self) -> None:
-        self._handle = self._temporary.open("w+b")
-        self._stack.callback(close_quietly, self._handle)
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Class codes that do not fit into a byte."""
+        if not self._n_codes_lost:
+            return ()
+        unknown = f"{self._codes.unclassified} ({Label.UNCLASSIFIED.name.lower()})"
+        return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {unknown}",)
 
     def _begin(self) -> None:
         dimensions = [RANGE, SCAN_LINE, COLUMN, *(column.dimension for column in self._optional)]
         self._header = _new_header(dimensions)
         self._header.are_points_compressed = self._compress
         self._dtype = self._header.point_format.dtype()
-        vlrs = [extra_bytes_vlr(dimensions), *self._more_vlrs]
+        vlrs = [extra_bytes_vlr(dimensions)]
+        if self._crs and (crs := vlr_of_crs(self._crs)) is not None:
+            vlrs.append(crs)
         if self._compress:
             payload = new_laszip_payload(self.path, _POINT_FORMAT, self._header.point_format.num_extra_bytes)
             vlrs.append(make_vlr(LASZIP_KEY, payload, "laszip (lazrs)"))
@@ -99,17 +103,17 @@ class LasBuilder(StagedWriter):
         written.getbuffer()[_CREATION_DATE] = bytes(4)
         self._target.write(written.getvalue())
 
-    def _add(self, block: LabelledBlock) -> None:
-        scan = block.block
+    def _add(self, item: StreamItem) -> None:
+        scan, block = item.block, item.labelled
         self._see_order(scan)
-        codes = self._encode(block.labels, scan.range_m)
-        extra_codes = self._encode(block.extra_labels, scan.extra.range_m)
-        cells = {column.name: self._cells(column, block) for column in self._optional}
-        self._placed = self._coordinates(scan)
+        codes = self._codes_of(item.codes, scan.range_m.shape)
+        extra_codes = self._codes_of(item.extra_codes, (len(scan.extra),))
+        cells = {} if block is None else {column.name: self._cells(column, block) for column in self._optional}
+        self._placed = self._coordinates(item)
+        self._set_offset(self._placed[0])
         lines = max(1, batch_size(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
         for first in range(0, scan.n_lines, lines):
-            rows = slice(first, first + lines)
-            shots = self._gather(scan, rows)
+            shots = gather_returns(scan, slice(first, first + lines), chosen_first=block is None)
             points = np.zeros(len(shots.line), self._dtype)
             own = shots.extra < 0
             points["classification"] = np.where(
@@ -119,12 +123,22 @@ class LasBuilder(StagedWriter):
                 values = cells[column.name][shots.line, shots.column]
                 points[column.name] = np.where(own, values, column.dtype.type(column.fill))
             self._fill(points, scan, shots)
+            if block is None:
+                # a stream has the intensity of the chosen return of a shot only
+                points["intensity"][~own] = 0
             self._count(points["classification"])
             self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
 
-    def _gather(self, scan: ScanBlock, rows: slice) -> Returns:
-        """Return the records of some lines in record order."""
-        return gather_returns(scan, rows)
+    def _codes_of(self, codes: NDArray[Any] | None, shape: tuple[int, ...]) -> U8:
+        """Return class codes as stored; unknown ones and those that do not fit into a byte become unclassified."""
+        unknown = self._codes.unclassified
+        if codes is None:
+            return np.full(shape, unknown, np.uint8)
+        if codes.dtype == np.uint8:
+            return codes
+        wrong = (codes < 0) | (codes > 255)
+        self._n_codes_lost += int(np.count_nonzero(wrong & (codes != NO_CODE)))
+        return np.where(wrong, unknown, codes).astype(np.uint8)
 
     def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
         """Set all fields except class and optional columns, and add to counts and bounds of the header."""
@@ -170,14 +184,6 @@ class LasBuilder(StagedWriter):
             raise OutputError(str(self.path), problem, "check the ranges' unit, or set [input] max_range")
         return steps.astype(np.int64)
 
-    def _coordinates(self, scan: ScanBlock) -> tuple[F64, F64]:
-        """Return where the returns of a block lie; the first of them set the offset in the header."""
-        found, notice = coordinates(scan, self._place)
-        if notice:
-            self._notice(notice)
-        self._set_offset(found[0])
-        return found
-
     def _set_offset(self, xyz: F64) -> None:
         if self._has_offset:
             return
@@ -220,8 +226,8 @@ class Returns:
         self.count: U8 = np.ones(len(line), np.uint8)
 
 
-def gather_returns(scan: ScanBlock, rows: slice) -> Returns:
-    """Gather the returns of some lines; a shot without range that lost its cell to another is none."""
+def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) -> Returns:
+    """Gather the returns of some lines in record order; a shot without range that lost its cell is none."""
     line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
     line += rows.start
     found = Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64))
@@ -242,6 +248,10 @@ def gather_returns(scan: ScanBlock, rows: slice) -> Returns:
     # four bits each; more than 15 returns of a shot share the last number
     found.number = np.minimum(rank + 1, 15).astype(np.uint8)
     found.count = np.minimum(np.repeat(size, size), 15).astype(np.uint8)
+    if chosen_first:
+        order = np.lexsort((found.number, found.extra >= 0, found.column, found.line))
+        for name in ("line", "column", "range_m", "extra", "number", "count"):
+            setattr(found, name, getattr(found, name)[order])
     return found
 
 
@@ -281,68 +291,3 @@ def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[An
     if values.size and int(values.max()) >= limit:
         raise OutputError(str(path), f"{what} {int(values.max())} does not fit, LAS holds 0 to {limit - 1} here")
     return values
-
-
-class LasStream(LasBuilder):
-    """Writer of a stream as LAS 1.4, point format 6; missing shots have no record.
-
-    The chosen return of a shot comes first, whatever its number, so that reading the file chooses it again.
-    """
-
-    def __init__(self, path: Path, shape: StreamShape) -> None:
-        # which codes come is not known before; without classes there are none
-        names = ClassCodes().user_names() if shape.codes else {}
-        super().__init__(path, ClassCodes(), OutputConfig(), shape.points_per_line, names)
-        if shape.crs and (record := vlr_of_crs(shape.crs)) is not None:
-            self._more_vlrs.append(record)
-        self._item: StreamItem | None = None
-        self._n_codes_lost = 0
-        self._has_offset = not shape.registered
-
-    @property
-    def losses(self) -> tuple[str, ...]:
-        """Class codes that do not fit into a byte."""
-        if not self._n_codes_lost:
-            return ()
-        unknown = f"{self._codes.unclassified} ({Label.UNCLASSIFIED.name.lower()})"
-        return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {unknown}",)
-
-    def add_item(self, item: StreamItem) -> None:
-        """Take a block (see :class:`prc_cli.formats.writing.base.StreamWriter`)."""
-        block = item.block
-        self._item = item
-        codes = self._codes_of(item.codes, block.range_m.shape)
-        self.add(LabelledBlock(block, codes, self._codes_of(item.extra_codes, (len(block.extra),))))
-
-    def _codes_of(self, codes: NDArray[np.int32] | None, shape: tuple[int, ...]) -> U8:
-        """Return class codes as stored; unknown ones and those that do not fit into a byte become unclassified."""
-        unknown = self._codes.unclassified
-        if codes is None:
-            return np.full(shape, unknown, np.uint8)
-        wrong = (codes < 0) | (codes > 255)
-        self._n_codes_lost += int(np.count_nonzero(wrong & (codes != NO_CODE)))
-        return np.where(wrong, unknown, codes).astype(np.uint8)
-
-    def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
-        return labels  # codes already
-
-    def _gather(self, scan: ScanBlock, rows: slice) -> Returns:
-        shots = gather_returns(scan, rows)
-        if not (shots.extra >= 0).any():
-            return shots
-        order = np.lexsort((shots.number, shots.extra >= 0, shots.column, shots.line))
-        moved = Returns(shots.line[order], shots.column[order], shots.range_m[order], shots.extra[order])
-        moved.number, moved.count = shots.number[order], shots.count[order]
-        return moved
-
-    def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
-        super()._fill(points, scan, shots)
-        # the stream has the intensity of the chosen return of a shot only
-        points["intensity"][shots.extra >= 0] = 0
-
-    def _coordinates(self, scan: ScanBlock) -> tuple[F64, F64]:
-        item = self._item
-        if item is None or item.registered_m is None or item.extra_registered_m is None:
-            return super()._coordinates(scan)
-        self._set_offset(item.registered_m)
-        return item.registered_m, item.extra_registered_m

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
-from prc_cli.core.facts import ClassContexts
 from prc_cli.core.files import output_errors
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.las import SUFFIXES
@@ -47,32 +46,22 @@ from prc_cli.formats.las.points import (
 )
 from prc_cli.formats.las.sinks import PointSink, Target, batch_records, crc
 from prc_cli.formats.las.splice import find_chunks, splice_classes, splice_records
-from prc_cli.formats.writing.base import Columns, LabelWriter, ScatterWriter
-from prc_cli.formats.writing.columns import FIVE_BIT_LIMIT, OPTIONAL_COLUMNS, LabelOutput, OutputConfig, asked_columns
+from prc_cli.formats.writing.base import Columns, ScatterWriter, StagedWriter
+from prc_cli.formats.writing.columns import FIVE_BIT_LIMIT, OPTIONAL_COLUMNS, LabelOutput, asked_columns
 from prc_cli.formats.writing.record import RunRecord
 
 
 class LasRewriter(ScatterWriter):
     """Writer of a LAS or LAZ file from the LAS or LAZ file that was classified."""
 
-    def __init__(
-        self,
-        path: Path,
-        codes: ClassCodes,
-        options: OutputConfig,
-        source: Path,
-        laz_contexts: ClassContexts | None = None,
-        user_names: Mapping[int, str] | None = None,
-        *,
-        is_part: bool = False,
-    ) -> None:
-        self._source_path = source
-        self._laz_contexts = laz_contexts
-        self._user_names = dict(user_names or {})
+    def __init__(self, labels: LabelOutput) -> None:
+        self._source_path = labels.source
+        self._laz_contexts = None if labels.is_part else labels.laz_contexts
+        self._user_names = dict(labels.user_names)
         self._state = self._source_state()
-        self._las = read_las(source)
-        super().__init__(path, codes, options, asked_columns(options), self._las.n_records, is_part=is_part)
-        self._compress = path.suffix.lower() == ".laz"
+        self._las = read_las(labels.source)
+        super().__init__(labels, asked_columns(labels.options), self._las.n_records)
+        self._compress = labels.path.suffix.lower() == ".laz"
 
     def _source_state(self) -> tuple[int, int, int, int]:
         """Size, times of the last change and number of the input file: if one differs, the file has changed."""
@@ -259,7 +248,7 @@ class LasRecoder(LasRewriter):
     """
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
-        super().__init__(path, ClassCodes(), OutputConfig(), source, user_names={})
+        super().__init__(LabelOutput(path=path, source=source, n_records=None, points_per_line=0, codes=ClassCodes()))
         for name in carried:
             if name not in CARRIED:
                 raise ConfigError("--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}")
@@ -292,12 +281,8 @@ class LasRecoder(LasRewriter):
                 self._spools[column.name].put(record, values[column.name].astype(column.dtype))
 
 
-def open_label_writer(output: LabelOutput) -> LabelWriter:
+def open_label_writer(labels: LabelOutput) -> StagedWriter:
     """Return the writer that keeps all of a LAS or LAZ input but the class, or makes a new file of another input."""
-    if output.source.suffix.lower() not in SUFFIXES:
-        return LasBuilder(
-            output.path, output.codes, output.options, output.points_per_line, output.user_names, output.place
-        )
-    contexts = None if output.is_part else output.laz_contexts
-    what = output.path, output.codes, output.options, output.source, contexts, output.user_names
-    return LasRewriter(*what, is_part=output.is_part)
+    if labels.source.suffix.lower() in SUFFIXES:
+        return LasRewriter(labels)
+    return LasBuilder(labels.path, labels=labels)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.tables.write import number_returns
-from prc_cli.formats.writing.base import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
 
 POINTS_AT_ONCE = 1 << 17
 """Points per call of the library."""
@@ -34,7 +34,7 @@ _NOTHING = (np.inf, -np.inf)
 _DOUBLES = ("cartesianX", "cartesianY", "cartesianZ", "timeStamp")
 
 
-class E57Stream(StagedStreamWriter):
+class E57Stream(StreamWriter):
     """Writer of E57; scanners are scans, one after the other."""
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
@@ -124,7 +124,7 @@ class E57Stream(StagedStreamWriter):
             self._done.append(self._scan.scanner)
             self._scan = None
 
-    def _write(self) -> None:
+    def _close(self) -> None:
         with self._errors():
             self._close_scan()
             self._image.close()

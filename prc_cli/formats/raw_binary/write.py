@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.types import F64, I64
-from prc_cli.formats.writing.base import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
 from prc_cli.formats.writing.coordinates import coordinates
 
 EVEN_RAD = 1e-10
@@ -23,12 +23,12 @@ def config_path(path: Path) -> Path:
     return path.with_name(path.name + ".toml")
 
 
-def open_stream(path: Path, shape: StreamShape) -> StagedStreamWriter:
+def open_stream(path: Path, shape: StreamShape) -> StreamWriter:
     """Return the writer of a dump: a frame where only returns with coordinates relative to the scanner are wanted."""
     return FrameStream(path, shape) if shape.points and shape.xyz else RawStream(path, shape)
 
 
-class FrameStream(StagedStreamWriter):
+class FrameStream(StreamWriter):
     """Writer of returns as KITTI stores them: float32 x, y, z, intensity, in the order of the input's records."""
 
     one_scanner = "a frame"
@@ -37,10 +37,6 @@ class FrameStream(StagedStreamWriter):
         super().__init__(path, shape)
         self._config_temporary = self._output(config_path(path))
         self._records: list[I64] = []
-
-    def _start(self) -> None:
-        self._handle = self._temporary.open("w+b")
-        self._stack.callback(self._handle.close)
 
     def _add(self, item: StreamItem) -> None:
         block, extra = item.block, item.block.extra
@@ -55,7 +51,7 @@ class FrameStream(StagedStreamWriter):
         self._records.append(np.concatenate([block.records()[seen], extra.record]))
         self._handle.write(points.data)
 
-    def _write(self) -> None:
+    def _close(self) -> None:
         record = np.concatenate(self._records) if self._records else np.empty(0, np.int64)
         if (record[1:] < record[:-1]).any():
             self._handle.seek(0)
@@ -78,7 +74,7 @@ class FrameStream(StagedStreamWriter):
         self._config_temporary.write_text("\n".join(lines), encoding="utf-8")
 
 
-class RawStream(StagedStreamWriter):
+class RawStream(StreamWriter):
     """Writer of little-endian records: range, then intensity, time, x, y, z, angle, class if present."""
 
     one_scanner = "a raw dump"
@@ -89,10 +85,6 @@ class RawStream(StagedStreamWriter):
         self._dtype: np.dtype[np.void] | None = None
         self._m = 0
         self._even: tuple[float, float] | None = None
-
-    def _start(self) -> None:
-        self._handle = self._temporary.open("wb")
-        self._stack.callback(self._handle.close)
 
     def _open(self, item: StreamItem) -> np.dtype[np.void]:
         """Choose the fields of the record from the first block."""
@@ -131,7 +123,7 @@ class RawStream(StagedStreamWriter):
             shots["angle"] = block.angle_rad
         self._handle.write(shots.data)
 
-    def _write(self) -> None:
+    def _close(self) -> None:
         self._handle.close()
         self._config_temporary.write_text(self._config(), encoding="utf-8")
 

@@ -9,7 +9,7 @@ FORMATS = (
         streams={".parquet": "table, for other programs: prc reads no stream from it"},
         write_stream="prc_cli.formats.tables.write:ParquetStream",
         labels=(".parquet",),
-        write_labels="prc_cli.formats.labels:open_label_writer",
+        write_labels="prc_cli.formats.labels:LabelFileWriter",
         codes=(".parquet",),
         open_codes="prc_cli.formats.labels:open_parquet_codes",
     ),

@@ -22,9 +22,9 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.types import I64
 from prc_cli.formats.writing.base import (
     NO_CODE,
-    StagedStreamWriter,
     StreamItem,
     StreamShape,
+    StreamWriter,
 )
 
 ROWS_AT_ONCE = 1 << 17
@@ -53,7 +53,7 @@ def table_columns(shape: StreamShape) -> dict[str, pa.DataType]:
     return {name: kind for name, present, kind in wanted if present}
 
 
-class _TableStream(StagedStreamWriter):
+class _TableStream(StreamWriter):
     """Turns blocks into tables."""
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
@@ -84,8 +84,7 @@ class CsvStream(_TableStream):
     """Writer of text."""
 
     def _start(self) -> None:
-        self._handle = self._temporary.open("wb")
-        self._stack.callback(self._handle.close)
+        super()._start()
         kind = {".gz": "gzip", ".zst": "zstd"}.get(self.path.suffix.lower())
         sink: Any = pa.PythonFile(self._handle, mode="w")
         self._sink = sink if kind is None else pa.CompressedOutputStream(sink, kind)
@@ -98,7 +97,7 @@ class CsvStream(_TableStream):
     def _put(self, table: pa.Table) -> None:
         self._writer.write_table(table)
 
-    def _write(self) -> None:
+    def _close(self) -> None:
         self._writer.close()
         self._sink.close()
         self._handle.close()
@@ -108,15 +107,14 @@ class ParquetStream(_TableStream):
     """Writer of Parquet."""
 
     def _start(self) -> None:
-        self._handle = self._temporary.open("wb")
-        self._stack.callback(self._handle.close)
+        super()._start()
         self._writer = pa.parquet.ParquetWriter(self._handle, self._schema)
         self._stack.callback(_close, self._writer)
 
     def _put(self, table: pa.Table) -> None:
         self._writer.write_table(table)
 
-    def _write(self) -> None:
+    def _close(self) -> None:
         self._writer.close()
         self._handle.close()
 

@@ -14,7 +14,7 @@ FORMATS = (
         streams=dict(zip(_TABLE, ("table, a row a cell", *("table, compressed",) * 2), strict=True)),
         write_stream="prc_cli.formats.tables.write:CsvStream",
         labels=(".csv",),
-        write_labels="prc_cli.formats.labels:open_label_writer",
+        write_labels="prc_cli.formats.labels:LabelFileWriter",
         codes=(*_TABLE, ".txt", ".txt.gz", ".txt.zst"),
         open_codes="prc_cli.formats.labels:open_text_codes",
     ),

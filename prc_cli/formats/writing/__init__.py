@@ -7,12 +7,12 @@ from pathlib import Path
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import check_output, suffix_of
 from prc_cli.formats.registry import by_suffix
-from prc_cli.formats.writing.base import LabelWriter, StreamShape, StreamWriter
+from prc_cli.formats.writing.base import StagedWriter, StreamShape
 from prc_cli.formats.writing.columns import LabelOutput, check_codes
 from prc_cli.formats.writing.record import record_path
 
 
-def open_writer(output: LabelOutput, *, overwrite: bool) -> LabelWriter:
+def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
     """Choose and check a writer; nothing is created before its ``with`` block.
 
     >>> from pathlib import Path
@@ -67,6 +67,6 @@ def check_stream_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...]
         check_output(each, overwrite=overwrite, inputs=inputs)
 
 
-def open_stream_writer(path: Path, shape: StreamShape) -> StreamWriter:
+def open_stream_writer(path: Path, shape: StreamShape) -> StagedWriter:
     """Choose a writer by the suffix of the output; nothing is created before its ``with`` block."""
     return by_suffix("streams")[stream_suffix(path)].stream_writer(path, shape)
