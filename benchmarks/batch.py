@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.jobs.batch.run import run_batch
-from prc_cli.jobs.batch.settings import BatchSettings
-from prc_cli.jobs.batch.types import Started
+from prc_cli.jobs.batch.types import BatchSettings, Started
 from prc_cli.jobs.classify import classify
 
 FILES = 60

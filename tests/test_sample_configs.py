@@ -16,7 +16,7 @@ from prc_cli.config import PRESETS, RunConfig, load_config, preset_file, preset_
 from prc_cli.core.config import flatten, merge
 from prc_cli.core.samples import samples_folder
 from prc_cli.jobs.batch.plan import BatchConfig
-from prc_cli.jobs.batch.settings import ConfigLayers
+from prc_cli.jobs.batch.types import ConfigLayers
 
 ROOT = Path(__file__).resolve().parent.parent
 SAMPLES = ROOT / "sample_configs"

@@ -24,9 +24,8 @@ from prc_cli.core.interrupts import raise_or_hold
 
 if TYPE_CHECKING:
     from prc_cli.jobs.batch.run import RunEvent
-    from prc_cli.jobs.batch.settings import BatchSettings
     from prc_cli.jobs.batch.summary import BatchSummary
-    from prc_cli.jobs.batch.types import Engine, Shard
+    from prc_cli.jobs.batch.types import BatchSettings, Engine, Shard
 
 _COMMAND_SCHEMA = 1
 _MAX_COMMAND = 1 << 20
@@ -275,9 +274,8 @@ def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
 
 
 def _settings(options: dict[str, Any]) -> BatchSettings:
-    from prc_cli.jobs.batch.reference import ReferenceSettings
-    from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
-    from prc_cli.jobs.batch.types import Shard
+    from prc_cli.jobs.batch.reference import check_reference
+    from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 
     if options["gates"] and options["reference"] is None:
         message = "--fail-under needs --reference TREE"
@@ -285,7 +283,7 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
     reference = None
     if options["reference"] is not None:
         reference = ReferenceSettings(options["reference"], options["mapping"], options["match"], options["gates"])
-        reference.check()
+        check_reference(reference)
     layers = layers_from(options)
     same = (
         "archive", "out", "include", "exclude", "since", "limit", "only_failed", "jobs", "threads", "to",

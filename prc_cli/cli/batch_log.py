@@ -16,14 +16,8 @@ from prc_cli.jobs.batch.run import (
     Ready,
     RunEvent,
 )
-from prc_cli.jobs.batch.summary import (
-    Alarm,
-    BatchSummary,
-    Doubted,
-    done_dict,
-    failed_dict,
-)
-from prc_cli.jobs.batch.types import Done, Failed, Started
+from prc_cli.jobs.batch.summary import BatchSummary, done_dict, failed_dict
+from prc_cli.jobs.batch.types import Alarm, Done, Doubted, Failed, Started
 
 LOG_SCHEMA = 1
 """Version of the form of the log; keys are added without a new number, never renamed or taken away."""

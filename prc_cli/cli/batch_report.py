@@ -18,12 +18,14 @@ from prc_cli.evaluation.scores import CLASS_SCORES, scores
 from prc_cli.jobs.batch.clean import Cleaned
 from prc_cli.jobs.batch.lock import Holder
 from prc_cli.jobs.batch.plan import Estimate, Plan
-from prc_cli.jobs.batch.summary import BatchSummary, Doubted, done_dict, doubts_of, failed_dict
+from prc_cli.jobs.batch.summary import BatchSummary, done_dict, failed_dict
 from prc_cli.jobs.batch.types import (
     Done,
+    Doubted,
     Entry,
     Failed,
     Run,
+    doubts_of,
 )
 from prc_cli.jobs.batch.verify import Verified
 

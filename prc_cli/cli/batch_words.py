@@ -10,8 +10,7 @@ from typing import Any
 from prc_cli.cli.report import SafeConsole
 from prc_cli.cli.safe import printable
 from prc_cli.jobs.batch.run import Again, Noted, RunEvent
-from prc_cli.jobs.batch.summary import Alarm, Doubted
-from prc_cli.jobs.batch.types import Done, Failed, Problem
+from prc_cli.jobs.batch.types import Alarm, Done, Doubted, Failed, Problem
 
 
 class _Patient(SafeConsole):

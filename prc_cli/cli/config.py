@@ -57,7 +57,7 @@ def check(file: Path) -> None:
         loaded, more = load_config(file), ""
     else:
         from prc_cli.jobs.batch.plan import BatchConfig
-        from prc_cli.jobs.batch.settings import ConfigLayers
+        from prc_cli.jobs.batch.types import ConfigLayers
 
         loaded = BatchConfig(ConfigLayers(file)).base
         more = f" and {len(overrides)} override{'s' * (len(overrides) != 1)}"

@@ -28,7 +28,7 @@ from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import to_number
 from prc_cli.formats.text.read import TextSource
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.adopt import outcome_of_record
+from prc_cli.jobs.batch.plan import outcome_of_record
 from prc_cli.jobs.batch.types import InputPrint, Task
 from prc_cli.jobs.classify import classify
 from prc_cli.streams.record_angles import turn_of_times

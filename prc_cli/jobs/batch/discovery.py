@@ -23,9 +23,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.registry import by_suffix
-from prc_cli.jobs.batch.settings import BatchSettings
-from prc_cli.jobs.batch.summary import LeftOut
-from prc_cli.jobs.batch.types import OWN_FOLDER
+from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, LeftOut
 
 SAME = "same"
 FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(by_suffix("labels"))))

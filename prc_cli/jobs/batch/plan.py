@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -16,26 +16,28 @@ from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table, refuse_window
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
-from prc_cli.core.files import suffix_of
+from prc_cli.core.files import is_same, parts_of, read_small, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
-from prc_cli.formats.writing.record import fingerprint, record_path
-from prc_cli.jobs.batch.adopt import is_whole, outcome_of_record
+from prc_cli.formats.writing.record import LARGEST_RECORD, RunRecord, fingerprint, record_path
 from prc_cli.jobs.batch.discovery import (
     Found,
     Patterns,
     collisions,
     output_name,
 )
-from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
-from prc_cli.jobs.batch.summary import LeftOut, doubts_of
 from prc_cli.jobs.batch.types import (
+    BatchSettings,
+    ConfigLayers,
     Done,
     Entry,
     Failed,
     InputPrint,
+    LeftOut,
     Problem,
     Task,
+    doubts_of,
 )
+from prc_cli.jobs.choice import possible_configs
 from prc_cli.streams.evidence.watch import accepted_by
 
 Reason: TypeAlias = Literal[
@@ -410,74 +412,98 @@ def _is_changed(output: Path, written: os.stat_result, before: Done, settings: B
     return not is_whole(output, written, before)
 
 
+# -- outputs that are there already -----------------------------------------------------------------------------------
+
+
+def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -> Done | None:
+    """Return the outcome of an existing output if its run record equals the one that would be written.
+
+    Doubts that are accepted are not compared. Whether the output is still the one that was recorded, :func:`is_whole`
+    tells.
+    """
+    try:
+        record = json.loads(read_small(record_path(task.output), LARGEST_RECORD))
+        trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
+        content = fingerprint(task.source)
+        records = [
+            RunRecord(config.of_run(), content, "", 1, trajectory=trajectory).as_dict()
+            for config in possible_configs(task.config)
+        ]
+        for one in (record, *records):
+            one["config"].get("input", {}).pop("accept_doubts", None)
+        keys = ("program", "version", "config", "input", "trajectory")
+        wanted = next((one for one in records if all(record[key] == one[key] for key in keys)), None)
+        if wanted is None:
+            return None
+        stream = record["stream"]
+        missing = ("missing", int(stream["n_missing"] or 0))
+        labels = tuple((str(count["name"]), int(count["count"])) for count in record["classes"])
+        return Done(
+            name=task.name, input=InputPrint(before.size, before.mtime_ns, wanted["input"]["sha256"]),
+            output_size=int(record["output"]["size"]), output_mtime_ns=written.st_mtime_ns,
+            seconds=0.0, cpu_seconds=0.0, peak_mib=None, n_lines=int(stream["n_lines"] or 0),
+            n_shots=int(stream["n_lines"] or 0) * int(stream["points_per_line"]),
+            n_records=int(stream["n_records"] or 0), labels=(missing, *labels),
+            notices=tuple(str(text) for text in record["notices"]),
+            output_name=task.output.name, output_sha256=str(record["output"]["sha256"]),
+        )  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+        return None
+
+
+def is_whole(output: Path, written: os.stat_result, done: Done) -> bool:
+    """Tell whether an output has the size and the content that were recorded; reads it."""
+    return written.st_size == done.output_size and fingerprint(output).sha256 == done.output_sha256
+
+
+def remove_unfinished(task: Task) -> bool:
+    """Remove an output whose process died between giving it its name and finishing; tell whether it was one.
+
+    Its temporary file is still there, and is the same file (:func:`prc_cli.core.files.place`). On whichever machine
+    that was: the caller has the order to write the output now.
+    """
+    found = False
+    for path in (record_path(task.output), task.output):
+        with contextlib.suppress(OSError):
+            for part in tuple(parts_of(path)):
+                if is_same(part, path):
+                    path.unlink()
+                    part.unlink()
+                    found = True
+    return found
+
+
 # -- estimates --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """Time and memory of earlier files of a format."""
-
-    seconds_per_byte: float
-    peak_mib: float | None
-    source: str
-    """Source of the figures; printed after the name of the format."""
-
-
-def journal_rates(todo: Iterable[Planned], known: Mapping[str, Entry]) -> dict[str, Rate]:
-    """Return the rates of the formats of a plan by suffix, from earlier files of the archive.
-
-    Files with a configuration of the plan are used; if there are none, files with any configuration.
-    """
-    todo = list(todo)
+def estimate(todo: Sequence[Planned], known: Mapping[str, Entry], jobs: int) -> Estimate:
+    """Estimate time and memory of a plan from earlier files of the archive, if there are some of its configuration."""
     wanted = {item.task.config_sha256 for item in todo}
-    rates: dict[str, Rate] = {}
-    for suffix in sorted({suffix_of(item.task.source) for item in todo}):
-        ended = [
-            (entry.config_sha256 in wanted, entry.outcome)
-            for entry in known.values()
-            if isinstance(entry.outcome, Done) and suffix_of(Path(entry.name)) == suffix and entry.outcome.seconds > 0
-        ]
-        same = [outcome for is_wanted, outcome in ended if is_wanted]
-        source = f"from {{}} earlier file{{}} of this archive{'' if same else ', of another configuration'}"
-        used = same or [outcome for _, outcome in ended]
-        if used:
-            rates[suffix] = _rate(used, source.format(len(used), "" if len(used) == 1 else "s"))
-    return rates
-
-
-def _rate(outcomes: Sequence[Done], source: str) -> Rate:
-    peaks = [outcome.peak_mib for outcome in outcomes if outcome.peak_mib is not None]
-    size = sum(outcome.input.size for outcome in outcomes)
-    return Rate(sum(outcome.seconds for outcome in outcomes) / max(1, size), max(peaks, default=None), source)
-
-
-def sample_rate(outcome: Done, shown: str) -> Rate:
-    """Return the rate of a sample file."""
-    return _rate([outcome], f"measured on a sample of {shown}")
-
-
-def estimate(todo: Sequence[Planned], rates: Mapping[str, Rate], jobs: int) -> Estimate:
-    """Estimate time and memory of a plan."""
-    free = [0.0] * max(1, jobs)
-    peaks: list[float] = []
-    n_unknown = 0
+    sizes: dict[str, list[int]] = {}
     for item in todo:
-        rate = rates.get(suffix_of(item.task.source))
-        if rate is None:
-            n_unknown += 1
-            continue
-        free.sort()
-        free[0] += rate.seconds_per_byte * item.size
-        if rate.peak_mib is not None:
-            peaks.append(rate.peak_mib)
+        sizes.setdefault(suffix_of(item.task.source), []).append(item.size)
+    seconds: list[float] = []
+    peaks: list[float] = []
     sources = []
-    for suffix in sorted({suffix_of(item.task.source) for item in todo}):
-        source = rates[suffix].source if suffix in rates else "nothing known"
-        sources.append(f"{suffix.removeprefix('.')}: {source}")
-    known = len(todo) - n_unknown
+    for suffix, some in sorted(sizes.items()):
+        ended = [
+            (entry.config_sha256 in wanted, entry.outcome) for name, entry in known.items()
+            if isinstance(entry.outcome, Done) and suffix_of(Path(name)) == suffix and entry.outcome.seconds > 0
+        ]  # fmt: skip
+        same = [done for is_wanted, done in ended if is_wanted]
+        used = same or [done for _, done in ended]
+        source = f"from {len(used)} earlier file{'s' * (len(used) != 1)} of this archive" if used else "nothing known"
+        another = ", of another configuration" if used and not same else ""
+        sources.append(f"{suffix.removeprefix('.')}: {source}{another}")
+        if used:
+            rate = sum(done.seconds for done in used) / max(1, sum(done.input.size for done in used))
+            seconds += [rate * size for size in some]
+            peaks += [max(done.peak_mib or 0.0 for done in used)] * len(some)
+    # the longest file may take longer than its share
+    work_s = max(sum(seconds) / max(1, jobs), max(seconds, default=0.0))
     return Estimate(
-        seconds=BEGIN_S * bool(known) + max(free) if known or not todo else None,
-        peak_mib=sum(sorted(peaks)[-max(1, jobs) :]) if peaks else None,
+        seconds=BEGIN_S * bool(seconds) + work_s if seconds or not todo else None,
+        peak_mib=sum(sorted(peaks)[-max(1, jobs) :]) or None,
         sources=tuple(sources),
-        n_unknown=n_unknown,
+        n_unknown=len(todo) - len(seconds),
     )

@@ -23,7 +23,7 @@ from prc_cli.evaluation.scores import Scores, scores
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels import code_suffix_of
 from prc_cli.jobs.batch.judges import Judges, Pair
-from prc_cli.jobs.batch.types import Problem
+from prc_cli.jobs.batch.types import Problem, ReferenceSettings
 from prc_cli.jobs.evaluate.chosen import DEFAULT_MAPPING, MAPPINGS, mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.pairs import stem_of
@@ -32,36 +32,22 @@ NO_REFERENCE = "NoReference"
 """Kind of the problem of a file that has no reference."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceSettings:
-    """What outputs are compared with, and what they must reach."""
-
-    tree: Path
-    """Folder of reference classes that mirrors the archive; a file has the name of the input but for the suffix."""
-    mapping_name: str | None = None
-    """Preset or file of the class mapping; None = that of the method in the run records of the outputs, as
-    ``prc evaluate`` takes it."""
-    match: str = "order"
-    """How records find their partner, as ``prc evaluate --match``."""
-    gates: tuple[str, ...] = ()
-    """Figures that all files together must reach, such as ``recall.ground=0.95``."""
-
-    def check(self) -> None:
-        """Refuse what makes no sense before any file is classified."""
-        if not self.tree.is_dir():
-            raise ConfigError(
-                str(self.tree), "no such folder, expected a tree of reference classes", "check --reference"
-            )
-        kind, _, name = self.match.partition(":")
-        if self.match not in ("order", "time", "nearest") and not (kind == "dimension" and name):
-            problem = f"found {self.match!r}, expected one of: order, time, dimension:NAME, nearest"
-            raise ConfigError("--match", problem)
-        names = (DEFAULT_MAPPING, *MAPPINGS.values()) if self.mapping_name is None else (self.mapping_name,)
-        mappings = [load_mapping(name) for name in names]
-        for text in self.gates:
-            # which of them it is, the outputs will say
-            if all(_gate(text, mapping) is None for mapping in mappings):
-                parse_gate(text, mappings[0])
+def check_reference(settings: ReferenceSettings) -> None:
+    """Refuse what makes no sense before any file is classified."""
+    if not settings.tree.is_dir():
+        raise ConfigError(
+            str(settings.tree), "no such folder, expected a tree of reference classes", "check --reference"
+        )
+    kind, _, name = settings.match.partition(":")
+    if settings.match not in ("order", "time", "nearest") and not (kind == "dimension" and name):
+        problem = f"found {settings.match!r}, expected one of: order, time, dimension:NAME, nearest"
+        raise ConfigError("--match", problem)
+    names = (DEFAULT_MAPPING, *MAPPINGS.values()) if settings.mapping_name is None else (settings.mapping_name,)
+    mappings = [load_mapping(name) for name in names]
+    for text in settings.gates:
+        # which of them it is, the outputs will say
+        if all(_gate(text, mapping) is None for mapping in mappings):
+            parse_gate(text, mappings[0])
 
 
 def _gate(text: str, mapping: ClassMapping) -> Gate | None:
@@ -160,7 +146,7 @@ def evaluate_tree(
     threads: int = 1,
 ) -> BatchEvaluation:
     """Compare outputs with their references and pool them."""
-    settings.check()
+    check_reference(settings)
     outputs = list(outputs)
     name = settings.mapping_name or mapping_of_runs([output.path for output in outputs])[0]
     settings, mapping = replace(settings, mapping_name=name), load_mapping(name)

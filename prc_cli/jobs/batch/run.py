@@ -7,11 +7,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TypeAlias
 
 from prc_cli.core.errors import BusyError, PrcError
-from prc_cli.core.files import make_folder, output_errors, suffix_of, temporary_folder
+from prc_cli.core.files import make_folder, output_errors
 from prc_cli.core.threads import close_items
 from prc_cli.jobs.batch.discovery import check, discover, output_name
 from prc_cli.jobs.batch.drift import drift
@@ -23,26 +22,17 @@ from prc_cli.jobs.batch.plan import (
     Estimate,
     Plan,
     Planned,
-    Rate,
     estimate,
-    journal_rates,
     make_plan,
-    sample_rate,
 )
-from prc_cli.jobs.batch.reference import BatchEvaluation, Output, evaluate_tree
-from prc_cli.jobs.batch.settings import BatchSettings
-from prc_cli.jobs.batch.summary import (
-    Alarm,
-    BatchSummary,
-    Doubted,
-    Ended,
-    doubts_of,
-    reasons_of,
-    write_summary,
-)
+from prc_cli.jobs.batch.reference import BatchEvaluation, Output, check_reference, evaluate_tree
+from prc_cli.jobs.batch.summary import BatchSummary, Ended, reasons_of, write_summary
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
+    Alarm,
+    BatchSettings,
     Done,
+    Doubted,
     Engine,
     EngineSettings,
     Entry,
@@ -51,6 +41,7 @@ from prc_cli.jobs.batch.types import (
     Outcome,
     Problem,
     Task,
+    doubts_of,
 )
 from prc_cli.jobs.batch.work import may_pass
 
@@ -62,12 +53,6 @@ ALONE = frozenset({"killed", "memory"})
 """Kinds of problems that a file has less often when no other is worked on."""
 EARLIER_FILES = 500
 """Classes of files are compared with those of so many that were done last before this run."""
-SAMPLE_BYTES = 64 << 20
-"""The sample of a format is the largest file up to this size, else the smallest of all [bytes]."""
-SAMPLE_S = 60.0
-"""A sample that takes longer is given up [s]."""
-SAMPLE_FILES = 3
-"""Number of samples of a format that may fail before its time is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,30 +89,21 @@ def _ignore(event: RunEvent) -> None:
     """Do nothing with an event."""
 
 
-def plan_batch(
-    settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore
-) -> tuple[Plan, Estimate]:
-    """Return the plan of :func:`run_batch` and its estimate; nothing is written.
-
-    What a format takes is known from earlier files of the archive, else from a file that is classified, twice, into
-    a temporary folder of the system.
-    """
+def plan_batch(settings: BatchSettings) -> tuple[Plan, Estimate]:
+    """Return the plan of :func:`run_batch` and its estimate; nothing is written."""
     config = BatchConfig(settings.config)
     folder = settings.out / OWN_FOLDER
     check(settings)
     known = {entry.name: entry for entry in read_entries(folder)} if folder.is_dir() else {}
     plan = _plan(settings, config, known)
-    jobs, threads = share_cores(settings.jobs, settings.threads, len(plan.todo))
-    rates = journal_rates(plan.todo, known)
-    rates |= _sample(set(rates), plan.todo, engine or LocalEngine(), threads, listener)
-    return plan, estimate(plan.todo, rates, jobs)
+    return plan, estimate(plan.todo, known, share_cores(settings.jobs, 1, len(plan.todo))[0])
 
 
 def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore) -> BatchSummary:
     """Classify every file of an archive that is not done yet."""
     config = BatchConfig(settings.config)
     if settings.reference is not None:
-        settings.reference.check()
+        check_reference(settings.reference)
     check(settings)
     folder = settings.out / OWN_FOLDER
     with Lock(folder, settings.shard) as lock, Journal(folder, settings.shard) as journal:
@@ -405,45 +381,3 @@ def _exit_code(stop: BaseException) -> int:
     if isinstance(stop, SystemExit) and isinstance(stop.code, int):
         return stop.code
     return INTERRUPTED
-
-
-def _sample(
-    known: set[str], todo: Sequence[Planned], engine: Engine, threads: int, listener: Listener
-) -> dict[str, Rate]:
-    """Measure formats without known rates: classify a sample of each into a temporary folder; return the rates."""
-    rates: dict[str, Rate] = {}
-    candidates = {
-        suffix: _candidates([item for item in todo if suffix_of(item.task.source) == suffix])
-        for suffix in sorted({suffix_of(item.task.source) for item in todo} - known)
-    }
-    while candidates := {suffix: items for suffix, items in candidates.items() if items and suffix not in rates}:
-        chosen = {suffix: items.pop(0).task for suffix, items in candidates.items()}
-        for task in chosen.values():
-            listener(Noted(f"measuring a sample: {task.name}"))
-        with temporary_folder("prc-sample-") as folder:
-            outputs = {name: folder / name / task.output.name for name, task in chosen.items()}
-            tasks = [replace(task, output=outputs[name], overwrite=True) for name, task in chosen.items()]
-            # measured the second time, when libraries are loaded and the file is cached, as in a long run
-            for done in _run_sample([task for task in tasks for _ in range(2)], engine, threads):
-                rates[suffix_of(Path(done.name))] = sample_rate(done, done.name)
-    return rates
-
-
-def _candidates(items: Sequence[Planned]) -> list[Planned]:
-    """Choose sample files of a format, see :data:`SAMPLE_BYTES`."""
-    by_size = sorted(items, key=lambda item: item.size)
-    short = [item for item in by_size if item.size <= SAMPLE_BYTES]
-    return (short[::-1] or by_size)[:SAMPLE_FILES]
-
-
-def _run_sample(tasks: Sequence[Task], engine: Engine, threads: int) -> list[Done]:
-    end = time.monotonic() + SAMPLE_S * len(tasks)
-    outcomes = []
-    events = engine.run(iter(tasks), EngineSettings(jobs=1, threads=threads, stall_s=SAMPLE_S))
-    with _closed(events):
-        for event in events:
-            if isinstance(event, Done):
-                outcomes.append(event)
-            if time.monotonic() > end:
-                break
-    return outcomes

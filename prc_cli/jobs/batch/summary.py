@@ -13,9 +13,8 @@ from prc_cli import __version__
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError
 from prc_cli.core.files import atomic_output, remove_stale
-from prc_cli.core.findings import doubt_of
 from prc_cli.jobs.batch.reference import BatchEvaluation
-from prc_cli.jobs.batch.types import Done, Entry, Failed, Shard
+from prc_cli.jobs.batch.types import Alarm, Done, Doubted, Failed, LeftOut, Shard
 
 SUMMARY_NAME = "summary.json"
 """File in the output folder."""
@@ -26,34 +25,6 @@ FAILED = 1
 
 Ended: TypeAlias = Literal["finished", "stopped", "interrupted"]
 """How a run ended: with nothing left to do, early because of ``--fail-fast``, or by a signal."""
-
-
-@dataclass(frozen=True, slots=True)
-class Alarm:
-    """A file whose classes are unlike those of earlier ones."""
-
-    name: str
-    sentence: str
-    """What is unusual, with the class and both shares."""
-
-
-@dataclass(frozen=True, slots=True)
-class Doubted:
-    """A doubt about a file whose labels are written, see :mod:`prc_cli.core.findings`."""
-
-    name: str
-    check: str
-    """Name of the check, as for ``--accept-doubt``."""
-    sentence: str
-    """The check, what was found, what was expected, what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """Something in the archive that was not taken, and should be known."""
-
-    name: str
-    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,13 +210,6 @@ def write_summary(summary: BatchSummary) -> Path:
     with atomic_output(path, overwrite=True) as temporary:
         temporary.write_text(to_json(summary), encoding="ascii", newline="\n")
     return path
-
-
-def doubts_of(found: Done | Entry) -> tuple[Doubted, ...]:
-    """Return the doubts that the run record of a file holds; of an entry of the journal, if the file is done."""
-    done = (found.outcome if found.state == "done" else None) if isinstance(found, Entry) else found
-    told = (doubt_of(notice) for notice in (done.notices if isinstance(done, Done) else ()))
-    return tuple(Doubted(found.name, *doubt) for doubt in told if doubt is not None)
 
 
 def reasons_of(found: Iterable[str]) -> tuple[tuple[str, int], ...]:

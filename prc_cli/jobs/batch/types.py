@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import Literal, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.findings import doubt_of
 
 OWN_FOLDER = ".prc"
 """Folder in the output tree for journal and lock."""
@@ -218,6 +219,41 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class Alarm:
+    """A file whose classes are unlike those of earlier ones."""
+
+    name: str
+    sentence: str
+    """What is unusual, with the class and both shares."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubted:
+    """A doubt about a file whose labels are written, see :mod:`prc_cli.core.findings`."""
+
+    name: str
+    check: str
+    """Name of the check, as for ``--accept-doubt``."""
+    sentence: str
+    """The check, what was found, what was expected, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Something in the archive that was not taken, and should be known."""
+
+    name: str
+    reason: str
+
+
+def doubts_of(found: Done | Entry) -> tuple[Doubted, ...]:
+    """Return the doubts that the run record of a file holds; of an entry of the journal, if the file is done."""
+    done = (found.outcome if found.state == "done" else None) if isinstance(found, Entry) else found
+    told = (doubt_of(notice) for notice in (done.notices if isinstance(done, Done) else ()))
+    return tuple(Doubted(found.name, *doubt) for doubt in told if doubt is not None)
+
+
+@dataclass(frozen=True, slots=True)
 class EngineSettings:
     """Settings of an engine; none of them changes a byte of an output."""
 
@@ -241,3 +277,80 @@ class Engine(Protocol):
         no process behind.
         """
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSettings:
+    """What outputs are compared with, and what they must reach."""
+
+    tree: Path
+    """Folder of reference classes that mirrors the archive; a file has the name of the input but for the suffix."""
+    mapping_name: str | None = None
+    """Preset or file of the class mapping; None = that of the method in the run records of the outputs, as
+    ``prc evaluate`` takes it."""
+    match: str = "order"
+    """How records find their partner, as ``prc evaluate --match``."""
+    gates: tuple[str, ...] = ()
+    """Figures that all files together must reach, such as ``recall.ground=0.95``."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigLayers:
+    """Sources of the configuration; each overrides the one before."""
+
+    path: Path | None = None
+    """TOML file, which may contain ``[[override]]`` tables."""
+    preset: str | None = None
+    """Replaces every preset that the file names."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Nested table that overrides everything else."""
+    files: tuple[Path, ...] = ()
+    """Further files of the configuration, such as a layout."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchSettings:
+    """Settings of a batch run."""
+
+    archive: Path
+    """Folder of the inputs."""
+    out: Path
+    """Folder of the outputs."""
+    config: ConfigLayers = field(default_factory=ConfigLayers)
+    include: tuple[str, ...] = ()
+    """Patterns of names to include; none: every file with a readable format."""
+    exclude: tuple[str, ...] = ()
+    """Patterns of names and folders to exclude."""
+    since: str | None = None
+    """Only inputs changed since a date, for a duration such as 7d, or since the time of a file."""
+    limit: int | None = None
+    """Largest number of files to classify."""
+    only_failed: bool = False
+    """Only files that are failed or unfinished in the journal."""
+    shard: Shard | None = None
+    to: str = "same"
+    """Output format, see :data:`prc_cli.jobs.batch.discovery.FORMATS`."""
+    jobs: int | None = None
+    """Files at a time; default: one per core."""
+    threads: int | None = None
+    """Threads per file; default: the cores divided by the jobs."""
+    retry: int = 0
+    """Further attempts at a file in this run if the problem may pass."""
+    fail_fast: bool = False
+    """Start no more files after the first failure."""
+    overwrite: bool = False
+    """Replace outputs that are in no journal."""
+    adopt: bool = False
+    """Count outputs that are in no journal as done if their run record equals the one that would be written."""
+    verify: bool = False
+    """Compare the content of every input, not only size and time."""
+    stall_s: float = 600.0
+    """A file is given up after this time without progress [s]."""
+    memory_limit_mib: int | None = None
+    """Memory limit of a worker [MiB]."""
+    reference: ReferenceSettings | None = None
+    """Reference to compare the outputs with, if any."""
+    drift: bool = True
+    """Raise an alarm for files whose class shares are far from those of earlier files."""
+    keep_versions: tuple[str, ...] = ()
+    """Outputs of these older versions of the program stay, whatever the configuration was, until the input changes."""

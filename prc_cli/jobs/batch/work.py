@@ -10,7 +10,7 @@ from pathlib import Path
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import OutputExistsError, PrcError
-from prc_cli.jobs.batch.adopt import is_whole, outcome_of_record, remove_unfinished
+from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
 from prc_cli.jobs.batch.types import (
     Done,
     Failed,

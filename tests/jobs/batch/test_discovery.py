@@ -24,8 +24,7 @@ from prc_cli.jobs.batch.discovery import (
     output_name,
     parse_since,
 )
-from prc_cli.jobs.batch.settings import BatchSettings
-from prc_cli.jobs.batch.types import OWN_FOLDER, Shard
+from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, Shard
 from tests.patience import HANGS_S
 
 

@@ -16,17 +16,16 @@ from prc_cli.jobs.batch.discovery import discover
 from prc_cli.jobs.batch.plan import (
     BEGIN_S,
     BatchConfig,
+    Estimate,
     Plan,
     Planned,
-    Rate,
     config_hash,
     estimate,
-    journal_rates,
     make_plan,
-    sample_rate,
 )
-from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
 from prc_cli.jobs.batch.types import (
+    BatchSettings,
+    ConfigLayers,
     Done,
     Entry,
     Failed,
@@ -381,33 +380,32 @@ def planned(name: str, size: int) -> Planned:
     return Planned(task, "new", size)
 
 
-def test_time_is_that_of_workers_that_take_the_next_file() -> None:
-    todo = [planned(f"{i}.laz", size) for i, size in enumerate((40, 10, 10, 30))]
-    rates = {".laz": Rate(0.5, 300.0, "from a guess")}
-    assert estimate(todo, rates, 1).seconds == BEGIN_S + 45
-    found = estimate(todo, rates, 2)
-    assert found.seconds == BEGIN_S + 25
-    assert found.peak_mib == 600
-    assert estimate(todo, rates, 9).peak_mib == 1200
-    assert found.sources == ("laz: from a guess",)
+def earlier(settings: BatchSettings, **sizes: int) -> dict[str, Entry]:
+    """Files that were done, each in 2 s."""
+    known = {}
+    for name, size in sizes.items():
+        found = replace(entry(settings, f"{name}.npz"), config_sha256="now")
+        assert isinstance(found.outcome, Done)
+        known[found.name] = replace(found, outcome=replace(found.outcome, input=InputPrint(size, 0, None)))
+    return known
 
 
-def test_formats_that_nothing_is_known_of_are_counted() -> None:
-    found = estimate([planned("a.laz", 10), planned("b.e57", 10)], {".laz": Rate(1.0, None, "from somewhere")}, 1)
-    assert (found.seconds, found.peak_mib, found.n_unknown) == (BEGIN_S + 10, None, 1)
-    assert found.sources == ("e57: nothing known", "laz: from somewhere")
-    assert estimate([planned("b.e57", 10)], {}, 1).seconds is None
+def test_time_and_memory_come_from_earlier_files(settings: BatchSettings) -> None:
+    todo = [planned(f"x{i}.npz", size) for i, size in enumerate((40, 10, 10, 30))]
+    known = earlier(settings, a=30, b=10)  # 4 s for 40 bytes, 100 MiB
+    assert estimate(todo, known, 1) == Estimate(BEGIN_S + 9, 100.0, ("npz: from 2 earlier files of this archive",))
+    assert estimate(todo, known, 2).seconds == BEGIN_S + 4.5
+    found = estimate(todo, known, 9)
+    assert (found.seconds, found.peak_mib) == (BEGIN_S + 4, 400.0)
+    other = {name: replace(item, config_sha256="other") for name, item in earlier(settings, a=30).items()}
+    assert estimate(todo, other, 1).sources == ("npz: from 1 earlier file of this archive, of another configuration",)
+
+
+def test_formats_that_nothing_is_known_of_are_counted(settings: BatchSettings) -> None:
+    known = earlier(settings, a=40)
+    found = estimate([planned("a.npz", 10), planned("b.e57", 10)], known, 1)
+    assert (found.seconds, found.n_unknown) == (BEGIN_S + 0.5, 1)
+    assert found.sources == ("e57: nothing known", "npz: from 1 earlier file of this archive")
+    found = estimate([planned("b.e57", 10)], {}, 1)
+    assert (found.seconds, found.peak_mib) == (None, None)
     assert estimate([], {}, 1).seconds == 0
-
-
-def test_rates_come_from_the_journal(settings: BatchSettings) -> None:
-    known = [replace(entry(settings, name), config_sha256="now") for name in ("a.npz", "b.npz")]
-    found = journal_rates([planned("x.npz", 1), planned("y.laz", 1)], {item.name: item for item in known})
-    assert set(found) == {".npz"}
-    assert found[".npz"] == Rate(4.0 / 32, 100.0, "from 2 earlier files of this archive")
-    other = {known[0].name: replace(known[0], config_sha256="other")}
-    assert (
-        "1 earlier file of this archive, of another configuration"
-        in journal_rates([planned("x.npz", 1)], other)[".npz"].source
-    )
-    assert sample_rate(known[0].outcome, "a.npz").source == "measured on a sample of a.npz"  # type: ignore[arg-type]

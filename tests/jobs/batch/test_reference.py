@@ -12,12 +12,8 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.reference import (
-    NO_REFERENCE,
-    Output,
-    ReferenceSettings,
-    evaluate_tree,
-)
+from prc_cli.jobs.batch.reference import NO_REFERENCE, Output, check_reference, evaluate_tree
+from prc_cli.jobs.batch.types import ReferenceSettings
 from prc_cli.jobs.evaluate import evaluate_all
 from tests.fuzz.crafted import overflowing
 
@@ -72,7 +68,7 @@ def test_gates_are_of_all_files_together(tmp_path: Path) -> None:
 def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     gates = ("recall.ground=0.5", "recall.car=0")
-    ReferenceSettings(tree, gates=gates).check()
+    check_reference(ReferenceSettings(tree, gates=gates))
     # without run records: the classes of PRC, which has no cars
     found = evaluate_tree(outputs, ReferenceSettings(tree, gates=gates))
     assert found.as_dict()["mapping"] == "prc"
@@ -83,7 +79,7 @@ def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) ->
     assert evaluate_tree(outputs, ReferenceSettings(tree, gates=gates)).as_dict()["mapping"] == "street"
     assert evaluate_tree(outputs, ReferenceSettings(tree, "prc")).as_dict()["mapping"] == "prc"
     with pytest.raises(ConfigError):
-        ReferenceSettings(tree, gates=("recall.dragon=0.5",)).check()
+        check_reference(ReferenceSettings(tree, gates=("recall.dragon=0.5",)))
 
 
 def test_a_file_without_reference_is_named_and_the_others_are_pooled(tmp_path: Path) -> None:
@@ -137,9 +133,9 @@ def test_settings_that_make_no_sense_are_refused_before_any_work(
     tmp_path: Path, changes: dict[str, str | Sequence[str]], expected: str
 ) -> None:
     with pytest.raises(ConfigError, match=expected):
-        ReferenceSettings(tmp_path, **changes).check()  # type: ignore[arg-type]
+        check_reference(ReferenceSettings(tmp_path, **changes))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="no such folder"):
-        ReferenceSettings(tmp_path / "none").check()
+        check_reference(ReferenceSettings(tmp_path / "none"))
 
 
 def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path) -> None:

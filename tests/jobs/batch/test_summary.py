@@ -14,25 +14,19 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import GateResult
-from prc_cli.jobs.batch.reference import BatchEvaluation, ReferenceSettings
-from prc_cli.jobs.batch.summary import (
-    EXIT_CODES,
-    Alarm,
-    BatchSummary,
-    Doubted,
-    LeftOut,
-    as_dict,
-    doubts_of,
-    summary_path,
-    to_json,
-    write_summary,
-)
+from prc_cli.jobs.batch.reference import BatchEvaluation
+from prc_cli.jobs.batch.summary import EXIT_CODES, BatchSummary, as_dict, summary_path, to_json, write_summary
 from prc_cli.jobs.batch.types import (
+    Alarm,
     Done,
+    Doubted,
     Failed,
     InputPrint,
+    LeftOut,
     Problem,
+    ReferenceSettings,
     Shard,
+    doubts_of,
 )
 
 
