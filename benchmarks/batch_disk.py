@@ -13,8 +13,8 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.jobs.batch.journal import Journal
 from prc_cli.jobs.batch.plan import Plan
+from prc_cli.jobs.batch.report import BatchSummary, write_summary
 from prc_cli.jobs.batch.run import Ready
-from prc_cli.jobs.batch.summary import BatchSummary, write_summary
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     Done,

@@ -23,8 +23,8 @@ from prc_cli.core.files import atomic_output, read_own, remove_stale
 from prc_cli.core.interrupts import raise_or_hold
 
 if TYPE_CHECKING:
+    from prc_cli.jobs.batch.report import BatchSummary
     from prc_cli.jobs.batch.run import RunEvent
-    from prc_cli.jobs.batch.summary import BatchSummary
     from prc_cli.jobs.batch.types import BatchSettings, Engine, Shard
 
 _COMMAND_SCHEMA = 1
@@ -171,9 +171,9 @@ def status(out: Path, as_json: bool) -> None:
     Example: prc batch status /classified
     """
     from prc_cli.cli.batch_report import print_status, status_dict
-    from prc_cli.jobs.batch.clean import own_folder
     from prc_cli.jobs.batch.journal import read_entries, read_runs
     from prc_cli.jobs.batch.lock import holders
+    from prc_cli.jobs.batch.outputs import own_folder
 
     folder = own_folder(out)
     entries, runs, owners = read_entries(folder), read_runs(folder), holders(folder)
@@ -198,7 +198,7 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
       prc batch retry /classified
       prc batch retry /classified --jobs 1
     """
-    from prc_cli.jobs.batch.clean import own_folder
+    from prc_cli.jobs.batch.outputs import own_folder
     from prc_cli.jobs.batch.types import Shard
 
     part = None if shard is None else Shard.parse(shard)
@@ -230,7 +230,7 @@ def clean(out: Path, archive: Path | None, dry_run: bool, as_json: bool) -> None
       prc batch clean /classified --forget /archive
     """  # fmt: skip
     from prc_cli.cli.batch_report import print_cleaned
-    from prc_cli.jobs.batch.clean import clean as clean_folder
+    from prc_cli.jobs.batch.outputs import clean as clean_folder
 
     found = clean_folder(out, archive=archive, dry_run=dry_run)
     if as_json:
@@ -254,7 +254,7 @@ def _run(options: dict[str, Any]) -> None:
         return
     summary = _run_and_tell(settings, options)
     if options["as_json"]:
-        from prc_cli.jobs.batch.summary import as_dict
+        from prc_cli.jobs.batch.report import as_dict
 
         click.echo(json.dumps(as_dict(summary), indent=1, allow_nan=False))
     click.get_current_context().exit(summary.exit_code)
@@ -263,7 +263,7 @@ def _run(options: dict[str, Any]) -> None:
 def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
     """Say which outputs are whole; exit code 1 if one is not."""
     from prc_cli.cli.batch_report import print_verified
-    from prc_cli.jobs.batch.verify import verify_outputs
+    from prc_cli.jobs.batch.outputs import verify_outputs
 
     found = tuple(verify_outputs(out))
     if as_json:
@@ -274,7 +274,7 @@ def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
 
 
 def _settings(options: dict[str, Any]) -> BatchSettings:
-    from prc_cli.jobs.batch.reference import check_reference
+    from prc_cli.jobs.batch.report import check_reference
     from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 
     if options["gates"] and options["reference"] is None:

@@ -10,13 +10,13 @@ from typing import Any
 
 from prc_cli import __version__
 from prc_cli.cli.batch_words import now, say
+from prc_cli.jobs.batch.report import BatchSummary, done_dict, failed_dict
 from prc_cli.jobs.batch.run import (
     Again,
     Noted,
     Ready,
     RunEvent,
 )
-from prc_cli.jobs.batch.summary import BatchSummary, done_dict, failed_dict
 from prc_cli.jobs.batch.types import Alarm, Done, Doubted, Failed, Started
 
 LOG_SCHEMA = 1

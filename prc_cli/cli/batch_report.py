@@ -15,10 +15,10 @@ from prc_cli.cli.report import results
 from prc_cli.cli.safe import printable
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
-from prc_cli.jobs.batch.clean import Cleaned
 from prc_cli.jobs.batch.lock import Holder
+from prc_cli.jobs.batch.outputs import Cleaned, Verified
 from prc_cli.jobs.batch.plan import Estimate, Plan
-from prc_cli.jobs.batch.summary import BatchSummary, done_dict, failed_dict
+from prc_cli.jobs.batch.report import BatchSummary, done_dict, failed_dict
 from prc_cli.jobs.batch.types import (
     Done,
     Doubted,
@@ -27,7 +27,6 @@ from prc_cli.jobs.batch.types import (
     Run,
     doubts_of,
 )
-from prc_cli.jobs.batch.verify import Verified
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""

@@ -27,14 +27,13 @@ from prc_cli.evaluation.gates import GateResult
 from prc_cli.jobs.batch import run as run_module
 from prc_cli.jobs.batch.lock import Holder, Owner
 from prc_cli.jobs.batch.plan import Estimate, Plan, Planned
-from prc_cli.jobs.batch.reference import BatchEvaluation, Compared
+from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary, Compared
 from prc_cli.jobs.batch.run import (
     Again,
     Listener,
     Noted,
     Ready,
 )
-from prc_cli.jobs.batch.summary import BatchSummary
 from prc_cli.jobs.batch.types import (
     Alarm,
     BatchSettings,

@@ -13,8 +13,8 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs import doctor
-from prc_cli.jobs.batch import summary
-from prc_cli.jobs.batch.drift import drift
+from prc_cli.jobs.batch import report
+from prc_cli.jobs.batch.report import drift
 from prc_cli.jobs.calibrate import sensor
 from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES
 from prc_cli.jobs.evaluate.options import NEAREST_TOLERANCE_M, TIME_TOLERANCE_S
@@ -236,7 +236,7 @@ def test_edges_of_bins_cover_all_scanners() -> None:
 
 
 def test_what_other_programs_and_pages_rely_on() -> None:
-    assert (summary.SCHEMA, summary.FAILED) == (1, 1)
+    assert (report.SCHEMA, report.FAILED) == (1, 1)
     assert (TIME_TOLERANCE_S, NEAREST_TOLERANCE_M) == (6e-7, 0.05)
 
 

@@ -30,10 +30,8 @@ from typing import Any, TypeAlias
 
 from prc_cli import __version__
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.files import remove_stale
 from prc_cli.core.threads import TICK_S, drain
-from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.local import LocalEngine
+from prc_cli.jobs.batch.local import LocalEngine, remove_left
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     EngineSettings,
@@ -45,8 +43,7 @@ from prc_cli.jobs.batch.types import (
     Started,
     Task,
 )
-from prc_cli.jobs.batch.work import run_task
-from prc_cli.jobs.batch.worker import BEAT_S, MOVED, bytes_moved
+from prc_cli.jobs.batch.worker import beat, run_task
 from prc_cli.jobs.classify import load_classifier
 
 EXTRA = "prc-cli[dask]"
@@ -148,8 +145,9 @@ def do_order(order: Order) -> Report:
         raise PrcError(f"worker {me}", problem, f"pip install '{EXTRA}=={order.version}' there")
     lines = _Lines(lambda kind, n: worker.log_event(order.topic, (kind, key, me, n)), lambda: _is_wanted(worker, key))
     lines.report(BEGUN, 0)
-    beat = threading.Thread(target=lines.beat, name="beat", daemon=True)
-    beat.start()
+    ended = threading.Event()
+    beating = threading.Thread(target=beat, args=(lambda: lines.report(LINES, lines.n), ended), daemon=True)
+    beating.start()
     try:
         if not task.source.exists():
             problem = f"no such file on {socket.gethostname()}, where a worker looks for it"
@@ -159,8 +157,8 @@ def do_order(order: Order) -> Report:
             os.chdir(order.folder)
         return Report(me, run_task(task, threads=order.threads, progress=lines))
     finally:
-        lines.close()
-        beat.join()
+        ended.set()
+        beating.join()
         lines.report(ENDED, lines.n)
 
 
@@ -178,7 +176,6 @@ class _Lines:
         self.report = report
         self._is_wanted = is_wanted
         self._last = 0.0
-        self._end = threading.Event()
 
     def __call__(self, n_lines: int) -> None:
         self.n += n_lines
@@ -188,20 +185,6 @@ class _Lines:
             self.report(LINES, self.n)
             if not self._is_wanted():
                 raise StoppedError
-
-    def beat(self) -> None:
-        """Report that data is moving although no line is finished, as at the end of a file; in a thread."""
-        moved = bytes_moved()
-        with contextlib.suppress(OSError, ValueError):
-            last = moved()
-            while not self._end.wait(BEAT_S):
-                if (now := moved()) - last >= MOVED:
-                    last = now
-                    self.report(LINES, self.n)
-
-    def close(self) -> None:
-        """End the thread."""
-        self._end.set()
 
 
 class DaskEngine:
@@ -513,9 +496,7 @@ class _Run:
             return
         del self._pending[key]
         if job.is_again:  # the dead worker may have been alive yet when the other one looked
-            for path in (job.task.output, record_path(job.task.output)):
-                with contextlib.suppress(OSError):
-                    remove_stale(path)
+            remove_left(job.task)
         yield from _started(job, report.worker)
         yield report.result
 

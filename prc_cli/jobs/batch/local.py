@@ -16,9 +16,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -26,18 +25,8 @@ from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import remove_stale
 from prc_cli.core.threads import default_threads, drain
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.types import (
-    EngineSettings,
-    Event,
-    Failed,
-    Outcome,
-    Problem,
-    Progress,
-    Started,
-    Task,
-)
-from prc_cli.jobs.batch.work import MEMORY
-from prc_cli.jobs.batch.worker import READY, STOP_S
+from prc_cli.jobs.batch.types import Comparison, EngineSettings, Event, Failed, Problem, Progress, Started, Task
+from prc_cli.jobs.batch.worker import MEMORY, READY, STOP_S
 
 START_S = 120.0
 """Time limit for a worker to get ready [s]."""
@@ -77,7 +66,7 @@ class _Worker:
     ready: bool = False
     retiring: bool = False
     """It gets no more tasks, and ends."""
-    task: Task | None = None
+    task: Task | Comparison | None = None
     begun: float = 0.0
     """When it got the task, or was started [s]."""
     seen: float = 0.0
@@ -87,7 +76,7 @@ class _Worker:
     killed: float = 0.0
     """When [s]."""
 
-    def give(self, task: Task) -> None:
+    def give(self, task: Task | Comparison) -> None:
         """Send a task; a worker that has died meanwhile is noticed by its end of output."""
         self.task = task
         self.begun = self.seen = time.monotonic()
@@ -112,10 +101,8 @@ class _Worker:
         self.close_input()
         with contextlib.suppress(OSError):
             self.printed.close()
-        if self.task is not None:
-            for path in (self.task.output, record_path(self.task.output)):
-                with contextlib.suppress(OSError):
-                    remove_stale(path)
+        if isinstance(self.task, Task):
+            remove_left(self.task)
 
     def last_printed(self) -> str:
         """Return the end of what it printed, as one line."""
@@ -133,17 +120,13 @@ class LocalEngine:
     []
     """
 
-    def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`)."""
+    def run(self, tasks: Iterable[Task | Comparison], settings: EngineSettings) -> Generator[Event, None, None]:
+        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`), or compare outputs with references."""
         if settings.memory_limit_mib is not None and os.name != "posix":
             raise ConfigError("--memory-limit", "this system cannot limit the memory of a process", "leave it out")
         pool = _Pool(settings)
-        source = iter(tasks)
-        first = next(source, None)
-        if first is None:
-            return
         try:
-            yield from pool.run(chain([first], source))
+            yield from pool.run(iter(tasks))
         finally:
             pool.stop()
 
@@ -158,21 +141,21 @@ class _Pool:
         self._failed_starts = 0
         self._checked = time.monotonic()
 
-    def run(self, tasks: Iterator[Task]) -> Iterator[Event]:
+    def run(self, tasks: Iterator[Task | Comparison]) -> Iterator[Event]:
         """Give every free worker a task, and yield what happens."""
-        more = True
-        while True:
+        task = next(tasks, None)
+        more = task is not None
+        while more or any(worker.task is not None for worker in self._workers):
             while more and len(self._workers) < self._settings.jobs:
                 self._start()
             while more and (worker := self._free_worker()) is not None:
-                task = next(tasks, None)
-                if task is None:
+                # asked for when a worker is free: what was asked for counts as begun
+                if task is None and (task := next(tasks, None)) is None:
                     more = False
                 else:
                     yield Started(task.name, worker.name)
                     worker.give(task)
-            if not more and all(worker.task is None for worker in self._workers):
-                return
+                    task = None
             yield from self._drain()
             yield from self._watch()
 
@@ -235,12 +218,11 @@ class _Pool:
                 if message and worker.task is not None:
                     yield Progress(worker.task.name, message)
             else:
-                outcome: Outcome = message
                 worker.task = None
-                if isinstance(outcome, Failed) and outcome.problem.kind == MEMORY:
+                if isinstance(message, Failed) and message.problem.kind == MEMORY:
                     worker.retiring = True  # its memory may be fragmented
                     worker.close_input()
-                yield outcome
+                yield message
 
     def _reap(self, worker: _Worker) -> Iterator[Event]:
         """Remove a worker that has ended, and report its task as failed if it had one."""
@@ -251,12 +233,12 @@ class _Pool:
         printed = worker.last_printed()
         worker.clean_up()
         if worker.task is not None:
-            problem = worker.kill_reason or _death(worker.task.name, code, printed)
+            problem = worker.kill_reason or _death(worker.task, code, printed)
             yield Failed(worker.task.name, None, time.monotonic() - worker.begun, problem)
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
-                found = f"ended before it was ready, {FAILED_STARTS} times ({how_ended(code)}{_printed(printed)})"
+                found = f"ended before it was ready, {FAILED_STARTS} times ({_how_ended(code, printed)})"
                 raise PrcError("worker process", found, "prc doctor checks the installation")
 
     def _watch(self) -> Iterator[Event]:
@@ -306,27 +288,31 @@ def _read(worker: _Worker, messages: queue.SimpleQueue[tuple[_Worker, Any]]) -> 
     messages.put((worker, None))
 
 
-def _death(name: str, code: int, printed: str) -> Problem:
+def _death(task: Task | Comparison, code: int, printed: str) -> Problem:
     """Describe how a worker died."""
     hint = "the file is tried again alone"
-    if code == -getattr(signal, "SIGKILL", 9):
+    if isinstance(task, Comparison):
+        hint = f"look at it and at {task.reference}"
+    elif code == -getattr(signal, "SIGKILL", 9):
         hint = "the system kills so when memory is short: fewer --jobs, or --memory-limit"
-    return Problem("killed", name, f"its worker process {how_ended(code)}{_printed(printed)}", hint)
+    return Problem("killed", task.name, f"its worker process {_how_ended(code, printed)}", hint)
 
 
-def how_ended(code: int) -> str:
-    """Describe the exit code of a process.
+def _how_ended(code: int, printed: str) -> str:
+    """Describe the exit code of a process, and what it said.
 
-    >>> how_ended(3)
+    >>> _how_ended(3, "")
     'ended with exit code 3'
     """
+    said = f"; it said: {printed}" if printed else ""
     if code >= 0:
-        return f"ended with exit code {code}"
-    try:
-        return f"was killed by signal {-code} ({signal.Signals(-code).name})"
-    except ValueError:
-        return f"was killed by signal {-code}"
+        return f"ended with exit code {code}{said}"
+    names = {item.value: f" ({item.name})" for item in signal.Signals}
+    return f"was killed by signal {-code}{names.get(-code, '')}{said}"
 
 
-def _printed(text: str) -> str:
-    return f"; it said: {text}" if text else ""
+def remove_left(task: Task) -> None:
+    """Remove the temporary files of a task whose worker died."""
+    for path in (task.output, record_path(task.output)):
+        with contextlib.suppress(OSError):
+            remove_stale(path)

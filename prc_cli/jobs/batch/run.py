@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -13,7 +14,6 @@ from prc_cli.core.errors import BusyError, PrcError
 from prc_cli.core.files import make_folder, output_errors
 from prc_cli.core.threads import close_items
 from prc_cli.jobs.batch.discovery import check, discover, output_name
-from prc_cli.jobs.batch.drift import drift
 from prc_cli.jobs.batch.journal import Journal, read_entries
 from prc_cli.jobs.batch.local import LocalEngine, share_cores
 from prc_cli.jobs.batch.lock import Lock
@@ -25,8 +25,16 @@ from prc_cli.jobs.batch.plan import (
     estimate,
     make_plan,
 )
-from prc_cli.jobs.batch.reference import BatchEvaluation, Output, check_reference, evaluate_tree
-from prc_cli.jobs.batch.summary import BatchSummary, Ended, reasons_of, write_summary
+from prc_cli.jobs.batch.report import (
+    BatchEvaluation,
+    BatchSummary,
+    Ended,
+    Output,
+    check_reference,
+    drift,
+    evaluate_tree,
+    write_summary,
+)
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     Alarm,
@@ -43,7 +51,7 @@ from prc_cli.jobs.batch.types import (
     Task,
     doubts_of,
 )
-from prc_cli.jobs.batch.work import may_pass
+from prc_cli.jobs.batch.worker import may_pass
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
@@ -312,8 +320,7 @@ class _Run:
         for name in sorted(names):
             relative = output_name(name, settings.to)
             outputs.append(Output(name, relative, settings.out / relative, settings.archive / name))
-        jobs, _ = share_cores(settings.jobs, 1, len(outputs))
-        return evaluate_tree(outputs, settings.reference, threads=jobs)
+        return evaluate_tree(outputs, settings.reference, jobs=share_cores(settings.jobs, 1, len(outputs))[0])
 
     def _summarise(
         self, plan: Plan, config: BatchConfig, run: str, ended: Ended, evaluation: BatchEvaluation | None
@@ -335,7 +342,7 @@ class _Run:
             failed=tuple(item for item in outcomes if isinstance(item, Failed)),
             standing=tuple(item for item in before if isinstance(item, Failed) and item.problem.kind != "interrupted"),
             n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
-            reasons=reasons_of(item.reason for item in plan.todo),
+            reasons=tuple(Counter(item.reason for item in plan.todo).most_common()),
             alarms=tuple(self._alarms),
             doubts=tuple(doubt for entry in entries for doubt in doubts_of(entry)),
             left_out=plan.left_out,

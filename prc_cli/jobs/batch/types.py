@@ -12,11 +12,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.findings import doubt_of
+
+if TYPE_CHECKING:
+    from prc_cli.evaluation.confusion import ConfusionMatrix
+    from prc_cli.evaluation.mapping import ClassMapping
+    from prc_cli.jobs.evaluate.options import EvaluateOptions
 
 OWN_FOLDER = ".prc"
 """Folder in the output tree for journal and lock."""
@@ -172,7 +177,35 @@ class Progress:
     """Scan lines since the last such event."""
 
 
-Event: TypeAlias = Started | Progress | Done | Failed
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """An output to compare with its reference."""
+
+    name: str
+    """Of the input in the archive."""
+    predicted: Path
+    reference: Path
+    shown: str
+    """Path of the reference in its tree."""
+    mapping: ClassMapping
+    options: EvaluateOptions
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One output and its reference."""
+
+    name: str
+    """Of the input in the archive."""
+    reference: str | None
+    """File of reference classes, its path in the tree; None if there is none."""
+    matrix: ConfusionMatrix | None
+    """None if it could not be compared."""
+    problem: Problem | None = None
+    """Why not."""
+
+
+Event: TypeAlias = Started | Progress | Done | Failed | Compared
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""A worker process of :mod:`prc_cli.jobs.batch.local`, which classifies one file after another.
+"""A worker process of :mod:`prc_cli.jobs.batch.local`, which does one file after another; every error is an outcome.
 
 It reads tasks from its standard input and writes outcomes to its standard output. When its input ends, because the
 parent closed it or died, the current file is rolled back and the process ends.
@@ -6,6 +6,7 @@ parent closed it or died, the current file is rolled back and the process ends.
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import os
 import pickle
@@ -18,13 +19,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import OutputExistsError, PrcError
 from prc_cli.core.interrupts import raise_or_hold
 from prc_cli.core.limits import hold_limits
 from prc_cli.core.memory import return_memory
 from prc_cli.core.process import claim_process
-from prc_cli.jobs.batch.types import Outcome, Task
-from prc_cli.jobs.batch.work import run_task
-from prc_cli.jobs.classify import load_classifier
+from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
+from prc_cli.jobs.batch.types import Compared, Comparison, Done, Failed, InputPrint, Outcome, Problem, Task
+from prc_cli.jobs.classify import Progress, RunSummary, classify, load_classifier
 
 READY = "ready"
 """First message of a worker."""
@@ -39,6 +42,125 @@ STOP_S = 5.0
 AGAIN_S = 0.05
 """An interrupt that Python dropped is raised again so much later [s]."""
 ENDED = 128 + signal.SIGTERM
+MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
+"""Kinds of problems that the content of the file does not cause."""
+
+
+# -- one file ---------------------------------------------------------------------------------------------------------
+
+
+def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
+    """Classify one file; only interrupts are raised."""
+    begun = time.perf_counter()
+    before: InputPrint | None = None
+    try:
+        before = _stat_input(task.source)
+        task.output.parent.mkdir(parents=True, exist_ok=True)
+        load_classifier(task.config)
+        begun, cpu = time.perf_counter(), time.process_time()
+        summary = _classify(task, threads, progress)
+        return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
+    except Exception as error:
+        if before is not None and isinstance(error, OutputExistsError):
+            # an attempt before this one finished and could not report: nobody else writes here, the run has the lock
+            with contextlib.suppress(OSError):
+                written = task.output.lstat()
+                found = outcome_of_record(task, before, written)
+                if found is not None and is_whole(task.output, written, found):
+                    return found
+        return Failed(task.name, before, time.perf_counter() - begun, _problem_of(error, task, before))
+
+
+def _classify(task: Task, threads: int, progress: Progress | None) -> RunSummary:
+    """Classify; once more if an attempt before this one died just when its output had got its name."""
+    while True:
+        try:
+            return classify(
+                task.source, task.output, task.config, overwrite=task.overwrite, progress=progress, threads=threads
+            )
+        except OutputExistsError:
+            if not remove_unfinished(task):
+                raise
+
+
+def _stat_input(path: Path) -> InputPrint:
+    """Return size and time of an input, without the hash of its content."""
+    status = path.stat()
+    return InputPrint(status.st_size, status.st_mtime_ns, None)
+
+
+def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, cpu_seconds: float) -> Done:
+    record, counts = summary.record, summary.counts
+    written = task.output.stat()
+    return Done(
+        name=task.name, input=InputPrint(record.input.size, before.mtime_ns, record.input.sha256),
+        output_size=written.st_size, output_mtime_ns=written.st_mtime_ns, seconds=seconds, cpu_seconds=cpu_seconds,
+        peak_mib=_peak_mib(), n_lines=counts.n_lines, n_shots=counts.n_shots, n_records=record.n_records or 0,
+        labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label), notices=record.notices,
+        output_name=task.output.name, output_sha256=None if record.output is None else record.output.sha256,
+    )  # fmt: skip
+
+
+def _problem_of(error: Exception, task: Task, before: InputPrint | None) -> Problem:
+    """Return why a file failed: separates causes outside the file, which may pass, from faults of the file."""
+    found = Problem.of(error)
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "start new thread" in str(error)):
+        hint = "fewer --jobs or threads, or a higher --memory-limit"
+        return Problem(MEMORY, task.name, f"out of memory ({found.problem})", hint)
+    if isinstance(error, OSError):
+        where = os.fsdecode(error.filename) if error.filename is not None else task.name
+        found = Problem(found.kind, where, error.strerror or str(error), "check the disk, the name and its permissions")
+    elif isinstance(error, PrcError) and isinstance(error.__cause__, OSError):
+        found = Problem(type(error.__cause__).__name__, found.where, found.problem, found.hint)
+    elif isinstance(error, ImportError):
+        found = Problem(found.kind, task.name, f"a package cannot be loaded ({error})", "prc doctor says which")
+    elif not isinstance(error, PrcError):
+        found = Problem(found.kind, task.name, f"{found.kind}: {found.problem}", "a fault of prc; please report it")
+    if before is None:
+        return found
+    try:
+        after = _stat_input(task.source)
+    except OSError as gone:
+        return Problem(VANISHED, found.where, f"the input went away while it was read ({gone.strerror})", found.hint)
+    if after != before:  # the change may have caused the error
+        hint = "run again when the copy is complete"
+        return Problem(CHANGED, str(task.source), "changed while it was read", hint)
+    return found
+
+
+def may_pass(problem: Problem) -> bool:
+    """Tell whether another attempt may help; not for damaged files and wrong configurations.
+
+    >>> may_pass(Problem("killed", "a.laz", "")), may_pass(Problem("InputError", "a.laz", "cut short"))
+    (True, False)
+    """
+    if problem.kind in ("killed", "timeout", "interrupted", "OutputError", MEMORY, CHANGED, VANISHED):
+        return True
+    return problem.kind.isidentifier() and issubclass(getattr(builtins, problem.kind, object), OSError)
+
+
+def _peak_mib() -> float | None:
+    """Return the highest resident memory of this process [MiB]; None if unknown."""
+    try:
+        import resource
+    except ImportError:  # not on this system
+        return None
+    scale = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale / (1 << 20)
+
+
+def _compare(pair: Comparison) -> Compared:
+    """Compare an output with its reference."""
+    from prc_cli.jobs.evaluate import evaluate_all
+
+    try:
+        found = evaluate_all([pair.predicted], [pair.reference], pair.mapping, options=pair.options)
+    except (PrcError, OSError, MemoryError) as error:
+        return Compared(pair.name, pair.shown, None, Problem.of(error))
+    return Compared(pair.name, pair.shown, found.matrix)
+
+
+# -- the process ------------------------------------------------------------------------------------------------------
 
 
 class _Interrupts:
@@ -74,11 +196,13 @@ class _Interrupts:
 
 
 class _Parent:
-    """Sends messages to the parent; from several threads."""
+    """Sends messages to the parent, from several threads; finished lines now and then."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream
         self._lock = threading.Lock()
+        self._n_lines = 0
+        self._last = 0.0
 
     def send(self, message: Any) -> None:
         """Send a message; end the process when the parent is gone."""
@@ -90,44 +214,36 @@ class _Parent:
         except OSError:
             raise SystemExit(ENDED) from None
 
+    def count(self, n_lines: int) -> None:
+        """Count finished lines."""
+        self._n_lines += n_lines
+        if time.monotonic() - self._last >= PROGRESS_S:
+            self.send_lines()
 
-class _Lines:
-    """Counts finished lines and reports them now and then."""
-
-    def __init__(self, parent: _Parent) -> None:
-        self._parent = parent
-        self._waiting = 0
-        self._last = 0.0
-
-    def __call__(self, n_lines: int) -> None:
-        self._waiting += n_lines
-        now = time.monotonic()
-        if now - self._last >= PROGRESS_S:
-            self.flush()
-            self._last = now
-
-    def flush(self) -> None:
-        if self._waiting:
-            self._parent.send(self._waiting)
-            self._waiting = 0
+    def send_lines(self) -> None:
+        """Report the lines that were counted."""
+        if self._n_lines:
+            self.send(self._n_lines)
+        self._n_lines, self._last = 0, time.monotonic()
 
 
-def _serve(tasks: queue.SimpleQueue[Task | None], parent: _Parent, threads: int, limit_mib: int | None) -> None:
+def _serve(tasks: queue.SimpleQueue[Any], parent: _Parent, threads: int, limit_mib: int | None) -> None:
     """Do one task after the other until no more come."""
-    limited = False
     while (task := tasks.get()) is not None:
-        if limit_mib is not None and not limited:
+        if isinstance(task, Comparison):
+            parent.send(_compare(task))
+            continue
+        if limit_mib is not None:
             with contextlib.suppress(Exception):  # the same error comes again, and is reported, with the file
                 load_classifier(task.config)  # memory of the libraries does not count
-            limit_memory(limit_mib)
-            limited = True
-        lines = _Lines(parent)
-        outcome: Outcome = run_task(task, threads=threads, progress=lines)
-        lines.flush()
+            _limit_memory(limit_mib)
+            limit_mib = None
+        outcome = run_task(task, threads=threads, progress=parent.count)
+        parent.send_lines()
         parent.send(outcome)
 
 
-def limit_memory(mib: int) -> None:
+def _limit_memory(mib: int) -> None:
     """Limit what this process may allocate; beyond it Python raises MemoryError.
 
     On Linux private memory counts (code, mapped files and address space that is only reserved do not), elsewhere
@@ -149,10 +265,8 @@ def bytes_moved() -> Callable[[], int]:
     def counted() -> int:
         nonlocal own
         text = place.read_text(encoding="ascii")
-        moved = sum(int(line.split()[1]) for line in text.splitlines() if line.startswith(("rchar", "wchar")))
-        moved -= own
-        own += len(text)
-        return moved
+        own += len(text)  # reading this moves bytes, too
+        return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith(("rchar", "wchar"))) - own
 
     try:
         counted()
@@ -161,27 +275,22 @@ def bytes_moved() -> Callable[[], int]:
     return counted
 
 
-def _beat(parent: _Parent) -> None:
-    """Tell the parent that data is moving although no line is finished, as at the end of a file; in a thread."""
+def beat(tell: Callable[[], None], ended: threading.Event) -> None:
+    """Tell that data is moving although no line is finished, as at the end of a file; in a thread."""
     moved = bytes_moved()
-    last = moved()
-    while True:
-        time.sleep(BEAT_S)
+    last = 0
+    while not ended.wait(BEAT_S):
         with contextlib.suppress(OSError, ValueError):
-            now = moved()
-            if now - last >= MOVED:
+            if (now := moved()) - last >= MOVED:
                 last = now
-                parent.send(0)
+                tell()
 
 
-def _receive(stream: IO[bytes], tasks: queue.SimpleQueue[Task | None], interrupts: _Interrupts) -> None:
+def _receive(stream: IO[bytes], tasks: queue.SimpleQueue[Any], interrupts: _Interrupts) -> None:
     """Receive tasks from the parent, in a thread; end the process when the parent is gone."""
-    while True:
-        try:
-            task = pickle.load(stream)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            break
-        tasks.put(task)
+    with contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):
+        while True:
+            tasks.put(pickle.load(stream))
     tasks.put(None)
     interrupts.end()
 
@@ -199,16 +308,15 @@ def main(threads: int, limit_mib: int | None) -> int:
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     parent = _Parent(out)
-    tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
-    code = 0
+    tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
     try:
         threading.Thread(target=_receive, args=(sys.stdin.buffer, tasks, interrupts), daemon=True).start()
-        threading.Thread(target=_beat, args=(parent,), daemon=True).start()
+        threading.Thread(target=beat, args=(lambda: parent.send(0), threading.Event()), daemon=True).start()
         parent.send(READY)
         _serve(tasks, parent, threads, limit_mib)
     except SystemExit as ended:
-        code = ended.code if isinstance(ended.code, int) else 1
-    return code
+        return ended.code if isinstance(ended.code, int) else 1
+    return 0
 
 
 if __name__ == "__main__":

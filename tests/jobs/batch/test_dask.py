@@ -206,7 +206,7 @@ def test_file_that_hangs_is_given_up(cluster: Any, tmp_path: Path, monkeypatch: 
         return real(task, **how)
 
     monkeypatch.setattr(dask_engine, "run_task", hangs)
-    monkeypatch.setattr(dask_engine, "bytes_moved", lambda: lambda: 0)
+    monkeypatch.setattr(dask_engine, "beat", lambda tell, ended: None)
     monkeypatch.setattr(dask_engine, "STOP_S", 0.2)
     monkeypatch.setattr(dask_engine, "time", SimpleNamespace(monotonic=clock))
     notices: list[str] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.jobs.batch.drift import FLOOR, MIN_EARLIER, drift
+from prc_cli.jobs.batch.report import FLOOR, MIN_EARLIER, drift
 
 NAMES = ("NOISE", "GROUND", "OBJECT", "CAR")
 

@@ -34,7 +34,7 @@ from prc_cli.jobs.batch.types import (
     State,
     Task,
 )
-from prc_cli.jobs.batch.work import run_task
+from prc_cli.jobs.batch.worker import run_task
 from tests.street import street, write_npz
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.reference import NO_REFERENCE, Output, check_reference, evaluate_tree
+from prc_cli.jobs.batch.report import NO_REFERENCE, Output, check_reference, evaluate_tree
 from prc_cli.jobs.batch.types import ReferenceSettings
 from prc_cli.jobs.evaluate import evaluate_all
 from tests.fuzz.crafted import overflowing
@@ -42,7 +42,7 @@ def trees(folder: Path) -> tuple[list[Output], Path]:
 
 def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
-    found = evaluate_tree(outputs, ReferenceSettings(tree), threads=2)
+    found = evaluate_tree(outputs, ReferenceSettings(tree), jobs=2)
     assert [item.name for item in found.files] == list(PREDICTED)
     references = [tree / str(item.reference) for item in found.files]
     whole = evaluate_all([output.path for output in outputs], references)
@@ -163,10 +163,10 @@ def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path: Path) -
     (tmp_path / "out" / "d.laz").write_bytes(crafted)
     (tree / "d.laz").write_bytes(crafted)
     outputs.insert(1, Output("d.laz", "d.laz", tmp_path / "out" / "d.laz", tmp_path / "archive" / "d.laz"))
-    found = evaluate_tree(outputs, ReferenceSettings(tree, match="time"), threads=1)
+    found = evaluate_tree(outputs, ReferenceSettings(tree, match="time"))
     problem = found.files[1].problem
     assert problem is not None
     assert problem.kind == "killed"
-    assert problem.problem.startswith("the process that compared it was killed by signal")
-    found = evaluate_tree([*outputs[:1], *outputs[2:]], ReferenceSettings(tree), threads=1)
+    assert problem.problem.startswith("its worker process was killed by signal")
+    found = evaluate_tree([*outputs[:1], *outputs[2:]], ReferenceSettings(tree))
     assert [item.matrix is not None for item in found.files] == [True, True, True]

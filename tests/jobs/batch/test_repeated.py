@@ -14,7 +14,7 @@ import pytest
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.types import Done, Failed, Task
-from prc_cli.jobs.batch.work import run_task
+from prc_cli.jobs.batch.worker import run_task
 from tests import patience
 from tests.street import street, write_npz
 
@@ -24,7 +24,7 @@ PROGRAM = """
 import os, pickle, signal, sys
 from pathlib import Path
 from prc_cli.core import files
-from prc_cli.jobs.batch import work
+from prc_cli.jobs.batch import worker
 
 step, n = sys.argv[1], 0
 
@@ -40,10 +40,10 @@ def dying(temporary, path, *, overwrite):
         die()
 
 if step == "3":
-    work._done = lambda *_: die()
+    worker._done = lambda *_: die()
 else:
     files.place = dying
-work.run_task(pickle.load(sys.stdin.buffer))
+worker.run_task(pickle.load(sys.stdin.buffer))
 """
 
 

@@ -21,6 +21,8 @@ from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
+from prc_cli.jobs.batch.outputs import verify_outputs
+from prc_cli.jobs.batch.report import BatchSummary, as_dict
 from prc_cli.jobs.batch.run import (
     Again,
     Alarm,
@@ -29,7 +31,6 @@ from prc_cli.jobs.batch.run import (
     plan_batch,
     run_batch,
 )
-from prc_cli.jobs.batch.summary import BatchSummary, as_dict
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     BatchSettings,
@@ -48,7 +49,6 @@ from prc_cli.jobs.batch.types import (
     Task,
     doubts_of,
 )
-from prc_cli.jobs.batch.verify import verify_outputs
 from prc_cli.jobs.classify import classify
 from tests import patience
 from tests.patience import HANGS_S

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import prc_cli.core.errors
 import prc_cli.jobs.batch
-from prc_cli.jobs.batch.summary import EXIT_CODES
+from prc_cli.jobs.batch.report import EXIT_CODES
 from prc_cli.jobs.batch.types import Problem
 
 ROOT = Path(__file__).resolve().parents[3]
