@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from prc_cli.cli.batch_log import JsonLog
+from prc_cli.cli.batch_report import JsonLog
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.jobs.batch.journal import Journal

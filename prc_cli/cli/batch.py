@@ -312,8 +312,7 @@ def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | 
 
 
 def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
-    from prc_cli.cli.batch_report import plan_dict, print_plan
-    from prc_cli.cli.batch_words import say
+    from prc_cli.cli.batch_report import plan_dict, print_plan, say
     from prc_cli.jobs.batch.run import plan_batch
 
     _engine(options, say)  # a wrong option is as wrong here; the sample is measured on this machine
@@ -325,14 +324,11 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
 
 
 def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSummary:
-    from prc_cli.cli.batch_log import JsonLog
-    from prc_cli.cli.batch_progress import Bars, Final, PlainLines
-    from prc_cli.cli.batch_report import print_end
-    from prc_cli.cli.batch_words import say
+    from prc_cli.cli.batch_report import Final, JsonLog, Teller, print_end, say
     from prc_cli.jobs.batch.run import Noted, Ready, run_batch
 
     quiet, on_terminal = options["quiet"], sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-    shows_bars = on_terminal and not quiet and not options["time_stamps"]
+    shows_bar = on_terminal and not quiet and not options["time_stamps"]
     log = None if options["log_json"] is None else JsonLog(options["log_json"])
     if log is not None:
         log.start(settings.archive, settings.out, None if settings.shard is None else str(settings.shard))
@@ -346,11 +342,8 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSumm
     code, problem = 1, ""
     try:
         with contextlib.ExitStack() as stack:
-            show = (
-                stack.enter_context(Bars())
-                if shows_bars
-                else PlainLines(quiet=quiet, verbose=options["verbose"], stamps=options["time_stamps"])
-            )
+            show = Teller(quiet=quiet, verbose=options["verbose"], stamps=options["time_stamps"], bar=shows_bar)
+            stack.callback(show.close)
             final = Final(keep_command, show, *([] if log is None else [log]))
             stack.callback(final.close)
             engine = _engine(options, lambda text: final(Noted(text)))
@@ -367,7 +360,7 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSumm
     finally:
         if log is not None:
             log.end(code, summary, problem)
-    print_end(summary, quiet=quiet, listed=not shows_bars, only_failed=settings.only_failed)
+    print_end(summary, quiet=quiet, listed=not shows_bar, only_failed=settings.only_failed)
     return summary
 
 

@@ -1,102 +1,361 @@
-"""What ``prc batch`` prints when it has ended, before it would begin, and about what lies in an output folder."""
+"""What ``prc batch`` says: while it runs, in its log, when it has ended, and about what lies in an output folder."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
+import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rich.table import Table
 
-from prc_cli.cli.batch_words import about, console, count_of, doubt_words, duration, failed_words, minute, say, size_of
-from prc_cli.cli.report import results
+from prc_cli import __version__
+from prc_cli.cli.report import console, results
 from prc_cli.cli.safe import printable
+from prc_cli.core.findings import is_doubt
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
 from prc_cli.jobs.batch.lock import Holder
 from prc_cli.jobs.batch.outputs import Cleaned, Verified
 from prc_cli.jobs.batch.plan import Estimate, Plan
 from prc_cli.jobs.batch.report import BatchSummary, done_dict, failed_dict
+from prc_cli.jobs.batch.run import Again, Noted, Ready, RunEvent
 from prc_cli.jobs.batch.types import (
+    Alarm,
+    Compared,
     Done,
     Doubted,
     Entry,
     Failed,
+    Progress,
     Run,
+    Started,
     doubts_of,
 )
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""
+LOG_SCHEMA = 1
+"""Version of the form of the log; keys are added without a new number, never renamed or taken away."""
+
+
+def say(text: str) -> None:
+    """Print a line on stderr, whatever names are in it, if anybody is there to read it."""
+    try:
+        sys.stderr.write(printable(text) + "\n")
+        sys.stderr.flush()
+    except (OSError, ValueError):  # else Python fails at exit
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
+
+
+def tell(text: str) -> None:
+    """Print a line on stdout."""
+    results().print(printable(text), soft_wrap=True)
+
+
+def _say_all(rows: Sequence[str]) -> None:
+    """Print the first of many lines on stderr."""
+    for row in rows[:SHOWN]:
+        say(row)
+    if len(rows) > SHOWN:
+        say(f"and {len(rows) - SHOWN} more, see summary.json")
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+
+
+def failed_words(event: Failed | Compared) -> str:
+    """Return why a file failed; its name stands once, as it is in the archive."""
+    name, problem = event.name, event.problem
+    assert problem is not None
+    before, found, rest = problem.where.partition(name)
+    if found and (not before or before.endswith(("/", "\\"))):
+        where = name + rest
+    else:
+        where = f"{name}: {problem.where}" if problem.where else name
+    return f"{where}: {problem.problem}" + (f"; {problem.hint}" if problem.hint else "")
+
+
+def _doubt_words(doubt: Doubted) -> str:
+    return f"warning {doubt.name}: {doubt.sentence} (to accept it: --accept-doubt {doubt.check})"
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def count_of(count: int, what: str) -> str:
+    """Return how many there are of something, for people.
+
+    >>> count_of(1, "file"), count_of(2000, "file")
+    ('1 file', '2,000 files')
+    """
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+def size_of(n_bytes: float) -> str:
+    """Return a size for people.
+
+    >>> size_of(3 << 20), size_of(5 << 30)
+    ('3.0 MiB', '5.0 GiB')
+    """
+    for unit, name in ((1 << 40, "TiB"), (1 << 30, "GiB")):
+        if n_bytes >= unit:
+            return f"{n_bytes / unit:.1f} {name}"
+    return f"{n_bytes / 2**20:.1f} MiB"
+
+
+def duration(seconds: float) -> str:
+    """Return a time for people.
+
+    >>> duration(5.04), duration(3725), duration(7500)
+    ('5.0 s', '62 min', '2 h 5 min')
+    """
+    minutes = round(seconds / 60)
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def _listed(counts: Sequence[tuple[int, str]]) -> str:
+    return ", ".join(f"{count:,} {what}" for count, what in counts if count)
+
+
+# -- while a run is at work -------------------------------------------------------------------------------------------
+
+
+class Final:
+    """Passes events on; a failure only when it is known that the file is not tried again."""
+
+    def __init__(self, *listeners: Callable[[RunEvent], None]) -> None:
+        self._listeners = listeners
+        self._held: Failed | None = None
+
+    def __call__(self, event: RunEvent) -> None:
+        """Hear an event."""
+        held, self._held = self._held, None
+        if held is not None and not (isinstance(event, Again) and event.name == held.name):
+            self._tell(held)
+        if isinstance(event, Failed):
+            self._held = event
+        else:
+            self._tell(event)
+
+    def close(self) -> None:
+        """Pass on what was held back."""
+        if self._held is not None:
+            self._tell(self._held)
+
+    def _tell(self, event: RunEvent) -> None:
+        for listener in self._listeners:
+            with contextlib.suppress(OSError):  # a terminal or pipe that is gone must not stop the work
+                listener(event)
+
+
+class Teller:
+    """Says what happens: a line a finished file, or a bar on a terminal; quiet: only what is wrong."""
+
+    def __init__(self, *, quiet: bool, verbose: bool, stamps: bool, bar: bool) -> None:
+        from tqdm import tqdm
+
+        self._quiet, self._verbose, self._stamps = quiet, verbose, stamps
+        # empty files count a byte, so that an archive of them has an end
+        self._bar = tqdm(unit="B", unit_scale=True, leave=False, dynamic_ncols=True, disable=not bar)
+        self._has_bar = bar
+        self._sizes: dict[str, int] = {}
+        self._lines: dict[str, int] = {}
+        """Finished lines of the files in work."""
+        self._n_todo = self._n_ended = self._n_failed = 0
+
+    def __call__(self, event: RunEvent) -> None:
+        """Hear an event."""
+        if isinstance(event, Ready):
+            self._begin(event)
+        elif isinstance(event, Done):
+            self._done(event)
+        elif isinstance(event, Failed):
+            self._n_failed += 1
+            self._end(event.name, f"failed {failed_words(event)}")
+        elif isinstance(event, Started):
+            self._lines[event.name] = 0
+            if self._verbose:
+                self._say(f"begin {event.name} (worker {event.worker})")
+        elif isinstance(event, Progress):
+            self._lines[event.name] = self._lines.get(event.name, 0) + event.n_lines
+        elif isinstance(event, Doubted):
+            self._say(_doubt_words(event))
+        elif isinstance(event, Alarm):
+            self._say(f"alarm {event.name}: {event.sentence}")
+        elif isinstance(event, Again) and not self._quiet:
+            self._say(f"again {event.name}: tried once more ({event.problem.kind}: {event.problem.problem})")
+        elif isinstance(event, Noted) and not self._quiet:
+            self._say(f"note: {event.text}")
+        if self._has_bar:
+            self._show()
+
+    def close(self) -> None:
+        """Remove the bar."""
+        self._bar.close()
+
+    def _begin(self, event: Ready) -> None:
+        self._sizes = {item.task.name: max(1, item.size) for item in event.plan.todo}
+        self._n_todo = len(event.plan.todo) + len(event.plan.refused)
+        self._bar.total = sum(self._sizes.values())
+        if self._verbose:
+            self._say(
+                f"{count_of(self._n_todo, 'file')} to do, {event.jobs} at a time with {event.threads} threads each"
+            )
+
+    def _done(self, event: Done) -> None:
+        rate = f", {event.n_shots / event.seconds / 1e6:.2g} M/s" if event.seconds > 0 else ""
+        text = f"done {event.name}: {event.n_shots:,} shots in {event.seconds:.1f} s{rate}"
+        self._end(event.name, "" if self._quiet or self._has_bar else text)
+        for notice in event.notices if self._verbose and not self._quiet else ():
+            if not is_doubt(notice):  # a warning of its own
+                self._say(f"note {event.name}: {notice}")
+
+    def _end(self, name: str, text: str) -> None:
+        self._n_ended += 1
+        self._lines.pop(name, None)
+        self._bar.update(self._sizes.get(name, 0))
+        if text:
+            self._say(f"[{self._n_ended}/{self._n_todo}] {text}" if self._n_todo else f"[-] {text}")
+
+    def _show(self) -> None:
+        failed = f", {self._n_failed} failed" if self._n_failed else ""
+        at_work = "".join(f", {printable(name)[-40:]}: {n:,} lines" for name, n in [*self._lines.items()][:1])
+        self._bar.set_postfix_str(f"{self._n_ended}/{self._n_todo} files{failed}{at_work}", refresh=False)
+        self._bar.update(0)
+
+    def _say(self, text: str) -> None:
+        self._bar.clear()
+        say(f"{_now()} {text}" if self._stamps else text)
+
+
+class JsonLog:
+    """One JSON object a line; a file is opened for every line, so that it may be rotated away at any moment."""
+
+    def __init__(self, target: str) -> None:
+        self._path = None if target == "-" else Path(target)
+        self._who: dict[str, Any] = {"process": os.getpid()}
+        self._told = False
+
+    def start(self, archive: Path, out: Path, shard: str | None) -> None:
+        """Write that a run begins."""
+        self._who["shard"] = shard
+        self._write("run_start", schema=LOG_SCHEMA, archive=str(archive), out=str(out), version=__version__)
+
+    def __call__(self, event: RunEvent) -> None:
+        """Hear an event."""
+        if isinstance(event, Ready):
+            plan = event.plan
+            self._write(
+                "plan", todo=len(plan.todo), bytes=plan.n_bytes, skipped=len(plan.done), adopted=len(plan.adopted),
+                refused=len(plan.refused), beyond_limit=plan.n_beyond_limit, jobs=event.jobs, threads=event.threads,
+            )  # fmt: skip
+        elif isinstance(event, Done):
+            self._write("file_done", **done_dict(event))
+        elif isinstance(event, Failed):
+            self._write("file_failed", **failed_dict(event))
+        elif isinstance(event, Again):
+            problem = event.problem
+            self._write("file_again", name=event.name, kind=problem.kind, problem=problem.problem)
+        elif isinstance(event, Started | Doubted | Alarm | Noted):
+            names = {Started: "file_start", Doubted: "doubt", Alarm: "alarm", Noted: "note"}
+            self._write(names[type(event)], **asdict(event))
+
+    def end(self, exit_code: int, summary: BatchSummary | None, error: str = "") -> None:
+        """Write that a run has ended."""
+        counts = {} if summary is None else {
+            "run": summary.run, "found": summary.n_found, "skipped": summary.n_skipped, "done": len(summary.done),
+            "failed": len(summary.failed), "waiting": summary.n_waiting, "doubted": summary.n_doubted,
+            "alarms": len(summary.alarms), "shots": summary.n_shots, "seconds": round(summary.seconds, 3),
+        }  # fmt: skip
+        self._write("run_end", exit_code=exit_code, error=error, **counts)
+
+    def _write(self, event: str, **values: Any) -> None:
+        line = json.dumps({"time": _now(), "event": event, **self._who, **values}, allow_nan=False) + "\n"
+        try:
+            if self._path is None:
+                sys.stdout.write(line)
+                sys.stdout.flush()
+            else:
+                # one write at the end of the file: lines of shards that share a log do not mix
+                with self._path.open("ab", buffering=0) as handle:
+                    handle.write(line.encode("ascii"))
+        except (OSError, ValueError) as error:  # a pipe that nobody reads, a stream that was closed
+            if not self._told:
+                name, why = self._path or "stdout", getattr(error, "strerror", None) or error
+                say(f"warning: {name}: the log cannot be written ({why}); the run goes on")
+            self._told = True
+            if self._path is None:
+                sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python fails at exit
+
+
+# -- when a run has ended ---------------------------------------------------------------------------------------------
 
 
 def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: bool = False) -> None:
-    """Print what a run did: tables on stderr; quiet: a line, and only if something is wrong.
-
-    Parameters
-    ----------
-    summary : BatchSummary
-        The run.
-    quiet : bool
-        As ``--quiet``.
-    listed : bool
-        The failures stand just above already.
-    only_failed : bool
-        Only what failed or was cut off was asked for.
-    """
+    """Print what a run did; quiet: a line, and only if something is wrong; listed: failures stand above already."""
     is_wrong = summary.exit_code or summary.ended != "finished"
     idle = not (summary.done or summary.failed or summary.standing or summary.n_waiting or summary.alarms)
     if idle and summary.evaluation is None:
+        found = count_of(summary.n_found, "file") + (" is done" if summary.n_found == 1 else " are done")
+        nothing = "no file failed or was cut off" if only_failed else "no files were found"
         if not quiet:
-            say(f"nothing to do: {_idle_words(summary, only_failed=only_failed)} ({summary.out})")
+            say(f"nothing to do: {found if summary.n_found else nothing} ({summary.out})")
         if is_wrong or not quiet:
             _print_doubts(summary)
         return
     if not quiet:
         _print_classes(summary)
-        _print_wrong(summary, listed=listed)
+        rows = [] if listed else [f"failed {failed_words(found)}" for found in summary.failed]
+        rows += [f"failed before {failed_words(found)}" for found in summary.standing]
+        _say_all([*rows, *(f"left out {found.name}: {found.reason}" for found in summary.left_out)])
         _print_doubts(summary)
-        print_compared(summary)
-    elif summary.evaluation is not None and not summary.evaluation.passed:
-        _print_gates(summary)
+        _print_compared(summary)
+    if summary.evaluation is not None and not (quiet and summary.evaluation.passed):
+        for gate in summary.evaluation.gates:
+            value = "undefined" if gate.value != gate.value else f"{gate.value:.4f}"
+            say(f"{gate.name}: found {value}, demanded {gate.limit:.4f}: {'passed' if gate.passed else 'failed'}")
     if is_wrong or not quiet:
-        say(end_words(summary))
+        say(_end_words(summary))
 
 
-def _idle_words(summary: BatchSummary, *, only_failed: bool) -> str:
-    """Say why a run had nothing to do."""
-    if summary.n_found:
-        return f"{count_of(summary.n_found, 'file')} {'is' if summary.n_found == 1 else 'are'} done"
-    return "no file failed or was cut off" if only_failed else "no files were found"
-
-
-def end_words(summary: BatchSummary) -> str:
-    """Return the last line of a run."""
-    counts = [
+def _end_words(summary: BatchSummary) -> str:
+    told = _listed([
         (len(summary.done), "done"), (summary.n_skipped, "skipped"), (len(summary.failed), "failed"),
         (len(summary.standing), "failed before"), (summary.n_waiting, "left for another run"),
         (summary.n_doubted, "doubted"), (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),
-    ]  # fmt: skip
-    told = ", ".join(f"{count:,} {what}" for count, what in counts if count)
+    ])  # fmt: skip
     rate = summary.shots_per_s
     pace = "" if rate is None else f"; {summary.n_shots:,} shots, {rate / 1e6:.2g} million a second"
     how = "" if summary.ended == "finished" else f"{summary.ended}; "
     return f"{how}{told or 'no files'} of {summary.n_found:,} in {duration(summary.seconds)}{pace}"
 
 
+def _table(title: str, *headings: str, n_words: int = 1) -> Table:
+    """Return a table whose first columns hold words, the others numbers."""
+    table = Table(title=title)
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if i < n_words else "right")
+    return table
+
+
 def _print_classes(summary: BatchSummary) -> None:
     counts = dict(summary.labels)
     returned = sum(counts.values()) - counts.get("missing", 0)
-    if not returned:
-        return
-    table = Table(title=f"classes of {count_of(len(summary.done), 'file')}")
-    for heading in ("class", "shots", "share"):
-        table.add_column(heading, justify="left" if heading == "class" else "right")
-    for name, count in counts.items():
-        table.add_row(name, f"{count:,}", "" if name == "missing" else f"{count / returned:.1%}")
-    console().print(table)
+    if returned:
+        table = _table(f"classes of {count_of(len(summary.done), 'file')}", "class", "shots", "share")
+        for name, count in counts.items():
+            table.add_row(name, f"{count:,}", "" if name == "missing" else f"{count / returned:.1%}")
+        console().print(table)
 
 
 def _print_doubts(summary: BatchSummary) -> None:
@@ -107,17 +366,7 @@ def _print_doubts(summary: BatchSummary) -> None:
         say(f"{count_of(summary.n_doubted, 'file')} doubted ({told}); all are in summary.json and prc batch status")
 
 
-def _print_wrong(summary: BatchSummary, *, listed: bool) -> None:
-    rows = [] if listed else [f"failed {failed_words(found)}" for found in summary.failed]
-    rows += [f"failed before {failed_words(found)}" for found in summary.standing]
-    rows += [f"left out {found.name}: {found.reason}" for found in summary.left_out]
-    for row in rows[:SHOWN]:
-        say(row)
-    if len(rows) > SHOWN:
-        say(f"and {len(rows) - SHOWN} more, see summary.json")
-
-
-def print_compared(summary: BatchSummary) -> None:
+def _print_compared(summary: BatchSummary) -> None:
     """Print scores of every file, and of all together, on stdout."""
     found = summary.evaluation
     if found is None:
@@ -126,10 +375,7 @@ def print_compared(summary: BatchSummary) -> None:
     if compared:
         pooled = scores(found.matrix)
         names = [item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference]
-        table = Table(title="recall against the reference")
-        table.add_column("file")
-        for heading in ("records", *names, "accuracy"):
-            table.add_column(heading, justify="right")
+        table = _table("recall against the reference", "file", "records", *names, "accuracy")
         shown = compared if len(compared) <= SHOWN else sorted(compared, key=lambda item: item[1].accuracy)[:SHOWN]
         for name, each in (*shown, ("all files", pooled)):
             recall = {item.name: item.recall for item in each.classes}
@@ -137,28 +383,16 @@ def print_compared(summary: BatchSummary) -> None:
             table.add_row(printable(name), f"{each.n_scored:,}", *cells, percent(each.accuracy))
         results().print(table)
         if len(compared) > SHOWN:
-            results().print(f"the {SHOWN} of {len(compared)} files with the lowest accuracy; all are in summary.json")
-        table = Table(title="all files")
-        for heading in ("class", *CLASS_SCORES):
-            table.add_column(heading, justify="left" if heading == "class" else "right")
+            tell(f"the {SHOWN} of {len(compared)} files with the lowest accuracy; all are in summary.json")
+        table = _table("all files", "class", *CLASS_SCORES)
         for item in pooled.classes:
             if item.name in names:
                 table.add_row(item.name, *(percent(getattr(item, score)) for score in CLASS_SCORES))
         results().print(table)
-    for missing in found.unpaired[:SHOWN]:
-        if missing.problem is not None:
-            say(f"not compared {about(missing.name, missing.problem)}")
-    if len(found.unpaired) > SHOWN:
-        say(f"and {len(found.unpaired) - SHOWN} more, see summary.json")
-    _print_gates(summary)
+    _say_all([f"not compared {failed_words(missing)}" for missing in found.unpaired])
 
 
-def _print_gates(summary: BatchSummary) -> None:
-    found = summary.evaluation
-    for gate in () if found is None else found.gates:
-        value = "undefined" if gate.value != gate.value else f"{gate.value:.4f}"
-        verdict = "passed" if gate.passed else "failed"
-        say(f"{gate.name}: found {value}, demanded {gate.limit:.4f}: {verdict}")
+# -- before a run, and about an output folder -------------------------------------------------------------------------
 
 
 def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
@@ -172,16 +406,14 @@ def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
         "skipped": len(plan.done),
         "adopted": [found.name for _, found in plan.adopted],
         "refused": [failed_dict(found) for found in plan.refused],
-        "left_out": [{"name": found.name, "reason": found.reason} for found in plan.left_out],
+        "left_out": [asdict(found) for found in plan.left_out],
         "beyond_limit": plan.n_beyond_limit,
         "not_selected": plan.n_not_selected,
         "estimate": {
-            "seconds": estimate.seconds,
-            "peak_mib": estimate.peak_mib,
-            "sources": list(estimate.sources),
+            "seconds": estimate.seconds, "peak_mib": estimate.peak_mib, "sources": list(estimate.sources),
             "unknown": estimate.n_unknown,
         },
-    }
+    }  # fmt: skip
 
 
 def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
@@ -189,28 +421,26 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     shown = plan.todo if verbose else plan.todo[:SHOWN]
     for item in shown:
         name, output = item.task.name, item.task.output.name
-        arrow = "" if name.rpartition("/")[2] == output else f" -> {printable(output)}"
-        results().print(f"{item.reason:<15} {printable(name)}{arrow}", soft_wrap=True)
+        tell(f"{item.reason:<15} {name}" + ("" if name.rpartition("/")[2] == output else f" -> {output}"))
     if len(shown) < len(plan.todo):
-        results().print(f"and {len(plan.todo) - len(shown):,} more; -v lists all")
+        tell(f"and {len(plan.todo) - len(shown):,} more; -v lists all")
     for refused in plan.refused:
-        results().print(f"{'refused':<15} {printable(failed_words(refused))}", soft_wrap=True)
+        tell(f"{'refused':<15} {failed_words(refused)}")
     for left in plan.left_out:
-        results().print(f"{'left out':<15} {printable(f'{left.name}: {left.reason}')}", soft_wrap=True)
-    counts = [
+        tell(f"{'left out':<15} {left.name}: {left.reason}")
+    told = _listed([
         (len(plan.done), "done already"), (len(plan.adopted), "would be adopted"),
         (plan.n_beyond_limit, "left for another run"), (plan.n_not_selected, "not selected"),
-    ]  # fmt: skip
-    told = "".join(f", {count:,} {what}" for count, what in counts if count)
-    results().print(f"{count_of(len(plan.todo), 'file')} to do ({size_of(plan.n_bytes)}){told}", soft_wrap=True)
+    ])  # fmt: skip
+    tell(f"{count_of(len(plan.todo), 'file')} to do ({size_of(plan.n_bytes)})" + (f", {told}" if told else ""))
     if not plan.todo:
         return
     for source in estimate.sources:
-        results().print(printable(source), soft_wrap=True)
+        tell(source)
     seconds = "an unknown time" if estimate.seconds is None else f"about {duration(estimate.seconds)}"
-    memory = "an unknown amount" if estimate.peak_mib is None else f"about {size_of(int(estimate.peak_mib * 2**20))}"
+    memory = "an unknown amount" if estimate.peak_mib is None else f"about {size_of(estimate.peak_mib * 2**20)}"
     unknown = f", without {count_of(estimate.n_unknown, 'file')} of formats not seen yet" if estimate.n_unknown else ""
-    results().print(f"estimate: {seconds}, {memory} of memory{unknown}; nothing was written")
+    tell(f"estimate: {seconds}, {memory} of memory{unknown}; nothing was written")
 
 
 def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]) -> dict[str, Any]:
@@ -219,23 +449,15 @@ def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[
         "at_work": [asdict(found.owner) for found in owners if found.alive],
         "dead_owners": [asdict(found.owner) for found in owners if not found.alive],
         "counts": dict(Counter(entry.state for entry in entries)),
-        "doubted": [asdict(doubt) for doubt in _doubts(entries)],
+        "doubted": [asdict(doubt) for entry in entries for doubt in doubts_of(entry)],
         "runs": [asdict(run) | {"totals": dict(run.totals)} for run in runs],
         "files": [_entry_dict(entry) for entry in entries],
     }
 
 
-def _doubts(entries: Sequence[Entry]) -> list[Doubted]:
-    """Return the doubts about the finished files of a journal."""
-    return [doubt for entry in entries for doubt in doubts_of(entry)]
-
-
 def _entry_dict(entry: Entry) -> dict[str, Any]:
-    table = {
-        "name": entry.name, "state": entry.state, "config_sha256": entry.config_sha256, "version": entry.version,
-        "run": entry.run, "attempts": entry.attempts, "started": entry.started, "finished": entry.finished,
-        "owner": entry.owner,
-    }  # fmt: skip
+    same = ("name", "state", "config_sha256", "version", "run", "attempts", "started", "finished", "owner")
+    table = {key: getattr(entry, key) for key in same}
     if isinstance(entry.outcome, Done):
         table["outcome"] = done_dict(entry.outcome)
     elif entry.outcome is not None:
@@ -245,32 +467,26 @@ def _entry_dict(entry: Entry) -> dict[str, Any]:
 
 def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]) -> None:
     """Print the state of an output folder on stdout."""
-
-    def tell(text: str) -> None:
-        results().print(printable(text), soft_wrap=True)
-
-    counts, doubts = Counter(entry.state for entry in entries), _doubts(entries)
-    living = [found for found in owners if found.alive]
-    at_work = {str(found.owner) for found in living}
+    counts = Counter(entry.state for entry in entries)
+    doubts = [doubt for entry in entries for doubt in doubts_of(entry)]
+    at_work = {str(found.owner) for found in owners if found.alive}
     # what a dead owner left running was cut off
     n_running = sum(entry.state == "running" and entry.owner in at_work for entry in entries)
-    told = [
+    told = _listed([
         (counts["done"], "done"), (counts["failed"], "failed"), (n_running, "running"),
         (counts["running"] - n_running, "cut off"), (len({doubt.name for doubt in doubts}), "doubted"),
-    ]  # fmt: skip
-    tell(f"{out}: {count_of(len(entries), 'file')}: " + ", ".join(f"{count:,} {what}" for count, what in told if count))
-    for found in living:
-        tell(f"at work: {found.owner}")
-    if not living:
+    ])  # fmt: skip
+    tell(f"{out}: {count_of(len(entries), 'file')}: {told}")
+    for owner in sorted(at_work):
+        tell(f"at work: {owner}")
+    if not at_work:
         tell("no run is at work")
-    table = Table(title="last runs")
-    for heading in ("begun (UTC)", "shard", "version", "exit code", "counts"):
-        table.add_column(heading)
+    table = _table("last runs", "begun (UTC)", "shard", "version", "exit code", "counts", n_words=5)
     for run in runs[-5:]:
         ended = "at work" if run.owner in at_work else "cut off"
         code = ended if run.exit_code is None else str(run.exit_code)
         totals = ", ".join(f"{count} {name}" for name, count in run.totals if count)
-        table.add_row(minute(run.started), run.shard or "-", run.version, code, printable(totals))
+        table.add_row(_minute(run.started), run.shard or "-", run.version, code, printable(totals))
     if runs:
         results().print(table)
     wrong = [entry for entry in entries if entry.state != "done"]
@@ -280,39 +496,43 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
             tell(f"failed {failed_words(entry.outcome)} ({entry.outcome.problem.kind}{tries})")
         else:
             how = "running" if entry.owner in at_work else "cut off"
-            tell(f"{how} {entry.name} (since {minute(entry.started)}{tries})")
+            tell(f"{how} {entry.name} (since {_minute(entry.started)}{tries})")
     for doubt in doubts[:SHOWN]:
-        tell(doubt_words(doubt))
+        tell(_doubt_words(doubt))
     n_more = max(len(wrong) - SHOWN, 0) + max(len(doubts) - SHOWN, 0)
     if n_more:
         tell(f"and {n_more:,} more; --json has all of them")
+
+
+def _minute(stamp: str) -> str:
+    """Shorten a time of the journal.
+
+    >>> _minute("2026-11-21T17:49:02.072890+00:00")
+    '2026-11-21 17:49:02'
+    """
+    return stamp[:19].replace("T", " ")
 
 
 def print_verified(out: Path, found: Sequence[Verified], *, quiet: bool) -> None:
     """Print which outputs are not as they were written, on stdout."""
     wrong = [one for one in found if one.state != "whole"]
     for one in wrong:
-        results().print(printable(f"{one.state:<8} {one.name}: {one.why}"), soft_wrap=True)
+        tell(f"{one.state:<8} {one.name}: {one.why}")
     if wrong or not quiet:
         hint = "; the next run of prc batch does the others again" if wrong else ""
-        told = f"{out}: {len(found) - len(wrong):,} of {count_of(len(found), 'output')} whole{hint}"
-        results().print(printable(told), soft_wrap=True)
+        tell(f"{out}: {len(found) - len(wrong):,} of {count_of(len(found), 'output')} whole{hint}")
 
 
 def print_cleaned(found: Cleaned, *, dry_run: bool) -> None:
     """Print what was removed, on stdout."""
-    verb = "would remove" if dry_run else "removed"
+    removed, forgot = ("would remove", "would forget") if dry_run else ("removed", "forgot")
     for path in found.files:
-        results().print(printable(f"{verb} {path}"), soft_wrap=True)
+        tell(f"{removed} {path}")
     for name in found.forgotten[:SHOWN]:
-        results().print(printable(f"{'would forget' if dry_run else 'forgot'} {name}"), soft_wrap=True)
+        tell(f"{forgot} {name}")
     if len(found.forgotten) > SHOWN:
-        results().print(f"and {len(found.forgotten) - SHOWN:,} more")
+        tell(f"and {len(found.forgotten) - SHOWN:,} more")
     for path in found.kept:
-        results().print(printable(f"kept {path}: another machine may still write it"), soft_wrap=True)
-    forgotten = (
-        f", {'would forget' if dry_run else 'forgot'} {count_of(len(found.forgotten), 'input')}"
-        if found.forgotten
-        else ""
-    )
-    results().print(f"{verb} {count_of(len(found.files), 'file')} ({size_of(found.n_bytes)}){forgotten}")
+        tell(f"kept {path}: another machine may still write it")
+    forgotten = f", {forgot} {count_of(len(found.forgotten), 'input')}" if found.forgotten else ""
+    tell(f"{removed} {count_of(len(found.files), 'file')} ({size_of(found.n_bytes)}){forgotten}")

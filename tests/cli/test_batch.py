@@ -17,8 +17,7 @@ import pytest
 
 import prc_cli
 from prc_cli.cli import main
-from prc_cli.cli.batch_report import print_status, status_dict
-from prc_cli.cli.batch_words import failed_words
+from prc_cli.cli.batch_report import Final, Teller, failed_words, print_status, status_dict
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
@@ -606,33 +605,24 @@ def test_long_lists_are_cut_and_the_worst_files_are_shown(prc: Run, play: Callab
     assert "recall.noise: found undefined, demanded 0.5000: failed" in found.err
 
 
-def test_bars_show_the_archive_and_every_file_in_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    import io
-
-    from rich.console import Console
-
-    from prc_cli.cli import batch_progress
-
-    screen = Console(file=io.StringIO(), force_terminal=True, width=90, markup=False, highlight=False)
-    monkeypatch.setattr(batch_progress, "console", lambda: screen)
-    with batch_progress.Bars() as bars:
-        final = batch_progress.Final(bars)
-        final(Ready(Plan((), refused=(failed("r.laz"), failed("s.laz"))), 1, 1))
-        for event in (Started("a[red]\x1b.laz", "1"), Progress("a[red]\x1b.laz", 70), Progress("unknown", 1)):
-            final(event)
-        bars._progress.refresh()
-        text = screen.file.getvalue()  # type: ignore[attr-defined]
-        assert r"a[red]\x1b.laz" in text
-        assert "70 lines" in text
-        for event in (done("a[red]\x1b.laz"), failed("r.laz"), Noted("by the way"), ALARM):
-            final(event)
-        final.close()
-        bars._progress.refresh()
-    text = screen.file.getvalue()  # type: ignore[attr-defined]
-    assert "2/2 files, 1 failed" in text
+def test_a_bar_shows_the_archive_and_a_file_in_work(capsys: pytest.CaptureFixture[str]) -> None:
+    teller = Teller(quiet=False, verbose=False, stamps=False, bar=True)
+    final = Final(teller)
+    final(Ready(Plan((), refused=(failed("r.laz"), failed("s.laz"))), 1, 1))
+    for event in (Started("a[red]\x1b.laz", "1"), Progress("a[red]\x1b.laz", 70), Progress("unknown", 1)):
+        final(event)
+    for event in (done("a[red]\x1b.laz"), failed("r.laz"), Noted("by the way"), ALARM):
+        final(event)
+    final.close()
+    teller._bar.refresh()
+    teller.close()
+    text = capsys.readouterr().err
+    assert "\x1b.laz" not in text
     assert "failed r.laz: is cut short" in text
     assert "note: by the way" in text
     assert "alarm b.laz" in text
+    assert "done a" not in text
+    assert "2/2 files, 1 failed" in text
 
 
 def test_a_configuration_with_overrides_can_be_checked(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
