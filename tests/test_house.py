@@ -14,6 +14,7 @@ import prc_cli
 from prc_cli.cli import COMMANDS, cli
 from prc_cli.config import load_config
 from prc_cli.evaluation import mapping
+from prc_cli.formats.registry import formats
 from tests import patience
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -119,3 +120,26 @@ def test_the_citation_names_this_version_and_both_papers() -> None:
     assert f"\nversion: {prc_cli.__version__}\n" in citation
     assert "doi: 10.1109/TGRS.2019.2909351\n" in citation
     assert "title: Online algorithms for classification of urban objects in 3D point clouds\n" in citation
+
+
+REPORTS = {"cli/evaluate.py", "jobs/objects/write.py"}
+"""Modules that name suffixes of reports and lists, which are no scans."""
+
+
+def test_suffixes_of_formats_stay_in_their_room() -> None:
+    """Tables of suffixes derive from the records of formats; names that are put together may end in one."""
+    known = {suffix for one in formats() for suffix in (*one.scans, *one.streams, *one.labels, *one.codes)}
+    root = Path(prc_cli.__file__).parent
+    named: list[str] = []
+    for path in sorted(root.rglob("*.py")):
+        where = path.relative_to(root).as_posix()
+        if where.startswith("formats/") or where in REPORTS:
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+        named += [
+            f"{where}:{node.lineno}: {node.value}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and node.value in known and id(node) not in parts
+        ]
+    assert named == []

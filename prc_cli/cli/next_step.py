@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.core.files import suffix_of
-from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels import KITTI_SUFFIX
-from prc_cli.formats.registry import is_dump
+from prc_cli.formats.registry import is_cloud, is_dump, keeps_points
 
-_CLOUDS = (".ply", ".pcd")
 FLAGS = {
     "method": "--method", "preset": "--preset", "config_file": "--config", "layout_file": "--layout",
     "points_per_line": "-M", "lines": "--lines", "columns": "--columns", "range_": "--range", "scanner": "--scanner",
@@ -57,8 +55,9 @@ def output_for(source: Path) -> Path:
     ('drive_classified.laz', 'drive_labels.npy')
     """
     suffix = suffix_of(source)
-    is_cloud = suffix in (*LAS_SUFFIXES, *_CLOUDS)
-    return source.with_name(f"{_stem(source)}_classified{suffix}" if is_cloud else f"{_stem(source)}_labels.npy")
+    return source.with_name(
+        f"{_stem(source)}_classified{suffix}" if is_cloud(source) else f"{_stem(source)}_labels.npy"
+    )
 
 
 def _stem(path: Path) -> str:
@@ -80,14 +79,13 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), {})[0]
     'draw it: prc render drive.v2.npy out.v2.png --labels out.v2.csv.gz'
     """
-    kinds = [_kind(source), _kind(output)]
     # a cloud that was made of another kind of input has its own records, in another number or order
-    has_records = kinds[1] == "labels" or kinds[0] == kinds[1]
+    has_records = not is_cloud(output) or keeps_points(source, output)
     picture = output.with_name(f"{_stem(output)}.png")
     if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
         # labels of a part do not fit the whole input; a cloud of a part stands for itself
         draw = ["prc", "render", str(output), str(picture), "--labels", str(output)]
-        return [] if kinds[1] == "labels" else [f"draw it: {shlex.join(draw)}"]
+        return [] if not is_cloud(output) else [f"draw it: {shlex.join(draw)}"]
     draw = ["prc", "render", str(source), str(picture), *given_words(options)]
     if not has_records:
         return [f"draw it: {shlex.join(draw)}"]
@@ -96,8 +94,3 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     found = is_dump(source) and reference.is_file()
     compare = ["prc", "evaluate", str(output), str(reference) if found else "REFERENCE"]
     return [f"draw it: {shlex.join(draw)}", f"compare it: {shlex.join(compare)}"]
-
-
-def _kind(path: Path) -> str:
-    suffix = suffix_of(path)
-    return "las" if suffix in LAS_SUFFIXES else "cloud" if suffix in _CLOUDS else "labels"

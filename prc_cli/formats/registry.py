@@ -59,16 +59,25 @@ class Format:
     """Writes a stream: ``(path, shape) -> StagedWriter``."""
     holds: frozenset[Held] = EVERYTHING
     """What a written stream can hold."""
+    makes_xyz: bool = False
+    """Whether a written stream has coordinates relative to the scanner even where its blocks have none."""
     labels: tuple[str, ...] = ()
     """Suffixes of outputs of ``prc classify``."""
     write_labels: str = ""
     """Writes them: ``(output) -> StagedWriter``."""
+    keeps_points: bool = False
+    """Whether they are the points with all that they had, where the input is written by the same function."""
     codes: tuple[str, ...] = ()
     """Suffixes of files that class codes are read from."""
     open_codes: str = ""
     """Opens them: ``(path, dimension) -> CodeSource``."""
     columns: str = ""
     """Opens the columns of a file that is no list of records: ``(path) -> RecordSource``."""
+
+    @property
+    def holds_all(self) -> bool:
+        """Whether a written stream loses no value, as tables and clouds: also returns, and scanners as a column."""
+        return self.holds == EVERYTHING
 
     def open_records(self, path: Path, layout: Layout | None) -> RecordSource:
         """Open a scan as a list of records."""
@@ -129,6 +138,18 @@ def is_dump(path: Path) -> bool:
     """Whether nothing but a layout describes the bytes of a scan."""
     form = format_of(path)
     return form is not None and form.is_dump
+
+
+def is_cloud(path: Path) -> bool:
+    """Whether classes are written into points under such a name, not alone."""
+    form = format_of(path, "labels")
+    return form is not None and form.keeps_points
+
+
+def keeps_points(source: Path, output: Path) -> bool:
+    """Whether a classified output has the very points of its input."""
+    one, other = format_of(source, "labels"), format_of(output, "labels")
+    return one is not None and other is not None and one.keeps_points and one.write_labels == other.write_labels
 
 
 def _call(name: str, *arguments: Any) -> Any:

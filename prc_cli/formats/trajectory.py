@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from prc_cli.formats.bags.containers import Message
 
 
+SBET_SUFFIXES = (".sbet", ".out")
 _NAMES = {
     "time": ("time", "gps_time", "gpstime", "t"),
     "x": ("x", "easting", "e"),

@@ -29,7 +29,9 @@ from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, Scan
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input
+from prc_cli.formats.las import LAZ
 from prc_cli.formats.ranges import clean_ranges
+from prc_cli.formats.registry import is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput, asked_columns
@@ -54,8 +56,6 @@ from prc_cli.streams.open import open_input
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines just finished."""
 
-_KEPT = (LAS_SUFFIXES, (".ply", ".pcd"))
-"""Formats between which a cloud keeps its points as they are."""
 AHEAD = 1
 """Blocks waiting between reader and classifier, and between classifier and writer; each side works on one more."""
 LEAST_SHOTS = 1 << 14
@@ -310,13 +310,13 @@ def _classify(
     before = file_state(source)
     with timed("opening"):
         # times and intensities are needed only where a point cloud is made from another kind of input
-        makes_points = suffix_of(output) in (*LAS_SUFFIXES, ".ply", ".pcd")
+        makes_points = is_cloud(output)
         only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
-        is_new = makes_points and not any({suffix_of(source), suffix_of(output)} <= set(one) for one in _KEPT)
+        is_new = makes_points and not keeps_points(source, output)
         loaded, opened = _open_decided(
             source, loaded, engine, geometry=is_new, only_ranges=only_ranges, loading=loading
         )  # fmt: skip
-        if suffix_of(output) == ".laz" and not asked_columns(loaded.config.output):
+        if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
             opened.info.facts.check_layers()  # they are copied as they are
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:

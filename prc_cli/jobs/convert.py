@@ -27,10 +27,12 @@ from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.copy import copy_las, read_las
 from prc_cli.formats.records import RecordSource
+from prc_cli.formats.registry import Held, format_of, is_cloud
 from prc_cli.formats.writing import (
     check_stream_output,
     open_stream_writer,
     outputs_of,
+    stream_format,
     stream_suffix,
 )
 from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
@@ -45,8 +47,6 @@ from prc_cli.streams.grid import GridStream
 from prc_cli.streams.open import open_input
 from prc_cli.streams.window import grid_of
 
-_TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet", ".ply", ".pcd")
-CLOUDS = (*LAS_SUFFIXES, ".ply", ".pcd")
 """Outputs for programs that draw points."""
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""
@@ -325,10 +325,10 @@ def open_items(
             carried = carry(records, class_name, XYZ if shares else axes, output, stack)
             if loaded.config.input.window is None:
                 carried.read_all()
-        elif records is None and codes and suffix_of(source) == ".npz":
+        elif records is None and codes and format_of(source, "codes") is not None:
             carried = _carry_array(source, stream.info, output, stack)
         made_up = None
-        if xyz and not axes and first.xyz_m is None and suffix_of(output) in CLOUDS:
+        if xyz and not axes and first.xyz_m is None and is_cloud(output):
             made_up = lines_apart(stream, loaded.config)
         item = _item(first, carried, made_up, shares=shares)
         scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
@@ -384,28 +384,25 @@ def find_losses(output: Path, opened: OpenedItems, facts: Facts, written: tuple[
     """Return what the output does not hold of the input, one sentence each, those of the writer first."""
     n_odd = opened.n_odd_codes
     odd = (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",) if n_odd else ()
-    return (*written, *odd, *_losses(stream_suffix(output), opened, facts))
+    return (*written, *odd, *_losses(output, opened, facts))
 
 
-def _losses(suffix: str, opened: OpenedItems, facts: Facts) -> Iterator[str]:
-    shape, counts = opened.shape, facts.counts
+def _losses(output: Path, opened: OpenedItems, facts: Facts) -> Iterator[str]:
+    shape, counts, form = opened.shape, facts.counts, stream_format(output)
     n_missing = int(counts.labels[Label.MISSING])
-    if suffix in LAS_SUFFIXES:
+    if stream_suffix(output) in LAS_SUFFIXES:
         yield from _las_losses(shape, facts, n_missing)
-    if suffix == ".npy":
-        for present, what in (
-            (shape.angles, "scan angles"),
-            (shape.times, "times"),
-            (shape.xyz, "coordinates"),
-            (shape.intensity, "intensities"),
-        ):
-            if present:
-                yield what
-    if suffix in (".npy", ".npz", ".e57") and shape.registered:
-        yield "registered coordinates (x, y, z)"
-    if suffix in (".npy", ".e57") and shape.codes:
-        yield "class codes"
-    if suffix in (".npy", ".npz", ".bin") and not (suffix == ".bin" and shape.points and shape.xyz):
+    values: tuple[tuple[bool, Held, str], ...] = (
+        (shape.angles, "angles", "scan angles"),
+        (shape.times, "times", "times"),
+        (shape.xyz, "relative", "coordinates"),
+        (shape.intensity, "intensity", "intensities"),
+        (shape.registered, "registered", "registered coordinates (x, y, z)"),
+        (shape.codes, "codes", "class codes"),
+    )
+    yield from (what for present, held, what in values if present and held not in form.holds)
+    # a frame, as a dump may be, lists all points
+    if "returns" not in form.holds and not (form.is_dump and shape.points and shape.xyz):
         if facts.n_extra:
             yield f"{facts.n_extra} further returns or collisions: a range image has one range a cell"
     elif facts.n_extra and shape.intensity:
@@ -458,19 +455,19 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
 
 def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, ...]:
     """Return the options needed to read the output as the same stream, unless its names suffice."""
-    suffix, shape = stream_suffix(output), opened.shape
+    form, shape = stream_format(output), opened.shape
     told = []
-    if suffix == ".parquet":
-        told.append("prc reads no stream from .parquet; it is for other programs")
-    if shape.scanners and len(facts.scanners) > 1 and suffix in (*LAS_SUFFIXES, *_TABLES):
+    if format_of(output) is None:
+        told.append(f"prc reads no stream from {stream_suffix(output)}; it is for other programs")
+    if shape.scanners and len(facts.scanners) > 1 and form.holds_all:
         told.append("several scanners: read it with --scanner point_source_id")
-    if shape.xyz and shape.registered and opened.grid is not None and suffix in (*LAS_SUFFIXES, *_TABLES):
+    if shape.xyz and shape.registered and opened.grid is not None and form.holds_all:
         told.append(f"x, y, z are those of the input: read it with --range {opened.grid.rules.range}")
-    if suffix == ".bin":
+    if form.is_dump:
         told.append(f"read it with --config {output.name}.toml")
-    directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*LAS_SUFFIXES, *_TABLES)
-    directed = directed or suffix == ".e57"
-    if shape.down_rad is not None and not directed and suffix != ".bin":
+    directed = form.is_dump or form.makes_xyz or (shape.registered and form.holds_all)
+    directed = directed or (shape.xyz and "relative" in form.holds and not form.holds_all)
+    if shape.down_rad is not None and not directed:
         angle = float(np.rad2deg(shape.down_rad))
         lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
         told.append(f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}")

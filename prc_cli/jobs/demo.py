@@ -139,7 +139,7 @@ def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, 
     else:
         settings = load_settings(part.kind, options=options)
         simulate(part.kind, stream, settings, beside=Beside(labels=reference), overwrite=overwrite)
-        summary = classify(stream, stream.with_suffix(".laz"), config, overwrite=overwrite, progress=progress)
+        summary = classify(stream, stream.parent / f"{scan.stem}.laz", config, overwrite=overwrite, progress=progress)
         classify(stream, labels, config, overwrite=overwrite)
     found = evaluate_all([labels], [reference], part.mapping)
     mapping = load_mapping(part.mapping)

@@ -24,10 +24,14 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.registry import format_of
+from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing import (
+    BESIDE,
     check_stream_output,
     open_stream_writer,
     outputs_of,
+    stream_format,
     stream_suffix,
 )
 from prc_cli.formats.writing.base import StreamItem, StreamShape
@@ -41,14 +45,6 @@ from prc_cli.simulation.simulation import Simulation, open_simulation
 from prc_cli.simulation.trajectory import Trajectory
 from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write_trajectory
 
-_BESIDE = (".npy", ".bin", ".e57")
-"""Formats that cannot hold classes, or not comparably: the classes go to a separate file."""
-_REGISTERED = (*LAS_SUFFIXES, ".csv", ".csv.gz", ".csv.zst", ".parquet", ".ply", ".pcd")
-"""Outputs that hold registered coordinates beside the ranges."""
-_ONE_RETURN = (".npy", ".npz", ".bin")
-_SBET = (".sbet", ".out")
-_SUFFIXES: dict[str, tuple[str, ...]] = {"trajectory": (".csv", *_SBET), "labels": (".npy",), "stems": (".csv",)}
-"""Suffixes of the additional files."""
 TRAJECTORY_HZ = 200.0
 """Positions per second in trajectory files."""
 STEM_MARGIN_M = 30.0
@@ -132,7 +128,7 @@ def simulate(
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     output = Path(output)
-    suffix = stream_suffix(output)
+    form = stream_format(output)
     chosen = load_settings(kind) if settings is None else settings
     wanted = check_simulation(kind, output, beside, overwrite=overwrite)
     frame = _frame(chosen, wanted)
@@ -145,8 +141,8 @@ def simulate(
         chosen,
         reference=reference,
         threads=threads,
-        with_xyz=is_static or suffix == ".e57",
-        with_world=not is_static and (suffix in _REGISTERED or reference == "cylinders"),
+        with_xyz=is_static or form.makes_xyz,
+        with_world=not is_static and (form.holds_all or reference == "cylinders"),
     )
     with contextlib.ExitStack() as stack:
         if wanted.trajectory is not None:
@@ -168,17 +164,17 @@ def _write(
     simulation: Simulation, output: Path, codes_file: NpyFile | None, frame: Frame, progress: Progress | None
 ) -> tuple[RunRecord, Counts]:
     """Simulate and write the stream, and the codes beside it."""
-    scan, suffix = simulation.scan, stream_suffix(output)
+    scan, suffix, form = simulation.scan, stream_suffix(output), stream_format(output)
     lookup = simulation.settings.classes.lookup()
     counts = Counts.none()
     shape = StreamShape(
         points_per_line=scan.scanner.points_per_line,
         scanners=False,
-        returns=scan.scanner.max_returns > 1 and suffix not in _ONE_RETURN,
+        returns=scan.scanner.max_returns > 1 and "returns" in form.holds,
         angles=True,
         times=True,
         xyz=scan.with_xyz,
-        registered=scan.with_world and not scan.with_xyz and suffix in _REGISTERED,
+        registered=scan.with_world and not scan.with_xyz and form.holds_all,
         intensity=True,
         codes=True,
         down_rad=scan.info.down_rad,
@@ -191,7 +187,7 @@ def _write(
             item = _item(found, lookup, frame.origin() if shape.registered else None)
             writer.add_item(item)
             if codes_file is not None:
-                codes_file.append(codes_in_order(item, suffix))
+                codes_file.append(codes_in_order(item, output))
 
         with write_behind(put) as queue:
             for found in scan.simulated():
@@ -202,16 +198,16 @@ def _write(
                     progress(found.labelled.block.n_lines)
         record = _record(simulation, counts)
         told = list(writer.losses)
-        if n_further and suffix in _ONE_RETURN:
+        if n_further and "returns" not in form.holds:
             told.append(f"not kept: {n_further} further returns: a range image has one range a cell")
-        if suffix == ".bin":
+        if form.is_dump:
             told.append(f"read it with --config {output.name}.toml")
         if shape.registered and frame.crs:
             is_lost = suffix in LAS_SUFFIXES and find_spec("pyproj") is None
             lost = "; the file does not name it without pyproj: pip install prc-cli[crs]" if is_lost else ""
             told.append(f"registered coordinates are those of {frame.crs}{lost}")
-        if suffix == ".parquet":
-            told.append("prc reads no stream from .parquet; it is for other programs")
+        if format_of(output) is None:
+            told.append(f"prc reads no stream from {suffix}; it is for other programs")
         record = writer.finish(replace(record, notices=(*record.notices, *told)))
         if codes_file is not None:
             codes_file.finish()
@@ -230,14 +226,15 @@ def _item(found: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem
     return replace(item, registered_m=found.world_m + origin_m, extra_registered_m=found.extra_world_m + origin_m)
 
 
-def codes_in_order(item: StreamItem, suffix: str) -> U8:
+def codes_in_order(item: StreamItem, output: Path) -> U8:
     """Return the class codes of the records that an output has, in their order, (records,) uint8; 0 = no return."""
     assert item.codes is not None
     assert item.extra_codes is not None
     block = item.block
     codes = item.codes.ravel()
     extra = block.extra
-    if suffix in _ONE_RETURN or not len(extra):
+    suffix = stream_suffix(output)
+    if "returns" not in stream_format(output).holds or not len(extra):
         found = codes if suffix not in LAS_SUFFIXES else codes[~np.isnan(block.range_m.ravel())]
         return found.astype(np.uint8)
     # further returns follow the main return of their shot, nearer ones first
@@ -280,20 +277,22 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
     asked = None if isinstance(settings, StationSettings) else settings.frame
     if asked is not None:
         return Frame(**asked.model_dump())
-    is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in _SBET
+    is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in SBET_SUFFIXES
     return Frame() if is_sbet else WORLD
 
 
 def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, overwrite: bool = False) -> Beside:
     """Refuse outputs before any work is done."""
     beside = beside or Beside()
-    if beside.labels is None and stream_suffix(output) in _BESIDE:
+    # where no classes are held, or none that can be compared, they go to a file of their own
+    has_codes = "codes" in stream_format(output).holds and format_of(output, "codes") is not None
+    if beside.labels is None and not has_codes:
         beside = replace(beside, labels=reference_path(output))
     if beside.stems is not None and kind != "forest":
         raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
     if beside.trajectory is not None and kind == "street-scan":
         raise ConfigError("trajectory", "asked for of a tripod, which does not move", "leave it out")
-    for name, suffixes in _SUFFIXES.items():
+    for name, suffixes in BESIDE.items():
         path = getattr(beside, name)
         if path is not None and path.suffix.lower() not in suffixes:
             problem = f"found suffix {path.suffix!r}, expected {' or '.join(suffixes)}"

@@ -18,6 +18,7 @@ import numpy as np
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output
 from prc_cli.core.types import F64
+from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.simulation.trajectory import Platform, Pose
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def write_trajectory(
     left at 0. Any other becomes CSV with a header, angles in degrees as in
     :mod:`prc_cli.simulation.trajectory`.
     """
-    is_sbet = path.suffix.lower() in (".sbet", ".out")
+    is_sbet = path.suffix.lower() in SBET_SUFFIXES
     earth = _earth(path, frame) if is_sbet else None
     target = atomic_output(path) if into is None else contextlib.nullcontext(into)
     with target as temporary, temporary.open("wb") as handle:

@@ -11,6 +11,7 @@ FORMATS = tuple(
         streams={suffix: "cloud, a point a cell, with line, column, range and class"},
         write_stream="prc_cli.formats.clouds.write:CloudWriter",
         labels=(suffix,),
+        keeps_points=True,
         write_labels="prc_cli.formats.clouds.write:open_label_writer",
         codes=(suffix,),
         open_codes="prc_cli.formats.labels:open_cloud_codes",

@@ -2,7 +2,8 @@
 
 from prc_cli.formats.registry import Format
 
-SUFFIXES = (".las", ".laz")
+LAZ = ".laz"
+SUFFIXES = (".las", LAZ)
 
 FORMATS = (
     Format(
@@ -12,6 +13,7 @@ FORMATS = (
         streams={".las": "point cloud", ".laz": "point cloud, compressed"},
         write_stream="prc_cli.formats.las.build:LasBuilder",
         labels=SUFFIXES,
+        keeps_points=True,
         write_labels="prc_cli.formats.las.rewrite:open_label_writer",
         codes=SUFFIXES,
         open_codes="prc_cli.formats.labels:open_las_codes",

@@ -10,6 +10,7 @@ FORMATS = (
         images="prc_cli.formats.organised.e57_read:open_e57",
         streams={".e57": "organised scans, relative to the scanner"},
         write_stream="prc_cli.formats.organised.e57_write:E57Stream",
+        makes_xyz=True,
         holds=frozenset(("relative", "angles", "times", "intensity", "returns")),
     ),
 )

@@ -6,10 +6,14 @@ from pathlib import Path
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import check_output, suffix_of
-from prc_cli.formats.registry import by_suffix
+from prc_cli.formats.registry import Format, by_suffix
+from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing.base import StagedWriter, StreamShape
 from prc_cli.formats.writing.columns import LabelOutput, check_codes
 from prc_cli.formats.writing.record import record_path
+
+BESIDE = {"trajectory": (".csv", *SBET_SUFFIXES), "labels": (".npy",), "stems": (".csv",)}
+"""Suffixes of what a simulated stream may have beside it."""
 
 
 def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
@@ -53,11 +57,16 @@ def stream_suffix(path: Path) -> str:
     return suffix
 
 
+def stream_format(path: Path) -> Format:
+    """Return what is written under such a name."""
+    return by_suffix("streams")[stream_suffix(path)]
+
+
 def outputs_of(path: Path) -> tuple[Path, ...]:
     """Return all files of a stream output, the run record included."""
     from prc_cli.formats.raw_binary.write import config_path
 
-    beside = (config_path(path),) if stream_suffix(path) == ".bin" else ()
+    beside = (config_path(path),) if stream_format(path).is_dump else ()
     return (path, *beside, record_path(path))
 
 
@@ -69,4 +78,4 @@ def check_stream_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...]
 
 def open_stream_writer(path: Path, shape: StreamShape) -> StagedWriter:
     """Choose a writer by the suffix of the output; nothing is created before its ``with`` block."""
-    return by_suffix("streams")[stream_suffix(path)].stream_writer(path, shape)
+    return stream_format(path).stream_writer(path, shape)

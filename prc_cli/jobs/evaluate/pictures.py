@@ -27,7 +27,6 @@ MAX_LINES = 600
 """Scan lines in a picture."""
 _MAX_CELLS = 1 << 22
 _WIDTH, _HEIGHT = 1200, 480
-_LABELS_ALONE = (".npy", ".label")
 _NONE, _AGREE = (255, 255, 255), (222, 222, 222)
 
 
@@ -86,8 +85,6 @@ def _rows(paths: Iterable[Path], points_per_line: int, every: int) -> NDArray[np
     config = LoadedConfig(RunConfig(input=InputConfig(points_per_line=points_per_line)))
     columns = np.arange(0, points_per_line, every)
     for path in paths:
-        if path.suffix.lower() in _LABELS_ALONE:
-            continue
         # a file that cannot be read as a stream has no vertical direction
         with suppress(PrcError):
             block = next(iter(open_for_pictures(config, path).blocks()), None)
