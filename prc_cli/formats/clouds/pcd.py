@@ -138,7 +138,8 @@ def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
         columns = tuple(name or f"_{index}" for index, name in enumerate(header.names))
         body = TextBody(path, columns, header.n_lines + 1, header.n_points)
     elif header.data == "binary":
-        body = _binary(path, header)
+        hint = "correct width and height, or copy it from the archive again"
+        body = BinaryBody.within(path, header.dtype, header.n_bytes, header.n_points, hint)
     else:
         body = _compressed(path, header)
     kept = tuple(name for name in header.names if name)
@@ -267,21 +268,6 @@ def _whole(path: Path, line: int, cell: str, most: int) -> int:
     if not (cell.isascii() and cell.isdecimal()) or len(cell) > 16 or int(cell) > most:
         raise InputError(f"{path}: line {line}", f"found {shorten(cell)!r}, expected a whole number", _AGAIN)
     return int(cell)
-
-
-def _file_size(path: Path) -> int:
-    with open_to_read(path) as handle:
-        return handle.seek(0, 2)
-
-
-def _binary(path: Path, header: PcdHeader) -> Body:
-    dtype = header.dtype
-    there = max(_file_size(path) - header.n_bytes, 0)
-    if header.n_points * dtype.itemsize > there:
-        n = header.n_points
-        problem = f"the file ends in point {there // dtype.itemsize}, the header says {n} of {dtype.itemsize} bytes"
-        raise InputError(str(path), problem, "correct width and height, or copy it from the archive again")
-    return BinaryBody(path, dtype, header.n_bytes, header.n_points)
 
 
 def _compressed(path: Path, header: PcdHeader) -> Body:

@@ -223,13 +223,8 @@ def _binary(path: Path, header: PlyHeader, notes: list[str]) -> Body:
             raise InputError(str(path), problem, "export the points alone")
         start += one.count * one.dtype(order).itemsize
     dtype, n = header.vertex.dtype(order), header.vertex.count
-    with open_to_read(path) as handle:
-        size = handle.seek(0, 2)
-    there = max(size - start, 0)
-    if n * dtype.itemsize > there:
-        problem = f"the file ends in point {there // dtype.itemsize}, the header says {n} of {dtype.itemsize} bytes"
-        raise InputError(str(path), problem, "copy it from the archive again")
-    rest = there - n * dtype.itemsize
+    body = BinaryBody.within(path, dtype, start, n, "copy it from the archive again")
+    rest = path.stat().st_size - start - n * dtype.itemsize
     if rest and header.vertex_at == len(header.elements) - 1:
         notes.append(f"{rest} bytes behind the last point were left out: the header does not name them")
-    return BinaryBody(path, dtype, start, n)
+    return body

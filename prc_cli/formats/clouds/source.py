@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Protocol
@@ -62,7 +63,20 @@ class BinaryBody:
             for first in range(0, self.n_records, each):
                 found = self._read(handle, first, min(each, self.n_records - first))
                 # contiguous and in native order: faster from here on, and the records can be freed
-                yield first, {name: _native(found[name]) for name in names}, len(found)
+                yield (
+                    first,
+                    {name: np.ascontiguousarray(found[name], found.dtype[name].newbyteorder("=")) for name in names},
+                    len(found),
+                )
+
+    @classmethod
+    def within(cls, path: Path, dtype: np.dtype[np.void], start: int, n: int, hint: str) -> BinaryBody:
+        """Return the body after a look at the size of the file."""
+        there = max(path.stat().st_size - start, 0)
+        if n * dtype.itemsize > there:
+            problem = f"the file ends in point {there // dtype.itemsize}, the header says {n} of {dtype.itemsize} bytes"
+            raise InputError(str(path), problem, hint)
+        return cls(path, dtype, start, n)
 
     def _read(self, handle: IO[bytes], first: int, wanted: int) -> NDArray[Any]:
         try:
@@ -74,10 +88,6 @@ class BinaryBody:
             problem = f"the file ends after {first + len(found)} points, expected {self.n_records} as when opened"
             raise InputError(str(self.path), problem, "it was cut while being read; wait until its writer is done")
         return found
-
-
-def _native(values: NDArray[Any]) -> NDArray[Any]:
-    return np.ascontiguousarray(values, values.dtype.newbyteorder("="))
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,10 +286,6 @@ def find_runs(same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArr
     return _Runs(position - begin + 1, size[of_shot].astype(np.int64), is_copy)
 
 
-def _plain_name(name: str) -> str:
-    return name.lower().removeprefix("scalar_")
-
-
 def _known_fields(names: tuple[str, ...]) -> dict[str, tuple[str, LayoutField]]:
     """Map standard names to properties by their usual names; all other properties keep theirs."""
     found: dict[str, tuple[str, LayoutField]] = {
@@ -297,7 +303,7 @@ def _known_fields(names: tuple[str, ...]) -> dict[str, tuple[str, LayoutField]]:
 def _given_fields(head: CloudHead, layout: Layout) -> dict[str, tuple[str, LayoutField]]:
     """Map the fields of a layout to properties; all other properties keep their name."""
     check_fields(layout)
-    plain = {_plain_name(name): name for name in reversed(head.names)}
+    plain = {name.lower().removeprefix("scalar_"): name for name in reversed(head.names)}
     found: dict[str, tuple[str, LayoutField]] = {}
     for item in layout.fields:
         source = item.source
@@ -318,16 +324,8 @@ def _given_fields(head: CloudHead, layout: Layout) -> dict[str, tuple[str, Layou
 
 def _first_rows(body: Body, names: tuple[str, ...]) -> Columns:
     """Return the first rows as stored."""
-    if not names:
-        return {}
-    chunks = body.chunks(names)
-    try:
-        _, columns, _ = next(chunks, (0, {name: np.empty(0) for name in names}, 0))
-    finally:
-        close = getattr(chunks, "close", None)
-        if close is not None:
-            close()
-    return columns
+    with closing(body.chunks(names)) as chunks:  # type: ignore[type-var]
+        return next(chunks, (0, {name: np.empty(0) for name in names}, 0))[1] if names else {}
 
 
 def _with_units(
@@ -342,11 +340,11 @@ def _with_units(
                 found[name] = (own, item.model_copy(update={"offset": offset}))
     if any(head.offsets_m):
         notes.append("a comment gives an offset of the coordinates: added to x, y, z")
-    if "time" in found and _is_whole(first[found["time"][0]]) and found["time"][0].lower() == "t":
+    if "time" in found and first[found["time"][0]].dtype.kind in "iu" and found["time"][0].lower() == "t":
         own, item = found["time"]
         found["time"] = (own, item.model_copy(update={"unit": "ns"}))
         notes.append(f"{own} holds whole numbers: taken as nanoseconds")
-    if "range" in found and _is_whole(first[found["range"][0]]) and set(XYZ) <= set(found):
+    if "range" in found and first[found["range"][0]].dtype.kind in "iu" and set(XYZ) <= set(found):
         own, item = found["range"]
         with np.errstate(over="ignore", invalid="ignore"):  # a NaN that signals warns when it is cast
             xyz = np.stack([np.asarray(first[found[axis][0]], np.float64) for axis in XYZ], axis=1)
@@ -359,10 +357,6 @@ def _with_units(
                 found["range"] = (own, item.model_copy(update={"unit": unit}))
                 notes.append(f"{own} holds whole numbers, {round(1 / factor)} to a metre of x, y, z: taken as {unit}")
     return found
-
-
-def _is_whole(values: NDArray[Any]) -> bool:
-    return values.dtype.kind in "iu"
 
 
 def _own_points_per_line(comments: tuple[str, ...]) -> int | None:

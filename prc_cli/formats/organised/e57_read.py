@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.e57_file import (
@@ -40,6 +40,7 @@ from prc_cli.formats.organised.scans import (
     check_rules,
     check_shapes,
     describe,
+    in_turn,
     is_rotation,
     lengths,
     lines_per_block,
@@ -115,12 +116,7 @@ class E57Stream:
                 n_records += table.n_points
         shapes = [scan.shape for scan in self._scans]
         check_shapes(path, shapes, config)
-        self._info = describe(path, "E57", shapes, self._assumptions(), self._notes())
-
-    @property
-    def info(self) -> StreamInfo:
-        """What is known before reading."""
-        return self._info
+        self.info = describe(path, "E57", shapes, self._assumptions(), self._notes())
 
     def _where(self, index: int) -> str:
         return f"{self._path}: scan {index}"
@@ -232,7 +228,8 @@ class E57Stream:
         edges = ends[[first for first, _ in pieces] + [scan.shape.n_lines]]
         tallies: list[ReadTally] = []
         points = self._points(file, scan, tallies)
-        by_piece = _in_turn(points, edges) if scan.in_order else _scattered(points, edges, lines)
+        sizes = np.diff(edges).tolist()
+        by_piece = in_turn(points, sizes, self._changed(scan)) if scan.in_order else _scattered(points, edges, lines)
         for (first, stop), found in zip(pieces, by_piece, strict=True):
             if len(found) and not (found["line"].min() >= first and found["line"].max() < stop):
                 raise self._changed(scan)
@@ -395,21 +392,6 @@ def _scaled(intensity: F64, table: E57Scan) -> NDArray[np.float32]:
     low, high = table.intensity_limits
     with np.errstate(over="ignore", invalid="ignore"):
         return to_float32((intensity - low) / (high - low) * INTENSITY_STEPS)
-
-
-def _in_turn(points: Iterator[NDArray[Any]], edges: I64) -> Iterator[NDArray[Any]]:
-    """Cut points that come line by line at the edges, given as numbers of points."""
-    waiting, n_waiting = [np.empty(0, _POINT)], 0
-    for wanted in np.diff(edges).tolist():
-        while n_waiting < wanted:
-            waiting.append(next(points))
-            n_waiting += len(waiting[-1])
-        joined = np.concatenate(waiting)
-        waiting, n_waiting = [joined[wanted:]], n_waiting - wanted
-        yield joined[:wanted]
-    # the end of the points is checked where they are read
-    for _ in points:
-        pass
 
 
 def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterator[NDArray[Any]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
-from prc_cli.core.stream import Assumption, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.stream import Assumption, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import (
@@ -25,6 +25,7 @@ from prc_cli.formats.organised.scans import (
     check_rules,
     check_shapes,
     describe,
+    in_turn,
     is_rotation,
     lengths,
     lines_per_block,
@@ -83,12 +84,7 @@ class PtxStream:
             self._scans = _Survey(path, handle, pad=config.partial_line == "pad").scans()
         shapes = [scan.shape for scan in self._scans]
         check_shapes(path, shapes, config)
-        self._info = describe(path, "PTX", shapes, self._assumptions(), self._notes())
-
-    @property
-    def info(self) -> StreamInfo:
-        """What is known before reading."""
-        return self._info
+        self.info = describe(path, "PTX", shapes, self._assumptions(), self._notes())
 
     def _assumptions(self) -> list[Assumption]:
         turned = any(not np.array_equal(scan.pose.rotation, np.eye(3)) for scan in self._scans)
@@ -126,20 +122,12 @@ class PtxStream:
 
     def _scan_blocks(self, scan: _Scan) -> Iterator[ScanBlock]:
         shape, m = scan.shape, scan.shape.points_per_line
-        waiting, n_waiting = [], 0
-        parts = self._parts(scan)
-        for first, stop in spans(shape.n_lines, lines_per_block(m)):
-            wanted = min(stop * m, shape.n_records) - first * m
-            while n_waiting < wanted:
-                part = next(parts, None)
-                if part is None:
-                    problem = f"found fewer points than before, expected {shape.n_records} in scan {shape.scanner}"
-                    raise InputError(str(self._path), problem, "run again when the copy is complete")
-                waiting.append(part)
-                n_waiting += len(part)
-            rows = waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
-            waiting, n_waiting = [rows[wanted:]], n_waiting - wanted
-            yield self._block(scan, first, stop - first, rows[:wanted])
+        problem = f"found fewer points than before, expected {shape.n_records} in scan {shape.scanner}"
+        missing = InputError(str(self._path), problem, "run again when the copy is complete")
+        pieces = list(spans(shape.n_lines, lines_per_block(m)))
+        sizes = (min(stop * m, shape.n_records) - first * m for first, stop in pieces)
+        for (first, stop), rows in zip(pieces, in_turn(self._parts(scan), sizes, missing), strict=True):
+            yield self._block(scan, first, stop - first, rows)
 
     def _block(self, scan: _Scan, first: int, n_lines: int, rows: F64) -> ScanBlock:
         shape, n = scan.shape, len(rows)

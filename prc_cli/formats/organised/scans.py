@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
@@ -125,12 +127,12 @@ def check_rules(path: Path, config: InputConfig, what: str = "organised scans") 
             raise ConfigError(f"input.{key}", problem, "leave the key out")
 
 
-def check_width(path: Path, points_per_line: int, config: InputConfig) -> None:
+def check_width(where: Path | str, points_per_line: int, config: InputConfig) -> None:
     """Refuse another line length than ``input.points_per_line``, where the file says its own."""
     wanted = config.points_per_line
     if wanted is not None and wanted != points_per_line:
         problem = f"found {points_per_line} points per line, expected {wanted} as input.points_per_line says"
-        raise InputError(str(path), problem, "leave input.points_per_line out")
+        raise InputError(str(where), problem, "leave input.points_per_line out")
 
 
 def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> None:
@@ -138,11 +140,9 @@ def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> No
     if not any(shape.n_cells for shape in shapes):
         found = "no scans" if not shapes else f"{_scans(len(shapes))} without points"
         raise InputError(str(path), f"found {found}, expected scan data", "export it again")
-    wanted = config.points_per_line
     for shape in shapes:
-        if wanted is not None and shape.n_cells and shape.points_per_line != wanted:
-            problem = f"found {shape.points_per_line} points per line, expected {wanted} as input.points_per_line says"
-            raise InputError(f"{path}: scan {shape.scanner}", problem, "leave input.points_per_line out")
+        if shape.n_cells:
+            check_width(f"{path}: scan {shape.scanner}", shape.points_per_line, config)
 
 
 def describe(
@@ -180,6 +180,25 @@ def spans(n_lines: int, lines: int) -> Iterator[tuple[int, int]]:
     """
     for first in range(0, n_lines, lines):
         yield first, min(first + lines, n_lines)
+
+
+def in_turn(parts: Iterator[NDArray[Any]], sizes: Iterable[int], missing: InputError) -> Iterator[NDArray[Any]]:
+    """Cut parts that come one after the other into pieces of such sizes; an error where they end too early."""
+    waiting: list[NDArray[Any]] = []
+    n_waiting = 0
+    for wanted in sizes:
+        while n_waiting < wanted or not waiting:
+            part = next(parts, None)
+            if part is None:
+                raise missing
+            waiting.append(part)
+            n_waiting += len(part)
+        joined = waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
+        waiting, n_waiting = [joined[wanted:]], n_waiting - wanted
+        yield joined[:wanted]
+    # whoever reads the parts checks that there are no more
+    for _ in parts:
+        pass
 
 
 def _scans(n: int) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Protocol, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -114,13 +114,6 @@ class Columns:
     """(n,) arrays of the optional columns, by name."""
     record: I64 | None = None
     """(n,) int64, index in the input of every record; None = the next ones from 0 on, without a gap."""
-
-
-class Closable(Protocol):
-    """Anything with a ``close`` method."""
-
-    def close(self) -> None:
-        """Close it."""
 
 
 class StagedWriter(ABC):
@@ -434,7 +427,7 @@ def _remove_quietly(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def close_quietly(handle: Closable) -> None:
+def close_quietly(handle: BinaryIO) -> None:
     """Close after a failure, ignoring errors: a full disk may refuse the last buffer."""
     with contextlib.suppress(OSError):
         handle.close()

@@ -16,7 +16,7 @@ from prc_cli.core.types import I64
 from prc_cli.formats.organised import e57_read as read
 from prc_cli.formats.organised.e57_file import CARTESIAN, SPHERICAL
 from prc_cli.formats.organised.e57_read import E57Stream
-from prc_cli.formats.organised.scans import Pose, ScanShape
+from prc_cli.formats.organised.scans import Pose, ScanShape, in_turn
 
 
 def stream() -> Any:
@@ -163,12 +163,14 @@ def points(line: I64) -> np.ndarray:
 def test_points_come_in_groups_of_lines(n_chunks: int, lines: int) -> None:
     line = np.random.default_rng(2).integers(0, 20, 150)
     line[line == 7] = 8
-    for is_sorted, bring in ((True, read._in_turn), (False, read._scattered)):
+    for is_sorted in (True, False):
         every = points(np.sort(line) if is_sorted else line)
         starts = range(0, 20, lines)
         edges = np.append(0, np.cumsum([np.count_nonzero(line // lines == k) for k in range(len(starts))]))
-        args: Any = (iter(np.array_split(every, n_chunks)), edges) + (() if is_sorted else (lines,))
-        found = list(bring(*args))
+        parts = iter(np.array_split(every, n_chunks))
+        short = InputError("scan.e57", "too few points")
+        sizes = np.diff(edges).tolist()
+        found = list(in_turn(parts, sizes, short) if is_sorted else read._scattered(parts, edges, lines))
         assert len(found) == len(starts)
         for k, group in enumerate(found):
             assert group["record"].tolist() == every["record"][every["line"] // lines == k].tolist()
