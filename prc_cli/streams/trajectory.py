@@ -12,16 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.bags import FORMATS as BAGS
-from prc_cli.formats.trajectory import (
-    SBET_SUFFIXES,
-    is_tum,
-    project,
-    read_poses,
-    read_sbet,
-    read_text,
-    read_tum,
-    turned,
-)
+from prc_cli.formats.trajectory import is_tum, project, read_poses, read_sbet, read_text, read_tum, turned
 
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
@@ -185,7 +176,7 @@ def load_trajectory(
         size = path.stat().st_size
         if size == 0:
             raise InputError(str(path), "empty file, expected a trajectory", "give a CSV or SBET file with positions")
-        if path.suffix.lower() in SBET_SUFFIXES:
+        if path.suffix.lower() in (".sbet", ".out"):
             time_s, position = read_sbet(path, size)
             xyz_m = project(path, position, crs or source_crs_wkt)
         elif path.suffix.lower() in BAGS[0].scans:
