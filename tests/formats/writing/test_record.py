@@ -1,18 +1,18 @@
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 
 import pytest
 
 from prc_cli import __version__
-from prc_cli.core.errors import InputError
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.writing.columns import OutputConfig, check_codes, class_names
 from prc_cli.formats.writing.record import (
     ClassCount,
     Fingerprint,
     fingerprint,
-    record_path,
 )
 from tests.formats.common import run_record
 
@@ -76,17 +76,14 @@ def test_written_counts_are_filled_in() -> None:
     assert found["notices"] == ["told"]
 
 
-def test_fingerprint(tmp_path: Path) -> None:
-    path = tmp_path / "big.bin"
-    data = bytes(range(256)) * 10_000
-    path.write_bytes(data)
-    assert fingerprint(path) == Fingerprint(path.name, len(data), hashlib.sha256(data).hexdigest())
-
-
 def test_fingerprint_of_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone\.las: cannot be read \(No such file"):
         fingerprint(tmp_path / "gone.las")
 
 
-def test_record_path() -> None:
-    assert record_path(Path("a/b.laz")) == Path("a/b.laz.prc.json")
+def test_codes_of_the_output() -> None:
+    low = ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=31, pole=25)
+    check_codes(low, OutputConfig(codes="below-32"))
+    with pytest.raises(ConfigError, match=r"classes\.curb: found code 66, expected a code below 32 .*set curb"):
+        check_codes(ClassCodes(stem=19, car=20), OutputConfig(codes="below-32"))
+    assert class_names(ClassCodes(car=18), OutputConfig(high_noise_beyond=1))[18] == "car/high_noise"
