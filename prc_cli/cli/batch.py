@@ -80,7 +80,7 @@ _WORK = [
     _option("--engine", type=click.Choice(["local", "dask"]), default="local", show_default=True,
             help="Processes of this machine, or a Dask cluster."),
     _option("--scheduler", metavar="ADDRESS",
-            help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786; default: one of its own on this machine."),
+            help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786."),
     _option("--retry", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
             help="Try a file N times more in this run where the problem may pass."),
     _option("--fail-fast/--keep-going", default=False, help="Begin no file after the first failure, or go on.  "
@@ -300,10 +300,10 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
 
 def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | None:
     """Return the engine that is asked for; None for that of this machine."""
+    if (options["engine"] == "dask") != (options["scheduler"] is not None):
+        message = "--engine dask and --scheduler ADDRESS belong together; start a scheduler with: dask scheduler"
+        raise click.UsageError(message)
     if options["engine"] == "local":
-        if options["scheduler"] is not None:
-            message = "--scheduler is for --engine dask"
-            raise click.UsageError(message)
         return None
     from prc_cli.jobs.batch.dask_engine import DaskEngine
 

@@ -537,6 +537,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         (["a", "o", "b"], "unexpected extra argument"),
         (["a", "o", "--fail-under", "recall.ground=1"], "--reference"),
         (["a", "o", "--scheduler", "tcp://x"], "--engine dask"),
+        (["a", "o", "--engine", "dask"], "--scheduler ADDRESS"),
         (["a", "o", "--split", "5"], "No such option"),
         (["a", "o", "--shard", "4/3"], "shard"),
         (["a", "o", "--reference", "none"], "no such folder"),

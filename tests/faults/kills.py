@@ -1,8 +1,8 @@
 """Kills runs of ``prc batch`` at random moments, checks after each, and lets the last run of a chain finish.
 
 ``python -m tests.faults.kills --kills 200 --seed 1`` prints counts as JSON; exit code 1 with the reason at the first
-fault. ``--engine dask`` kills runs with a scheduler and workers of their own, ``--engine scheduler`` runs with a
-scheduler and workers that were started before, and these too.
+fault. ``--engine dask`` kills runs with a scheduler and workers that
+were started before, and these too.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def kill_many(
     end = time.monotonic() + seconds
     while sum(tally.kills.values()) < n_kills and time.monotonic() < end:
         out = fresh(folder / "out")
-        with Machines(folder) if engine == "scheduler" else nullcontext() as machines:
+        with Machines(folder) if engine == "dask" else nullcontext() as machines:
             for _ in range(rng.randint(1, LONGEST_CHAIN)):
                 if _kill_one(archive, out, rng, tally, engine, machines) or sum(tally.kills.values()) >= n_kills:
                     break
@@ -68,10 +68,10 @@ def _kill_one(
     """Start a run and strike it; tell whether it came to its end all the same."""
     kind = rng.choice(KINDS if machines is None else (*KINDS, "scheduler"))
     tally.runs += 1
-    options = () if engine == "local" else ("--engine", "dask")
+    options: tuple[str, ...] = ()
     if machines is not None:
         machines.start()
-        options += ("--scheduler", machines.address)
+        options = ("--engine", "dask", "--scheduler", machines.address)
     batch = Batch(archive.folder, out, archive.config, *options, jobs=rng.choice([1, 2, 2, 3]))
     for _ in moments(rng, archive, out, batch):
         struck = {
@@ -109,7 +109,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=1e9)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--engine", choices=("local", "dask", "scheduler"), default="local")
+    parser.add_argument("--engine", choices=("local", "dask"), default="local")
     parser.add_argument("--all", action="store_true", help="All eight inputs, not the three quick ones.")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="prc-faults-") as folder:

@@ -2,7 +2,7 @@
 
 A step is an operation of Python on the file system there: making, linking, renaming, touching or removing a file, or
 opening it to write. ``python -m tests.faults.step_kills`` takes all of them, ``--every 7`` each seventh; ``--names``
-kills right after a file got its name instead, ``--engine dask`` workers of Dask. Exit code 1 at the first fault.
+kills right after a file got its name instead. Exit code 1 at the first fault.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ class Strike:
     """``all`` processes of the run, or ``self``: the one that is at work."""
     names: bool = False
     """Whether names are counted, not steps."""
-    engine: str = "local"
 
 
 def run_to(archive: Archive, out: Path, strike: Strike) -> tuple[Batch, int]:
@@ -47,8 +46,7 @@ def run_to(archive: Archive, out: Path, strike: Strike) -> tuple[Batch, int]:
     counter.unlink(missing_ok=True)
     variable = "PRC_FAULTS_NAMES" if strike.names else "PRC_FAULTS_STEPS"
     environment = hooked(variable, f"{out}|{counter}|{strike.at}|{strike.victims}")
-    options = ("--engine", strike.engine)
-    batch = Batch(archive.folder, out, archive.config, *options, jobs=1, environment=environment)
+    batch = Batch(archive.folder, out, archive.config, jobs=1, environment=environment)
     code, said = batch.end()
     # the guard of the process that did the work lives on and tells
     assert code in (-9, 0) or (code == 1 and "was ended by signal 9" in said), f"{strike}: {code}, {said}"
@@ -72,16 +70,15 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--names", action="store_true")
-    parser.add_argument("--engine", choices=("local", "dask"), default="local")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="prc-faults-") as name:
         folder = Path(name)
         archive = part_of(make_archive(folder), folder / "few", NAMES)
-        _, n_steps = run_to(archive, folder / "out", Strike(0, "all", options.names, options.engine))
+        _, n_steps = run_to(archive, folder / "out", Strike(0, "all", options.names))
         counts: dict[str, int] = {}
         for victims in ("all", "self"):
             for step in range(options.first, n_steps + 1, options.every):
-                ended = strike_step(archive, folder / "out", Strike(step, victims, options.names, options.engine))
+                ended = strike_step(archive, folder / "out", Strike(step, victims, options.names))
                 counts[ended] = counts.get(ended, 0) + 1
                 sys.stderr.write(f"step {step} of {n_steps}, {victims}: {ended}; {counts}\n")
         sys.stdout.write(f"{n_steps} steps, {counts}\n")

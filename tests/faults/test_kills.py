@@ -47,6 +47,12 @@ def test_many_kills(archive: Archive, tmp_path: Path) -> None:
     assert tally.with_running > 5
 
 
+@pytest.mark.slow
+def test_kills_with_dask(fast: Archive, tmp_path: Path) -> None:
+    """Of the run, its workers and the scheduler."""
+    kill_many(fast, tmp_path, 4, seed=13, engine="dask")
+
+
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))])
 def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path: Path, seed: int) -> None:
     """``python -m tests.faults.step_kills`` takes every step."""
@@ -56,12 +62,11 @@ def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["local", "dask"])
 @pytest.mark.parametrize("victims", ["all", "self"])
-def test_a_kill_right_after_a_file_got_its_name(fast: Archive, tmp_path: Path, engine: str, victims: str) -> None:
+def test_a_kill_right_after_a_file_got_its_name(fast: Archive, tmp_path: Path, victims: str) -> None:
     """``python -m tests.faults.step_kills --names`` takes every name."""
     two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
-    strike_step(two, tmp_path / "out", Strike(4, victims, names=True, engine=engine))
+    strike_step(two, tmp_path / "out", Strike(4, victims, names=True))
 
 
 def run_into(archive: Archive, out: Path, names: Sequence[str], *options: str, jobs: int = 2) -> Batch:

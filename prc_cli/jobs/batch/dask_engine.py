@@ -14,7 +14,6 @@ import logging
 import os
 import queue
 import secrets
-import signal
 import socket
 import threading
 import time
@@ -23,15 +22,13 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from itertools import chain
-from multiprocessing import resource_tracker
 from pathlib import Path, PurePosixPath
-from types import TracebackType
 from typing import Any, TypeAlias
 
 from prc_cli import __version__
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.threads import TICK_S, drain
-from prc_cli.jobs.batch.local import LocalEngine, remove_left
+from prc_cli.jobs.batch.local import remove_left
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     EngineSettings,
@@ -44,15 +41,12 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.batch.worker import beat, run_task
-from prc_cli.jobs.classify import load_classifier
 
 EXTRA = "prc-cli[dask]"
 CONNECT_S = 20.0
 """How long the scheduler may take to answer [s]."""
 WORKERS_S = 60.0
 """How long there may be no worker at all [s]."""
-OWN_WORKERS_S = 20.0
-"""The same for workers of our own, which are begun anew in seconds [s]."""
 FETCH_S = 10.0
 """How long the outcome of a finished order may take to arrive [s]."""
 FETCHES = 5
@@ -66,10 +60,6 @@ STOP_S = 5.0
 SHARE_S = 5.0
 """How long a new file may take to appear on other machines: network file systems cache listings [s]."""
 
-ALLOWED_FAILURES = 1
-"""Workers of a cluster of our own that may die of a file before it is given up, one fewer than do: a file that was made
-to end processes costs two at a time, not four."""
-
 BEGUN, LINES, ENDED = "begun", "lines", "ended"
 
 Notice: TypeAlias = Callable[[str], None]
@@ -80,10 +70,6 @@ class StoppedError(BaseException):
 
     Not an Exception, so that no handler takes it for an error of the file.
     """
-
-
-class NoWorkersError(PrcError):
-    """There are no workers, and nobody begins any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,155 +177,96 @@ class DaskEngine:
     """Runs tasks on the workers of a Dask scheduler."""
 
     def __init__(
-        self,
-        scheduler: str | None = None,
-        *,
-        notice: Notice | None = None,
-        jobs: int | None = None,
-        threads: int = 1,
+        self, scheduler: str, *, notice: Notice = lambda text: None, jobs: int | None = None, threads: int = 1
     ) -> None:
         self._scheduler = scheduler
-        self._notice = notice or (lambda text: None)
+        self._notice = notice
         self._jobs = jobs
         self._threads = threads
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
         """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`)."""
-        _import()
         source = iter(tasks)
         first = next(source, None)
         if first is None:
             return
-        jobs = None
-        if self._scheduler is not None:
-            jobs, settings = self._jobs, replace(settings, threads=self._threads)
-        left = [first]
+        settings = replace(settings, jobs=self._jobs or 0, threads=self._threads)
+        with _quiet(), self._connect() as client:
+            try:
+                client.wait_for_workers(1, timeout=WORKERS_S)
+            except TimeoutError as error:
+                raise _no_workers(self._scheduler) from error
+            if client.dashboard_link:
+                self._notice(f"Dask's dashboard: {client.dashboard_link}")
+            _examine(client, _absolute(first))
+            run = _Run(client, self._scheduler, settings, self._notice)
+            try:
+                yield from run.events(chain([first], source))
+            except OSError as error:  # whatever it was asked, it does not answer any more
+                raise _lost() from error
+            finally:
+                run.stop()
+
+    def _connect(self) -> Any:
         try:
-            with _Cluster(self._scheduler, settings, self._notice, first) as cluster:
-                cluster.examine(first)
-                run = _Run(cluster, settings, jobs, self._notice)
-                try:
-                    yield from run.events(chain(left, source))
-                except OSError as error:  # whatever it was asked, it does not answer any more
-                    raise _lost() from error
-                finally:
-                    left = run.tasks
-                    run.stop()
-        except NoWorkersError as error:
-            if self._scheduler is not None:
-                raise
-            # what a dead worker had finished is recognised by its record
-            self._notice(f"{error.problem}; the rest is done without Dask")
-            yield from LocalEngine().run(chain(left, source), settings)
-
-
-def _import() -> Any:
-    """Return Dask's distributed package."""
-    try:
-        import distributed
-    except ImportError as error:
-        problem = f"Dask is not installed here ({error})"
-        raise ConfigError("--engine dask", problem, f"pip install '{EXTRA}'") from error
-    return distributed
-
-
-class _Cluster:
-    """A connection to a scheduler; where none is given, also a scheduler and workers of our own."""
-
-    def __init__(self, scheduler: str | None, settings: EngineSettings, notice: Notice, first: Task) -> None:
-        self._address = scheduler
-        self._settings = settings
-        self._notice = notice
-        self._first = first
-        self._stack = contextlib.ExitStack()
-        self.client: Any = None
-
-    def __enter__(self) -> _Cluster:
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(_quiet())
-            place = self._address
-            if place is None:
-                load_classifier(self._first.config)  # compiled once, not by every worker
-                place = stack.enter_context(_own_cluster(self._settings))
-            self.client = stack.enter_context(self._connect(place))
-            if self._address is not None:
-                self._wait_for_workers()
-            if self.client.dashboard_link:
-                self._notice(f"Dask's dashboard: {self.client.dashboard_link}")
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._stack.close()
-
-    def _connect(self, place: Any) -> Any:
-        distributed = _import()
+            from distributed import Client
+        except ImportError as error:
+            problem = f"Dask is not installed here ({error})"
+            raise ConfigError("--engine dask", problem, f"pip install '{EXTRA}'") from error
+        connect: Any = Client
         try:
             with warnings.catch_warnings(record=True) as raised:
                 warnings.simplefilter("always")
-                client = distributed.Client(place, timeout=CONNECT_S, set_as_default=False, name="prc")
+                client = connect(self._scheduler, timeout=CONNECT_S, set_as_default=False, name="prc")
         except (OSError, TimeoutError, ValueError, ImportError) as error:
-            problem = f"no scheduler answers at {self._address} ({_one_line(error)})"
+            problem = f"no scheduler answers at {self._scheduler} ({_one_line(error)})"
             hint = "start one with: dask scheduler; its address looks like tcp://HOST:8786"
             raise ConfigError("--scheduler", problem, hint) from error
         for warning in raised:
             self._notice(f"Dask: {_one_line(warning.message)}")
         return client
 
-    def _wait_for_workers(self) -> None:
-        try:
-            self.client.wait_for_workers(1, timeout=WORKERS_S)
-        except TimeoutError as error:
-            raise self.no_workers() from error
 
-    @property
-    def patience_s(self) -> float:
-        """How long there may be no worker [s]."""
-        return OWN_WORKERS_S if self._address is None else WORKERS_S
+def _no_workers(scheduler: str) -> PrcError:
+    problem = f"there has been no worker for {WORKERS_S:g} s"
+    return PrcError(f"scheduler {scheduler}", problem, f"start some: dask worker {scheduler}")
 
-    def no_workers(self) -> NoWorkersError:
-        """Return the error of a scheduler without workers."""
-        problem = f"there has been no worker for {self.patience_s:g} s"
-        hint = "" if self._address is None else f"start some: dask worker {self._address}"
-        return NoWorkersError(f"scheduler {self._address or ''}".strip(), problem, hint)
 
-    def examine(self, first: Task) -> None:
-        """Check that scheduler and workers run this version, and that workers see the archive and the outputs."""
-        try:
-            version = self.client.run_on_scheduler(version_here)
-        except Exception as error:
-            problem = f"prc cannot be loaded there ({_one_line(error)})"
-            raise ConfigError("scheduler", problem, f"pip install '{EXTRA}=={__version__}' there, too") from error
-        self._check_version("scheduler", version)
-        first = _absolute(first)
-        token = _out_of(first) / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
-        token.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            token.write_bytes(b"")
-            # a vanished input is its own failure, and no sign that disks are not shared
-            paths = [str(token), *([str(first.source)] if first.source.exists() else [])]
-            found = self.client.run(examine_worker, tuple(paths), on_error="return")
-        finally:
-            token.unlink(missing_ok=True)
-        for address, facts in found.items():
-            self._check_worker(f"worker {address}", facts)
-
-    def _check_worker(self, who: str, facts: WorkerFacts | BaseException) -> None:
-        if isinstance(facts, BaseException):
-            if isinstance(facts, OSError):  # it is gone: who takes its place is looked at by its first task
-                return
-            problem = f"prc cannot be loaded there ({_one_line(facts)})"
-            raise ConfigError(who, problem, f"pip install '{EXTRA}=={__version__}' there")
-        self._check_version(f"{who} on {facts.host}", facts.version)
+def _examine(client: Any, first: Task) -> None:
+    """Check that scheduler and workers run this version, and that workers see the archive and the outputs."""
+    try:
+        version = client.run_on_scheduler(version_here)
+    except Exception as error:
+        version = error
+    _check_version("scheduler", version)
+    token = _out_of(first) / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
+    token.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        token.write_bytes(b"")
+        # a vanished input is its own failure, and no sign that disks are not shared
+        paths = [str(token), *([str(first.source)] if first.source.exists() else [])]
+        found = client.run(examine_worker, tuple(paths), on_error="return")
+    finally:
+        token.unlink(missing_ok=True)
+    for address, facts in found.items():
+        if isinstance(facts, OSError):  # it is gone: who takes its place is looked at by its first task
+            continue
+        if not isinstance(facts, WorkerFacts):
+            _check_version(f"worker {address}", facts)
+        who = f"worker {address} on {facts.host}"
+        _check_version(who, facts.version)
         if facts.unseen:
-            problem = f"does not see {facts.unseen[0]}"
             hint = "all workers need the archive and the outputs under the same paths: mount them there"
-            raise ConfigError(f"{who} on {facts.host}", problem, hint)
+            raise ConfigError(who, f"does not see {facts.unseen[0]}", hint)
 
-    def _check_version(self, who: str, version: str) -> None:
-        if version != __version__:
-            problem = f"found prc {version}, expected {__version__} as here"
-            raise ConfigError(who, problem, f"pip install '{EXTRA}=={__version__}' there")
+
+def _check_version(who: str, found: str | BaseException) -> None:
+    """Refuse a scheduler or worker of another version, or where prc could not be asked."""
+    if found != __version__:
+        is_version = isinstance(found, str)
+        wrong = f"prc cannot be loaded there ({_one_line(found)})"
+        problem = f"found prc {found}, expected {__version__} as here" if is_version else wrong
+        raise ConfigError(who, problem, f"pip install '{EXTRA}=={__version__}' there")
 
 
 @dataclass(slots=True, eq=False)
@@ -365,11 +292,10 @@ class _Job:
 class _Run:
     """The tasks of one run and the messages about them."""
 
-    def __init__(self, cluster: _Cluster, settings: EngineSettings, jobs: int | None, notice: Notice) -> None:
-        self._cluster = cluster
-        self._client = cluster.client
+    def __init__(self, client: Any, scheduler: str, settings: EngineSettings, notice: Notice) -> None:
+        self._client = client
+        self._scheduler = scheduler
         self._settings = settings
-        self._jobs = jobs
         self._notice = notice
         self._topic = f"prc-{secrets.token_hex(8)}"
         self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
@@ -382,11 +308,6 @@ class _Run:
         self._checked = 0.0
         self._workers_seen = time.monotonic()
         self._client.subscribe_topic(self._topic, self._queue_event)
-
-    @property
-    def tasks(self) -> list[Task]:
-        """Files that were sent and have no outcome yet."""
-        return [job.task for job in self._pending.values()]
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
         """Keep the workers busy and yield what happens."""
@@ -419,10 +340,8 @@ class _Run:
 
     def _capacity(self) -> int:
         """Return how many orders may be pending: a few more than workers have threads, so that none is idle."""
-        if self._jobs is not None:
-            return self._jobs
         slots = sum(self._workers.values())
-        return slots + max(1, slots // 8)
+        return self._settings.jobs or slots + max(1, slots // 8)
 
     def _check_cluster(self) -> None:
         """Ask for the workers; raise when the scheduler is gone, or there is no worker for too long."""
@@ -435,8 +354,8 @@ class _Run:
         self._workers = dict(self._client.nthreads())
         if self._workers:
             self._workers_seen = now
-        elif now - self._workers_seen > self._cluster.patience_s:
-            raise self._cluster.no_workers()
+        elif now - self._workers_seen > WORKERS_S:
+            raise _no_workers(self._scheduler)
         for job in self._pending.values():
             if job.worker is not None and job.worker not in self._workers:
                 job.worker = None  # its worker died: the scheduler gives it to another one
@@ -563,55 +482,6 @@ def _started(job: _Job, worker: str) -> Iterator[Event]:
 
 
 @contextlib.contextmanager
-def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
-    """Start a scheduler and single-threaded workers on this machine, and end them afterwards."""
-    distributed = _import()
-    import dask
-
-    try:
-        security = distributed.Security.temporary()
-    except ImportError as error:
-        problem = f"a package for keys is missing ({_one_line(error)})"
-        raise ConfigError("--engine dask", problem, f"pip install '{EXTRA}'") from error
-    memory = 0 if settings.memory_limit_mib is None else settings.memory_limit_mib << 20
-    try:
-        with _without_interrupts(), dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_FAILURES}):
-            cluster = distributed.LocalCluster(
-                n_workers=settings.jobs,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                memory_limit=memory,
-                silence_logs=logging.CRITICAL,
-                # without keys every user of this machine could run code here
-                security=security,
-            )
-    except (OSError, RuntimeError, TimeoutError) as error:
-        problem = f"no Dask workers could be started ({_one_line(error)})"
-        raise NoWorkersError("--engine dask", problem, "fewer --jobs") from error
-    try:
-        yield cluster
-    finally:
-        cluster.close(timeout=STOP_S)
-
-
-@contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Block SIGINT in threads and processes that are started here: this process alone handles Ctrl-C."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    # starting Python's resource tracker unblocks SIGINT, so it must run before
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Keep Dask from printing: what matters is reported as an event, a notice or an error."""
     # each logger has a level and a handler of its own
@@ -638,6 +508,3 @@ def _out_of(task: Task) -> Path:
 
 def _one_line(error: object) -> str:
     return " ".join(str(error).split())[:300] or type(error).__name__
-
-
-__all__ = ["EXTRA", "DaskEngine", "do_order", "examine_worker", "version_here"]

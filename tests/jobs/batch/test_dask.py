@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import socket
-import ssl
 import subprocess
 import sys
 import threading
@@ -17,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -290,7 +287,7 @@ def test_worker_that_joins_late_with_another_version(
 def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"not installed here .*; pip install 'prc-cli\[dask\]'"):
-        run(DaskEngine(), tasks_in(tmp_path, {"a.npy": 20}))
+        run(DaskEngine("tcp://127.0.0.1:9"), tasks_in(tmp_path, {"a.npy": 20}))
 
 
 def test_without_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
@@ -310,26 +307,6 @@ def test_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet:
         run(DaskEngine(empty.scheduler_address), tasks_in(tmp_path, {"a.npy": 20}))
 
 
-@pytest.mark.parametrize("when", ["at the start", "in mid run"])
-def test_without_workers_of_its_own_the_rest_is_done_here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None, when: str
-) -> None:
-    def dead(*_: Any, **options: Any) -> Any:
-        if when == "at the start":
-            message = "Nanny failed to start."
-            raise RuntimeError(message)
-        return local(n_workers=0, processes=False, dashboard_address=":0")
-
-    local = distributed.LocalCluster
-    monkeypatch.setattr(distributed, "LocalCluster", dead)
-    monkeypatch.setattr(dask_engine, "OWN_WORKERS_S", 0.5)
-    notices: list[str] = []
-    tasks = tasks_in(tmp_path, {"a.npy": 20, "b.npy": 21})
-    found = outcomes(run(DaskEngine(notice=notices.append), tasks, jobs=1))
-    assert {name: type(outcome) for name, outcome in found.items()} == {"a.npy": Done, "b.npy": Done}
-    assert "the rest is done without Dask" in notices[-1]
-
-
 def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_path: Path) -> None:
     """The scheduler gives the file out again; after a few times it has failed."""
     (task,) = tasks_in(tmp_path, {"a.npy": 20})
@@ -344,15 +321,15 @@ def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_pa
             self.n_callbacks += 1
 
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        engine = dask_engine._Run(SimpleNamespace(client=client), EngineSettings(), None, print)
+        engine = dask_engine._Run(client, "tcp://a", EngineSettings(), print)
         future = Lost()
         engine._pending["key"] = dask_engine._Job(task, future)
         for _ in range(dask_engine.FETCHES - 1):
             assert list(engine._on_result("key")) == []
-        assert (future.n_callbacks, engine.tasks) == (dask_engine.FETCHES - 1, [task])
+        assert (future.n_callbacks, [*engine._pending]) == (dask_engine.FETCHES - 1, ["key"])
         _, failed = engine._on_result("key")
         assert isinstance(failed, Failed)
-        assert (failed.problem.kind, engine.tasks) == ("killed", [])
+        assert (failed.problem.kind, engine._pending) == ("killed", {})
 
 
 def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_path: Path) -> None:
@@ -373,7 +350,7 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
             return report
 
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        engine = dask_engine._Run(SimpleNamespace(client=client), EngineSettings(), None, print)
+        engine = dask_engine._Run(client, "tcp://a", EngineSettings(), print)
         for workers in (("tcp://a",), ("tcp://a", "tcp://b")):
             engine._pending["key"] = dask_engine._Job(task, Finished())
             for worker in workers:
@@ -510,31 +487,8 @@ def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_cluster_of_its_own(tmp_path: Path, quiet: None) -> None:
-    """Without a scheduler the engine starts one with processes on this machine, and leaves none behind."""
-    tasks = tasks_in(tmp_path, {**{f"{i}.npy": 50 for i in range(5)}, "large.npy": 403})
-    notices: list[str] = []
-    engine = DaskEngine(notice=notices.append)
-    workers: set[str] = set()
-    events = []
-    for event in engine.run(iter(tasks), EngineSettings(jobs=2)):
-        if not events:  # the dashboard is there while the run is
-            with urlopen(notices[0].rpartition(" ")[2], timeout=30) as page:
-                assert page.status == 200
-        events.append(event)
-        if isinstance(event, Started):
-            workers.add(event.worker)
-    assert all(isinstance(outcome, Done) for outcome in outcomes(events).values())
-    check_bytes(tasks, tmp_path)
-    assert notices[0].startswith("Dask's dashboard: http://127.0.0.1:")
-    assert 1 <= len(workers) <= 2
-    for address in workers:
-        assert not answers(address)
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
+def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
     """The whole group of processes hears it; the run rolls back and says so, the workers say nothing."""
     tasks_in(tmp_path, {f"{i}.npy": 60_000 for i in range(6)}, m=100)
     command = [
@@ -546,6 +500,8 @@ def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
         str(tmp_path / "out"),
         "--engine",
         "dask",
+        "--scheduler",
+        machines.address,
     ]
     with (tmp_path / "said").open("wb") as said:
         how = {"stdout": said, "stderr": said, "start_new_session": True}
@@ -585,29 +541,3 @@ def test_slurm_job_array(tmp_path: Path) -> None:
     check_bytes(tasks, tmp_path)
     again = shards_of(tmp_path, 2, SLURM_ARRAY_TASK_COUNT="1", SHARDS="2")
     assert "nothing to do" in again.stdout + again.stderr
-
-
-def answers(address: str) -> bool:
-    import socket
-
-    host, _, port = address.removeprefix("tcp://").partition(":")
-    try:
-        socket.create_connection((host, int(port)), timeout=1).close()
-    except OSError:
-        return False
-    return True
-
-
-def test_a_cluster_of_its_own_talks_to_nobody_else(quiet: None) -> None:
-    """Any user of the machine could run code in its workers."""
-    with dask_engine._own_cluster(EngineSettings(jobs=1)) as own:
-        address = own.scheduler_address
-        assert address.startswith("tls://127.0.0.1:")
-        assert own.security.require_encryption
-        # without the key of this run the handshake fails
-        host, _, port = address.removeprefix("tls://").partition(":")
-        strange = ssl._create_unverified_context()
-        with pytest.raises(OSError), socket.create_connection((host, int(port)), HANGS_S) as plain:
-            with strange.wrap_socket(plain) as secured:
-                assert secured.recv(1) == b"", "somebody talks to a stranger"
-            raise ConnectionResetError
