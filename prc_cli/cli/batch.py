@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from prc_cli.jobs.batch.run import RunEvent
     from prc_cli.jobs.batch.types import BatchSettings, Engine, Shard
 
-_COMMAND_SCHEMA = 1
+_TYPED = "prc_cli.batch.typed"
+_COMMAND_SCHEMA = 2
 _MAX_COMMAND = 1 << 20
 """Largest file that is read as the last command [bytes]."""
 
@@ -42,8 +43,9 @@ class BatchCommand(click.Group):
         if args and args[0] in self.commands:
             part = self.commands[args[0]]
             return part.make_context(f"{info_name} {args[0]}", args[1:], parent=parent, **extra)
-        typed = tuple(args)  # reading them takes them away
+        typed = list(args)  # reading them takes them away
         context = super().make_context(info_name, args, parent=parent, **extra)
+        context.meta[_TYPED] = typed
         out = str(context.params.get("out"))
         if out in self.commands and out in typed and f"./{out}" not in typed:
             message = f"did you mean {context.command_path} {out} FOLDER? A folder of this name is ./{out}"
@@ -154,7 +156,7 @@ def batch(**options: Any) -> None:
       prc batch --verify /classified
     """
     if options["out"] is not None:
-        _run(options)
+        _run(options, click.get_current_context().meta[_TYPED])
     elif options["verify"]:
         _verify(options["archive"], as_json=options["as_json"], quiet=options["quiet"])
     else:
@@ -202,12 +204,12 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
     from prc_cli.jobs.batch.types import Shard
 
     part = None if shard is None else Shard.parse(shard)
-    folder, options = _read_command(_command_path(own_folder(out), part))
+    folder, typed, options = _read_command(_command_path(own_folder(out), part))
     options |= {key: value for key, value in changes.items() if value is not None}
     options |= {"only_failed": True, "limit": None, "since": None, "out": out.absolute()}
     # names that were given to the last run start at the folder that it was started in
     with contextlib.chdir(folder):
-        _run(options)
+        _run(options, typed)
 
 
 @batch.command()
@@ -243,7 +245,7 @@ def clean(out: Path, archive: Path | None, dry_run: bool, as_json: bool) -> None
         print_cleaned(found, dry_run=dry_run)
 
 
-def _run(options: dict[str, Any]) -> None:
+def _run(options: dict[str, Any], typed: Sequence[str]) -> None:
     """Run a batch, or say what it would do, and leave with its exit code."""
     if options["as_json"] and options["log_json"] == "-":
         message = "--json and --log-json - both want stdout; give the log a file"
@@ -252,7 +254,7 @@ def _run(options: dict[str, Any]) -> None:
     if options["dry_run"]:
         _dry_run(settings, options)
         return
-    summary = _run_and_tell(settings, options)
+    summary = _run_and_tell(settings, options, typed)
     if options["as_json"]:
         from prc_cli.jobs.batch.report import as_dict
 
@@ -323,7 +325,7 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
         print_plan(plan, estimate, verbose=options["verbose"])
 
 
-def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSummary:
+def _run_and_tell(settings: BatchSettings, options: dict[str, Any], typed: Sequence[str]) -> BatchSummary:
     from prc_cli.cli.batch_report import Final, JsonLog, Teller, print_end, say
     from prc_cli.jobs.batch.run import Noted, Ready, run_batch
 
@@ -335,7 +337,7 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSumm
 
     def keep_command(event: RunEvent) -> None:
         if isinstance(event, Ready):  # the lock is held
-            _write_command(settings, options)
+            _write_command(settings, typed)
 
     _end_with_terminal()
     summary: BatchSummary | None = None
@@ -379,59 +381,33 @@ def _command_path(folder: Path, shard: Shard | None) -> Path:
     return folder / ("command.json" if shard is None else f"command.{shard.index}-of-{shard.count}.json")
 
 
-def _write_command(settings: BatchSettings, options: dict[str, Any]) -> None:
-    """Keep what a run was asked for beside its journal; one that cannot be kept is no reason to stop."""
-    from prc_cli.jobs.batch.types import OWN_FOLDER
-
-    table = {
-        "schema": _COMMAND_SCHEMA,
-        "folder": str(Path.cwd()),
-        "options": {key: None if value is None else _plain(value) for key, value in options.items()},
-    }
-    path = _command_path(settings.out / OWN_FOLDER, settings.shard)
+def _write_command(settings: BatchSettings, typed: Sequence[str]) -> None:
+    """Keep what was typed beside the journal; what cannot be kept is no reason to stop."""
+    table = {"schema": _COMMAND_SCHEMA, "folder": str(Path.cwd()), "arguments": typed}
+    path = _command_path(settings.out / ".prc", settings.shard)
     remove_stale(path)  # of a run that was killed just here
     with contextlib.suppress(PrcError), atomic_output(path, overwrite=True) as file:
         file.touch(0o600)  # prc batch retry obeys nobody else
         file.write_text(json.dumps(table, indent=1) + "\n", encoding="ascii", newline="\n")
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return value if isinstance(value, bool | int | float) else str(value)
-
-
-def _read_command(path: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the folder that the last run was started in, and its options, checked as if they were typed."""
+def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
+    """Return the folder that the last run was started in, what was typed there, and the options that it means."""
     hint = "give the whole command with --only-failed instead"
     try:
         table = json.loads(read_own(path, _MAX_COMMAND))
-        folder, kept = Path(table["folder"]), dict(table["options"])
-        if table["schema"] != _COMMAND_SCHEMA or not folder.is_dir():
+        folder, typed = Path(table["folder"]), [str(word) for word in table["arguments"]]
+        context = batch.make_context("prc batch", list(typed))
+        if table["schema"] != _COMMAND_SCHEMA or not folder.is_dir() or context.command is not batch:
             raise ValueError
     except FileNotFoundError:
         raise ConfigError(str(path), "is not there, expected what the last run was asked for", hint) from None
     except PermissionError as error:
         problem = f"could have been changed by others ({error.strerror}), expected a file of this user alone"
         raise ConfigError(str(path), problem, hint) from None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (click.ClickException, click.exceptions.Exit, OSError, ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(str(path), "cannot be used, expected what the last run was asked for", hint) from None
-    context = click.Context(batch)
-    options: dict[str, Any] = {}
-    for parameter in batch.params:
-        name = parameter.name
-        if name is None or not parameter.expose_value:
-            continue
-        value = kept.get(name)
-        try:
-            if name not in kept:  # an older version of the program knew no such option
-                value = parameter.get_default(context)
-                value = None if parameter.value_is_missing(value) else value
-            options[name] = () if value == [] else parameter.type_cast_value(context, value)
-        except (click.ClickException, ValueError, TypeError, AttributeError) as error:  # of another type, or no name
-            said = error.format_message() if isinstance(error, click.ClickException) else str(error)
-            raise ConfigError(str(path), f"{name}: {said}", hint) from None
-    return folder, options
+    return folder, typed, context.params
 
 
 __all__ = ["batch"]

@@ -236,13 +236,11 @@ def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
     assert table["done"] == []
     assert Path.cwd() == tmp_path
     assert prc("clean", "out").out == "removed 0 files (0.0 MiB)\n"
-    # what an older version wrote, which knew fewer options
-    command = out / ".prc" / "command.json"
-    table = json.loads(command.read_bytes())
-    for key in ("accept_doubts", "drift"):
-        del table["options"][key]
-    command.write_text(json.dumps(table))
     assert json.loads(prc("retry", "out", "--json").out)["counts"]["failed"] == 1
+    command = json.loads((out / ".prc" / "command.json").read_bytes())
+    for typed in (["status", "out"], ["archive", "out", "--no-such-option"], 7):
+        (out / ".prc" / "command.json").write_text(json.dumps(command | {"arguments": typed}))
+        assert prc("retry", "out").code == 2
     (out / ".prc" / "command.json").write_text("[]")
     found = prc("retry", "out")
     assert (found.code, "--only-failed" in found.err) == (2, True)
@@ -304,21 +302,18 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     mine = temporary_name(out / "night" / "a.laz")
     dead = mine.with_name(mine.name.replace(f"-{os.getpid()}-", f"-{int(child.stdout)}-"))
     other = mine.with_name(".a.laz.00000000-1-01234567.part")
-    parts = out / ".prc" / "parts"
-    parts.mkdir(exist_ok=True)
-    (parts / "piece").write_bytes(b"abc")
     kept = out / "night" / ".mine.part"
     for path in (mine, dead, other, kept):
         path.write_bytes(b"1234")
     shared = out / ".prc" / "shared-0123456789abcdef"  # a run on Dask died while it looked at its workers
     shared.touch()
-    assert prc("clean", out, "--dry-run").out.count("would remove") == 4
+    assert prc("clean", out, "--dry-run").out.count("would remove") == 3
     assert dead.exists()
     moved = tmp_path / "archive"
     moved.mkdir()
     shutil.copy(office[0] / "drive.npz", moved)
     found = json.loads(prc("clean", out, "--forget", moved, "--json").out)
-    assert (sorted(found["removed"]), found["bytes"]) == (sorted(map(str, (shared, dead, parts))), 7)
+    assert (sorted(found["removed"]), found["bytes"]) == (sorted(map(str, (shared, dead))), 4)
     assert sorted(found["forgotten"]) == sorted([ODD, "night/bad.laz"])
     assert found["kept"] == [str(other)]
     assert mine.exists()

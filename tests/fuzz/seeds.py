@@ -380,8 +380,8 @@ def _state() -> dict[str, bytes]:
             "host": "elsewhere", "pid": 2**22 + 7, "user": "me", "since": "2026-11-23T00:00:00+00:00", "shard": "",
             "version": "0.1.0", "token": "0" * 32,
         }  # fmt: skip
-        options = {"archive": "pulses", "out": "out", "preset": "urban", "jobs": 1, "quiet": True, "only": ["*.bin"]}
-        command = {"schema": 1, "folder": "/", "options": options}
+        typed = ["pulses", "out", "--preset", "urban", "--jobs", "1", "-q", "--include", "*.bin"]
+        command = {"schema": 2, "folder": "/", "arguments": typed}
         return {
             ".prc/journal.sqlite": (folder / "journal.sqlite").read_bytes(),
             ".prc/lock.json": json.dumps(lock).encode(),

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
@@ -68,37 +68,23 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
     n_not_selected = 0
     older: set[str] = set()
     since_ns = None if settings.since is None else parse_since(settings.since)
-    for item in _in_time(_select(settings, since_ns), settings.archive, patience_s):
+    include, exclude = Patterns(settings.include), Patterns(settings.exclude)
+    # all calls that may hang are made in the thread
+    for item in _in_time(_walk(settings, exclude), settings.archive, patience_s):
         if isinstance(item, LeftOut):
             left_out.append(item)
-        elif item is None or isinstance(item, str):
+            continue
+        selected = (not include or include.match(item.name)) and not exclude.match(item.name)
+        if not selected or (settings.shard is not None and not settings.shard.holds(item.name)):
             n_not_selected += 1
-            older |= {item} if item else set()
+        elif since_ns is not None and item.mtime_ns < since_ns:
+            n_not_selected += 1
+            older.add(item.name)
         else:
             files.append(item)
     files.sort(key=lambda item: os.fsencode(item.name))
     left_out.sort(key=lambda item: os.fsencode(item.name))
     return Discovery(tuple(files), tuple(left_out), n_not_selected, frozenset(older))
-
-
-def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | LeftOut | str | None]:
-    """List the archive; None marks an input that was not selected, its name one that is older than ``--since``.
-
-    All calls that may hang are made here.
-    """
-    archive, out = _folders(settings)
-    include, exclude = Patterns(settings.include), Patterns(settings.exclude)
-    for item in _walk(archive, out, exclude):
-        if isinstance(item, LeftOut):
-            yield item
-            continue
-        selected = (
-            (not include or include.match(item.name))
-            and not exclude.match(item.name)
-            and (settings.shard is None or settings.shard.holds(item.name))
-        )
-        is_older = since_ns is not None and item.mtime_ns < since_ns
-        yield (item.name if is_older else item) if selected else None
 
 
 def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
@@ -113,7 +99,14 @@ def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
 
 def _folders(settings: BatchSettings) -> tuple[Path, Path]:
     """Return archive and output folder with links resolved."""
-    archive, out = _folder(settings.archive), settings.out.resolve()
+    try:
+        archive, out = settings.archive.resolve(strict=True), settings.out.resolve()
+    except (OSError, RuntimeError) as error:
+        problem = f"cannot be opened ({getattr(error, 'strerror', None) or error})"
+        raise InputError(str(settings.archive), problem, "check the name and that the disk is mounted") from error
+    if not archive.is_dir():
+        problem = "is no folder, expected a tree of inputs"
+        raise ConfigError(str(settings.archive), problem, "prc classify takes a single file")
     if archive == out or archive.is_relative_to(out):
         problem = "the archive is the output folder or lies in it; inputs are never modified"
         raise ConfigError(str(settings.out), problem, "choose another output folder")
@@ -122,25 +115,14 @@ def _folders(settings: BatchSettings) -> tuple[Path, Path]:
     return archive, out
 
 
-def _folder(archive: Path) -> Path:
-    try:
-        found = archive.resolve(strict=True)
-    except (OSError, RuntimeError) as error:
-        problem = f"cannot be opened ({getattr(error, 'strerror', None) or error})"
-        raise InputError(str(archive), problem, "check the name and that the disk is mounted") from error
-    if not found.is_dir():
-        raise ConfigError(str(archive), "is no folder, expected a tree of inputs", "prc classify takes a single file")
-    return found
-
-
 # -- walking ----------------------------------------------------------------------------------------------------------
 
-_Item: TypeAlias = Found | LeftOut
 _ItemT = TypeVar("_ItemT")
 
 
-def _walk(archive: Path, out: Path, exclude: Patterns) -> Iterator[_Item]:
+def _walk(settings: BatchSettings, exclude: Patterns) -> Iterator[Found | LeftOut]:
     """Visit all folders without recursion, because a hostile tree may be thousands of folders deep."""
+    archive, out = _folders(settings)
     waiting: list[tuple[str, Path]] = [("", archive)]
     while waiting:
         prefix, folder = waiting.pop()
@@ -167,7 +149,7 @@ def _walk(archive: Path, out: Path, exclude: Patterns) -> Iterator[_Item]:
                 waiting.append((found, Path(entry.path)))
 
 
-def _look(entry: os.DirEntry[str], name: str, archive: Path) -> _Item | str | None:
+def _look(entry: os.DirEntry[str], name: str, archive: Path) -> Found | LeftOut | str | None:
     """Return an input, the reason why it is left out, the name prefix of a folder, or None for other files."""
     try:
         is_link = entry.is_symlink()

@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,8 +21,6 @@ from prc_cli.jobs.batch.types import OWN_FOLDER, Done
 
 _SHARED = re.compile(r"shared-[0-9a-f]{16}")
 """Empty files by which a run on Dask finds out whether its workers see OUT; no run is at work here now."""
-PARTS_FOLDER = "parts"
-"""Folder in which earlier versions kept parts of large files."""
 OTHER_MACHINE_S = 86_400.0
 """A temporary file of another machine that was not written to for so long is taken for left behind [s]."""
 
@@ -33,7 +30,7 @@ class Cleaned:
     """What was removed, or would be."""
 
     files: tuple[Path, ...]
-    """Temporary files, and the folder of parts."""
+    """Temporary files."""
     n_bytes: int
     forgotten: tuple[str, ...]
     """Names that the journal forgot."""
@@ -64,17 +61,10 @@ def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> C
             elif left is None:
                 kept.append(part)
         n_bytes = sum(_size(part) for part in stale)
-        parts = folder / PARTS_FOLDER
-        if parts.is_dir():
-            n_bytes += sum(_size(path) for path in parts.rglob("*"))
-            stale.append(parts)
         if not dry_run:
             for part in stale:
-                if part == parts:
-                    shutil.rmtree(part, ignore_errors=True)
-                else:
-                    with contextlib.suppress(OSError):
-                        part.unlink()
+                with contextlib.suppress(OSError):
+                    part.unlink()
             if forgotten:
                 with Journal(folder) as journal:
                     journal.forget(forgotten)

