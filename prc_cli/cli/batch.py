@@ -25,7 +25,7 @@ from prc_cli.core.interrupts import raise_or_hold
 if TYPE_CHECKING:
     from prc_cli.jobs.batch.report import BatchSummary
     from prc_cli.jobs.batch.run import RunEvent
-    from prc_cli.jobs.batch.types import BatchSettings, Engine, Shard
+    from prc_cli.jobs.batch.types import BatchSettings, Engine
 
 _TYPED = "prc_cli.batch.typed"
 _COMMAND_SCHEMA = 2
@@ -201,10 +201,10 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
       prc batch retry /classified --jobs 1
     """
     from prc_cli.jobs.batch.outputs import own_folder
-    from prc_cli.jobs.batch.types import Shard
+    from prc_cli.jobs.batch.types import Shard, own_name
 
     part = None if shard is None else Shard.parse(shard)
-    folder, typed, options = _read_command(_command_path(own_folder(out), part))
+    folder, typed, options = _read_command(own_folder(out) / own_name("command", part, ".json"))
     options |= {key: value for key, value in changes.items() if value is not None}
     options |= {"only_failed": True, "limit": None, "since": None, "out": out.absolute()}
     # names that were given to the last run start at the folder that it was started in
@@ -377,14 +377,12 @@ def _end_with_terminal() -> None:
 # -- the last run, for retry ------------------------------------------------------------------------------------------
 
 
-def _command_path(folder: Path, shard: Shard | None) -> Path:
-    return folder / ("command.json" if shard is None else f"command.{shard.index}-of-{shard.count}.json")
-
-
 def _write_command(settings: BatchSettings, typed: Sequence[str]) -> None:
     """Keep what was typed beside the journal; what cannot be kept is no reason to stop."""
+    from prc_cli.jobs.batch.types import OWN_FOLDER, own_name
+
     table = {"schema": _COMMAND_SCHEMA, "folder": str(Path.cwd()), "arguments": typed}
-    path = _command_path(settings.out / ".prc", settings.shard)
+    path = settings.out / OWN_FOLDER / own_name("command", settings.shard, ".json")
     remove_stale(path)  # of a run that was killed just here
     with contextlib.suppress(PrcError), atomic_output(path, overwrite=True) as file:
         file.touch(0o600)  # prc batch retry obeys nobody else

@@ -435,20 +435,19 @@ class _Run:
             if job.n_lost < FETCHES:
                 return None
             problem = Problem("killed", name, f"its outcome was lost {FETCHES} times with the worker that had it", "")
-            return Report(worker, Failed(name, None, seconds, problem))
-        if future.status != "error":
+        elif future.status != "error":
             raise _lost()
-        error = future.exception()
-        if type(error).__name__ == "KilledWorker":
+        elif isinstance(error := future.exception(), PrcError):  # no outcome of a file: the worker itself is wrong
+            raise error
+        elif type(error).__name__ == "KilledWorker":
             died = f"{error.allowed_failures + 1} workers died while they had it"
             hint = "look at their logs; often memory is short: fewer threads a worker"
-            return Report(worker, Failed(name, None, seconds, Problem("killed", name, died, hint)))
-        if isinstance(error, PrcError):  # no outcome of a file: the worker itself is wrong
-            raise error
-        if isinstance(error, StoppedError):
+            problem = Problem("killed", name, died, hint)
+        elif isinstance(error, StoppedError):
             problem = Problem("interrupted", name, f"its worker {worker} was told to let go of it", "run again")
-            return Report(worker, Failed(name, None, seconds, problem))
-        return Report(worker, Failed(name, None, seconds, Problem.of(error)))
+        else:
+            problem = Problem.of(error)
+        return Report(worker, Failed(name, None, seconds, problem))
 
     def _watch(self) -> Iterator[Event]:
         """Give up files without progress for too long, and restart their workers."""

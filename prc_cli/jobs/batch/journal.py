@@ -26,7 +26,19 @@ from typing import Any, get_args
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
 from prc_cli.core.files import make_folder, refuse_links
-from prc_cli.jobs.batch.types import Done, Entry, Failed, InputPrint, Outcome, Problem, Run, Shard, State, Task
+from prc_cli.jobs.batch.types import (
+    Done,
+    Entry,
+    Failed,
+    InputPrint,
+    Outcome,
+    Problem,
+    Run,
+    Shard,
+    State,
+    Task,
+    own_name,
+)
 
 SCHEMA = 2
 """Version of the tables; a journal with another version is refused."""
@@ -61,15 +73,6 @@ ON CONFLICT (name) DO UPDATE SET
 """
 
 
-def journal_path(folder: Path, shard: Shard | None = None) -> Path:
-    """Return the journal file of a shard, or of the whole archive.
-
-    >>> journal_path(Path(".prc"), Shard(3, 8)).name
-    'journal.3-of-8.sqlite'
-    """
-    return folder / ("journal.sqlite" if shard is None else f"journal.{shard.index}-of-{shard.count}.sqlite")
-
-
 def journal_paths(folder: Path) -> list[Path]:
     """Return all journals of an output folder, that of the whole archive first."""
     return sorted(folder.glob("journal*.sqlite"), key=lambda path: (path.name != "journal.sqlite", path.name))
@@ -83,7 +86,7 @@ class Journal:
     """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
-        self.path = journal_path(folder, shard)
+        self.path = folder / own_name("journal", shard, ".sqlite")
         self.run = ""
         """Id of the run that was begun."""
         self._folder = folder

@@ -28,7 +28,7 @@ from filelock import FileLock, Timeout
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, OutputError
 from prc_cli.core.files import atomic_output, make_folder, output_errors, read_small, refuse_links, remove_stale
-from prc_cli.jobs.batch.types import Shard
+from prc_cli.jobs.batch.types import Shard, own_name
 
 LOOK_S = 0.5
 """How long to wait for a lock, because a process that only looks whether it is held holds it for a moment [s]."""
@@ -81,15 +81,6 @@ class Holder:
     alive: bool
 
 
-def lock_path(folder: Path, shard: Shard | None = None) -> Path:
-    """Return the file that names the owner of the lock of a shard, or of the whole archive.
-
-    >>> lock_path(Path(".prc"), Shard(3, 8)).name
-    'lock.3-of-8.json'
-    """
-    return folder / ("lock.json" if shard is None else f"lock.{shard.index}-of-{shard.count}.json")
-
-
 class Lock:
     """The right to work in an output folder, held while the ``with`` block runs.
 
@@ -98,7 +89,7 @@ class Lock:
     """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
-        self.path = lock_path(folder, shard)
+        self.path = folder / own_name("lock", shard, ".json")
         self.owner = Owner(shard="" if shard is None else str(shard))
         self.inherited_from: Owner | None = None
         """The dead owner that the lock was taken over from."""

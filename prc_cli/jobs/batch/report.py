@@ -38,6 +38,7 @@ from prc_cli.jobs.batch.types import (
     Problem,
     ReferenceSettings,
     Shard,
+    own_name,
 )
 from prc_cli.jobs.evaluate.chosen import DEFAULT_MAPPING, MAPPINGS, mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
@@ -61,11 +62,8 @@ class BatchSummary:
     archive: Path
     out: Path
     started: str
-    """UTC, ISO 8601."""
     finished: str
-    """UTC, ISO 8601."""
     seconds: float
-    """Wall time [s]."""
     n_found: int
     """Inputs in the archive after ``--include``, ``--exclude``, ``--since`` and ``--shard``."""
     n_skipped: int
@@ -164,15 +162,9 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         # after a signal the program ends with the signal's own
         "exit_code": None if summary.ended == "interrupted" else summary.exit_code,
         "counts": {
-            "found": summary.n_found,
-            "skipped": summary.n_skipped,
-            "done": len(summary.done),
-            "failed": len(summary.failed),
-            "failed_before": len(summary.standing),
-            "waiting": summary.n_waiting,
-            "doubted": summary.n_doubted,
-            "alarms": len(summary.alarms),
-            "left_out": len(summary.left_out),
+            "found": summary.n_found, "skipped": summary.n_skipped, "done": len(summary.done),
+            "failed": len(summary.failed), "failed_before": len(summary.standing), "waiting": summary.n_waiting,
+            "doubted": summary.n_doubted, "alarms": len(summary.alarms), "left_out": len(summary.left_out),
         },
         "reasons": dict(summary.reasons),
         "shots": summary.n_shots,
@@ -187,7 +179,7 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "left_out": [asdict(found) for found in summary.left_out],
         "notes": list(summary.notes),
         "evaluation": None if summary.evaluation is None else summary.evaluation.as_dict(),
-    }
+    }  # fmt: skip
 
 
 def done_dict(found: Done) -> dict[str, Any]:
@@ -214,18 +206,9 @@ def failed_dict(found: Failed) -> dict[str, Any]:
     return {"name": found.name, "seconds": round(found.seconds, 3), **asdict(found.problem)}
 
 
-def summary_path(out: Path, shard: Shard | None) -> Path:
-    """Return the name of the summary; every shard has its own, for they run at the same time.
-
-    >>> summary_path(Path("out"), Shard(3, 8)).name
-    'summary.3-of-8.json'
-    """
-    return out / ("summary.json" if shard is None else f"summary.{shard.index}-of-{shard.count}.json")
-
-
 def write_summary(summary: BatchSummary) -> Path:
     """Write the summary into the output folder, whole or not at all."""
-    path = summary_path(summary.out, summary.shard)
+    path = summary.out / own_name("summary", summary.shard, ".json")
     remove_stale(path)  # of a run that was killed just here
     with atomic_output(path, overwrite=True) as temporary:
         text = json.dumps(as_dict(summary), indent=1, allow_nan=False) + "\n"

@@ -64,6 +64,15 @@ class Shard:
         return f"{self.index}/{self.count}"
 
 
+def own_name(stem: str, shard: Shard | None, suffix: str) -> str:
+    """Return the name of a file that every shard has for itself, as they run at the same time.
+
+    >>> own_name("journal", Shard(3, 8), ".sqlite"), own_name("lock", None, ".json")
+    ('journal.3-of-8.sqlite', 'lock.json')
+    """
+    return f"{stem}{suffix}" if shard is None else f"{stem}.{shard.index}-of-{shard.count}{suffix}"
+
+
 @dataclass(frozen=True, slots=True)
 class Task:
     """One file to classify."""

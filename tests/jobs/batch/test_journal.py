@@ -20,7 +20,6 @@ from prc_cli.core.errors import BusyError, InputError, OutputError, PrcError
 from prc_cli.jobs.batch import journal as subject
 from prc_cli.jobs.batch.journal import (
     Journal,
-    journal_path,
     read_entries,
     read_runs,
 )
@@ -235,7 +234,7 @@ def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
         journal.begin_run("me")
         for number in range(200):
             journal.start(task(f"{number}"), "worker")
-    path = journal_path(folder)
+    path = folder / "journal.sqlite"
     damage(path, how)
     content = path.read_bytes()
     for action in (lambda: Journal(folder).__enter__().entries(), lambda: read_entries(folder)):
@@ -250,7 +249,7 @@ def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
 def test_a_journal_without_bytes_is_a_new_one(folder: Path) -> None:
     """A run that was killed when it had just made the file."""
     folder.mkdir()
-    journal_path(folder).touch()
+    (folder / "journal.sqlite").touch()
     assert read_entries(folder) == []
     assert read_runs(folder) == []
     with Journal(folder) as journal:
@@ -261,19 +260,19 @@ def test_a_journal_without_bytes_is_a_new_one(folder: Path) -> None:
 def test_a_newer_journal_is_refused_and_left_alone(folder: Path) -> None:
     with Journal(folder):
         pass
-    database = sqlite3.connect(journal_path(folder))
+    database = sqlite3.connect(folder / "journal.sqlite")
     database.execute("PRAGMA user_version = 7")
     database.close()
-    content = journal_path(folder).read_bytes()
+    content = (folder / "journal.sqlite").read_bytes()
     for action in (Journal(folder).__enter__, lambda: read_entries(folder)):
         with pytest.raises(OutputError, match="newer prc-cli .tables of version 7, this program knows 2.*upgrade"):
             action()
-    assert journal_path(folder).read_bytes() == content
+    assert (folder / "journal.sqlite").read_bytes() == content
 
 
 def test_a_database_of_another_program_is_refused(folder: Path) -> None:
     folder.mkdir()
-    database = sqlite3.connect(journal_path(folder))
+    database = sqlite3.connect(folder / "journal.sqlite")
     database.execute("CREATE TABLE mine (x)")
     database.close()
     with pytest.raises(OutputError, match="a database of another program"), Journal(folder):
@@ -283,7 +282,7 @@ def test_a_database_of_another_program_is_refused(folder: Path) -> None:
 def test_a_journal_that_somebody_holds_is_busy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subject, "WAIT_S", 0.05)
     with Journal(folder) as journal:
-        other = sqlite3.connect(journal_path(folder), isolation_level=None)
+        other = sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(BusyError, match="held by another program"):
             journal.begin_run("me")
@@ -335,7 +334,7 @@ def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: 
 
 
 def test_an_unreadable_journal_is_said_so(folder: Path) -> None:
-    journal_path(folder).mkdir(parents=True)
+    (folder / "journal.sqlite").mkdir(parents=True)
     with pytest.raises(InputError, match="cannot be read"):
         read_entries(folder)
 
@@ -376,14 +375,14 @@ def test_random_damage_is_one_clear_error_or_none(folder: Path, tmp_path: Path, 
             journal.start(task(f"{number}.laz"), "worker")
             journal.finish(failed(f"{number}.laz") if number % 3 else done(f"{number}.laz"))
         journal.end_run(0, {"done": 10})
-    sound, rng = journal_path(folder).read_bytes(), random.Random(seed)
+    sound, rng = (folder / "journal.sqlite").read_bytes(), random.Random(seed)
     for _ in range(12):
         data = bytearray(sound)
         for _ in range(rng.choice((1, 4, 30))):
             data[rng.randrange(100, len(data))] = rng.randrange(256)
         place = tmp_path / f"{rng.random()}"
         place.mkdir()
-        journal_path(place).write_bytes(data)
+        (place / "journal.sqlite").write_bytes(data)
         with contextlib.suppress(PrcError):
             read_entries(place)
         with contextlib.suppress(PrcError):
@@ -410,7 +409,7 @@ def test_a_row_that_makes_no_sense_is_damage(folder: Path, change: str) -> None:
         journal.begin_run("me")
         journal.start(task("a"), "worker")
         journal.finish(done("a"))
-        with contextlib.closing(sqlite3.connect(journal_path(folder), isolation_level=None)) as own:
+        with contextlib.closing(sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)) as own:
             own.execute(f"UPDATE files SET {change}")
         with pytest.raises(OutputError, match="a row makes no sense"):
             journal.entries()
@@ -423,7 +422,7 @@ def test_a_row_that_makes_no_sense_is_damage(folder: Path, change: str) -> None:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
 def test_a_pipe_in_its_place_stops_nobody(folder: Path) -> None:
     folder.mkdir(parents=True)
-    os.mkfifo(journal_path(folder))
+    os.mkfifo(folder / "journal.sqlite")
     with pytest.raises(PrcError):
         read_entries(folder)
     with pytest.raises(PrcError), Journal(folder):

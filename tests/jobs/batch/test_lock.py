@@ -22,7 +22,7 @@ from filelock import FileLock
 
 from prc_cli.core.errors import BusyError, ConfigError, OutputError
 from prc_cli.jobs.batch import lock as subject
-from prc_cli.jobs.batch.lock import Lock, Owner, has_locks, holders, lock_path
+from prc_cli.jobs.batch.lock import Lock, Owner, has_locks, holders
 from prc_cli.jobs.batch.types import Shard
 from tests.patience import run, start, wait_until
 
@@ -154,7 +154,7 @@ def test_a_stopped_process_is_not_dead(folder: Path) -> None:
     with held_by_another_process(folder) as process:
         assert line_of(process) == "held"
         os.kill(process.pid, signal.SIGSTOP)
-        os.utime(lock_path(folder), (1000, 1000))
+        os.utime((folder / "lock.json"), (1000, 1000))
         with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
             pass
 
@@ -164,10 +164,10 @@ def test_a_stopped_process_is_not_dead(folder: Path) -> None:
 )
 def test_a_file_that_names_nobody_stops_nobody(folder: Path, content: bytes) -> None:
     folder.mkdir()
-    lock_path(folder).write_bytes(content)
+    (folder / "lock.json").write_bytes(content)
     with Lock(folder) as lock:
         lock.check()
-        lock_path(folder).write_bytes(content)
+        (folder / "lock.json").write_bytes(content)
         with pytest.raises(BusyError, match="an unknown user on an unknown machine"), Lock(folder):
             pass
         with pytest.raises(BusyError, match="the lock was lost"):
@@ -271,7 +271,7 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     for n_steps in count(1):
         folder, inside = tmp_path / f"{n_steps}", list[Lock]()
         if found != "nothing":
-            leave(lock_path(folder), dead)
+            leave((folder / "lock.json"), dead)
         with ExitStack() as stack:
             until = n_steps
             come()

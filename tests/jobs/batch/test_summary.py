@@ -19,7 +19,6 @@ from prc_cli.jobs.batch.report import (
     BatchEvaluation,
     BatchSummary,
     as_dict,
-    summary_path,
     write_summary,
 )
 from prc_cli.jobs.batch.types import (
@@ -138,8 +137,7 @@ def test_doubts_are_counted_by_file_and_by_check() -> None:
 
 def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) -> None:
     for shard in (None, Shard(1, 2), Shard(2, 2)):
-        path = write_summary(summary(out=tmp_path, shard=shard))
-        assert path == summary_path(tmp_path, shard)
+        write_summary(summary(out=tmp_path, shard=shard))
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["summary.1-of-2.json", "summary.2-of-2.json", "summary.json"]
     # a later run replaces it
