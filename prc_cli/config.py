@@ -6,6 +6,7 @@ Layers, later ones win: built-in defaults, a preset, a TOML file, command-line o
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
 
+from prc_cli import methods
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
@@ -56,6 +58,19 @@ class RunConfig(MethodTables, _Input):
             return values
         given = tables_given(values)
         return {**values, "method": given[0]} if len(given) == 1 else values
+
+    @classmethod
+    def constants(cls, location: list[str], given: Any) -> dict[str, Any]:
+        """Return what was set once in a method's table, and is constant now (``constants.toml`` of the method)."""
+        path = Path(methods.__file__).with_name(location[0]) / "constants.toml"
+        found = tomllib.loads(path.read_text("utf-8")) if len(location) > 1 and path.exists() else {}
+        for part in location[1:]:
+            found = found.get(part, {}) if isinstance(found, dict) else {}
+        if isinstance(given, Mapping) and isinstance(found, dict):
+            found = {name: found[name] for name in given if name in found}
+        for part in reversed(location if found != {} else ()):
+            found = {part: found}
+        return found
 
     @property
     def is_decided(self) -> bool:

@@ -24,6 +24,11 @@ class Params(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
+    @classmethod
+    def constants(cls, location: list[str], given: Any) -> dict[str, Any]:
+        """Return the values, as a nested table, of keys that are none any more, for the error that names them."""
+        return {}
+
     def __repr__(self) -> str:
         """Return the values that are not the defaults, in a line."""
         told = ", ".join(f"{key}={value!r}" for key, value in flatten(self.model_dump(exclude_defaults=True)))
@@ -106,13 +111,17 @@ def build(model: type[ParamsT], table: Mapping[str, Any], where: str) -> ParamsT
         raise _translate(error, model, where) from None
 
 
-def _translate(error: ValidationError, model: type[BaseModel], where: str) -> ConfigError:
+def _translate(error: ValidationError, model: type[Params], where: str) -> ConfigError:
     issues = error.errors(include_url=False)
     unknown = [issue for issue in issues if issue["type"] == "extra_forbidden"]
     issue = (unknown or issues)[0]
     location = [str(part) for part in issue["loc"]]
     key = ".".join(location)
     if issue["type"] == "extra_forbidden":
+        if constants := dict(flatten(model.constants(location, issue["input"]))):
+            values = ", ".join(f"{name} = {value}" for name, value in constants.items())
+            hint = f"leave it out; it is {values}" if len(constants) == 1 else f"leave them out: {values}"
+            return ConfigError(where, f"{key} is a constant now, expected no such key", hint)
         known = sorted(_keys_at(model, location[:-1]))
         near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"

@@ -16,7 +16,7 @@ class Answer:
     so: str
     """What follows from it."""
     limits: tuple[tuple[str, Any], ...] = ()
-    """Keys of the configuration that decided, and their values."""
+    """Keys of the configuration or names of limits that decided, and their values."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from operator import attrgetter
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,10 +13,11 @@ from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.explain.answers import Answer, metres
-from prc_cli.methods.fused.classes import PoleParams, decide, vote
+from prc_cli.methods.fused.classes import are_wanted, ask_again, decide, vote
+from prc_cli.methods.fused.forest import find_stems, heights_over_ground
 from prc_cli.methods.fused.ground import Ground
+from prc_cli.methods.fused.interlace import put_in_step
 from prc_cli.methods.fused.neighbours import Neighbours
-from prc_cli.methods.fused.noise import again_limits, ask_again
 from prc_cli.methods.fused.pipeline import (
     MEMORY,
     NOISE,
@@ -25,21 +27,17 @@ from prc_cli.methods.fused.pipeline import (
     FusedParams,
     FusedScanner,
     evidence_of,
-    in_step,
     lines_ahead,
     lines_apart,
     of_place,
-    of_scanner,
     streams_of,
     thresholds_of,
     window_of,
 )
 from prc_cli.methods.fused.plane import INNER_LINES, WIDE_LINES, points_of
-from prc_cli.methods.fused.profiles import are_wanted
 from prc_cli.methods.fused.spacing import BESIDE_LINES, SPACED_LINES
-from prc_cli.methods.fused.stems import find_stems
 from prc_cli.methods.fused.strips import Standing
-from prc_cli.methods.fused.terrain import heights_over_ground
+from prc_cli.methods.fused.thresholds import FOREST, Forest, Limits
 
 MOST_SMOOTH, MOST_NEAR, MOST_CHORDS = 10, 28, 3
 STRIPS, STRIP_M = 320, 0.5
@@ -85,49 +83,46 @@ def fused_answers(
         (("fused.sensor.range_noise_m", params.sensor.range_noise_m),),
     )
     if is_forest:
-        yield from _forest(block, scanner, noise_m, params, at)
-        yield _forest_reason(Label(int(item.labels[at])), params)
+        yield from _forest(block, scanner, noise_m, at)
+        yield _forest_reason(Label(int(item.labels[at])))
         return
-    yield from _street(block, scanner, heard, of_scanner(params, scanner), (at, Label(int(item.labels[at]))))
+    yield from _street(block, scanner, heard, (at, Label(int(item.labels[at]))))
 
 
 def _street(
     block: ScanBlock,
     scanner: FusedScanner,
     heard: Mapping[str, Any],
-    params: FusedParams,
     shot: tuple[tuple[int, int], Label],
 ) -> Iterator[Answer]:
-    plane, (at, final) = scanner.scan_plane, shot
+    plane, limits, (at, final) = scanner.scan_plane, scanner.limits, shot
     line, column = at
-    ahead, noise_m = lines_ahead(plane, params), heard[NOISE_ALONG.name]
+    ahead, noise_m = lines_ahead(plane, limits), heard[NOISE_ALONG.name]
     wide = window_of(heard[TAIL.name], block.range_m, block.next_m, ahead)
-    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
+    wide, limits = put_in_step(wide, plane, noise_m, limits), of_place(limits, wide)
     strides = heard.get(SPACING.name)
     if strides is None:
         strides = np.ones(block.n_lines + ahead + 2 * BESIDE_LINES, np.int64)
-    streams = streams_of(wide, strides, plane, noise_m, params)
+    streams = streams_of(wide, strides, plane, noise_m, limits)
     apart, grounds = int(lines_apart(strides)[line]), heard[MEMORY.name].parts
     k = next(k for k, each in enumerate(streams) if each.every == apart and each.first == line % apart)
     stream, ground = streams[k], grounds[k]
     at = line // apart, column
     around, inner, seen = stream.seen, stream.seen.range_m, stream.seen.neighbours
-    least, evidence = params.company.least, evidence_of(around, ground.above_m, plane, params)
+    least, evidence = int(limits.decision.least_near), evidence_of(around, ground.above_m, plane, limits)
     texture, standing = evidence.texture, evidence.standing
-    limits = thresholds_of(stream, params)
-    decided = decide(stream.wide_m, seen, ground, texture, standing, plane, limits)
+    decided = decide(stream.wide_m, seen, ground, texture, standing, plane, thresholds_of(stream, limits))
     place = _place(inner, seen, ground, texture, standing, scanner, least, at)
     stride = int(strides[line + BESIDE_LINES])
-    yield from _neighbourhood(place, stride, params)
-    yield from _around(place, params)
+    yield from _neighbourhood(place, stride, limits)
+    yield from _around(place, limits)
     label = Label(int(decided[at[0] + 1, column]))
-    reason, keys = _reason(place, label, params)
+    reason, keys = _reason(place, label, limits)
     yield Answer("decision", reason, _name(label), keys)
-    voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, params.votes)
-    again = again_limits(params.company, params.noise, params.strips, params.cars)
-    asked = ask_again((decided, voted), inner, seen, ground.above_m, texture, plane, again)
+    voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
+    asked = ask_again((decided, voted), inner, seen, ground.above_m, texture, plane, limits)
     labels = label, Label(int(voted[at])), Label(int(asked[at])), final
-    yield from _afterwards(labels, place, params, by_profile=are_wanted(plane, params.cars))
+    yield from _afterwards(labels, place, limits, by_profile=are_wanted(plane, limits))
 
 
 def _place(
@@ -152,57 +147,47 @@ def _place(
     )  # fmt: skip
 
 
-def _neighbourhood(place: _Place, stride: int, params: FusedParams) -> Iterator[Answer]:
-    company = params.company
+def _of(limits: Limits | Forest, *names: str) -> tuple[tuple[str, float], ...]:
+    """Return limits by their names, such as ``walk.step_m``, with values to print."""
+    return tuple((name, float(f"{attrgetter(name)(limits):.7g}")) for name in names)
+
+
+def _neighbourhood(place: _Place, stride: int, limits: Limits) -> Iterator[Answer]:
+    least = int(limits.decision.least_near)
     yield Answer(
         "near neighbours",
-        f"{place.near} of {MOST_NEAR}, expected {company.least}",
-        "in company" if place.near >= company.least else "isolated",
-        (
-            ("fused.company.least", company.least), ("fused.company.near_m", company.near_m),
-            ("fused.company.along_m", company.along_m),
-        ),
-    )  # fmt: skip
+        f"{place.near} of {MOST_NEAR}, expected {least}",
+        "in company" if place.near >= least else "isolated",
+        _of(limits, "decision.least_near", "near.near_m", "near.along_m"),
+    )
     lines = "" if stride == 1 else f"; lines {stride} away are compared, nearer ones see the same leaf again"
     lines = "; lines are not compared, the platform stands" if stride < 1 else lines
-    smoothness = params.smoothness
     yield Answer(
         "smoothness",
         f"{place.smooth} of {MOST_SMOOTH} pairs of neighbours lie on a smooth surface with it{lines}",
-        "rough" if place.smooth <= params.strips.rough else "smooth",
-        (
-            ("fused.smoothness.noise_sigmas", smoothness.noise_sigmas),
-            ("fused.smoothness.least_m", smoothness.least_m),
-            ("fused.smoothness.per_metre", smoothness.per_metre),
-        ),
-    )  # fmt: skip
+        "rough" if place.smooth <= limits.strips.rough else "smooth",
+        _of(limits, "smoothness.noise_sigmas", "smoothness.least_m", "smoothness.per_metre"),
+    )
     so = "neither upright nor level"
     if place.upright != place.level:
         so = "more upright than level" if place.upright > place.level else "more level than upright"
-    yield Answer(
-        "direction",
-        f"{place.upright} upright and {place.level} level chords of {MOST_CHORDS}",
-        so,
-        (("fused.directions.chord_m", params.directions.chord_m), ("fused.directions.slope", params.directions.slope)),
-    )
+    told = f"{place.upright} upright and {place.level} level chords of {MOST_CHORDS}"
+    yield Answer("direction", told, so, _of(limits, "chords.chord_m", "chords.slope"))
 
 
-def _around(place: _Place, params: FusedParams) -> Iterator[Answer]:
+def _around(place: _Place, limits: Limits) -> Iterator[Answer]:
     yield Answer(
         "height",
         f"{metres(place.above_m)} above the ground, in the scan plane",
         "the walk along the ground went over it" if place.walked else "the walk along the ground did not go over it",
-        (("fused.ground.step_m", params.ground.step_m), ("fused.ground.slope", params.ground.slope)),
+        _of(limits, "walk.step_m", "walk.slope"),
     )
     yield Answer(
         "surroundings",
         f"{place.texture:.0%} of the pairs around are smooth",
-        "foliage" if place.texture < params.leaves.share else "no foliage",
-        (
-            ("fused.leaves.share", params.leaves.share), ("fused.leaves.half_width_m", params.leaves.half_width_m),
-            ("fused.leaves.share_before_walls", params.leaves.share_before_walls),
-        ),
-    )  # fmt: skip
+        "foliage" if place.texture < limits.decision.leaf_share else "no foliage",
+        _of(limits, "decision.leaf_share", "foliage.half_width_m", "decision.leaf_share_before_wall"),
+    )
     at_m, top_m, ahead_m = place.wall
     walls = []
     if at_m:
@@ -213,169 +198,139 @@ def _around(place: _Place, params: FusedParams) -> Iterator[Answer]:
         "walls",
         "; ".join(walls) or "none in its strip",
         f"the shot is {metres(abs(place.side_m), 1)} to the side",
-        (("fused.walls.height_m", params.walls.height_m), ("fused.walls.share", params.walls.share)),
+        _of(limits, "walls.height_m", "walls.share"),
     )
 
 
-def _reason(place: _Place, label: Label, params: FusedParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
+_Reason: TypeAlias = tuple[str, tuple[tuple[str, float], ...]]
+
+
+def _reason(place: _Place, label: Label, limits: Limits) -> _Reason:
     """Return the first test that gives the label, in the order of :func:`~prc_cli.methods.fused.classes.decide`."""
-    ground, noise, leaves, cars, poles = params.ground, params.noise, params.leaves, params.cars, params.poles
+    own = limits.decision
     if label == Label.NOISE:
-        return _why_noise(place, params)
+        return _why_noise(place, limits)
     if label == Label.GROUND:
         height = abs(place.above_m)
-        if place.walked and height < ground.walked_m:
-            return "walked over, and at the height of the ground", (("fused.ground.walked_m", ground.walked_m),)
-        if place.level > place.upright and height < ground.level_m:
-            return "more level than upright, and low", (("fused.ground.level_m", ground.level_m),)
-        return "not upright, and very low", (("fused.ground.soil_m", ground.soil_m),)
+        if place.walked and height < own.walked_m:
+            return "walked over, and at the height of the ground", _of(limits, "decision.walked_m")
+        if place.level > place.upright and height < own.level_m:
+            return "more level than upright, and low", _of(limits, "decision.level_m")
+        return "not upright, and very low", _of(limits, "decision.soil_m")
     if label == Label.CAR:
         told = "low, with level surfaces around that are wide enough"
-        return told, (("fused.cars.level_bins", cars.level_bins), ("fused.cars.top_m", cars.top_m))
+        return told, _of(limits, "decision.car_bins", "decision.car_top_m")
     if label == Label.POLE:
-        return _why_pole(place, poles)
+        return _why_pole(place, limits)
     if label == Label.VEGETATION:
-        if place.near < params.company.least:
-            return "isolated, among other rough shots: a leaf", (("fused.noise.leaf_slots", noise.leaf_slots),)
-        if place.texture < leaves.share:
-            return "rough surroundings, not in a wall", (("fused.leaves.share", leaves.share),)
-        return "thin and upright, below a crown or as thick as a trunk", (
-            ("fused.poles.crown_slots", poles.crown_slots), ("fused.poles.thick_m", poles.thick_m),
-        )  # fmt: skip
-    if label == Label.BUILDING:
-        if place.texture < leaves.share:
-            told = "rough surroundings, but in or above a wall, seen through it, or close to one"
-            return told, (
-                ("fused.walls.front_m", params.walls.front_m),
-                ("fused.walls.behind_m", params.walls.behind_m),
-                ("fused.walls.roof_m", params.walls.roof_m),
-            )
-        return "no test before applies: something smooth above the ground", (("fused.leaves.share", leaves.share),)
-    return "a car or a pole, which have no class of their own here", (
-        ("fused.cars.named", cars.named), ("fused.poles.named", poles.named),
-    )  # fmt: skip
+        if place.near < own.least_near:
+            return "isolated, among other rough shots: a leaf", _of(limits, "decision.leaf_slots")
+        if place.texture < own.leaf_share:
+            return "rough surroundings, not in a wall", _of(limits, "decision.leaf_share")
+        told = "thin and upright, below a crown or as thick as a trunk"
+        return told, _of(limits, "decision.crown_slots", "decision.thick_m")
+    if place.texture < own.leaf_share:
+        told = "rough surroundings, but in or above a wall, seen through it, or close to one"
+        return told, _of(limits, "decision.front_m", "decision.behind_m", "decision.roof_m")
+    return "no test before applies: something smooth above the ground", _of(limits, "decision.leaf_share")
 
 
-def _why_pole(place: _Place, poles: PoleParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
-    if place.above_m < poles.arm_m and place.level > 0:
+def _why_pole(place: _Place, limits: Limits) -> _Reason:
+    if place.above_m < limits.decision.arm_m and place.level > 0:
         told = "small, with a level top, and far things beyond it: a bin or a cabinet"
-        return told, (("fused.poles.box_m", poles.box_m), ("fused.poles.box_lines", poles.box_lines))
+        return told, _of(limits, "decision.box_m", "decision.box_lines")
     if place.level > 0:
-        return "thin and high above the ground: an arm or a lamp", (("fused.poles.arm_m", poles.arm_m),)
+        return "thin and high above the ground: an arm or a lamp", _of(limits, "decision.arm_m")
     told = "upright and thin: lines beside it, or shots above and below, see past it"
-    return told, (("fused.poles.height_m", poles.height_m), ("fused.poles.far_m", poles.far_m))
+    return told, _of(limits, "decision.pole_m", "decision.far_m")
 
 
-def _why_noise(place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
-    noise = params.noise
-    if place.near < params.company.least:
+def _why_noise(place: _Place, limits: Limits) -> _Reason:
+    own = limits.decision
+    if place.near < own.least_near:
         told = "isolated, and neither a leaf among others nor on a surface"
-        return told, (("fused.noise.leaf_slots", noise.leaf_slots), ("fused.noise.lone_m", noise.lone_m))
-    if noise.spikes and place.smooth == 0 and place.spike_share > noise.spike_share:
+        return told, _of(limits, "decision.leaf_slots", "decision.lone_m")
+    if place.smooth == 0 and place.spike_share > own.spike_share:
         told = f"a spike: no pair is smooth with it, {place.spike_share:.0%} of those of the shots beside it are"
-        return told, (("fused.noise.spike_share", noise.spike_share),)
-    if place.above_m < -params.ground.below_m and place.smooth < BELOW_SMOOTH:
-        return "rough and far below the ground", (("fused.ground.below_m", params.ground.below_m),)
-    if noise.panes and place.smooth == 0:
+        return told, _of(limits, "decision.spike_share")
+    if place.above_m < -own.below_m and place.smooth < BELOW_SMOOTH:
+        return "rough and far below the ground", _of(limits, "decision.below_m")
+    if place.smooth == 0:
         told = "few neighbours and no smooth pair, behind a wall or alone in a car: a reflection in a pane"
-        return told, (("fused.walls.behind_m", params.walls.behind_m), ("fused.noise.ghost_near", noise.ghost_near))
+        return told, _of(limits, "decision.pane_m", "decision.ghost_near")
     told = "few neighbours, rough, and seen far behind a wall"
-    return told, (("fused.noise.ghost_m", noise.ghost_m), ("fused.noise.ghost_near", noise.ghost_near))
+    return told, _of(limits, "decision.ghost_m", "decision.ghost_near")
 
 
-def _why_again(asked: Label, place: _Place, params: FusedParams) -> tuple[str, tuple[tuple[str, Any], ...]]:
+def _why_again(asked: Label, place: _Place, limits: Limits) -> _Reason:
     """Return why the answer of the wider window is another one."""
-    noise = params.noise
     if asked == Label.NOISE:
-        return "rough, and amid a car but farther than it, or with nothing around that is as far", (
-            ("fused.noise.mirror_m", noise.mirror_m), ("fused.noise.alone_m", noise.alone_m),
-        )  # fmt: skip
-    if place.near >= params.company.least:
-        return "a spike, but close to the surface around", (("fused.noise.spike_m", noise.spike_m),)
-    return "isolated, but more of the same is around", (("fused.noise.sparse_shots", noise.sparse_shots),)
+        told = "rough, and amid a car but farther than it, or with nothing around that is as far"
+        return told, _of(limits, "again.mirror_m", "again.alone_m")
+    if place.near >= limits.decision.least_near:
+        return "a spike, but close to the surface around", _of(limits, "again.spike_m")
+    return "isolated, but more of the same is around", _of(limits, "again.sparse_shots")
 
 
 def _afterwards(
-    labels: tuple[Label, Label, Label, Label], place: _Place, params: FusedParams, *, by_profile: bool
+    labels: tuple[Label, Label, Label, Label], place: _Place, limits: Limits, *, by_profile: bool
 ) -> Iterator[Answer]:
     """Answer for what may change a decision."""
     decided, voted, asked, final = labels
-    half = (("fused.votes.half_width_m", params.votes.half_width_m),)
+    half = _of(limits, "votes.half_width_m")
     if decided in (Label.NOISE, Label.GROUND):
         yield Answer("vote", "noise and ground are not asked", "keeps its class", half)
     else:
         so = "keeps its class" if voted == decided else f"{_name(voted)}, as most shots around it"
         yield Answer("vote", "the shots around it", so, half)
     if asked != voted:
-        told, keys = _why_again(asked, place, params)
-        yield Answer("wider window", told, _name(asked), keys)
+        told, names = _why_again(asked, place, limits)
+        yield Answer("wider window", told, _name(asked), names)
     if final == asked:
         return
     if final == Label.CURB:
-        limits = (("fused.curbs.least_m", params.curbs.least_m), ("fused.curbs.most_m", params.curbs.most_m))
-        yield Answer("curbs", "the ground rises by a small step here", "curb", limits)
-        return
-    if final in (Label.CAR, Label.UNCLASSIFIED) and by_profile:
-        cars = params.cars
-        roof = (("fused.cars.roof_least_m", cars.roof_least_m), ("fused.cars.roof_share", cars.roof_share))
+        told, names = "the ground rises by a small step here", _of(limits, "curbs.least_m", "curbs.most_m")
+        yield Answer("curbs", told, "curb", names)
+    elif final == Label.CAR and by_profile:
         told = "lines around see a car here: they climb from the ground to a roof, and see far beyond it"
-        yield Answer("profile", told, _name(final), roof)
-        return
-    limit = (("fused.spacing.keeps", params.spacing.keeps),)
-    yield Answer("standing", "the platform stands or hardly moves", f"{_name(final)}, as before", limit)
+        yield Answer("profile", told, _name(final), _of(limits, "roofs.least_m", "roofs.share"))
+    else:
+        yield Answer("standing", "the platform stands or hardly moves", f"{_name(final)}, as before")
 
 
-def _forest(
-    block: ScanBlock, scanner: FusedScanner, noise_m: float, params: FusedParams, at: tuple[int, int]
-) -> Iterator[Answer]:
-    forest, plane = params.forest, scanner.plane
+def _forest(block: ScanBlock, scanner: FusedScanner, noise_m: float, at: tuple[int, int]) -> Iterator[Answer]:
+    plane, limits = scanner.plane, FOREST.class_thresholds(noise_m)
     range_m = np.ascontiguousarray(block.range_m)
-    heights = heights_over_ground(range_m, plane, forest.terrain)
-    stems = find_stems(range_m, heights, plane, noise_m, forest.stems)
-    limits = forest.thresholds(noise_m)
+    heights = heights_over_ground(range_m, plane, FOREST)
+    on_stem = bool(find_stems(range_m, heights, plane, noise_m, FOREST)[at])
     above_m = float(heights[at])
-    so = (
-        "far below the ground"
-        if above_m < -limits.below_m
-        else "at the ground"
-        if above_m <= limits.soil_m
-        else "above"
-    )
+    so = "at the ground" if above_m <= limits.soil_m else "above"
     yield Answer(
         "height",
         f"{metres(above_m)} above the ground, in the scan plane",
-        so,
-        (("fused.forest.soil_m", round(limits.soil_m, 4)), ("fused.forest.below_m", limits.below_m)),
+        "far below the ground" if above_m < -limits.below_m else so,
+        (("classes.soil_m", round(limits.soil_m, 4)), ("classes.below_m", limits.below_m)),
     )
-    on_stem = bool(stems[at])
     yield Answer(
         "stems",
         "part of an upright run that other lines repeat" if on_stem else "part of none",
         "on a stem" if on_stem else "on no stem",
-        tuple((f"fused.forest.stems.{key}", value) for key, value in forest.stems.model_dump().items())[:4],
+        _of(FOREST, "runs.above_m", "runs.tolerance_m", "run_sigmas", "runs.tolerance_share"),
     )
 
 
-def _forest_reason(label: Label, params: FusedParams) -> Answer:
+_FOREST_REASONS: dict[Label, tuple[str, tuple[str, ...]]] = {
+    Label.GROUND: ("low, or in a flat place a little higher", ("classes.soil_m", "classes.cover_m")),
+    Label.STEM: ("on a stem, or beside one and as far", ("classes.beside_m",)),
+    Label.VEGETATION: ("above the ground, on no stem, in company", ()),
+    Label.NOISE: ("far below the ground, or isolated", ("classes.below_m", "classes.near_m")),
+}
+
+
+def _forest_reason(label: Label) -> Answer:
     """Return the last answer in a forest."""
-    forest = params.forest
-    told: dict[Label, tuple[str, tuple[tuple[str, Any], ...]]] = {
-        Label.GROUND: (
-            "low, or in a flat place a little higher",
-            (("fused.forest.soil_m", forest.soil_m), ("fused.forest.flat.cover_m", forest.flat.cover_m)),
-        ),
-        Label.STEM: (
-            "on a stem, or beside one and as far",
-            (("fused.forest.touching.range_m", forest.touching.range_m),),
-        ),
-        Label.VEGETATION: ("above the ground, on no stem, in company", ()),
-        Label.NOISE: (
-            "far below the ground, or isolated",
-            (("fused.forest.below_m", forest.below_m), ("fused.forest.company.range_m", forest.company.range_m)),
-        ),
-    }
-    found, limits = told.get(label, ("", ()))
-    return Answer("decision", found, _name(label), limits)
+    told, names = _FOREST_REASONS.get(label, ("", ()))
+    return Answer("decision", told, _name(label), _of(FOREST, *names))
 
 
 def _name(label: Label) -> str:

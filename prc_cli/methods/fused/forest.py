@@ -6,97 +6,68 @@ independent: the ground is estimated anew every few lines, and a few lines are e
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from pydantic import Field
 
 from prc_cli import kernels
-from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
 from prc_cli.methods.fused.plane import Plane
-from prc_cli.methods.fused.stems import StemsParams, find_stems
-from prc_cli.methods.fused.terrain import TerrainParams, heights_over_ground
-from prc_cli.methods.fused.thresholds import ForestThresholds, typed
+from prc_cli.methods.fused.thresholds import Forest
 
 LEAST_COLUMNS, MOST_COLUMNS = 2, 8
 """Limits of the columns searched for near shots on either side; more would be slow."""
 
 
-class FlatParams(Params):
-    """Flat places, where the ground may lie higher above its profile (``[fused.forest.flat]``)."""
+@stage("ground")
+def heights_over_ground(range_m: F32, plane: Plane, limits: Forest) -> F32:
+    """Return the height of every return above the ground.
 
-    enabled: bool = Field(True, description="whether flat places are ground up to a greater height")
-    cover_m: float = Field(0.15, ge=0, le=10, description="height over the ground up to which flat places are ground")
-    step_m: float = Field(
-        0.04, ge=0, le=10, description="greatest step in height to both neighbours of a shot on a flat place [m] ..."
-    )
-    noise_sigmas: float = Field(
-        3.0, ge=0, le=100, description="... or so many standard deviations of the range noise, if more"
-    )
+    The ground height of a bin is its third-lowest return. Where plants hide the ground, the bin rises above its
+    neighbours by more than the terrain slope allows; such bins are interpolated.
 
+    ``range_m`` (lines, M) float32, metres; returns (lines, M) float32, metres.
 
-class TouchingParams(Params):
-    """Single shots of a stem between leaves and at its edges (``[fused.forest.touching]``)."""
+    Flat ground 2 m below the scanner, and an object 1 m high on it:
 
-    enabled: bool = Field(True, description="whether a shot beside a stem's is of the stem where it is as far")
-    range_m: float = Field(0.05, ge=0, le=10, description="greatest difference in range to the stem shot [m]")
-
-
-class IsolationParams(Params):
-    """Isolated shots are noise (``[fused.forest.company]``)."""
-
-    enabled: bool = Field(True, description="whether isolated shots are noise")
-    range_m: float = Field(
-        0.3, ge=0, le=100, description="a shot is isolated without another one within this range difference [m] ..."
-    )
-    angle_deg: float = Field(
-        0.3, ge=0, le=90, description="... and this angle along the line on either side [degrees], 2 to 8 columns"
-    )
+    >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
+    >>> lines = np.tile(2 / np.cos(beam), (4, 1)).astype(np.float32)
+    >>> lines[:, 120] = 1.0
+    >>> heights = heights_over_ground(lines, Plane.of(beam), Forest())
+    >>> heights[0, [0, 120]].round(2) + 0.0
+    array([0., 1.], dtype=float32)
+    """
+    bin_m, together = limits.terrain.bin_m, limits.lines_together
+    n_bins = 2 * max(int(np.ceil(limits.reach_m / bin_m)), 1)
+    profiles = kernels.ground_profiles(range_m, plane.sine, plane.cosine, together, n_bins, limits.terrain)
+    return kernels.ground_heights(range_m, plane.sine, plane.cosine, profiles, together, bin_m)
 
 
-class ForestParams(Params):
-    """The forest, in the scan plane (``[fused.forest]``)."""
+@stage("stems")
+def find_stems(range_m: F32, heights_m: F32, plane: Plane, noise_m: float, limits: Forest) -> Mask:
+    """Mark the shots on stems: upright, opaque, and continuous from line to line.
 
-    soil_m: float = Field(
-        0.04, ge=0, le=10, description="returns up to this height above the ground are ground [m] ..."
-    )
-    soil_sigmas: float = Field(
-        2.0, ge=0, le=100, description="... or up to so many standard deviations of the range noise, if more"
-    )
-    below_m: float = Field(0.2, ge=0, le=100, description="what is farther below the ground is noise [m]")
-    stem_top_m: float = Field(
-        1000.0,
-        ge=0,
-        le=1000,
-        description="height over the ground, in the scan plane, up to which stems are stems and from which on they are "
-        "other vegetation [m]",
-    )
-    terrain: TerrainParams = TerrainParams()
-    stems: StemsParams = StemsParams()
-    flat: FlatParams = FlatParams()
-    touching: TouchingParams = TouchingParams()
-    company: IsolationParams = IsolationParams()
+    A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's diameter over the sine of
+    the tilt; an upright plane cuts it from foot to crown. So every line has a run of returns one above the other.
+    Crowns have such runs by chance, but these are short, have returns from behind, and end with their line.
 
-    def thresholds(self, noise_m: float) -> ForestThresholds:
-        """Return the thresholds of the labelling loop; steps that are off get limits without effect."""
-        flat, touching, company = self.flat, self.touching, self.company
-        soil_m = max(self.soil_m, self.soil_sigmas * noise_m)
-        return typed(
-            ForestThresholds,
-            below_m=self.below_m,
-            soil_m=soil_m,
-            cover_m=max(flat.cover_m, soil_m) if flat.enabled else soil_m,
-            flat_m=max(flat.step_m, flat.noise_sigmas * noise_m),
-            top_m=self.stem_top_m,
-            # below any difference of ranges
-            beside_m=touching.range_m if touching.enabled else -1.0,
-            near_m=company.range_m if company.enabled else -1.0,
-        )
+    ``range_m`` (lines, M) float32, metres; ``heights_m`` (lines, M) float32, metres; returns (lines, M) bool.
+
+    A stem 4 m to the side, and ground; the same line four times:
+
+    >>> beam = np.deg2rad(np.linspace(45, 100, 551))
+    >>> down = np.maximum(np.cos(beam), 1e-9)
+    >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (4, 1)).astype(np.float32)
+    >>> heights = (2 - lines * np.cos(beam)).astype(np.float32)
+    >>> stems = find_stems(lines, heights, Plane.of(beam), 0.0, Forest())
+    >>> heights[stems].min().round(1), stems[:, -1].all()
+    (np.float32(0.1), np.True_)
+    """
+    thresholds = limits.run_thresholds(plane.step_rad, noise_m)
+    runs, table = kernels.upright_runs(range_m, heights_m, plane.sine, plane.cosine, thresholds)
+    return kernels.stem_shots(range_m, runs, table, limits.stems)
 
 
-def forest(range_m: F32, plane: Plane, noise_m: float, params: ForestParams) -> U8:
+def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> U8:
     """Label a block of forest.
 
     ``range_m`` (lines, M) float32, metres; returns (lines, M) uint8.
@@ -109,21 +80,19 @@ def forest(range_m: F32, plane: Plane, noise_m: float, params: ForestParams) -> 
     >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (8, 1)).astype(np.float32)
     >>> lines[:, 551:] = np.nan
     >>> lines[3, 600] = 30.0
-    >>> labels = forest(lines, Plane.of(beam), 0.0, ForestParams())
+    >>> labels = forest(lines, Plane.of(beam), 0.0, Forest())
     >>> [Label(labels[3, column]).name for column in (0, 500, 590, 600)]
     ['GROUND', 'STEM', 'MISSING', 'NOISE']
     """
     range_m = np.ascontiguousarray(range_m)
-    heights = heights_over_ground(range_m, plane, params.terrain)
-    stems = find_stems(range_m, heights, plane, noise_m, params.stems)
-    return _draw(range_m, heights, stems, plane, params.thresholds(noise_m), params.company)
+    heights = heights_over_ground(range_m, plane, limits)
+    stems = find_stems(range_m, heights, plane, noise_m, limits)
+    return _draw(range_m, heights, stems, plane, noise_m, limits)
 
 
 @stage("classes")
-def _draw(
-    range_m: F32, heights_m: F32, stems: Mask, plane: Plane, thresholds: ForestThresholds, company: IsolationParams
-) -> U8:
+def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, noise_m: float, limits: Forest) -> U8:
     """Label ground and stems; other shots are vegetation, or noise if no shot is near."""
-    columns = round(math.radians(company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
+    columns = round(limits.alone_rad / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
-    return kernels.forest_labels(range_m, heights_m, stems, around, thresholds)
+    return kernels.forest_labels(range_m, heights_m, stems, around, limits.class_thresholds(noise_m))

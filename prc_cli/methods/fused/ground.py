@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 
 from prc_cli import kernels
-from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I32, Mask
 from prc_cli.methods.fused.neighbours import Neighbours
 from prc_cli.methods.fused.plane import ScanPlane
-from prc_cli.methods.fused.thresholds import WalkThresholds, typed
+from prc_cli.methods.fused.thresholds import WalkThresholds
 
 BINS = 320
 """Number of 0.25 m bins on either side for which a ground height is kept."""
@@ -21,58 +19,6 @@ NEVER = 1 << 20
 """Age of a bin that was never seen [lines]."""
 DEPTHS = 1000
 """Depths below the scanner, 0.1 m apart, at which the ground is searched where none is known."""
-
-
-class GroundParams(Params):
-    """How the ground is followed (``[fused.ground]``)."""
-
-    step_m: float = Field(
-        0.14,
-        ge=0,
-        le=10,
-        description="greatest step in height from one shot of the ground to the next, as at a curb [m]",
-    )
-    slope: float = Field(0.3, ge=0, le=10, description="added to the step per metre between the two shots ...")
-    slope_reach_m: float = Field(0.5, ge=0, le=100, description="... up to this distance [m]")
-    gap_slope: float = Field(0.08, ge=0, le=10, description="added to the step per metre of a gap, at any distance")
-    known_m: float = Field(
-        0.15, ge=0, le=10, description="shots this near to the ground height of earlier lines are ground too [m]"
-    )
-    memory_lines: int = Field(
-        60, ge=0, le=100_000, description="lines for which the height of a place is kept; 0 = none"
-    )
-    follow: float = Field(0.4, gt=0, le=1, description="weight of a new height in the kept height of a place")
-    walked_m: float = Field(
-        0.3, ge=0, le=10, description="shots followed as ground are ground if this near to the ground profile [m]"
-    )
-    level_m: float = Field(
-        0.12, ge=0, le=10, description="other shots, more level than upright, are ground if this near to it [m]"
-    )
-    soil_m: float = Field(
-        0.06, ge=0, le=10, description="all shots that are not upright are ground if this near to it [m]"
-    )
-    below_m: float = Field(0.3, ge=0, le=1e9, description="rough shots farther below the ground are noise [m]")
-    start_reach_m: float = Field(
-        4.0,
-        gt=0,
-        le=100,
-        description="without heights of earlier lines, start from the ground within this distance [m]",
-    )
-
-    def thresholds(self, least_near: int) -> WalkThresholds:
-        """Return the thresholds of the loop; shots with fewer than ``least_near`` near neighbours do not count."""
-        return typed(
-            WalkThresholds,
-            least_near=least_near,
-            step_m=self.step_m,
-            slope=self.slope,
-            slope_reach_m=self.slope_reach_m,
-            gap_slope=self.gap_slope,
-            known_m=self.known_m,
-            memory_lines=self.memory_lines,
-            follow=self.follow,
-            start_reach_m=self.start_reach_m,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,9 +66,8 @@ def follow_ground(
     seen: Neighbours,
     plane: ScanPlane,
     memory: GroundMemory,
-    least_near: int,
     keep: int,
-    params: GroundParams,
+    limits: WalkThresholds,
 ) -> tuple[Ground, GroundMemory]:
     """Find the ground of consecutive lines; see :func:`ground_loops.walk_ground`.
 
@@ -131,6 +76,6 @@ def follow_ground(
     above, walked, kept, start_m, lost = kernels.walk_ground(
         range_m, plane.beams, seen.counts, (plane.left, plane.right),
         (memory.height_m, memory.age, memory.level_shots, memory.level_m), np.float32(memory.start_m), memory.lost,
-        keep, params.thresholds(least_near),
+        keep, limits,
     )  # fmt: skip
     return Ground(above, walked), GroundMemory(*kept, np.float32(start_m), lost)

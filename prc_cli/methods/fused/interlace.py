@@ -7,17 +7,13 @@ zigzag, as rough as a hedge.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I64
-from prc_cli.methods.fused.neighbours import SmoothnessParams
 from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.thresholds import Limits
 
 REACH_LINES = 12
 """Lines before and after a line that it is found from whether columns are interlaced: others may begin with the other
@@ -30,19 +26,8 @@ STEEP = 4.0
 """Tolerances that a surface recedes by from line to line, at least, to tell when it was measured."""
 
 
-class InterlaceParams(Params):
-    """Scanners that measure every other column half a line later (``[fused.interlace]``)."""
-
-    enabled: bool = Field(True, description="whether to put such columns in step, where surfaces recede evenly ...")
-    step_deg: float = Field(
-        0.2, ge=0, le=90, description="... and columns are at least this far apart: finer scanners scan once [deg]"
-    )
-
-
 @stage("interlace")
-def put_in_step(
-    range_m: F32, plane: ScanPlane, noise_m: F64, smoothness: SmoothnessParams, params: InterlaceParams
-) -> F32:
+def put_in_step(range_m: F32, plane: ScanPlane, noise_m: F64, limits: Limits) -> F32:
     """Return ranges as if all columns of a line had been measured together.
 
     Where a surface recedes evenly from line to line, the odd columns are moved by half a line. Nothing is changed where
@@ -55,16 +40,16 @@ def put_in_step(
     >>> plane = ScanPlane.of(np.deg2rad(np.linspace(60, 70, 21)))
     >>> late = np.where(np.arange(21) % 2 == 1, 0.5, 0.0)
     >>> lines = (5 + 0.4 * (np.arange(9)[:, None] + late)).astype(np.float32)
-    >>> put_in_step(lines, plane, np.full(9, 0.005), SmoothnessParams(), InterlaceParams())[4, :4].round(3).tolist()
+    >>> put_in_step(lines, plane, np.full(9, 0.005), Limits())[4, :4].round(3).tolist()
     [6.599999904632568, 6.599999904632568, 6.599999904632568, 6.599999904632568]
     """
-    if not params.enabled or float(plane.step_rad) < math.radians(params.step_deg) or len(range_m) < 3:
+    if float(plane.step_rad) < limits.interlace_rad or len(range_m) < 3:
         return range_m
     before, own, after = range_m[:-2], range_m[1:-1], range_m[2:]
     values, of_line = np.unique(noise_m[1:-1], return_inverse=True)
-    limits = [smoothness.thresholds(float(value), float(plane.step_rad)) for value in values]
-    least_m = np.array([one.tolerance_m for one in limits], np.float32)[of_line]
-    tolerance_m = least_m[:, None] + limits[0].tolerance_per_m * own
+    smooth = [limits.smoothness.thresholds(float(value), float(plane.step_rad)) for value in values]
+    least_m = np.array([one.tolerance_m for one in smooth], np.float32)[of_line]
+    tolerance_m = least_m[:, None] + smooth[0].tolerance_per_m * own
     half = np.float32(0.5)
     with np.errstate(all="ignore"):  # ranges may be anything
         is_even = np.abs((before + after) * half - own) < np.float32(2.0) * tolerance_m

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -27,13 +28,14 @@ from prc_cli.methods.blocks import check_block
 from prc_cli.methods.fused.classes import (
     ACROSS_LINES,
     BESIDE_THIN_LINES,
-    CarParams,
-    LeavesParams,
-    NoiseParams,
-    PoleParams,
-    VoteParams,
+    LINES,
+    are_wanted,
+    ask_again,
     decide,
-    decision_thresholds,
+    find_cars,
+    find_curbs,
+    is_room,
+    no_profiles,
     texture_of,
     vote,
 )
@@ -45,50 +47,34 @@ from prc_cli.methods.fused.confidence import (
     load_table,
     of_further_returns,
 )
-from prc_cli.methods.fused.curbs import CurbParams, find_curbs
-from prc_cli.methods.fused.forest import ForestParams, forest
-from prc_cli.methods.fused.forest_noise import forest_noise
-from prc_cli.methods.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
+from prc_cli.methods.fused.forest import forest, heights_over_ground
+from prc_cli.methods.fused.ground import Ground, GroundMemory, follow_ground
 from prc_cli.methods.fused.heights import Overhearing, true_heights
-from prc_cli.methods.fused.interlace import InterlaceParams, put_in_step
-from prc_cli.methods.fused.neighbours import (
-    DirectionParams,
-    NeighbourhoodParams,
-    Neighbours,
-    SmoothnessParams,
-    chords,
-    near_neighbours,
-    smooth_pairs,
-)
-from prc_cli.methods.fused.noise import again_limits, ask_again
+from prc_cli.methods.fused.interlace import put_in_step
+from prc_cli.methods.fused.neighbours import Neighbours, chords, near_neighbours, smooth_pairs
 from prc_cli.methods.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
     VOTE_LINES,
     WIDE_LINES,
-    Noise,
-    NoiseAlong,
     Plane,
     ScanPlane,
-    SensorParams,
+    is_fan,
 )
-from prc_cli.methods.fused.profiles import LINES, are_wanted, find_cars, no_profiles
+from prc_cli.methods.fused.range_noise import Noise, NoiseAlong, SensorParams, forest_noise
 from prc_cli.methods.fused.returns import label_further_returns
-from prc_cli.methods.fused.rings import RingsParams, is_fan
 from prc_cli.methods.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
     Halt,
     Spacing,
-    SpacingParams,
     keep_labels,
     leaves_again,
     spaced_pairs,
     strides_of,
 )
-from prc_cli.methods.fused.strips import FlankParams, Standing, StripsParams, WallParams, stand
-from prc_cli.methods.fused.terrain import heights_over_ground
-from prc_cli.methods.fused.thresholds import DecisionThresholds, SpacingThresholds
+from prc_cli.methods.fused.strips import Standing, stand
+from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET, DecisionThresholds, Limits, in_room
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
@@ -98,6 +84,8 @@ FOLLOWING_LINES = SPACED_LINES + LINES
 """Lines after a block that its labels depend on, where cars are found by profiles."""
 MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
 """Lines of a stream before and after a block that its labels depend on."""
+EXTRA_RETURN_M = 0.3
+"""Further returns take the label of a shot around that is this near in range [m]."""
 ROOM_LINES = 4
 """Whether a place is a room is asked on every fourth line."""
 MOST_APART = 8
@@ -118,33 +106,13 @@ CONFIDENCE_KERNELS = frozenset(
 
 
 class FusedParams(MethodParams):
-    """Parameters of the fused classifier (``[fused]``); lengths are those in the scan plane."""
+    """Parameters of the fused classifier (``[fused]``); its limits are constants, in thresholds.py."""
 
     environment: Literal["urban", "forest"] = Field(
         "urban", description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation'
     )
     lines_per_block: int = Field(128, ge=1, le=100_000, description="scan lines that are labelled together")
-    extra_return_m: float = Field(
-        0.3, ge=0, le=100, description="further returns take the label of a shot around that is this near in range [m]"
-    )
     sensor: SensorParams = SensorParams()
-    company: NeighbourhoodParams = NeighbourhoodParams()
-    smoothness: SmoothnessParams = SmoothnessParams()
-    interlace: InterlaceParams = InterlaceParams()
-    spacing: SpacingParams = SpacingParams()
-    directions: DirectionParams = DirectionParams()
-    ground: GroundParams = GroundParams()
-    strips: StripsParams = StripsParams()
-    walls: WallParams = WallParams()
-    flanks: FlankParams = FlankParams()
-    noise: NoiseParams = NoiseParams()
-    leaves: LeavesParams = LeavesParams()
-    cars: CarParams = CarParams()
-    poles: PoleParams = PoleParams()
-    curbs: CurbParams = CurbParams()
-    votes: VoteParams = VoteParams()
-    rings: RingsParams = RingsParams()
-    forest: ForestParams = ForestParams()
 
     def method(self) -> Fused:
         """Return the method with these parameters."""
@@ -195,12 +163,11 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedScanner:
-    """Beam directions of a scanner."""
+    """Beam directions of a scanner, and the limits for it in streets."""
 
     plane: Plane
     scan_plane: ScanPlane
-    is_fan: bool
-    """Whether lines are fans of rings that turn about the vertical; a profiler sees much more of its plane."""
+    limits: Limits
 
     @classmethod
     def of(cls, beam_rad: F64) -> FusedScanner:
@@ -208,7 +175,7 @@ class FusedScanner:
 
         ``beam_rad`` (M,) float64.
         """
-        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), is_fan(beam_rad))
+        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), RINGS if is_fan(beam_rad) else STREET)
 
     @property
     def points_per_line(self) -> int:
@@ -267,7 +234,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         labels, evidence = _classify(
             block.range_m, block.next_m, scanner, heard or turn, self.params, is_asked=wanted.confidence
         )
-        further, limit_m = block.extra, self.params.extra_return_m
+        further, limit_m = block.extra, EXTRA_RETURN_M
         extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
         found = LabelledBlock(block, labels, extra)
         if heard is not None and wanted.stages:
@@ -282,19 +249,19 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
     def _forest_evidence(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> Evidence:
         """Look at a block of forest as at a street; lines beyond it are not known."""
-        plane, params = scanner.scan_plane, self.params
+        plane, limits = scanner.scan_plane, scanner.limits
         beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
         window = np.pad(block.range_m, beyond, constant_values=np.float32(np.nan))
-        smooth = smooth_pairs(window, plane, heard.results[NOISE.name], params.smoothness)
-        seen = see(window, smooth, plane, params)
+        smooth = smooth_pairs(window, plane, heard.results[NOISE.name], limits.smoothness)
+        seen = see(window, smooth, plane, limits)
         inner = slice(INNER_LINES, -INNER_LINES)
         above = np.pad(self._above(block, scanner, heard), beyond, constant_values=np.float32(np.nan))[inner]
-        return evidence_of(seen, above, plane, params)
+        return evidence_of(seen, above, plane, limits)
 
     def _above(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> F32:
         """Return the heights in the scan plane that the labels of a block were decided by."""
         if self.params.environment == "forest":
-            return heights_over_ground(block.range_m, scanner.plane, self.params.forest.terrain)
+            return heights_over_ground(block.range_m, scanner.plane, FOREST)
         ground: Grounds = heard.results[MEMORY.name]
         return ground.above_m[ground.margin : ground.margin + block.n_lines]
 
@@ -345,38 +312,39 @@ def _classify(
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         in_forest_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, known, params.sensor))
-        return forest(range_m, scanner.plane, in_forest_m, params.forest), None
-    params = of_scanner(params, scanner)
-    n_lines, ahead = len(range_m), lines_ahead(plane, params)
+        return forest(range_m, scanner.plane, in_forest_m, FOREST), None
+    limits = scanner.limits
+    n_lines, ahead = len(range_m), lines_ahead(plane, limits)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
     wide = window_of(tail, range_m, next_m, ahead)
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
     noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
-    wide, params = in_step(wide, scanner, noise_m, params), of_place(params, wide)
-    strides = _strides(wide, (line, n_lines), scanner, noise_m, turn, params)
+    wide, limits = put_in_step(wide, plane, noise_m, limits), of_place(limits, wide)
+    strides = _strides(wide, (line, n_lines), plane, noise_m, turn, limits)
     apart = lines_apart(strides)
-    streams = streams_of(wide, strides, plane, noise_m, params)
-    grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, params))
+    streams = streams_of(wide, strides, plane, noise_m, limits)
+    grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, limits))
     found = [
-        evidence_of(stream.seen, own.above_m, plane, params) for stream, own in zip(streams, grounds.parts, strict=True)
+        evidence_of(stream.seen, own.above_m, plane, limits) for stream, own in zip(streams, grounds.parts, strict=True)
     ]
     decided = [
-        _decide(stream, own, evidence, plane, params)
+        _decide(stream, own, evidence, plane, limits)
         for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
     ]
     labels = _woven(decided, streams, apart)
-    has_profiles = are_wanted(plane, params.cars)
+    has_profiles = are_wanted(plane, limits)
     evidence = None
     if is_asked or has_profiles:
         evidence = _woven_evidence(found, grounds.above_m, streams, apart)
     if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
-        labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, params)
-    if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
+        labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits)
+    spaced, smoothness, step_rad = limits.spaced, limits.smoothness, float(plane.step_rad)
+    if spaced is None or not limits.keeps:
         return labels, evidence
     own, own_m = strides[BESIDE_LINES:][:n_lines], noise_m[SPACED_LINES:][:n_lines]
-    limits = _spacing_limits(plane, params)
-    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, own_m, limits)), evidence
+    thresholds = partial(spaced.thresholds, smoothness, step_rad=step_rad)
+    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, own_m, thresholds)), evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -412,12 +380,12 @@ def lines_apart(strides: I64) -> I64:
     return np.clip(strides[BESIDE_LINES:-BESIDE_LINES], 1, MOST_APART)
 
 
-def lines_ahead(plane: ScanPlane, params: FusedParams) -> int:
+def lines_ahead(plane: ScanPlane, limits: Limits) -> int:
     """Return how many lines after a block are labelled with it: those by which a car in its last line is found."""
-    return LINES if are_wanted(plane, params.cars) else 0
+    return LINES if are_wanted(plane, limits) else 0
 
 
-def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: FusedParams) -> list[Stream]:
+def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Limits) -> list[Stream]:
     """Look at the lines of a block; where they lie close together, as if lines between them had not been scanned.
 
     Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide as they usually are.
@@ -427,28 +395,28 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: 
     float64.
     """
     apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
-    is_slower = params.spacing.across and int(strides[BESIDE_LINES:-BESIDE_LINES].max()) > MOST_APART
+    is_slower = limits.is_slower and int(strides[BESIDE_LINES:-BESIDE_LINES].max()) > MOST_APART
     across = 2 * ACROSS_LINES if is_slower else ACROSS_LINES
     streams = []
     for every in np.unique(apart).tolist():
         window, own_strides, own_noise_m = _with_beside(wide, strides, noise_m, every)
-        smooth = spaced_pairs(window, own_strides, plane, own_noise_m, params.smoothness)
+        smooth = spaced_pairs(window, own_strides, plane, own_noise_m, limits.smoothness)
         for first in range(min(every, len(apart))):
             own_m, own = wide[OUTSIDE_LINES:-OUTSIDE_LINES], smooth
             if every > 1:
                 own_m = wide[_rows_of(first, every, len(apart))]
                 own = np.ascontiguousarray(smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)])
-            seen = see(own_m[around:-around], own, plane, params)
+            seen = see(own_m[around:-around], own, plane, limits)
             streams.append(Stream(first, every, seen, own_m, across if every == MOST_APART else ACROSS_LINES))
     return streams
 
 
 def _follow_all(
-    streams: Sequence[Stream], apart: I64, n_lines: int, plane: ScanPlane, memory: GroundMemory, params: FusedParams
+    streams: Sequence[Stream], apart: I64, n_lines: int, plane: ScanPlane, memory: GroundMemory, limits: Limits
 ) -> tuple[Grounds, GroundMemory]:
     """Follow the ground of every stream from the same memory on; return it, and what the last line remembers."""
     found = [
-        _follow(stream.seen, plane, memory, len(range(stream.first, n_lines, stream.every)), params)
+        _follow(stream.seen, plane, memory, len(range(stream.first, n_lines, stream.every)), limits)
         for stream in streams
     ]
     last = int(apart[n_lines - 1])
@@ -527,36 +495,9 @@ def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[S
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
 
 
-def of_place(params: FusedParams, wide: F32) -> FusedParams:
-    """Return the parameters for the place of a block, given with the lines around: there are no cars in rooms."""
-    if not params.cars.is_room(wide[::ROOM_LINES]):
-        return params
-    return params.model_copy(update={"cars": params.cars.in_rooms()})
-
-
-def in_step(wide: F32, scanner: FusedScanner, noise_m: F64, params: FusedParams) -> F32:
-    """Return a block and the lines around with interlaced columns in step; rings are apart on purpose."""
-    if scanner.is_fan:
-        return wide
-    return put_in_step(wide, scanner.scan_plane, noise_m, params.smoothness, params.interlace)
-
-
-def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
-    """Return the parameters for a scanner: others for a fan of rings."""
-    rings = params.rings
-    if not (scanner.is_fan and rings.enabled):
-        return params
-    own = {
-        "ground": rings.ground(params.ground),
-        "smoothness": rings.smoothness(params.smoothness),
-        "walls": rings.walls(params.walls),
-        "flanks": rings.flank(params.flanks),
-        "leaves": rings.leaves(params.leaves),
-        "cars": rings.car(params.cars),
-        # rings lie wider apart than a curb's face is high: what looks like one follows a ring that leans by .1 degrees
-        "curbs": CurbParams(enabled=False),
-    }
-    return params.model_copy(update=own)
+def of_place(limits: Limits, wide: F32) -> Limits:
+    """Return the limits for the place of a block, given with the lines around: there are no cars in rooms."""
+    return in_room(limits) if is_room(wide[::ROOM_LINES], limits) else limits
 
 
 def _measure(wide: F32, line: int, plane: ScanPlane, known: NoiseAlong, params: SensorParams) -> tuple[F64, NoiseAlong]:
@@ -577,76 +518,61 @@ def _measure_forest(range_m: F32, known: Noise, params: SensorParams) -> tuple[f
     return 2.0 ** (round(2.0 * math.log2(noise.least_m)) / 2.0) if is_known else 0.0, noise
 
 
-def _strides(
-    wide: F32, lines: tuple[int, int], scanner: FusedScanner, noise_m: F64, turn: Turn, params: FusedParams
-) -> I64:
+def _strides(wide: F32, lines: tuple[int, int], plane: ScanPlane, noise_m: F64, turn: Turn, limits: Limits) -> I64:
     """Decide how many lines away the neighbours are, of the lines that are labelled and three before and after them.
 
     ``lines`` are the number of a block's first line, and how many it has.
-
-    Always one for fans of rings: between rings lies more than between lines, so that a shot unlike those of other rings
-    need be no leaf.
     """
-    (line, n_lines), n_labelled = lines, len(wide) - 2 * SPACED_LINES
-    if scanner.is_fan or not params.spacing.enabled:
+    (line, n_lines), n_labelled, spaced = lines, len(wide) - 2 * SPACED_LINES, limits.spaced
+    if spaced is None:
         return np.ones(n_labelled + 2 * BESIDE_LINES, np.int64)
-    counts = leaves_again(wide, line, noise_m, _spacing_limits(scanner.scan_plane, params))
+    thresholds = partial(spaced.thresholds, limits.smoothness, step_rad=float(plane.step_rad))
+    counts = leaves_again(wide, line, noise_m, thresholds)
     ahead = n_labelled - n_lines
-    return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, params.spacing, ahead))
+    return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, spaced, ahead))
 
 
-def _spacing_limits(plane: ScanPlane, params: FusedParams) -> Callable[[float], SpacingThresholds]:
-    """Return what gives the thresholds for the distance of lines at a range noise [m]."""
-    return lambda noise_m: params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
-
-
-def see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> Seen:
+def see(window: F32, smooth: U8, plane: ScanPlane, limits: Limits) -> Seen:
     """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface.
 
     ``window`` (lines, M) float32; ``smooth`` (lines of the result, M) uint8.
     """
-    near = near_neighbours(window, plane, params.company)
+    near = near_neighbours(window, plane, limits.near)
     range_m = window[INNER_LINES:-INNER_LINES]
-    upright, level = chords(range_m, smooth, plane, params.directions)
+    upright, level = chords(range_m, smooth, plane, limits.chords)
     return Seen(window, range_m, Neighbours(near, smooth, upright, level))
 
 
 def _follow(
-    seen: Seen, plane: ScanPlane, memory: GroundMemory, n_lines: int, params: FusedParams
+    seen: Seen, plane: ScanPlane, memory: GroundMemory, n_lines: int, limits: Limits
 ) -> tuple[Ground, GroundMemory]:
     """Follow the ground; return it, and the memory before the last three of a block's lines for the next one."""
-    return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
+    return follow_ground(seen.range_m, seen.neighbours, plane, memory, n_lines, limits.walk)
 
 
-def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, params: FusedParams) -> Evidence:
+def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, limits: Limits) -> Evidence:
     """Measure how smooth places are, and find walls and cars above the ground.
 
     ``above_m`` (lines, M) float32.
     """
-    least = params.company.least
-    texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
-    strips = params.strips.thresholds(least, params.cars.top_m)
-    standing = stand(seen.range_m, above_m, seen.neighbours, plane, strips, params.walls, params.flanks)
+    texture = texture_of(seen.range_m, seen.neighbours, plane, limits)
+    standing = stand(seen.range_m, above_m, seen.neighbours, plane, limits)
     return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
 
 
-def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, params: FusedParams) -> U8:
+def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, limits: Limits) -> U8:
     """Label every shot of a stream."""
-    seen, thresholds = stream.seen, thresholds_of(stream, params)
+    seen, thresholds = stream.seen, thresholds_of(stream, limits)
     labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
-    voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
-    limits = again_limits(params.company, params.noise, params.strips, params.cars)
+    voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
     asked = ask_again((labels, voted), seen.range_m, seen.neighbours, ground.above_m, evidence.texture, plane, limits)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    return find_curbs(asked, seen.range_m[own], ground.above_m[own], plane, params.curbs)
+    return find_curbs(asked, seen.range_m[own], ground.above_m[own], plane, limits.curbs)
 
 
-def thresholds_of(stream: Stream, params: FusedParams) -> DecisionThresholds:
+def thresholds_of(stream: Stream, limits: Limits) -> DecisionThresholds:
     """Return the thresholds of the decision for a stream."""
-    return decision_thresholds(
-        params.company.least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles,
-        stream.across_lines,
-    )  # fmt: skip
+    return limits.decision._replace(across_lines=np.float32(stream.across_lines))
 
 
 def _with_cars(
@@ -657,13 +583,13 @@ def _with_cars(
     evidence: Evidence,
     turn: Turn,
     plane: ScanPlane,
-    params: FusedParams,
+    limits: Limits,
 ) -> U8:
     """Label cars in a block by its lines and those around; ``labels`` and ``range_m`` are of lines after it as well."""
     above_m = ground.above_m[ground.margin : ground.margin + len(labels)]
-    texture, limits = evidence.texture[1 : 1 + len(labels)], params.cars.roof_thresholds()
+    texture = evidence.texture[1 : 1 + len(labels)]
     seen = labels, range_m, above_m, texture
-    return turn.hand_on(PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits))
+    return turn.hand_on(PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits.roofs))
 
 
 def _last_lines(tail: F32, range_m: F32) -> F32:

@@ -15,16 +15,14 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.core.classes import Label
-from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.methods.fused.neighbours import SmoothnessParams, smooth_pairs
+from prc_cli.methods.fused.neighbours import smooth_pairs
 from prc_cli.methods.fused.plane import ScanPlane
-from prc_cli.methods.fused.thresholds import SpacingThresholds, typed
+from prc_cli.methods.fused.thresholds import Smoothness, Spaced, SpacingThresholds
 
 LAGS = (1, 2, 4, 8, 16)
 """Distances of neighbouring lines that are tried, in lines."""
@@ -45,40 +43,6 @@ STANDS = 0
 """Instead of a number of lines: other lines tell nothing."""
 IN_LINE_PAIRS = np.array([0, 2, 3, 5, 7, 8, 10], np.uint8)
 """Of 10 pairs, what the 6 pairs in the line stand for where the platform stands."""
-
-
-class SpacingParams(Params):
-    """How far away neighbours in other lines are (``[fused.spacing]``)."""
-
-    enabled: bool = Field(True, description="whether neighbours are taken farther away where lines lie close together")
-    near_m: float = Field(
-        1.5, gt=0, le=100, description="at a leaf, both neighbours in the line are nearer in range than this [m] ..."
-    )
-    sigmas: float = Field(
-        2.0, gt=0, le=100, description="... and off by more than so many tolerances of smoothness; else it is as far"
-    )
-    share: float = Field(
-        0.4, ge=0, le=1, description="leaves that another line may see again, as a share, beside those by chance"
-    )
-    keep_share: float = Field(
-        0.3, ge=0, le=1, description="the same for a smaller distance than now; smaller, so that it does not flicker"
-    )
-    least: int = Field(30, ge=1, description="fewest leaves to tell from; else the distance stays")
-    across: bool = Field(
-        True, description="whether things are thin in twice as many lines where these lie closer than neighbours can be"
-    )
-    keeps: bool = Field(True, description="whether shots keep the labels that they had when the platform came to stand")
-    decay: float = Field(0.9, ge=0, lt=1, description="weight of what was seen four lines ago")
-
-    def thresholds(self, smoothness: SmoothnessParams, noise_m: float, step_rad: float) -> SpacingThresholds:
-        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
-        smooth = smoothness.thresholds(noise_m, step_rad)
-        return typed(
-            SpacingThresholds,
-            tolerance_m=self.sigmas * float(smooth.tolerance_m),
-            tolerance_per_m=self.sigmas * float(smooth.tolerance_per_m),
-            near_m=self.near_m,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +93,7 @@ def stretches(values: F64) -> list[tuple[int, int, float]]:
 
 
 def strides_of(
-    counts: NDArray[np.int32], known: Spacing, first_line: int, n_lines: int, params: SpacingParams, ahead: int = 0
+    counts: NDArray[np.int32], known: Spacing, first_line: int, n_lines: int, limits: Spaced, ahead: int = 0
 ) -> tuple[I64, Spacing]:
     """Decide how many lines away the neighbours of every line are.
 
@@ -144,8 +108,8 @@ def strides_of(
         line = begin + k
         if line >= n_lines + COUNTED_LINES and not is_after:
             after, is_after = Spacing(sums, stride), True
-        sums = sums * params.decay + counts[k]
-        stride = _stride(sums, stride, params)
+        sums = sums * limits.decay + counts[k]
+        stride = _stride(sums, stride, limits)
         strides[max(line - COUNTED_LINES, 0) :] = stride
     return strides, after if is_after else Spacing(sums, stride)
 
@@ -155,22 +119,22 @@ def _begin(first_line: int) -> int:
     return COUNTED_LINES if first_line > 0 else 0
 
 
-def _stride(sums: F64, now: int, params: SpacingParams) -> int:
+def _stride(sums: F64, now: int, limits: Spaced) -> int:
     """Return the least distance at which few enough leaves are seen again."""
     counts = sums.tolist()
-    if not counts[0][0] >= params.least:
+    if not counts[0][0] >= limits.least:
         return now
     # leaves that are as far by chance: as many as in the line itself
     chance = counts[-1][1] / max(counts[-1][0], 1.0)
     for lag, (there, again) in zip(LAGS, counts, strict=False):
-        limit = params.keep_share if now == STANDS or lag < now else params.share
+        limit = limits.keep_share if now == STANDS or lag < now else limits.share
         if not again > (chance + limit * (1.0 - chance)) * there:
             return lag
     return STANDS
 
 
 @stage("smoothness")
-def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, params: SmoothnessParams) -> U8:
+def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: Smoothness) -> U8:
     """Count smooth pairs with lines of the right distance.
 
     ``window_m`` (lines + 64, M) float32, metres; ``strides`` (lines,) int64; ``noise_m`` (lines,) float64; returns
@@ -178,26 +142,26 @@ def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: F64, pa
     """
     margin = PAIR_LINES * MOST_LAG
     counts = [
-        _spaced_pairs(window_m[a : b + 2 * margin], strides[a:b], plane, each, params)
+        _spaced_pairs(window_m[a : b + 2 * margin], strides[a:b], plane, each, limits)
         for a, b, each in stretches(noise_m)
     ]
     return np.concatenate(counts) if len(counts) > 1 else counts[0]
 
 
-def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
+def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, limits: Smoothness) -> U8:
     """Count smooth pairs as :func:`spaced_pairs`, of lines with the same range noise [m]."""
     margin = PAIR_LINES * MOST_LAG
     n_lines, m = len(strides), window_m.shape[1]
     chosen = np.unique(strides)
     if len(chosen) == 1 and chosen[0] == 1:
-        return smooth_pairs(window_m[margin - PAIR_LINES : len(window_m) - margin + PAIR_LINES], plane, noise_m, params)
+        return smooth_pairs(window_m[margin - PAIR_LINES : len(window_m) - margin + PAIR_LINES], plane, noise_m, limits)
     smooth = np.empty((n_lines, m), np.uint8)
     for stride in chosen.tolist():
         lines = np.flatnonzero(strides == stride)
         if stride == STANDS:
             alone = np.full((3 * len(lines) + 2, m), np.nan, np.float32)
             alone[2::3] = window_m[lines + margin]
-            smooth[lines] = IN_LINE_PAIRS[smooth_pairs(alone, plane, noise_m, params)[::3]]
+            smooth[lines] = IN_LINE_PAIRS[smooth_pairs(alone, plane, noise_m, limits)[::3]]
             continue
         first, last = int(lines[0]), int(lines[-1])
         # every stride-th line is a stream of its own
@@ -205,7 +169,7 @@ def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float,
             own = np.arange(phase, last + 1, stride)
             before = margin + phase - PAIR_LINES * stride
             rows = np.ascontiguousarray(window_m[before : margin + own[-1] + PAIR_LINES * stride + 1 : stride])
-            counts = smooth_pairs(rows, plane, noise_m, params)
+            counts = smooth_pairs(rows, plane, noise_m, limits)
             is_own = strides[own] == stride
             smooth[own[is_own]] = counts[is_own]
     return smooth

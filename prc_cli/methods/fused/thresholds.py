@@ -1,72 +1,52 @@
-"""Thresholds of the fused classifier's loops, by name.
+"""All limits of the fused classifier, by name: what the loops, their slow twins and ``prc explain`` read.
 
-The parameters of a stage build them (``params.thresholds()``), the compiled loop and its slow twin read them by field
-name. The loops of the street compute in float32, those of the forest in float64, and their thresholds are of that type:
-:func:`typed` converts.
+The loops of the street compute in float32, those of the forest in float64, and their limits are of that type.
+:data:`STREET` and :data:`RINGS` hold those of profilers and spinning scanners; docs/fused.md says what each is worth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, lru_cache
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy import float32 as f32
 
-ThresholdsT = TypeVar("ThresholdsT", bound="tuple[Any, ...]")
+from prc_cli.core.classes import Label
 
-
-def typed(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
-    """Return thresholds of a class, each converted to the type of its field.
-
-    >>> typed(WallThresholds, height_m=1.5, share=0.3, before_m=2, lines=4).before_m
-    np.float32(2.0)
-    >>> typed(TerrainThresholds, bin_m=1, slope=0.5, near_m=0.1, near_share=0).bin_m
-    1.0
-    """
-    converted: ThresholdsT = _typed(kind, tuple(values.items()))
-    return converted
-
-
-@lru_cache(maxsize=64)
-def _typed(kind: type[ThresholdsT], values: tuple[tuple[str, float], ...]) -> ThresholdsT:
-    """Convert once for all blocks: they ask for the same thresholds again."""
-    types = _field_types(kind)
-    return kind(**{name: types[name](value) for name, value in values})
-
-
-@cache
-def _field_types(kind: type[tuple[Any, ...]]) -> dict[str, Callable[[float], Any]]:
-    return get_type_hints(kind)
+NEVER = 1e9
+"""A limit that no value reaches."""
+NO_BINS = 99
+"""More bins than a level surface can have."""
 
 
 class NearThresholds(NamedTuple):
     """Distance limits for near neighbours, in the scan plane."""
 
-    near_m: np.float32
+    near_m: np.float32 = f32(0.4)
     """Greatest distance to the side and in height, each [m] ..."""
-    near_steps: np.float32
+    near_steps: np.float32 = f32(3)
     """... or so many distances between adjacent columns, if that is more."""
-    thin_m: np.float32
+    thin_m: np.float32 = f32(0.1)
     """On one level or upright surface: greatest distance across it [m]."""
-    along_m: np.float32
+    along_m: np.float32 = f32(1)
     """Greatest distance along such a surface [m] ..."""
-    along_steps: np.float32
+    along_steps: np.float32 = f32(8)
     """... or so many distances between adjacent columns, if that is more."""
 
 
 class SmoothThresholds(NamedTuple):
     """When a shot and a pair of neighbours lie on a smooth surface."""
 
-    tolerance_m: np.float32
+    tolerance_m: np.float32 = f32(0.006)
     """Greatest distance from the line through the pair at range 0 [m]."""
-    tolerance_per_m: np.float32
+    tolerance_per_m: np.float32 = f32(0.0006)
     """Added to it per metre of range."""
-    gap_m: np.float32
+    gap_m: np.float32 = f32(0.4)
     """Greatest distance between the two of a pair within a line [m] ..."""
-    gap_steps: np.float32
+    gap_steps: np.float32 = f32(16)
     """... or so many distances between adjacent columns, if that is more."""
-    apart_m: np.float32
+    apart_m: np.float32 = f32(0.012)
     """Shots of a line are compared at least so far from each other, where columns allow it [m]."""
 
 
@@ -77,331 +57,503 @@ class SpacingThresholds(NamedTuple):
     """Shots that differ by less in range are on one thing, at range 0 [m]."""
     tolerance_per_m: np.float32
     """Added to it per metre of range."""
-    near_m: np.float32
+    near_m: np.float32 = f32(1.5)
     """Greatest difference in range to the shots on both sides of a leaf [m]."""
 
 
 class ChordThresholds(NamedTuple):
     """When a chord through a shot is upright or level."""
 
-    chord_m: np.float32
+    chord_m: np.float32 = f32(0.15)
     """Half length of the chord [m]."""
-    slope: np.float32
+    slope: np.float32 = f32(0.4)
     """An upright chord goes less than this times its height to the side; a level one the other way round."""
-    slack_m: np.float32
+    slack_m: np.float32 = f32(0.02)
     """Added to that limit [m]."""
-    longest_m: np.float32
+    longest_m: np.float32 = f32(2)
     """Longer chords do not count [m]."""
 
 
 class WalkThresholds(NamedTuple):
     """How the ground is followed from shot to shot and from line to line."""
 
-    least_near: np.float32
+    least_near: np.float32 = f32(3)
     """Near neighbours that a shot needs."""
-    step_m: np.float32
+    step_m: np.float32 = f32(0.14)
     """Greatest step in height from one shot to the next [m]."""
-    slope: np.float32
+    slope: np.float32 = f32(0.3)
     """Added to the step per metre between the two shots ..."""
-    slope_reach_m: np.float32
+    slope_reach_m: np.float32 = f32(0.5)
     """... up to this distance [m]."""
-    gap_slope: np.float32
+    gap_slope: np.float32 = f32(0.08)
     """Added to the step per metre between the two shots, at any distance."""
-    known_m: np.float32
+    known_m: np.float32 = f32(0.15)
     """Greatest difference to the remembered height of the place [m]; enough without the other limits."""
-    memory_lines: np.float32
+    memory_lines: np.float32 = f32(60)
     """Lines that a place is remembered for."""
-    follow: np.float32
+    follow: np.float32 = f32(0.4)
     """Share of a new height in the memory of its place."""
-    start_reach_m: np.float32
+    start_reach_m: np.float32 = f32(4)
     """Where no place is known, the ground is searched up to this far to the side, if anything is level there [m]."""
 
 
 class StripThresholds(NamedTuple):
     """Which shots count in a strip, and as what."""
 
-    least_near: np.float32
+    least_near: np.float32 = f32(3)
     """Near neighbours that a shot needs."""
-    foot_m: np.float32
+    foot_m: np.float32 = f32(0.15)
     """Least height above the ground [m]."""
-    rough: np.float32
+    rough: np.float32 = f32(2)
     """Most smooth pairs of a rough shot."""
-    smooth: np.float32
+    smooth: np.float32 = f32(3)
     """Fewest smooth pairs of a smooth shot."""
-    level_smooth: np.float32
+    level_smooth: np.float32 = f32(6)
     """Fewest smooth pairs of a shot on a level surface."""
-    level_top_m: np.float32
+    level_top_m: np.float32 = f32(4.75)
     """Level surfaces are lower than this above the ground [m]."""
-    jump_m: np.float32
+    jump_m: np.float32 = f32(1)
     """A level surface reaches to adjacent shots that are less than this to the side [m]."""
 
 
 class WallThresholds(NamedTuple):
     """What a wall is."""
 
-    height_m: np.float32
+    height_m: np.float32 = f32(1.5)
     """Least height of its smooth upright surface, mean of five lines [m]."""
-    share: np.float32
+    share: np.float32 = f32(0.3)
     """Least share of that surface in everything in the strip."""
-    lines: np.float32
+    lines: np.float32 = f32(4)
     """Fewest lines, of five, that see some of it."""
-    before_m: np.float32
+    before_m: np.float32 = f32(2)
     """A wall is reported to strips up to this far in front of it [m]."""
 
 
 class FlankThresholds(NamedTuple):
     """What the flank of a vehicle is."""
 
-    least_m: np.float32
+    least_m: np.float32 = f32(0.1)
     """Least height of its smooth upright surface, mean of five lines [m]."""
-    most_m: np.float32
+    most_m: np.float32 = f32(3)
     """Greatest height of that [m]."""
-    share: np.float32
+    share: np.float32 = f32(0.3)
     """Least share of that in everything in the strip."""
-    low_m: np.float32
-    sill_m: np.float32
+    low_m: np.float32 = f32(0.1)
+    sill_m: np.float32 = f32(0.5)
     """Ground is seen beneath it where the line of sight passes it between these heights [m] ..."""
-    body_m: np.float32
+    body_m: np.float32 = f32(0.7)
     """... and through it where above, up to this height [m]."""
-    large_m: np.float32
+    large_m: np.float32 = f32(1.5)
     """Least height of the smooth upright surface of bodies that hang higher than that [m]."""
-    high_m: np.float32
+    high_m: np.float32 = f32(1.5)
     """Bodies may hang as high as this, if nothing is below them [m]."""
-    soil_m: np.float32
+    soil_m: np.float32 = f32(0.1)
     """Shots this near to the ground are ground [m]."""
-    shots: np.float32
+    shots: np.float32 = f32(3)
     """Fewest shots of the ground beneath it, in five lines."""
 
 
 class DecisionThresholds(NamedTuple):
     """Limits of the questions that label a shot."""
 
-    least_near: np.float32
+    least_near: np.float32 = f32(3)
     """A shot with fewer near neighbours is lonely."""
-    spike_share: np.float32
+    spike_share: np.float32 = f32(0.65)
     """A rough shot is a spike where the share of smooth pairs around it is greater."""
-    below_m: np.float32
+    below_m: np.float32 = f32(0.3)
     """Rough shots farther below the ground are noise [m] ..."""
-    pit_near: np.float32
+    pit_near: np.float32 = f32(9)
     """... unless upright and with as many near neighbours: the side of a pit."""
-    leaf_slots: np.float32
+    leaf_slots: np.float32 = f32(4)
     """Slots with rough shots around a lonely shot that make it a leaf."""
-    lone_m: np.float32
+    lone_m: np.float32 = f32(5)
     """Shots without any near neighbour are noise up to this range [m]; farther ones may be leaves."""
-    walked_m: np.float32
+    walked_m: np.float32 = f32(0.3)
     """Shots that the walk went over are ground up to this height difference [m]."""
-    level_m: np.float32
+    level_m: np.float32 = f32(0.12)
     """So are shots that are more level than upright, up to this [m]."""
-    soil_m: np.float32
+    soil_m: np.float32 = f32(0.06)
     """So are shots that are not upright, up to this [m]."""
-    leaf_share: np.float32
+    leaf_share: np.float32 = f32(0.4)
     """A place with a smaller share of smooth pairs is foliage."""
-    leaf_share_before_wall: np.float32
+    leaf_share_before_wall: np.float32 = f32(0.2)
     """The same close in front of a wall."""
-    before_m: np.float32
+    before_m: np.float32 = f32(2)
     """Greatest distance in front of a wall that is close [m]."""
-    front_m: np.float32
+    front_m: np.float32 = f32(0.4)
     """Shots up to this far in front of a wall are part of it [m]."""
-    behind_m: np.float32
+    behind_m: np.float32 = f32(1)
     """So are shots seen through it, up to this far behind [m]."""
-    over_m: np.float32
+    over_m: np.float32 = f32(0.3)
     """Lines of sight up to this far above its top count as through it [m]."""
-    roof_m: np.float32
+    roof_m: np.float32 = f32(6)
     """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m] ..."""
-    storey_m: np.float32
+    storey_m: np.float32 = f32(2.5)
     """... if the wall is this high above the ground [m]."""
-    car_top_m: np.float32
+    car_top_m: np.float32 = f32(4.75)
     """Things that reach above this are no cars [m] ..."""
-    lorry_top_m: np.float32
+    lorry_top_m: np.float32 = f32(5.75)
     """... nor, above this, lorries [m]."""
-    car_bins: np.float32
+    car_bins: np.float32 = f32(4)
     """Bins with a level surface around a smooth shot that make it part of a car."""
-    car_bins_rough: np.float32
+    car_bins_rough: np.float32 = f32(6)
     """The same of a rough shot."""
-    pole_m: np.float32
+    pole_m: np.float32 = f32(1)
     """Runs of a line that are less high are poles [m]; 0 = there are none."""
-    jump_m: np.float32
+    jump_m: np.float32 = f32(0.5)
     """Difference in range at which a run ends [m]."""
-    far_m: np.float32
+    far_m: np.float32 = f32(1)
     """What is beside a pole is farther than it by more than this [m]."""
-    across_lines: np.float32
+    across_lines: np.float32 = f32(4)
     """Lines before and after by which a thing is found to be thin."""
-    crown_slots: np.float32
+    crown_slots: np.float32 = f32(5)
     """Slots with rough shots above a pole that make it a trunk."""
-    pole_shots: np.float32
+    pole_shots: np.float32 = f32(6)
     """Fewest shots of its run."""
-    thick_m: np.float32
+    thick_m: np.float32 = f32(0.15)
     """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
-    arm_m: np.float32
+    arm_m: np.float32 = f32(3)
     """Above this height thin level things may be poles: arms and lamps [m]."""
-    box_m: np.float32
+    box_m: np.float32 = f32(2)
     """Bins and cabinets are lower than this [m]; 0 = there are none."""
-    box_flat_m: np.float32
+    box_flat_m: np.float32 = f32(0.25)
     """They are as deep as this at least, and so are their level tops [m] ..."""
-    box_deep_m: np.float32
+    box_deep_m: np.float32 = f32(0.75)
     """... and as this at most [m]."""
-    box_lines: np.float32
+    box_lines: np.float32 = f32(16)
     """So many other lines see them, at most."""
-    keeps_parts: np.float32
+    keeps_parts: np.float32 = f32(0)
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
-    takes_long: np.float32
+    takes_long: np.float32 = f32(0)
     """1 = poles may be long across lines, as fences are; 0 = lines close by see past them."""
-    foot_m: np.float32
+    foot_m: np.float32 = f32(0.3)
     """Lower shots are neither poles nor lonely leaves [m]."""
-    keeps_held: np.float32
+    keeps_held: np.float32 = f32(1)
     """1 = lonely shots that agree with a surface are kept; 0 = they are noise."""
-    ghost_m: np.float32
+    ghost_m: np.float32 = f32(5)
     """Shots farther behind a wall than this may be ghosts [m] ..."""
-    ghost_near: np.float32
+    ghost_near: np.float32 = f32(6)
     """... if they have fewer near neighbours than this."""
-    pane_m: np.float32
+    pane_m: np.float32 = f32(1)
     """So are shots without any smooth pair farther behind a wall than this [m]."""
-    cabin_near: np.float32
+    cabin_near: np.float32 = f32(3)
     """Shots of a car without any smooth pair and with fewer near neighbours than this are noise."""
-    car_label: np.float32
+    car_label: np.float32 = f32(Label.CAR)
     """Label of cars."""
-    pole_label: np.float32
+    pole_label: np.float32 = f32(Label.POLE)
     """Label of poles."""
 
 
 class AgainThresholds(NamedTuple):
     """Limits of the questions that are asked again of noise, and of what may be noise."""
 
-    least_near: np.float32
+    least_near: np.float32 = f32(3)
     """A shot with fewer near neighbours is lonely."""
-    spike_m: np.float32
+    spike_m: np.float32 = f32(0.05)
     """Spikes that are nearer than this to a surface are part of it [m]."""
-    sparse_texture: np.float32
+    sparse_texture: np.float32 = f32(0.65)
     """Lonely shots are part of something sparse where the share of smooth pairs around is smaller ..."""
-    sparse_shots: np.float32
+    sparse_shots: np.float32 = f32(3)
     """... with this many near shots in a wider window ..."""
-    through_share: np.float32
+    through_share: np.float32 = f32(0.25)
     """... and a smaller share of the window on surfaces before them."""
-    low_m: np.float32
+    low_m: np.float32 = f32(0.2)
     """So are those this near to the ground, with ground around [m]."""
-    mirror_m: np.float32
+    mirror_m: np.float32 = f32(0.3)
     """A mirror image in a car is farther than the car by more than this [m] ..."""
-    mirror_share: np.float32
+    mirror_share: np.float32 = f32(0.7)
     """... and this share of the shots on either side are of the car."""
-    alone_texture: np.float32
+    alone_texture: np.float32 = f32(0.25)
     """Rough shots may be alone where the share of smooth pairs around is greater ..."""
-    foot_m: np.float32
+    foot_m: np.float32 = f32(0.15)
     """... higher than this above the ground [m] ..."""
-    alone_m: np.float32
+    alone_m: np.float32 = f32(0.1)
     """... with no other within this in range [m] ..."""
-    alone_gap_m: np.float32
+    alone_gap_m: np.float32 = f32(0.75)
     """... and none within this before, or behind [m]."""
-    car_label: np.float32
+    car_label: np.float32 = f32(Label.CAR)
     """Label of cars."""
 
 
 class CurbThresholds(NamedTuple):
     """What a curb is."""
 
-    least_m: np.float32
+    least_m: np.float32 = f32(0.05)
     """Least height of its face [m]."""
-    most_m: np.float32
+    most_m: np.float32 = f32(0.25)
     """Greatest height of its face [m]."""
-    reach_m: np.float32
+    reach_m: np.float32 = f32(0.4)
     """The ground up to this far to either side of the face gives its foot and top [m]."""
-    half_m: np.float32
+    half_m: np.float32 = f32(0.08)
     """Half width of the face [m]."""
-    share: np.float32
+    share: np.float32 = f32(0.6)
     """Share of its height that the ground rises by within the face, at least."""
-    margin: np.float32
+    margin: np.float32 = f32(0.15)
     """Shots nearer to foot or top than this share of its height are ground."""
-    steep: np.float32
+    steep: np.float32 = f32(1.5)
     """Column spacings that the line climbs over four columns on a face, at least."""
 
 
 class FanThresholds(NamedTuple):
     """What a car is where shots are far apart."""
 
-    least_m: np.float32
+    least_m: np.float32 = f32(1.2)
     """Least height of its roof [m]."""
-    most_m: np.float32
+    most_m: np.float32 = f32(2)
     """Greatest height of its roof [m]."""
-    smooth: np.float32
+    smooth: np.float32 = f32(0.5)
     """Least share of smooth pairs around its shots, in a line across the roof."""
-    share: np.float32
+    share: np.float32 = f32(0.5)
     """Least share of such lines in all around that see something there."""
-    label: np.float32
+    label: np.float32 = f32(Label.CAR)
     """Label of cars."""
+
+
+class Smoothness(NamedTuple):
+    """How far a shot may be off the line through a pair of neighbours."""
+
+    noise_sigmas: float = 2.25
+    """In standard deviations of the range noise ..."""
+    least_m: float = 0.006
+    """... at least this [m] ..."""
+    per_metre: float = 0.0006
+    """... plus this per metre of range [m] ..."""
+    per_step: float = 0.1
+    """... plus this share of the column spacing."""
+    pairs: SmoothThresholds = SmoothThresholds()
+
+    def thresholds(self, noise_m: float, step_rad: float) -> SmoothThresholds:
+        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
+        return self.pairs._replace(
+            tolerance_m=f32(max(self.least_m, self.noise_sigmas * noise_m)),
+            tolerance_per_m=f32(self.per_metre + self.per_step * step_rad),
+        )
+
+
+class Spaced(NamedTuple):
+    """How far away neighbours in other lines are."""
+
+    near_m: float = 1.5
+    """At a leaf, both neighbours in the line are nearer in range than this [m] ..."""
+    sigmas: float = 2.0
+    """... and off by more than so many tolerances of smoothness; else it is as far."""
+    share: float = 0.4
+    """Leaves that another line may see again, as a share, beside those by chance."""
+    keep_share: float = 0.3
+    """The same for a smaller distance than now; smaller, so that it does not flicker."""
+    least: int = 30
+    """Fewest leaves to tell from; else the distance stays."""
+    decay: float = 0.9
+    """Weight of what was seen four lines ago."""
+
+    def thresholds(self, smoothness: Smoothness, noise_m: float, step_rad: float) -> SpacingThresholds:
+        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
+        smooth = smoothness.thresholds(noise_m, step_rad)
+        per_m = self.sigmas * float(smooth.tolerance_per_m)
+        return SpacingThresholds(f32(self.sigmas * float(smooth.tolerance_m)), f32(per_m), f32(self.near_m))
+
+
+class Foliage(NamedTuple):
+    """Surroundings by which foliage is told."""
+
+    half_width_m: float = 0.35
+    """Half width of the surroundings that are averaged [m]."""
+    at_depth: bool = True
+    """Whether rough surroundings are looked at again without what is nearer or farther ..."""
+    depth_m: float = 1.0
+    """... by more than this [m] ..."""
+    depth_pairs: int = 3
+    """... around shots with this many smooth pairs; around all where columns are ..."""
+    depth_step_rad: float = math.radians(0.2)
+    """... at least this far apart [rad]."""
+
+    def again(self, share: float, step_rad: float) -> tuple[np.float32, np.float32, np.float32]:
+        """Return what the loop is given, for an angle between columns [rad]: a share, a distance and smooth pairs."""
+        pairs = 0 if step_rad >= self.depth_step_rad else self.depth_pairs
+        return f32(share if self.at_depth else 0.0), f32(self.depth_m), f32(pairs)
+
+
+class Votes(NamedTuple):
+    """The final majority vote among neighbouring shots."""
+
+    half_width_m: np.float32 = f32(1.0)
+    """Half width of the voting surroundings [m]."""
+    near_m: np.float32 = f32(1.5)
+    """Shots vote if this near to the side and in height [m]."""
+
+
+class Limits(NamedTuple):
+    """All limits of a street; None = the step is left out."""
+
+    near: NearThresholds = NearThresholds()
+    smoothness: Smoothness = Smoothness()
+    interlace_rad: float = math.radians(0.2)
+    """Columns at least this far apart may be measured in two turns: finer scanners scan once [rad]."""
+    spaced: Spaced | None = Spaced()
+    is_slower: bool = True
+    """Whether things are thin in twice as many lines where these lie closer than neighbours can be."""
+    keeps: bool = True
+    """Whether shots keep the labels that they had when the platform came to stand."""
+    chords: ChordThresholds = ChordThresholds()
+    walk: WalkThresholds = WalkThresholds()
+    strips: StripThresholds = StripThresholds()
+    walls: WallThresholds = WallThresholds()
+    flanks: FlankThresholds | None = FlankThresholds()
+    foliage: Foliage = Foliage()
+    decision: DecisionThresholds = DecisionThresholds()
+    votes: Votes | None = Votes()
+    again: AgainThresholds = AgainThresholds()
+    curbs: CurbThresholds | None = CurbThresholds()
+    roofs: FanThresholds = FanThresholds()
+    roof_step_rad: float = math.radians(0.2)
+    """Cars are also found by lines across their roofs, where columns are at least so far apart [rad]."""
+    room_m: float = 6.0
+    """No car is where less than 1 % of the returns around are farther: a room [m]."""
+
+
+STREET = Limits()
+"""Profilers: shots lie close together, and lines see one place after the other."""
+RINGS = STREET._replace(
+    walk=STREET.walk._replace(memory_lines=f32(1), step_m=f32(0.1), gap_slope=f32(0.05)),
+    smoothness=Smoothness(noise_sigmas=1.5, per_step=0.0),
+    interlace_rad=math.inf,
+    spaced=None,
+    walls=STREET.walls._replace(height_m=f32(0.5)),
+    flanks=None,
+    foliage=Foliage(at_depth=False),
+    decision=STREET.decision._replace(
+        storey_m=f32(0), leaf_share=f32(0.7), leaf_share_before_wall=f32(0.1), car_bins=f32(NO_BINS),
+        car_bins_rough=f32(NO_BINS),
+    ),
+    curbs=None,
+    keeps=False,
+    roofs=STREET.roofs._replace(smooth=f32(0.3), share=f32(0.3)),
+    roof_step_rad=0.0,
+)  # fmt: skip
+"""Fans of rings: rings lie decimetres apart, every line looks another way, and a wall is seen only as high as the
+highest ring. The next line looks at other ground, far rings are metres apart on it. Walls are straight however far
+rings are apart, hedges look smooth with so few shots, and between rings there is always a gap beneath. What looks like
+a curb follows a ring that leans by .1 degrees. More lies between rings than between lines: a shot unlike those of other
+rings need be no leaf, and other columns are apart on purpose."""
+
+
+def in_room(limits: Limits) -> Limits:
+    """Return the limits for a room, where no car is found."""
+    bins = f32(NO_BINS)
+    return limits._replace(
+        decision=limits.decision._replace(car_bins=bins, car_bins_rough=bins),
+        roofs=limits.roofs._replace(share=f32(NEVER)),
+    )
 
 
 class TerrainThresholds(NamedTuple):
     """How the ground of a forest is found."""
 
-    bin_m: float
+    bin_m: float = 0.25
     """Width of a bin of the profile [m]."""
-    slope: float
+    slope: float = 0.5
     """Greatest slope of the ground, metres per metre."""
-    near_m: float
+    near_m: float = 0.1
     """A shot of the ground differs from the return before it by at most this in range [m] ..."""
-    near_share: float
+    near_share: float = 0.05
     """... plus this share of the range."""
 
 
 class RunThresholds(NamedTuple):
     """What an upright run of returns is."""
 
-    step_rad: float
+    step_rad: float = 0.0
     """Angle between adjacent columns [rad]."""
-    above_m: float
+    above_m: float = 0.05
     """Least height above the ground [m]."""
-    tolerance_m: float
+    tolerance_m: float = 0.004
     """Greatest distance beside the run [m] ..."""
-    tolerance_share: float
+    tolerance_share: float = 0.0003
     """... plus this share of the range ..."""
-    steep: float
+    steep: float = 1.0
     """... plus this much per metre up or down."""
-    gap_m: float
+    gap_m: float = 0.3
     """Longest gap within a run [m]."""
-    gap_steep: float
+    gap_steep: float = 0.1
     """Metres to the side per metre of a gap, at most."""
-    behind_m: float
+    behind_m: float = 0.15
     """Returns farther than the run by more than this lie behind it [m]."""
-    lean: float
+    lean: float = 0.7
     """Metres to the side per metre up, at most, from end to end."""
-    short_m: float
+    short_m: float = 0.03
     """Least length up of a run [m]."""
 
 
 class StemThresholds(NamedTuple):
     """What a stem is: runs of successive lines, taken together."""
 
-    near_m: float
+    near_m: float = 0.05
     """Runs belong together where shots of one column differ by less than this in range [m] ..."""
-    near_share: float
+    near_share: float = 0.005
     """... plus this share of the range."""
-    shots: float
+    shots: float = 12.0
     """Fewest shots."""
-    runs: float
+    runs: float = 3.0
     """Fewest runs."""
-    extent_m: float
+    extent_m: float = 0.5
     """Least height from the lowest to the highest end [m]."""
-    total_m: float
+    total_m: float = 1.0
     """Least length of all runs together [m]."""
-    mean_m: float
+    mean_m: float = 0.12
     """Least mean length of the runs [m]."""
-    through_share: float
+    through_share: float = 0.1
     """Greatest share of returns from behind, of the stem's shots."""
 
 
 class ForestThresholds(NamedTuple):
     """Limits of the labels in a forest."""
 
-    below_m: float
+    below_m: float = 0.2
     """Returns farther below the ground are noise [m]."""
-    soil_m: float
+    soil_m: float = 0.04
     """Returns up to this height are ground [m]."""
-    cover_m: float
+    cover_m: float = 0.15
     """Returns in flat places are ground up to this height [m]."""
-    flat_m: float
+    flat_m: float = 0.04
     """Greatest step in height between adjacent shots of a flat place [m]."""
-    top_m: float
+    top_m: float = 1000.0
     """Stems end at this height; above it they are vegetation [m]."""
-    beside_m: float
+    beside_m: float = 0.05
     """Shots that differ from an adjacent stem shot by at most this in range are of the stem [m]; below 0 = none."""
-    near_m: float
+    near_m: float = 0.3
     """Shots are alone without another this near in range [m]; below 0 = none is alone."""
+
+
+class Forest(NamedTuple):
+    """All limits of a forest."""
+
+    terrain: TerrainThresholds = TerrainThresholds()
+    lines_together: int = 4
+    """Successive lines that share a profile of the ground."""
+    reach_m: float = 80.0
+    """How far to either side the profile goes [m]."""
+    runs: RunThresholds = RunThresholds()
+    stems: StemThresholds = StemThresholds()
+    classes: ForestThresholds = ForestThresholds()
+    run_sigmas: float = 2.0
+    """How far beside a run its next return may be, in standard deviations of the range noise, if that is more."""
+    soil_sigmas: float = 2.0
+    """Height up to which returns are ground, in the same."""
+    flat_sigmas: float = 3.0
+    """Greatest step in height between adjacent shots of a flat place, in the same."""
+    alone_rad: float = math.radians(0.3)
+    """Angle along the line in which a shot is alone, on either side [rad]."""
+
+    def run_thresholds(self, step_rad: float, noise_m: float) -> RunThresholds:
+        """Return the limits of the loop over the runs of a line, for a range noise [m]."""
+        tolerance_m = max(self.runs.tolerance_m, self.run_sigmas * noise_m)
+        return self.runs._replace(step_rad=step_rad, tolerance_m=tolerance_m)
+
+    def class_thresholds(self, noise_m: float) -> ForestThresholds:
+        """Return the limits of the loop that labels, for a range noise [m]."""
+        soil_m = max(self.classes.soil_m, self.soil_sigmas * noise_m)
+        flat_m = max(self.classes.flat_m, self.flat_sigmas * noise_m)
+        return self.classes._replace(soil_m=soil_m, cover_m=max(self.classes.cover_m, soil_m), flat_m=flat_m)
+
+
+FOREST = Forest()

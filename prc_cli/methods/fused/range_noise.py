@@ -1,0 +1,222 @@
+"""Range noise of the scanner, measured: on streets along the stream, in forests from the smoothest runs of shots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, F64
+from prc_cli.methods.fused.plane import ScanPlane, points_of
+
+NORMAL_QUARTILE = 0.6745
+"""Half of a normal distribution lies within this many standard deviations."""
+MIDDLE_OF_THREE = 1.5
+"""Variance of a range's deviation from the mean of its two neighbours, in variances of one range."""
+PART_LINES = 32
+"""Lines by which the noise at the begin of a stream is measured; not more than are known after a block."""
+PIECE_PARTS, FIRST_PARTS = 4, 12
+"""Parts of so many lines by which it is measured later, and after how many it is measured ever more seldom."""
+EVERY_LINE, MANY_COLUMNS = 4, 256
+"""With so many columns and more, every fourth line is enough."""
+LEAST_TRIPLES = 100
+"""Fewest shots to measure the noise from."""
+RUN_SHOTS = 9
+"""Second differences of ranges in a run."""
+SMOOTHEST = 0.1
+"""This share of the runs lies on stems and bare ground in every forest."""
+OF_SMOOTHEST = 1.4
+"""Range noise, in what the smoothest tenth of the runs shows: it is the tenth that has the least by chance as well."""
+SECOND_DIFFERENCE = 6.0
+"""Variance of a second difference, in variances of one range."""
+FOREST_EVERY_LINE = 4
+LEAST_RUNS = 100
+EDGE_M = 1.0
+"""Larger second differences are edges, and no run goes across one [m]."""
+DEFAULT_NOISE_M = 0.005
+"""Range noise used until it could be measured [m]."""
+
+
+class SensorParams(Params):
+    """How precisely the scanner measures (``[fused.sensor]``)."""
+
+    range_noise_m: Annotated[float, Field(ge=0, le=1)] | Literal["auto"] = Field(
+        "auto", description='standard deviation of ranges on smooth surfaces [m]; "auto" = measured'
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Range noise measured so far, of one piece of the stream after the other.
+
+    Rough surfaces add to the measured noise, so the smallest measurement is the best one: a drive may begin beneath
+    trees. The noise is a property of the scanner, so it is measured on every piece up to the first success (a stream
+    may begin without usable returns), then only on pieces 1, 2, 4, 8 and so on.
+    """
+
+    least_m: float = math.inf
+    """Smallest measurement [m]."""
+    pieces: int = 0
+    """Pieces so far."""
+
+    def is_asked(self, params: SensorParams) -> bool:
+        """Return whether the next piece is to be measured."""
+        is_new = math.isinf(self.least_m) or self.pieces & (self.pieces - 1) == 0
+        return params.range_noise_m == "auto" and is_new
+
+    def after(self, measured_m: float | None) -> Noise:
+        """Add a piece, given by what was measured on it [m]; None = nothing.
+
+        >>> Noise(0.003, 3).after(0.004)
+        Noise(least_m=0.003, pieces=4)
+        """
+        return Noise(self.least_m if measured_m is None else min(self.least_m, measured_m), self.pieces + 1)
+
+    def noise_m(self, params: SensorParams) -> float:
+        """Return the standard deviation of ranges [m]: as set, measured, or the default.
+
+        >>> Noise().noise_m(SensorParams())
+        0.005
+        """
+        if params.range_noise_m != "auto":
+            return float(params.range_noise_m)
+        return self.least_m if math.isfinite(self.least_m) else DEFAULT_NOISE_M
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseAlong:
+    """Range noise along a stream, measured at the same lines however the stream is cut.
+
+    The smallest measurement counts, as with :class:`Noise`; the first piece tells something before it is whole.
+    """
+
+    parts: int = 0
+    """Parts of the stream so far, of :data:`PART_LINES` lines each."""
+    off_m: tuple[F32, ...] = ()
+    """Distances from straight lines in the last parts, as far as they are still needed [m]."""
+    steps: tuple[tuple[int, float], ...] = ()
+    """Parts so far whenever the noise changed, and the noise from there on [m]."""
+
+    def after(self, following_m: F32, first_line: int, plane: ScanPlane, params: SensorParams) -> NoiseAlong:
+        """Add the parts of the stream that end in some lines and were not added before.
+
+        ``following_m`` (lines, M) float32, metres.
+        """
+        known = self
+        while (known.parts + 1) * PART_LINES <= first_line + len(following_m):
+            first = known.parts * PART_LINES - first_line
+            known = known._with_part(following_m[first : first + PART_LINES], plane, params)
+        return known
+
+    def _with_part(self, part_m: F32, plane: ScanPlane, params: SensorParams) -> NoiseAlong:
+        """Add a part; where it is asked, measure the piece that ends with it."""
+        parts = self.parts + 1
+        if not any(self._is_asked(parts + k, params) for k in range(PIECE_PARTS)):
+            return NoiseAlong(parts, (), self.steps)
+        every = EVERY_LINE if part_m.shape[1] >= MANY_COLUMNS else 1
+        off = (*self.off_m, off_lines(*points_of(np.ascontiguousarray(part_m[::every]), plane)))[-PIECE_PARTS:]
+        measured = range_noise(np.concatenate(off)) if self._is_asked(parts, params) else None
+        least = self.steps[-1][1] if self.steps and parts > PIECE_PARTS else math.inf
+        if measured is None or measured >= least:
+            return NoiseAlong(parts, off, self.steps)
+        return NoiseAlong(parts, off, (*self.steps, (parts, measured)))
+
+    def _is_asked(self, parts: int, params: SensorParams) -> bool:
+        """Return whether the piece that ends after so many parts is measured: all at first, then ever fewer."""
+        if params.range_noise_m != "auto":
+            return False
+        piece, rest = divmod(parts, PIECE_PARTS)
+        is_seldom = rest == 0 and (piece - 1) & (piece - 2) == 0
+        return not self.steps or parts <= FIRST_PARTS or is_seldom
+
+    def of_lines(self, first_line: int, n_lines: int, params: SensorParams) -> F64:
+        """Return what is known of the noise at every line: from the parts before its own, and the first one.
+
+        Lines after a block, and blocks after it, know the same then.
+
+        Returns (n_lines,) float64.
+        """
+        if params.range_noise_m != "auto":
+            return np.full(n_lines, float(params.range_noise_m))
+        found = np.full(n_lines, DEFAULT_NOISE_M)
+        parts = np.arange(first_line, first_line + n_lines) // PART_LINES
+        for after, noise_m in self.steps:
+            found[(parts >= after) | (after == 1)] = noise_m
+        return found
+
+
+@stage("range noise")
+def off_lines(side_m: F32, height_m: F32) -> F32:
+    """Return the distances of shots from the straight lines through their two neighbours, (n,) float32 [m].
+
+    ``side_m, height_m`` (lines, M) float32, metres.
+    """
+    y, z = side_m, height_m
+    with np.errstate(all="ignore"):  # ranges may be anything
+        dy, dz = y[:, 2:] - y[:, :-2], z[:, 2:] - z[:, :-2]
+        across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
+        # squares of any range fit; np.hypot gives the same, one number at a time
+        length = np.sqrt(np.square(dy, dtype=np.float64) + np.square(dz, dtype=np.float64)).astype(np.float32)
+        off: F32 = np.abs(across) / length
+    return off[np.isfinite(off)]
+
+
+def range_noise(off_m: F32) -> float | None:
+    """Return the standard deviation of ranges on smooth surfaces [m]; None with too few shots.
+
+    Computed from the median distance of a shot from the straight line through its two neighbours. On smooth surfaces
+    this is noise alone, and most surfaces along a road are smooth.
+
+    ``off_m`` (n,) float32, metres.
+
+    >>> rng = np.random.default_rng(1)
+    >>> side = np.tile(np.linspace(1, 9, 80, dtype=np.float32), (200, 1))
+    >>> height = rng.normal(-2, 0.01, side.shape).astype(np.float32)
+    >>> round(range_noise(off_lines(side, height)), 3)
+    0.01
+    """
+    if len(off_m) < LEAST_TRIPLES:
+        return None
+    return _middle(off_m.copy()) / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
+
+
+def _middle(values: F32) -> float:
+    """Return the median of finite values; reorders them in place; three times as fast as np.median."""
+    half = len(values) // 2
+    values.partition(half)
+    if len(values) % 2:
+        return float(values[half])
+    return float(np.mean(np.array([values[:half].max(), values[half]])))
+
+
+@stage("range noise")
+def forest_noise(range_m: F32) -> float | None:
+    """Return the standard deviation of ranges on the smoothest surfaces [m]; None with too few runs of shots.
+
+    ``range_m`` (lines, M) float32, metres.
+
+    >>> rng = np.random.default_rng(1)
+    >>> lines = 5 + rng.normal(0, 0.01, (400, 200)).astype(np.float32)
+    >>> lines[:, 60:] += rng.exponential(0.5, (400, 140)).astype(np.float32)
+    >>> round(forest_noise(lines), 3)
+    0.009
+    """
+    ranges = range_m[::FOREST_EVERY_LINE].astype(np.float64)
+    if ranges.shape[1] < RUN_SHOTS + 2:
+        return None
+    with np.errstate(invalid="ignore"):  # ranges may be missing
+        bends = ranges[:, 2:] - 2.0 * ranges[:, 1:-1] + ranges[:, :-2]
+    n_runs = bends.shape[1] // RUN_SHOTS
+    runs = bends[:, : n_runs * RUN_SHOTS].reshape(-1, RUN_SHOTS)
+    runs = runs[(np.abs(runs) < EDGE_M).all(axis=1)]
+    if len(runs) < LEAST_RUNS:
+        return None
+    squares = np.square(runs).mean(axis=1)
+    place = int(SMOOTHEST * len(squares))
+    squares.partition(place)
+    return OF_SMOOTHEST * float(np.sqrt(squares[place] / SECOND_DIFFERENCE))
