@@ -21,7 +21,6 @@ from prc_cli.methods.fused import (
 )
 from prc_cli.methods.fused.confidence import MEASURES
 from prc_cli.methods.fused.thresholds import (
-    AgainThresholds,
     ChordThresholds,
     CurbThresholds,
     DecisionThresholds,
@@ -33,18 +32,18 @@ from prc_cli.methods.fused.thresholds import (
     StripThresholds,
     WalkThresholds,
     WallThresholds,
-    typed,
 )
+from tests.kernels.twins import typed
 
 AROUND, INNER, THIN = 4, 2, 20
 USUAL = typed(
     DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, pit_near=9, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
-    car_top_m=3.75, lorry_top_m=5.5, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, across_lines=4,
+    car_top_m=3.75, lorry_top_m=5.5, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0,
     crown_slots=5, pole_shots=3, thick_m=0.15, arm_m=3.0, box_m=2.0, box_flat_m=0.25, box_deep_m=0.75,
-    box_lines=16, keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5,
-    ghost_near=15, pane_m=1.0, cabin_near=3, roof_m=6.0, storey_m=2.5, car_label=7, pole_label=11,
+    box_lines=16, foot_m=0.3, ghost_m=1.5,
+    ghost_near=15, roof_m=6.0, storey_m=2.5,
 )  # fmt: skip
 
 
@@ -310,18 +309,11 @@ def decision(rng: Generator) -> DecisionThresholds:
     chosen = np.array(USUAL) * rng.choice([1.0, 1.0, 0.3, 2.0], len(USUAL))
     chosen[rng.random(len(USUAL)) < 0.05] = rng.choice([0.0, 1e9])
     thresholds = DecisionThresholds._make(np.float32(value) for value in chosen)
-    car, pole = np.float32(rng.choice([1, 7])), np.float32(rng.choice([1, 11]))
-    thresholds = thresholds._replace(
-        keeps_parts=np.float32(rng.choice([0, 1])), takes_long=np.float32(rng.choice([0, 1]))
-    )
     top_m = min(thresholds.car_top_m, np.float32(15.0))
     lorry_m = min(thresholds.lorry_top_m, np.float32(15.0))
     flat_m, deep_m = np.float32(rng.choice([0.25, 0.0])), np.float32(rng.choice([0.75, 5.0]))
     thresholds = thresholds._replace(box_flat_m=flat_m, box_deep_m=deep_m)
-    across = np.float32(rng.choice([4, 4, 8]))
-    return thresholds._replace(
-        car_top_m=top_m, lorry_top_m=lorry_m, car_label=car, pole_label=pole, across_lines=across
-    )  # fmt: skip
+    return thresholds._replace(car_top_m=top_m, lorry_top_m=lorry_m)
 
 
 def box_case(rng: Generator) -> tuple[Any, ...]:
@@ -431,51 +423,6 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
     return labels, one.range_m, above, one.beams, one.step, chosen
 
 
-def again_case(rng: Generator) -> tuple[Any, ...]:
-    """Labels as they may be, of lines with one more before and after than the block, ranges with three."""
-    one = street(rng)
-    n_lines, m = int(rng.integers(1, 4)), one.window.shape[1]
-    range_m = np.ascontiguousarray(one.window[rng.integers(0, len(one.window), n_lines + 6)])
-    if rng.random() < 0.5:
-        # panes: most shots are before the others
-        range_m[rng.random(range_m.shape) < 0.8] = rng.choice([3.0, 3.125])
-    labels = rng.choice([2, 3, 4, 5, 7], (n_lines + 2, m), p=[0.3, 0.1, 0.1, 0.2, 0.3]).astype(np.uint8)
-    if rng.random() < 0.5:
-        labels[labels != 2] = rng.choice([1, 7])
-    labels[np.isnan(range_m[2:-2])] = 0
-    voted = labels[1:-1].copy()
-    voted[voted == 5] = 4
-    near, smooth = (rng.integers(0, n, range_m.shape).astype(np.uint8) for n in rng.choice([[29, 11], [4, 2], [4, 4]]))
-    near[np.isnan(range_m)] = smooth[np.isnan(range_m)] = 0
-    above = rng.choice([0.0, 1.0], (n_lines, m)).astype(np.float32)
-    texture = rng.choice([0.1, 0.3, 1.0], (n_lines, m)).astype(np.float32)
-    limits = typed(
-        NearThresholds,
-        near_m=rng.choice([0.4, 2.0]),
-        near_steps=3.0,
-        thin_m=0.1,
-        along_m=1.0,
-        along_steps=rng.choice([0.0, 8.0]),
-    )
-    chosen = typed(
-        AgainThresholds,
-        least_near=3,
-        spike_m=rng.choice([0.05, 0.0, 2.0]),
-        sparse_texture=rng.choice([0.65, 0.0, 2.0]),
-        sparse_shots=rng.choice([1, 3, 12]),
-        through_share=rng.choice([0.25, 0.0, 1.0]),
-        low_m=rng.choice([0.2, 0.0]),
-        mirror_m=rng.choice([0.3, 0.0, 1e9]),
-        mirror_share=rng.choice([0.0, 0.2, 0.7]),
-        alone_texture=rng.choice([0.15, 0.0, 1e9]),
-        foot_m=rng.choice([0.15, -1.0]),
-        alone_m=rng.choice([0.1, 0.0]),
-        alone_gap_m=rng.choice([0.75, 0.0]),
-        car_label=rng.choice([1, 7]),
-    )
-    return labels, voted, range_m, (near, smooth), above, texture, one.beams, one.step, limits, chosen
-
-
 def fan_case(rng: Generator) -> tuple[Any, ...]:
     """Ground, and things of a few steps on it, as rings see them from near to far; all else at random."""
     n_lines, m = int(rng.integers(1, 30)), int(rng.integers(1, 40))
@@ -499,7 +446,6 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
         most_m=rng.choice([1.9, 9.0]),
         smooth=rng.choice([0.0, 0.3]),
         share=rng.choice([0.0, 0.3, 0.6]),
-        label=rng.choice([1, 7]),
     )
     texture = rng.random((n_lines, m)).astype(np.float32)
     return (
@@ -551,7 +497,6 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "plane_points": points_case,
     "smooth_counts": smooth_case,
     "vote_labels": vote_case,
-    "noise_again": again_case,
     "walk_ground": walk_case,
     "widen_levels": levels_case,
     "widen_slots": slots_case,

@@ -15,8 +15,8 @@ from prc_cli.methods.fused.thresholds import (
     RunThresholds,
     StemThresholds,
     TerrainThresholds,
-    typed,
 )
+from tests.kernels.twins import typed
 
 RUNS = typed(
     RunThresholds,

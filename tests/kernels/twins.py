@@ -7,7 +7,7 @@ from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -48,3 +48,9 @@ def assert_equal_bits(found: Any, expected: Any, tolerance: float = 0.0) -> None
             np.testing.assert_allclose(one, other, rtol=0, atol=tolerance)
         else:
             np.testing.assert_array_equal(one, other)
+
+
+def typed(kind: type[Any], **values: Any) -> Any:
+    """Return thresholds of a class, each converted to the type of its field."""
+    types = get_type_hints(kind)
+    return kind(**{name: types[name](value) for name, value in values.items()})

@@ -15,7 +15,7 @@ MISSING, _, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR, POLE = 7, 11
 Slots = NDArray[np.uint64]
 
-MARGIN, BESIDE = 20, 12
+MARGIN, BESIDE, ACROSS = 20, 12, 4
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 
 
@@ -102,18 +102,18 @@ class _Shot:
 
     def is_held(self) -> bool:
         on_ground = abs(self.above) < self.thresholds.soil_m
-        return bool(self.thresholds.keeps_held > 0 and (self.smooth > 0 or on_ground or self.is_in_wall()))
+        return bool(self.smooth > 0 or on_ground or self.is_in_wall())
 
     def is_ghost(self, *, rough: bool) -> bool:
         if self.strip is None or not self.near < self.thresholds.ghost_near:
             return False
         away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
         beyond = abs(self.side) - away
-        far = (rough and beyond > self.thresholds.ghost_m) or (self.smooth == 0 and beyond > self.thresholds.pane_m)
+        far = (rough and beyond > self.thresholds.ghost_m) or (self.smooth == 0 and beyond > self.thresholds.behind_m)
         return bool(far and away != 0 and self.height * away <= top * abs(self.side))
 
     def is_lost_in_car(self) -> bool:
-        return bool(self.smooth == 0 and self.near < self.thresholds.cabin_near)
+        return bool(self.smooth == 0 and self.near < self.thresholds.least_near)
 
     def _is_about_wall(self, most_m: np.float32) -> bool:
         """Return whether a shot is a little before a house, or not farther than this behind it, at any height."""
@@ -178,7 +178,7 @@ class _Shot:
             return False
         if self.level > 0 and not (self.above > self.thresholds.arm_m and self._is_free_across()):
             return False
-        if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
+        if self.is_in_wall() or (is_car and not self._is_free_across()):
             return False
         return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
 
@@ -206,8 +206,7 @@ class _Shot:
                 j += way
         return True
 
-    def _is_free_across(self, lines: int = 0) -> bool:
-        lines = lines or int(self.thresholds.across_lines)
+    def _is_free_across(self, lines: int = ACROSS) -> bool:
         column, middle = self.window[:, self.i], self.line + MARGIN
         free = ~(column <= self.range_m + self.thresholds.far_m)
         return bool(free[middle - lines : middle].any() and free[middle + 1 : middle + lines + 1].any())
@@ -242,10 +241,9 @@ class _Shot:
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + MARGIN
         free = ~(column <= self.range_m + self.thresholds.far_m)
-        most = int(self.thresholds.across_lines)
-        before = [k for k in range(1, most + 1) if middle - k >= 0 and free[middle - k]]
-        after = [k for k in range(1, most + 1) if middle + k < len(column) and free[middle + k]]
-        return bool(before) and bool(after) and before[0] + after[0] <= most + 1
+        before = [k for k in range(1, ACROSS + 1) if middle - k >= 0 and free[middle - k]]
+        after = [k for k in range(1, ACROSS + 1) if middle + k < len(column) and free[middle + k]]
+        return bool(before) and bool(after) and before[0] + after[0] <= ACROSS + 1
 
     def has_crown(self) -> bool:
         return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)
@@ -267,11 +265,11 @@ class _Shot:
         if self.is_standing(is_car=is_car) and self.is_thin():
             if self.has_crown():
                 return VEGETATION
-            is_long = self.thresholds.takes_long == 0 and not self._is_free_across(BESIDE)
+            is_long = not self._is_free_across(BESIDE)
             if not is_long and len(self.run()) >= self.thresholds.pole_shots:
-                return VEGETATION if self.is_thick() else int(self.thresholds.pole_label)
+                return VEGETATION if self.is_thick() else POLE
         if is_car:
-            return int(self.thresholds.car_label)
+            return CAR
         return VEGETATION if rough or leaf else BUILDING
 
 
@@ -390,7 +388,7 @@ class _Line:
                 continue
             shots = np.array([j for j in range(first, last + 1) if self.is_thing(j)])
             if self.is_small(i, shots):
-                self.labels[shots] = np.uint8(self.limits.pole_label)
+                self.labels[shots] = np.uint8(POLE)
 
 
 def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:

@@ -12,7 +12,7 @@ from prc_cli.methods.fused.thresholds import FanThresholds
 
 LINES, BINS, BIN = 12, 200, np.float32(0.25)
 REACH, JUMP = np.float32(0.5), np.float32(1.0)
-NO_THING, SOIL, POLE = (0, 2, 3, 8), (3, 8), 11
+NO_THING, SOIL, CAR, POLE = (0, 2, 3, 8), (3, 8), 7, 11
 SEED, THING = 1, 2
 
 Run = tuple[list[int], bool, tuple[int, int], float, float]
@@ -49,7 +49,7 @@ def fan_cars(
             continue
         things = ((around & THING) > 0).sum(axis=0)[seeds.argmax()]
         if np.float32(seeds.max()) >= thresholds.share * np.float32(seeds.max() + things):
-            found[line, [i for i in columns if labels[line, i] != POLE]] = thresholds.label
+            found[line, [i for i in columns if labels[line, i] != POLE]] = CAR
     return found[:n_own], marks[n_own : n_own + LINES]
 
 
@@ -76,6 +76,6 @@ def runs_of(labels: U8, side: F32, above: F32, texture: F32, outwards: I32, thre
         first, end = there.index(run[0]), there.index(run[-1]) + 1
         is_roof = is_roof and first > 0 and end < len(there)
         is_roof = is_roof and labels[there[first - 1]] in SOIL and side[there[end]] > side[run[-1]] + JUMP
-        is_roof = is_roof or 2 * (labels[run] == thresholds.label).sum() >= len(run)
+        is_roof = is_roof or 2 * (labels[run] == CAR).sum() >= len(run)
         lowest = min(max(floor((near - REACH) / BIN), 0), BINS)
         yield run, bool(is_roof), (lowest, min(floor((far + REACH) / BIN) + 1, BINS)), low, high

@@ -13,7 +13,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.explain.answers import Answer, metres
-from prc_cli.methods.fused.classes import are_wanted, ask_again, decide, vote
+from prc_cli.methods.fused.classes import are_wanted, decide, vote
 from prc_cli.methods.fused.forest import find_stems, heights_over_ground
 from prc_cli.methods.fused.ground import Ground
 from prc_cli.methods.fused.interlace import put_in_step
@@ -31,7 +31,6 @@ from prc_cli.methods.fused.pipeline import (
     lines_apart,
     of_place,
     streams_of,
-    thresholds_of,
     window_of,
 )
 from prc_cli.methods.fused.plane import INNER_LINES, WIDE_LINES, points_of
@@ -111,7 +110,7 @@ def _street(
     around, inner, seen = stream.seen, stream.seen.range_m, stream.seen.neighbours
     least, evidence = int(limits.decision.least_near), evidence_of(around, ground.above_m, plane, limits)
     texture, standing = evidence.texture, evidence.standing
-    decided = decide(stream.wide_m, seen, ground, texture, standing, plane, thresholds_of(stream, limits))
+    decided = decide(stream.wide_m, seen, ground, texture, standing, plane, limits.decision)
     place = _place(inner, seen, ground, texture, standing, scanner, least, at)
     stride = int(strides[line + BESIDE_LINES])
     yield from _neighbourhood(place, stride, limits)
@@ -120,9 +119,8 @@ def _street(
     reason, keys = _reason(place, label, limits)
     yield Answer("decision", reason, _name(label), keys)
     voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    asked = ask_again((decided, voted), inner, seen, ground.above_m, texture, plane, limits)
-    labels = label, Label(int(voted[at])), Label(int(asked[at])), final
-    yield from _afterwards(labels, place, limits, by_profile=are_wanted(plane, limits))
+    labels = label, Label(int(voted[at])), final
+    yield from _afterwards(labels, limits, by_profile=are_wanted(plane, limits))
 
 
 def _place(
@@ -257,45 +255,26 @@ def _why_noise(place: _Place, limits: Limits) -> _Reason:
         return "rough and far below the ground", _of(limits, "decision.below_m")
     if place.smooth == 0:
         told = "few neighbours and no smooth pair, behind a wall or alone in a car: a reflection in a pane"
-        return told, _of(limits, "decision.pane_m", "decision.ghost_near")
+        return told, _of(limits, "decision.behind_m", "decision.ghost_near")
     told = "few neighbours, rough, and seen far behind a wall"
     return told, _of(limits, "decision.ghost_m", "decision.ghost_near")
 
 
-def _why_again(asked: Label, place: _Place, limits: Limits) -> _Reason:
-    """Return why the answer of the wider window is another one."""
-    if asked == Label.NOISE:
-        told = "rough, and amid a car but farther than it, or with nothing around that is as far"
-        return told, _of(limits, "again.mirror_m", "again.alone_m")
-    if place.near >= limits.decision.least_near:
-        return "a spike, but close to the surface around", _of(limits, "again.spike_m")
-    return "isolated, but more of the same is around", _of(limits, "again.sparse_shots")
-
-
-def _afterwards(
-    labels: tuple[Label, Label, Label, Label], place: _Place, limits: Limits, *, by_profile: bool
-) -> Iterator[Answer]:
+def _afterwards(labels: tuple[Label, Label, Label], limits: Limits, *, by_profile: bool) -> Iterator[Answer]:
     """Answer for what may change a decision."""
-    decided, voted, asked, final = labels
+    decided, voted, final = labels
     half = _of(limits, "votes.half_width_m")
     if decided in (Label.NOISE, Label.GROUND):
         yield Answer("vote", "noise and ground are not asked", "keeps its class", half)
     else:
         so = "keeps its class" if voted == decided else f"{_name(voted)}, as most shots around it"
         yield Answer("vote", "the shots around it", so, half)
-    if asked != voted:
-        told, names = _why_again(asked, place, limits)
-        yield Answer("wider window", told, _name(asked), names)
-    if final == asked:
-        return
-    if final == Label.CURB:
+    if final == Label.CURB and final != voted:
         told, names = "the ground rises by a small step here", _of(limits, "curbs.least_m", "curbs.most_m")
         yield Answer("curbs", told, "curb", names)
-    elif final == Label.CAR and by_profile:
+    elif final != voted and by_profile:
         told = "lines around see a car here: they climb from the ground to a roof, and see far beyond it"
         yield Answer("profile", told, _name(final), _of(limits, "roofs.least_m", "roofs.share"))
-    else:
-        yield Answer("standing", "the platform stands or hardly moves", f"{_name(final)}, as before")
 
 
 def _forest(block: ScanBlock, scanner: FusedScanner, noise_m: float, at: tuple[int, int]) -> Iterator[Answer]:

@@ -9,7 +9,7 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.ground import Ground
 from prc_cli.methods.fused.neighbours import Neighbours
-from prc_cli.methods.fused.plane import VOTE_LINES, WIDE_LINES, ScanPlane
+from prc_cli.methods.fused.plane import VOTE_LINES, ScanPlane
 from prc_cli.methods.fused.strips import Standing
 from prc_cli.methods.fused.thresholds import CurbThresholds, DecisionThresholds, FanThresholds, Limits, Votes
 
@@ -19,8 +19,6 @@ ROOM_SHARE = 0.01
 """In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
 BESIDE_THIN_LINES = 20
 """Lines before and after a line in which something is seen past a pole or a box."""
-ACROSS_LINES = 4
-"""Lines before and after a line by which a thing is found to be thin; at most :data:`BESIDE_THIN_LINES`."""
 
 
 def is_room(range_m: F32, limits: Limits) -> bool:
@@ -84,30 +82,6 @@ def vote(labels: U8, range_m: F32, plane: ScanPlane, limits: Votes | None) -> U8
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(labels, range_m, plane.beams, plane.step_rad, limits.half_width_m, limits.near_m)
     return voted
-
-
-@stage("noise again")
-def ask_again(
-    labels: tuple[U8, U8],
-    range_m: F32,
-    seen: Neighbours,
-    above_m: F32,
-    texture: F32,
-    plane: ScanPlane,
-    limits: Limits,
-) -> U8:
-    """Label noise in a wider window, and take some back; see :func:`noise_loops.noise_again`.
-
-    ``labels`` tuple of (lines + 2, M) uint8 and (lines, M) uint8; ``range_m, above_m`` (lines + 6, M) float32, metres;
-    ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
-    """
-    inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
-    beside = slice(VOTE_LINES, -VOTE_LINES)
-    found: U8 = kernels.noise_again(
-        *labels, range_m, (seen.near, seen.smooth), above_m[inner], texture[beside], plane.beams, plane.step_rad,
-        limits.near, limits.again,
-    )  # fmt: skip
-    return found
 
 
 @stage("curbs")

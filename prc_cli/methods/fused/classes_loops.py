@@ -48,7 +48,7 @@ CAR_REACH = 6
 BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
 ACROSS_LINES = 4
-"""Lines before and after by which a thing is found to be thin; in slow drives more, up to :data:`MARGIN`."""
+"""Lines before and after by which a thing is found to be thin."""
 GAP_SHOTS = 3
 """Lonely shots within a run, beside as many as the run is long."""
 _LONG, _SHORT, _UNKNOWN = 0, 1, 2
@@ -57,6 +57,7 @@ _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROU
 _OPEN, _LEAF, _ODD = 255, 254, 253
 """Marks of undecided shots, of lonely leaves, and of shots that may be noise."""
 _BUILDING, _VEGETATION = int(Label.BUILDING), int(Label.VEGETATION)
+_CAR, _POLE = int(Label.CAR), int(Label.POLE)
 
 
 @helper
@@ -218,21 +219,21 @@ def _follow_run(
 
 
 @inlined
-def _is_thin(window_m: F32, line: int, i: int, far: np.float32, lines: int) -> bool:
+def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
     """Return whether close lines before and after see nothing, or only far things, in the direction of a shot."""
     own = window_m[line, i]
     before = after = 0
-    for k in range(1, lines + 1):
+    for k in range(1, ACROSS_LINES + 1):
         if line - k >= 0 and not (window_m[line - k, i] <= own + far):
             before = k
             break
     if before == 0:
         return False
-    for k in range(1, lines + 1):
+    for k in range(1, ACROSS_LINES + 1):
         if line + k < len(window_m) and not (window_m[line + k, i] <= own + far):
             after = k
             break
-    return after > 0 and before + after <= lines + 1
+    return after > 0 and before + after <= ACROSS_LINES + 1
 
 
 @inlined
@@ -272,22 +273,6 @@ def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.floa
             least, most = min(least, there), max(most, there)
             last = there
     return np.float32(most - least)
-
-
-@helper
-def _mark_thin_far(window_m: F32, line: int, far: np.float32, lines: int, after: U8, thin: U8) -> None:
-    """Mark what may be thin as :func:`_mark_thin` does, by so many lines on both sides; ``after`` is overwritten."""
-    own = window_m[line]
-    for way in (-1, 1):
-        marks = thin if way < 0 else after
-        for i in range(len(own)):
-            marks[i] = 0
-        for k in range(1, lines + 1):
-            other = window_m[line + way * k]
-            for i in range(len(own)):
-                marks[i] |= np.uint8(not (other[i] <= own[i] + far))
-    for i in range(len(own)):
-        thin[i] &= after[i]
 
 
 @helper
@@ -422,7 +407,7 @@ def _label_odd(
     rough, at, top = rows
     columns, so_far = spikes
     least, below, share = thresholds.least_near, thresholds.below_m, thresholds.spike_share
-    foot, leaf_slots, holds = thresholds.foot_m, thresholds.leaf_slots, thresholds.keeps_held > 0
+    foot, leaf_slots = thresholds.foot_m, thresholds.leaf_slots
     for k in range(len(shots)):
         i = shots[k]
         h, pairs = above[i], smooth[i]
@@ -432,7 +417,7 @@ def _label_odd(
             b = _strip(y)
             is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], thresholds)
             # the few shots left of a far surface still agree with it
-            is_held = holds and (pairs > 0 or is_wall or abs(h) < thresholds.soil_m)
+            is_held = pairs > 0 or is_wall or abs(h) < thresholds.soil_m
             if b >= 0 and h > foot and not is_wall:
                 # far away, gaps between leaves are wider than what counts as near
                 is_leaf = bool(np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots)
@@ -497,12 +482,10 @@ def _label_things(
     at, top, ahead, car_below, rough_below = found
     leaf_share, share_before = thresholds.leaf_share, thresholds.leaf_share_before_wall
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
-    car = np.uint8(thresholds.car_label)
-    ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
+    ghost_m, ghost_near, least = thresholds.ghost_m, thresholds.ghost_near, thresholds.least_near
     nothing, arm_m = np.float32(0.0), thresholds.arm_m
     front_m, behind_m, roof_m = thresholds.front_m, thresholds.behind_m, thresholds.roof_m
     storey_m = thresholds.storey_m
-    pane_m, cabin_near = thresholds.pane_m, thresholds.cabin_near
     for i in range(len(labels)):
         y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
         is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
@@ -516,18 +499,18 @@ def _label_things(
         is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
         is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
         label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
-        label = car if is_car else label
+        label = np.uint8(_CAR) if is_car else label
         is_bare = smooth[i] == 0
         is_past = (wall != nothing) & (z * wall <= end * abs(y)) & is_here
-        is_far = ((beyond > ghost_m) & is_rough) | ((beyond > pane_m) & is_bare)
-        is_lost = is_bare & is_car & (np.float32(near[i]) < cabin_near)
+        is_far = ((beyond > ghost_m) & is_rough) | ((beyond > behind_m) & is_bare)
+        is_lost = is_bare & is_car & (np.float32(near[i]) < least)
         is_ghost = (is_past & is_far & (np.float32(near[i]) < ghost_near)) | is_lost
         label = np.uint8(_NOISE) if is_ghost else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
         may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
-        is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
+        is_part = is_wall | (is_car & (thin[i] == 0))
         poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
 
 
@@ -546,8 +529,7 @@ def _label_poles(
     """Label those of a list of shots that are on poles and trunks."""
     ranges = window_m[line]
     side, height, above = points
-    least, pole, takes_long = thresholds.least_near, np.uint8(thresholds.pole_label), thresholds.takes_long > 0
-    lines = int(thresholds.across_lines)
+    least = thresholds.least_near
     end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -556,17 +538,17 @@ def _label_poles(
         elif i >= end:
             end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
         is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
-        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m, lines)):
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = np.uint8(_VEGETATION)
             elif np.float32(n_shots) >= thresholds.pole_shots and (
-                takes_long or thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
+                thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
                 beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
                 is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
-                labels[i] = np.uint8(_VEGETATION) if is_thick else pole
+                labels[i] = np.uint8(_VEGETATION) if is_thick else np.uint8(_POLE)
 
 
 @inlined
@@ -705,7 +687,7 @@ def _label_boxes(
             continue
         if _is_box(window_m, line, i, (first, last), points, counts[1], labels, thresholds):
             for j in range(first, last + 1):
-                labels[j] = np.uint8(thresholds.pole_label) if _is_thing(labels[j]) else labels[j]
+                labels[j] = np.uint8(_POLE) if _is_thing(labels[j]) else labels[j]
 
 
 @kernel(
@@ -778,10 +760,7 @@ def fused_labels(
         _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
-        if thresholds.across_lines == ACROSS_LINES:
-            _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
-        else:
-            _mark_thin_far(window_m, line + MARGIN, thresholds.far_m, int(thresholds.across_lines), marks, thin)
+        _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
         _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)

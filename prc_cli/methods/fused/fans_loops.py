@@ -27,7 +27,7 @@ LOW_M, HIGH_FOOT_M = np.float32(2.0), np.float32(1.0)
 """In other lines a car is lower than this, and its lowest shot below this [m]."""
 _SEED, _THING = np.uint8(1), np.uint8(2)
 _MISSING, _NOISE, _GROUND, _CURB = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND), int(Label.CURB)
-_POLE = int(Label.POLE)
+_CAR, _POLE = int(Label.CAR), int(Label.POLE)
 _FAR = np.float32(1e6)
 
 
@@ -105,7 +105,7 @@ def _mark_side(
             is_roof &= abs(side[shots[end]]) > abs(side[shots[end - 1]]) + JUMP_M
         n_cars = 0
         for j in range(k, end):
-            if labels[shots[j]] == np.uint8(thresholds.label):
+            if labels[shots[j]] == np.uint8(_CAR):
                 n_cars += 1
         is_roof |= 2 * n_cars >= end - k
         first, last = _bins_of(near, far)
@@ -200,7 +200,7 @@ def fan_cars(
     for q in range(2 * BINS):
         _sum_up(marks[q], _SEED, seeds[q])
         _sum_up(marks[q], _THING, things[q])
-    car, pole = np.uint8(thresholds.label), np.uint8(_POLE)
+    car, pole = np.uint8(_CAR), np.uint8(_POLE)
     for k in range(n_own):
         for i in range(m):
             found[k, i] = labels[k, i]

@@ -26,11 +26,9 @@ from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.methods.blocks import check_block
 from prc_cli.methods.fused.classes import (
-    ACROSS_LINES,
     BESIDE_THIN_LINES,
     LINES,
     are_wanted,
-    ask_again,
     decide,
     find_cars,
     find_curbs,
@@ -66,15 +64,13 @@ from prc_cli.methods.fused.returns import label_further_returns
 from prc_cli.methods.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
-    Halt,
     Spacing,
-    keep_labels,
     leaves_again,
     spaced_pairs,
     strides_of,
 )
 from prc_cli.methods.fused.strips import Standing, stand
-from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET, DecisionThresholds, Limits, in_room
+from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET, Limits, in_room
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
@@ -95,8 +91,8 @@ FARTHEST_BESIDE = 4
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
-        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.noise",
-        "fused.spacing", "fused.strips", "fused.texture", "fused.votes",
+        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.spacing",
+        "fused.strips", "fused.texture", "fused.votes",
     }
 )  # fmt: skip
 FOREST_KERNELS = frozenset({"fused.stems"})
@@ -133,8 +129,6 @@ class FusedState:
     """Number of lines so far."""
     spacing: Spacing
     """Distance of the lines so far."""
-    halt: Halt
-    """Labels before the platform came to stand."""
     memory: GroundMemory
     """Ground before the last three lines of the tail."""
     profiles: U8
@@ -146,7 +140,6 @@ AnyArray = NDArray[Any]
 TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
 NOISE_ALONG = Part[NoiseAlong]("noise_along")
 LINE, SPACING = Part[int]("line"), Part[Spacing]("spacing")
-HALT = Part[Halt]("halt")
 PROFILES = Part[U8]("profiles")
 
 
@@ -279,7 +272,6 @@ def initial_state(scanner: FusedScanner) -> FusedState:
         NoiseAlong(),
         0,
         Spacing.none(),
-        Halt.none(scanner.points_per_line),
         GroundMemory.none(),
         no_profiles(),
     )
@@ -339,12 +331,7 @@ def _classify(
     if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
         labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits)
-    spaced, smoothness, step_rad = limits.spaced, limits.smoothness, float(plane.step_rad)
-    if spaced is None or not limits.keeps:
-        return labels, evidence
-    own, own_m = strides[BESIDE_LINES:][:n_lines], noise_m[SPACED_LINES:][:n_lines]
-    thresholds = partial(spaced.thresholds, smoothness, step_rad=step_rad)
-    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, own_m, thresholds)), evidence
+    return labels, evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -357,8 +344,6 @@ class Stream:
     seen: Seen
     wide_m: F32
     """Ranges of its lines and of :data:`MARGIN_LINES` before and after them [m]."""
-    across_lines: int
-    """Lines before and after a line by which things are thin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -395,8 +380,6 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: 
     float64.
     """
     apart, around = lines_apart(strides), MARGIN_LINES - AROUND_LINES
-    is_slower = limits.is_slower and int(strides[BESIDE_LINES:-BESIDE_LINES].max()) > MOST_APART
-    across = 2 * ACROSS_LINES if is_slower else ACROSS_LINES
     streams = []
     for every in np.unique(apart).tolist():
         window, own_strides, own_noise_m = _with_beside(wide, strides, noise_m, every)
@@ -407,7 +390,7 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: 
                 own_m = wide[_rows_of(first, every, len(apart))]
                 own = np.ascontiguousarray(smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)])
             seen = see(own_m[around:-around], own, plane, limits)
-            streams.append(Stream(first, every, seen, own_m, across if every == MOST_APART else ACROSS_LINES))
+            streams.append(Stream(first, every, seen, own_m))
     return streams
 
 
@@ -562,17 +545,11 @@ def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, limits: Limits) -> E
 
 def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, limits: Limits) -> U8:
     """Label every shot of a stream."""
-    seen, thresholds = stream.seen, thresholds_of(stream, limits)
-    labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, thresholds)
+    seen, own = stream.seen, limits.decision
+    labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, own)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    asked = ask_again((labels, voted), seen.range_m, seen.neighbours, ground.above_m, evidence.texture, plane, limits)
-    own = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    return find_curbs(asked, seen.range_m[own], ground.above_m[own], plane, limits.curbs)
-
-
-def thresholds_of(stream: Stream, limits: Limits) -> DecisionThresholds:
-    """Return the thresholds of the decision for a stream."""
-    return limits.decision._replace(across_lines=np.float32(stream.across_lines))
+    inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
+    return find_curbs(voted, seen.range_m[inner], ground.above_m[inner], plane, limits.curbs)
 
 
 def _with_cars(

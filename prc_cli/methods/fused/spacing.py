@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import kernels
-from prc_cli.core.classes import Label
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.methods.fused.neighbours import smooth_pairs
@@ -173,54 +172,3 @@ def _spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float,
             is_own = strides[own] == stride
             smooth[own[is_own]] = counts[is_own]
     return smooth
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Halt:
-    """The last line before the platform came to stand, or the last line."""
-
-    range_m: F32
-    """(M,) float32 [m]; NaN = missing."""
-    labels: U8
-    """(M,) uint8."""
-
-    @classmethod
-    def none(cls, points_per_line: int) -> Halt:
-        """Return the state before the first line."""
-        return cls(np.full(points_per_line, np.nan, np.float32), np.zeros(points_per_line, np.uint8))
-
-
-@stage("standing")
-def keep_labels(
-    labels: U8,
-    range_m: F32,
-    strides: I64,
-    halt: Halt,
-    noise_m: F64,
-    thresholds: Callable[[float], SpacingThresholds],
-) -> tuple[U8, Halt]:
-    """Let shots keep the labels that they had when the platform came to stand, where they are as far as then.
-
-    A standing scanner sees every tree as a strip of one line; only before did it see how wide things are.
-
-    ``labels`` (lines, M) uint8; ``range_m`` (lines, M) float32, metres; ``strides`` (lines,) int64; ``noise_m``
-    (lines,) float64; returns (lines, M) uint8.
-    """
-    stands = strides == STANDS
-    if not stands.any():
-        return labels, Halt(range_m[-1].copy(), labels[-1].copy())
-    kept = labels.copy()
-    limits = [thresholds(float(each)) for each in noise_m]
-    tolerance_m = np.array([[each.tolerance_m] for each in limits], np.float32)
-    per_m = np.array([[each.tolerance_per_m] for each in limits], np.float32)
-    edges = np.flatnonzero(np.diff(stands, prepend=False, append=False))
-    for first, end in edges.reshape(-1, 2).tolist():
-        if first > 0:
-            halt = Halt(range_m[first - 1].copy(), kept[first - 1].copy())
-        limit = tolerance_m[first:end] + per_m[first:end] * halt.range_m
-        # false where a range is missing
-        is_same = (np.abs(range_m[first:end] - halt.range_m) < limit) & (halt.labels > Label.NOISE)
-        kept[first:end] = np.where(is_same, halt.labels, kept[first:end])
-    if not stands[-1]:
-        halt = Halt(range_m[-1].copy(), kept[-1].copy())
-    return kept, halt

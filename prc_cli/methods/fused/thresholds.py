@@ -12,8 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy import float32 as f32
 
-from prc_cli.core.classes import Label
-
 NEVER = 1e9
 """A limit that no value reaches."""
 NO_BINS = 99
@@ -23,7 +21,7 @@ NO_BINS = 99
 class NearThresholds(NamedTuple):
     """Distance limits for near neighbours, in the scan plane."""
 
-    near_m: np.float32 = f32(0.4)
+    near_m: np.float32 = f32(0.3)
     """Greatest distance to the side and in height, each [m] ..."""
     near_steps: np.float32 = f32(3)
     """... or so many distances between adjacent columns, if that is more."""
@@ -77,7 +75,7 @@ class ChordThresholds(NamedTuple):
 class WalkThresholds(NamedTuple):
     """How the ground is followed from shot to shot and from line to line."""
 
-    least_near: np.float32 = f32(3)
+    least_near: np.float32 = f32(2)
     """Near neighbours that a shot needs."""
     step_m: np.float32 = f32(0.14)
     """Greatest step in height from one shot to the next [m]."""
@@ -100,7 +98,7 @@ class WalkThresholds(NamedTuple):
 class StripThresholds(NamedTuple):
     """Which shots count in a strip, and as what."""
 
-    least_near: np.float32 = f32(3)
+    least_near: np.float32 = f32(2)
     """Near neighbours that a shot needs."""
     foot_m: np.float32 = f32(0.15)
     """Least height above the ground [m]."""
@@ -156,7 +154,7 @@ class FlankThresholds(NamedTuple):
 class DecisionThresholds(NamedTuple):
     """Limits of the questions that label a shot."""
 
-    least_near: np.float32 = f32(3)
+    least_near: np.float32 = f32(2)
     """A shot with fewer near neighbours is lonely."""
     spike_share: np.float32 = f32(0.65)
     """A rough shot is a spike where the share of smooth pairs around it is greater."""
@@ -204,8 +202,6 @@ class DecisionThresholds(NamedTuple):
     """Difference in range at which a run ends [m]."""
     far_m: np.float32 = f32(1)
     """What is beside a pole is farther than it by more than this [m]."""
-    across_lines: np.float32 = f32(4)
-    """Lines before and after by which a thing is found to be thin."""
     crown_slots: np.float32 = f32(5)
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32 = f32(6)
@@ -222,57 +218,12 @@ class DecisionThresholds(NamedTuple):
     """... and as this at most [m]."""
     box_lines: np.float32 = f32(16)
     """So many other lines see them, at most."""
-    keeps_parts: np.float32 = f32(0)
-    """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
-    takes_long: np.float32 = f32(0)
-    """1 = poles may be long across lines, as fences are; 0 = lines close by see past them."""
     foot_m: np.float32 = f32(0.3)
     """Lower shots are neither poles nor lonely leaves [m]."""
-    keeps_held: np.float32 = f32(1)
-    """1 = lonely shots that agree with a surface are kept; 0 = they are noise."""
-    ghost_m: np.float32 = f32(5)
+    ghost_m: np.float32 = f32(4)
     """Shots farther behind a wall than this may be ghosts [m] ..."""
     ghost_near: np.float32 = f32(6)
     """... if they have fewer near neighbours than this."""
-    pane_m: np.float32 = f32(1)
-    """So are shots without any smooth pair farther behind a wall than this [m]."""
-    cabin_near: np.float32 = f32(3)
-    """Shots of a car without any smooth pair and with fewer near neighbours than this are noise."""
-    car_label: np.float32 = f32(Label.CAR)
-    """Label of cars."""
-    pole_label: np.float32 = f32(Label.POLE)
-    """Label of poles."""
-
-
-class AgainThresholds(NamedTuple):
-    """Limits of the questions that are asked again of noise, and of what may be noise."""
-
-    least_near: np.float32 = f32(3)
-    """A shot with fewer near neighbours is lonely."""
-    spike_m: np.float32 = f32(0.05)
-    """Spikes that are nearer than this to a surface are part of it [m]."""
-    sparse_texture: np.float32 = f32(0.65)
-    """Lonely shots are part of something sparse where the share of smooth pairs around is smaller ..."""
-    sparse_shots: np.float32 = f32(3)
-    """... with this many near shots in a wider window ..."""
-    through_share: np.float32 = f32(0.25)
-    """... and a smaller share of the window on surfaces before them."""
-    low_m: np.float32 = f32(0.2)
-    """So are those this near to the ground, with ground around [m]."""
-    mirror_m: np.float32 = f32(0.3)
-    """A mirror image in a car is farther than the car by more than this [m] ..."""
-    mirror_share: np.float32 = f32(0.7)
-    """... and this share of the shots on either side are of the car."""
-    alone_texture: np.float32 = f32(0.25)
-    """Rough shots may be alone where the share of smooth pairs around is greater ..."""
-    foot_m: np.float32 = f32(0.15)
-    """... higher than this above the ground [m] ..."""
-    alone_m: np.float32 = f32(0.1)
-    """... with no other within this in range [m] ..."""
-    alone_gap_m: np.float32 = f32(0.75)
-    """... and none within this before, or behind [m]."""
-    car_label: np.float32 = f32(Label.CAR)
-    """Label of cars."""
 
 
 class CurbThresholds(NamedTuple):
@@ -305,8 +256,6 @@ class FanThresholds(NamedTuple):
     """Least share of smooth pairs around its shots, in a line across the roof."""
     share: np.float32 = f32(0.5)
     """Least share of such lines in all around that see something there."""
-    label: np.float32 = f32(Label.CAR)
-    """Label of cars."""
 
 
 class Smoothness(NamedTuple):
@@ -390,10 +339,6 @@ class Limits(NamedTuple):
     interlace_rad: float = math.radians(0.2)
     """Columns at least this far apart may be measured in two turns: finer scanners scan once [rad]."""
     spaced: Spaced | None = Spaced()
-    is_slower: bool = True
-    """Whether things are thin in twice as many lines where these lie closer than neighbours can be."""
-    keeps: bool = True
-    """Whether shots keep the labels that they had when the platform came to stand."""
     chords: ChordThresholds = ChordThresholds()
     walk: WalkThresholds = WalkThresholds()
     strips: StripThresholds = StripThresholds()
@@ -402,7 +347,6 @@ class Limits(NamedTuple):
     foliage: Foliage = Foliage()
     decision: DecisionThresholds = DecisionThresholds()
     votes: Votes | None = Votes()
-    again: AgainThresholds = AgainThresholds()
     curbs: CurbThresholds | None = CurbThresholds()
     roofs: FanThresholds = FanThresholds()
     roof_step_rad: float = math.radians(0.2)
@@ -426,7 +370,6 @@ RINGS = STREET._replace(
         car_bins_rough=f32(NO_BINS),
     ),
     curbs=None,
-    keeps=False,
     roofs=STREET.roofs._replace(smooth=f32(0.3), share=f32(0.3)),
     roof_step_rad=0.0,
 )  # fmt: skip
