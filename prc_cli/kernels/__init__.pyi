@@ -15,6 +15,7 @@ from prc_cli.methods.fused.neighbours_loops import directions as directions
 from prc_cli.methods.fused.neighbours_loops import near_counts as near_counts
 from prc_cli.methods.fused.neighbours_loops import plane_points as plane_points
 from prc_cli.methods.fused.neighbours_loops import smooth_counts as smooth_counts
+from prc_cli.methods.fused.noise_loops import noise_again as noise_again
 from prc_cli.methods.fused.spacing_loops import leaf_repeats as leaf_repeats
 from prc_cli.methods.fused.stems_loops import forest_labels as forest_labels
 from prc_cli.methods.fused.stems_loops import ground_heights as ground_heights

@@ -21,6 +21,7 @@ from prc_cli.methods.fused import (
 )
 from prc_cli.methods.fused.confidence import MEASURES
 from prc_cli.methods.fused.thresholds import (
+    AgainThresholds,
     ChordThresholds,
     CurbThresholds,
     DecisionThresholds,
@@ -423,6 +424,36 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
     return labels, one.range_m, above, one.beams, one.step, chosen
 
 
+def again_case(rng: Generator) -> tuple[Any, ...]:
+    """Labels as they may be, of lines with one more before and after than the block, ranges with three."""
+    one = street(rng)
+    n_lines, m = int(rng.integers(1, 4)), one.window.shape[1]
+    range_m = np.ascontiguousarray(one.window[rng.integers(0, len(one.window), n_lines + 6)])
+    if rng.random() < 0.5:
+        # panes: most shots are before the others
+        range_m[rng.random(range_m.shape) < 0.8] = rng.choice([3.0, 3.125])
+    labels = rng.choice([2, 3, 4, 5, 7], (n_lines + 2, m), p=[0.3, 0.1, 0.1, 0.2, 0.3]).astype(np.uint8)
+    if rng.random() < 0.5:
+        labels[labels != 2] = rng.choice([1, 7])
+    labels[np.isnan(range_m[2:-2])] = 0
+    voted = labels[1:-1].copy()
+    voted[voted == 5] = 4
+    smooth = rng.integers(0, rng.choice([11, 2, 4]), range_m.shape).astype(np.uint8)
+    smooth[np.isnan(range_m)] = 0
+    above = rng.choice([0.0, 1.0], (n_lines, m)).astype(np.float32)
+    texture = rng.choice([0.1, 0.3, 1.0], (n_lines, m)).astype(np.float32)
+    chosen = typed(
+        AgainThresholds,
+        mirror_m=rng.choice([0.3, 0.0, 1e9]),
+        mirror_share=rng.choice([0.0, 0.2, 0.7]),
+        alone_texture=rng.choice([0.15, 0.0, 1e9]),
+        foot_m=rng.choice([0.15, -1.0]),
+        alone_m=rng.choice([0.1, 0.0]),
+        alone_gap_m=rng.choice([0.75, 0.0]),
+    )
+    return labels, voted, range_m, smooth, above, texture, chosen
+
+
 def fan_case(rng: Generator) -> tuple[Any, ...]:
     """Ground, and things of a few steps on it, as rings see them from near to far; all else at random."""
     n_lines, m = int(rng.integers(1, 30)), int(rng.integers(1, 40))
@@ -496,6 +527,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "near_counts": near_case,
     "plane_points": points_case,
     "smooth_counts": smooth_case,
+    "noise_again": again_case,
     "vote_labels": vote_case,
     "walk_ground": walk_case,
     "widen_levels": levels_case,

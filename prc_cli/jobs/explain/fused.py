@@ -13,7 +13,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.explain.answers import Answer, metres
-from prc_cli.methods.fused.classes import are_wanted, decide, vote
+from prc_cli.methods.fused.classes import are_wanted, ask_again, decide, vote
 from prc_cli.methods.fused.forest import find_stems, heights_over_ground
 from prc_cli.methods.fused.ground import Ground
 from prc_cli.methods.fused.interlace import put_in_step
@@ -119,7 +119,8 @@ def _street(
     reason, keys = _reason(place, label, limits)
     yield Answer("decision", reason, _name(label), keys)
     voted = vote(decided, inner[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    labels = label, Label(int(voted[at])), final
+    asked = ask_again((decided, voted), inner, seen.smooth, ground.above_m, texture, limits.again)
+    labels = label, Label(int(voted[at])), Label(int(asked[at])), final
     yield from _afterwards(labels, limits, by_profile=are_wanted(plane, limits))
 
 
@@ -260,19 +261,24 @@ def _why_noise(place: _Place, limits: Limits) -> _Reason:
     return told, _of(limits, "decision.ghost_m", "decision.ghost_near")
 
 
-def _afterwards(labels: tuple[Label, Label, Label], limits: Limits, *, by_profile: bool) -> Iterator[Answer]:
+def _afterwards(labels: tuple[Label, Label, Label, Label], limits: Limits, *, by_profile: bool) -> Iterator[Answer]:
     """Answer for what may change a decision."""
-    decided, voted, final = labels
+    decided, voted, asked, final = labels
     half = _of(limits, "votes.half_width_m")
     if decided in (Label.NOISE, Label.GROUND):
         yield Answer("vote", "noise and ground are not asked", "keeps its class", half)
     else:
         so = "keeps its class" if voted == decided else f"{_name(voted)}, as most shots around it"
         yield Answer("vote", "the shots around it", so, half)
-    if final == Label.CURB and final != voted:
+    if asked != voted:
+        told = "rough, and amid a car but farther than it, or with nothing around that is as far"
+        yield Answer("wider window", told, _name(asked), _of(limits, "again.mirror_m", "again.alone_m"))
+    if final == asked:
+        return
+    if final == Label.CURB:
         told, names = "the ground rises by a small step here", _of(limits, "curbs.least_m", "curbs.most_m")
         yield Answer("curbs", told, "curb", names)
-    elif final != voted and by_profile:
+    elif by_profile:
         told = "lines around see a car here: they climb from the ground to a roof, and see far beyond it"
         yield Answer("profile", told, _name(final), _of(limits, "roofs.least_m", "roofs.share"))
 

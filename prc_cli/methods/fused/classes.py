@@ -9,9 +9,16 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.ground import Ground
 from prc_cli.methods.fused.neighbours import Neighbours
-from prc_cli.methods.fused.plane import VOTE_LINES, ScanPlane
+from prc_cli.methods.fused.plane import VOTE_LINES, WIDE_LINES, ScanPlane
 from prc_cli.methods.fused.strips import Standing
-from prc_cli.methods.fused.thresholds import CurbThresholds, DecisionThresholds, FanThresholds, Limits, Votes
+from prc_cli.methods.fused.thresholds import (
+    AgainThresholds,
+    CurbThresholds,
+    DecisionThresholds,
+    FanThresholds,
+    Limits,
+    Votes,
+)
 
 LINES, BINS = 12, 200
 """As in :mod:`fans_loops`."""
@@ -82,6 +89,20 @@ def vote(labels: U8, range_m: F32, plane: ScanPlane, limits: Votes | None) -> U8
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(labels, range_m, plane.beams, plane.step_rad, limits.half_width_m, limits.near_m)
     return voted
+
+
+@stage("noise again")
+def ask_again(
+    labels: tuple[U8, U8], range_m: F32, smooth: U8, above_m: F32, texture: F32, limits: AgainThresholds
+) -> U8:
+    """Label noise that only a wider window shows; see :func:`noise_loops.noise_again`.
+
+    ``labels`` tuple of (lines + 2, M) uint8 and (lines, M) uint8; ``range_m, above_m`` (lines + 6, M) float32, metres;
+    ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
+    """
+    inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
+    found: U8 = kernels.noise_again(*labels, range_m, smooth, above_m[inner], texture[VOTE_LINES:-VOTE_LINES], limits)
+    return found
 
 
 @stage("curbs")

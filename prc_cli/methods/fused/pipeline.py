@@ -29,6 +29,7 @@ from prc_cli.methods.fused.classes import (
     BESIDE_THIN_LINES,
     LINES,
     are_wanted,
+    ask_again,
     decide,
     find_cars,
     find_curbs,
@@ -89,12 +90,8 @@ MOST_APART = 8
 FARTHEST_BESIDE = 4
 """Greatest distance of neighbours of those lines of such a stream that are beside the block."""
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
-KERNELS = frozenset(
-    {
-        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.spacing",
-        "fused.strips", "fused.texture", "fused.votes",
-    }
-)  # fmt: skip
+STEPS = ("classes", "curbs", "flanks", "ground", "neighbours", "noise", "spacing", "strips", "texture", "votes")
+KERNELS = frozenset(f"fused.{step}" for step in STEPS)
 FOREST_KERNELS = frozenset({"fused.stems"})
 CONFIDENCE_KERNELS = frozenset(
     {"fused.confidence", "fused.flanks", "fused.neighbours", "fused.strips", "fused.texture"}
@@ -548,8 +545,10 @@ def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane
     seen, own = stream.seen, limits.decision
     labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, own)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
+    pairs, texture = seen.neighbours.smooth, evidence.texture
+    asked = ask_again((labels, voted), seen.range_m, pairs, ground.above_m, texture, limits.again)
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    return find_curbs(voted, seen.range_m[inner], ground.above_m[inner], plane, limits.curbs)
+    return find_curbs(asked, seen.range_m[inner], ground.above_m[inner], plane, limits.curbs)
 
 
 def _with_cars(

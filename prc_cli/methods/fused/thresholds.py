@@ -226,6 +226,23 @@ class DecisionThresholds(NamedTuple):
     """... if they have fewer near neighbours than this."""
 
 
+class AgainThresholds(NamedTuple):
+    """Noise that is seen in a wider window alone."""
+
+    mirror_m: np.float32 = f32(0.3)
+    """A mirror image in a car is farther than the car by more than this [m] ..."""
+    mirror_share: np.float32 = f32(0.7)
+    """... and this share of the shots on either side are of the car."""
+    alone_texture: np.float32 = f32(0.25)
+    """Rough shots may be alone where the share of smooth pairs around is greater ..."""
+    foot_m: np.float32 = f32(0.15)
+    """... higher than this above the ground [m] ..."""
+    alone_m: np.float32 = f32(0.1)
+    """... with no other within this in range [m] ..."""
+    alone_gap_m: np.float32 = f32(0.75)
+    """... and none within this before, or behind [m]."""
+
+
 class CurbThresholds(NamedTuple):
     """What a curb is."""
 
@@ -347,6 +364,7 @@ class Limits(NamedTuple):
     foliage: Foliage = Foliage()
     decision: DecisionThresholds = DecisionThresholds()
     votes: Votes | None = Votes()
+    again: AgainThresholds = AgainThresholds()
     curbs: CurbThresholds | None = CurbThresholds()
     roofs: FanThresholds = FanThresholds()
     roof_step_rad: float = math.radians(0.2)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from prc_cli.core.types import F32, F64, U8
+from prc_cli.methods.fused.pipeline import FusedScanner
 
 GROUND, BUILDING, VEGETATION, STRAY, CAR, SKY = range(1, 7)
 BEAM: F64 = np.deg2rad(np.linspace(-150, 150, 1501))
@@ -48,3 +52,14 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
     sky = ~np.isfinite(ranges) | (ranges > 60)
     ranges[sky], kind[sky] = np.nan, SKY
     return ranges.astype(np.float32), kind
+
+
+def with_limits(scanner: FusedScanner, **tables: Any) -> FusedScanner:
+    """Return a scanner with other limits, ``walls={"height_m": 9.0}`` or a value, such as None = step left out."""
+    own = {
+        name: getattr(scanner.limits, name)._replace(**{
+            key: type(getattr(getattr(scanner.limits, name), key))(limit) for key, limit in value.items()
+        }) if isinstance(value, dict) else value
+        for name, value in tables.items()
+    }  # fmt: skip
+    return replace(scanner, limits=scanner.limits._replace(**own))

@@ -12,15 +12,17 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.methods.base import LABELS_ALONE, OneByOne
 from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, initial_state
-from tests.methods.fused.street_lines import BEAM, BUILDING, CAR, GROUND, HEIGHT_M, street_lines
+from prc_cli.methods.fused.thresholds import NEVER
+from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines, with_limits
 
 SCANNER = FusedScanner.of(BEAM)
 SIDE, DOWN = np.sin(BEAM), np.cos(BEAM)
 
 
-def classified(ranges: F32, **params: Any) -> U8:
-    turn = OneByOne(initial_state(SCANNER))
-    (found,) = Fused(FusedParams(**params)).label(ScanBlock(0, ranges), SCANNER, turn, LABELS_ALONE)
+def classified(ranges: F32, **limits: Any) -> U8:
+    scanner = with_limits(SCANNER, **limits)
+    turn = OneByOne(initial_state(scanner))
+    (found,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
     return found.labels
 
 
@@ -36,15 +38,6 @@ def surface(side_m: float, low_m: float, high_m: float) -> F64:
 @pytest.fixture(scope="module")
 def street() -> tuple[F32, U8]:
     return street_lines(48)
-
-
-def test_cars_and_curbs_are_named_unless_it_is_switched_off(street: tuple[F32, U8]) -> None:
-    ranges, kind = street
-    every, former = classified(ranges), classified(ranges, cars={"named": False}, curbs={"enabled": False})
-    assert (every[kind == CAR] == Label.CAR).mean() > 0.85
-    assert (former[kind == CAR] == Label.UNCLASSIFIED).mean() > 0.85
-    assert not np.isin(former, (Label.CAR, Label.CURB, Label.POLE)).any()
-    assert (former[every == Label.CAR] == Label.UNCLASSIFIED).all()
 
 
 def test_a_curb_is_the_step_between_road_and_sidewalk(street: tuple[F32, U8]) -> None:
@@ -68,7 +61,7 @@ def van(ranges: F32) -> tuple[F32, Mask]:
 
 def test_a_van_is_no_wall(street: tuple[F32, U8]) -> None:
     ranges, hit = van(street[0])
-    found, missed = classified(ranges), classified(ranges, flanks={"enabled": False})
+    found, missed = classified(ranges), classified(ranges, flanks=None)
     assert (found[hit] == Label.CAR).mean() > 0.9
     assert (missed[hit] == Label.BUILDING).mean() > 0.4
     facade = (street[1] == BUILDING) & ~hit
@@ -81,7 +74,7 @@ def test_a_lorry_hangs_higher_than_a_wall_stands(street: tuple[F32, U8]) -> None
     hit[10:40] = box < np.where(np.isnan(ranges[10:40]), np.inf, ranges[10:40])
     noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
     ranges = np.where(hit, box + noise, ranges).astype(np.float32)
-    found, missed = classified(ranges), classified(ranges, flanks={"lorries": False})
+    found, missed = classified(ranges), classified(ranges, flanks={"high_m": -1.0})
     assert (found[hit] == Label.CAR).mean() > 0.9
     assert (missed[hit] == Label.BUILDING).mean() > 0.3
 
@@ -101,13 +94,13 @@ def with_box(ranges: F32, lines: slice, deep_m: float) -> tuple[F32, Mask]:
 def test_a_bin_is_street_furniture(street: tuple[F32, U8]) -> None:
     ranges, hit = with_box(street[0], slice(4, 10), 0.5)
     assert (classified(ranges)[hit] == Label.POLE).mean() > 0.9
-    assert not (classified(ranges, poles={"boxes": False})[hit] == Label.POLE).any()
+    assert not (classified(ranges, decision={"box_m": 0.0})[hit] == Label.POLE).any()
 
 
 @pytest.mark.parametrize(("deep_m", "box_lines"), [(0.15, 16), (1.2, 16), (0.5, 2)])
 def test_what_is_flat_or_deep_or_long_is_no_bin(street: tuple[F32, U8], deep_m: float, box_lines: int) -> None:
     ranges, hit = with_box(street[0], slice(4, 10), deep_m)
-    assert not (classified(ranges, poles={"box_lines": box_lines})[hit] == Label.POLE).any()
+    assert not (classified(ranges, decision={"box_lines": box_lines})[hit] == Label.POLE).any()
 
 
 def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
@@ -118,7 +111,6 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     ranges[hit] = np.broadcast_to(post, ranges.shape)[hit].astype(np.float32)
     high = hit & (HEIGHT_M - np.broadcast_to(post * DOWN, ranges.shape) > 0.5)
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
-    assert (classified(ranges, poles={"named": False})[high] == Label.UNCLASSIFIED).mean() > 0.7
 
 
 def test_a_thick_trunk_without_a_crown_is_no_pole(street: tuple[F32, U8]) -> None:
@@ -130,7 +122,7 @@ def test_a_thick_trunk_without_a_crown_is_no_pole(street: tuple[F32, U8]) -> Non
         ranges[line, hit[line]] = trunk[hit[line]]
     high = hit & (HEIGHT_M - ranges * DOWN > 0.5)
     assert (classified(ranges)[high] == Label.VEGETATION).mean() > 0.9
-    assert (classified(ranges, poles={"trunks": False})[high] == Label.POLE).mean() > 0.5
+    assert (classified(ranges, decision={"thick_m": NEVER})[high] == Label.POLE).mean() > 0.5
 
 
 def test_a_facade_between_twigs_is_as_smooth_as_the_facade(street: tuple[F32, U8]) -> None:
@@ -139,8 +131,8 @@ def test_a_facade_between_twigs_is_as_smooth_as_the_facade(street: tuple[F32, U8
     twigs = (np.arange(len(BEAM)) // 12 % 5 < 3) & (np.arange(len(ranges))[:, None] % 4 > 0) & (kind == BUILDING)
     ranges[twigs] -= rng.uniform(1.5, 3.0, int(twigs.sum())).astype(np.float32)
     left = (kind == BUILDING) & ~twigs
-    apart = {"walls": {"enabled": False}, "votes": {"enabled": False}}
-    found, before = classified(ranges, **apart), classified(ranges, leaves={"at_depth": False}, **apart)
+    apart: dict[str, Any] = {"walls": {"height_m": NEVER}, "votes": None}
+    found, before = classified(ranges, **apart), classified(ranges, foliage={"at_depth": False}, **apart)
     lost, was_lost = ((labels[left] == Label.VEGETATION).mean() for labels in (found, before))
     assert was_lost > 0.15
     assert lost < 0.5 * was_lost
@@ -153,7 +145,8 @@ def test_the_side_of_a_pit_is_no_mirror_image(street: tuple[F32, U8]) -> None:
     hit = np.broadcast_to(np.isfinite(pit), ranges.shape)
     ranges[hit] = (np.broadcast_to(pit, ranges.shape)[hit] + rng.uniform(0, 0.04, int(hit.sum()))).astype(np.float32)
     noise, before = (
-        (classified(ranges, noise={"pits": pits, "sparse": False})[hit] == Label.NOISE).mean() for pits in (True, False)
+        (classified(ranges, decision={"pit_near": 9 if pits else NEVER})[hit] == Label.NOISE).mean()
+        for pits in (True, False)
     )
     assert before > 0.04
     assert noise < 0.01
@@ -163,7 +156,7 @@ def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:
     ranges, hit = van(street[0])
     near = np.where(ranges < 5.8, ranges, np.float32(np.nan))
     assert not (classified(near) == Label.CAR).any()
-    assert (classified(near, cars={"room_m": 0.0})[hit & ~np.isnan(near)] == Label.CAR).mean() > 0.3
+    assert (classified(near, room_m=0.0)[hit & ~np.isnan(near)] == Label.CAR).mean() > 0.3
 
 
 def test_the_arm_of_a_lamp_is_a_pole(street: tuple[F32, U8]) -> None:
@@ -174,17 +167,7 @@ def test_the_arm_of_a_lamp_is_a_pole(street: tuple[F32, U8]) -> None:
     hit[20] = above & (arm * SIDE < -1.3) & (arm * SIDE > -2.6)
     ranges[hit] = np.broadcast_to(arm, ranges.shape)[hit]
     assert (classified(ranges)[hit] == Label.POLE).mean() > 0.8
-    assert (classified(ranges, poles={"arms": False})[hit] == Label.BUILDING).mean() > 0.8
-
-
-def test_what_a_pane_mirrors_is_noise(street: tuple[F32, U8]) -> None:
-    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
-    for column in range(1200, 1300, 12):
-        hit[20:23, column : column + 2] = street[1][20:23, column : column + 2] == BUILDING
-    ranges[hit] = ranges[hit] * 1.6 + np.random.default_rng(2).uniform(-0.1, 0.1, int(hit.sum()))
-    assert hit.sum() > 30
-    assert (classified(ranges)[hit] == Label.NOISE).mean() > 0.8
-    assert (classified(ranges, noise={"panes": False})[hit] == Label.NOISE).mean() < 0.6
+    assert (classified(ranges, decision={"arm_m": NEVER})[hit] == Label.BUILDING).mean() > 0.8
 
 
 def test_a_facade_goes_on_above_what_is_smooth_of_it(street: tuple[F32, U8]) -> None:
@@ -194,4 +177,4 @@ def test_a_facade_goes_on_above_what_is_smooth_of_it(street: tuple[F32, U8]) -> 
     ranges[high] = (7.0 + rng.uniform(0.0, 1.2, int(high.sum()))) / np.broadcast_to(SIDE, ranges.shape)[high]
     kept = high & (classified(ranges) != Label.NOISE)
     assert (classified(ranges)[kept] == Label.BUILDING).mean() > 0.9
-    assert (classified(ranges, walls={"roofs": False})[kept] == Label.VEGETATION).mean() > 0.9
+    assert (classified(ranges, decision={"roof_m": -NEVER})[kept] == Label.VEGETATION).mean() > 0.9

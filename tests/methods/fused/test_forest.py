@@ -13,11 +13,10 @@ from prc_cli.core.blocks import join
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges
-from prc_cli.methods.fused.forest import ForestParams, forest
-from prc_cli.methods.fused.forest_noise import forest_noise
+from prc_cli.methods.fused.forest import find_stems, forest, heights_over_ground
 from prc_cli.methods.fused.plane import Plane
-from prc_cli.methods.fused.stems import StemsParams, find_stems
-from prc_cli.methods.fused.terrain import TerrainParams, heights_over_ground
+from prc_cli.methods.fused.range_noise import forest_noise
+from prc_cli.methods.fused.thresholds import FOREST
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
 
@@ -55,8 +54,9 @@ def image(*bodies: F64) -> F32:
     return np.where(np.isfinite(nearest), nearest, np.nan).astype(np.float32)
 
 
-def labels_of(ranges: F32, **options: Any) -> U8:
-    return forest(ranges, PLANE, 0.0, ForestParams.model_validate(options))
+def labels_of(ranges: F32, **tables: dict[str, float]) -> U8:
+    limits = FOREST._replace(**{name: getattr(FOREST, name)._replace(**own) for name, own in tables.items()})
+    return forest(ranges, PLANE, 0.0, limits)
 
 
 def count(labels: U8, where: Any) -> dict[str, int]:
@@ -83,7 +83,7 @@ def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
 def test_stems_end_where_they_are_said_to() -> None:
     ranges = image(ground(), stem(5.0))
     high = -ranges * np.cos(BEAM) + HEIGHT_M
-    labels = labels_of(ranges, stem_top_m=4.0)
+    labels = labels_of(ranges, classes={"top_m": 4.0})
     assert set(count(labels, (high > 0.2) & (high < 3.9))) == {"STEM"}
     assert set(count(labels, high > 4.1)) == {"VEGETATION"}
 
@@ -112,7 +112,7 @@ def test_a_stem_goes_on_behind_what_hides_it() -> None:
     ranges = image(ground(), behind, slats)
     between = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (high > -1.5) & (high < 3.0)
     assert count(labels_of(ranges), between)["STEM"] > 0.9 * between.sum()
-    assert "STEM" not in count(labels_of(ranges, stems={"gaps": {"enabled": False}}), between)
+    assert "STEM" not in count(labels_of(ranges, runs={"gap_steep": -np.inf}), between)
 
 
 def test_what_is_seen_through_is_no_stem() -> None:
@@ -121,7 +121,7 @@ def test_what_is_seen_through_is_no_stem() -> None:
     ranges = image(ground(), every_second, stem(7.0))
     near = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001)
     assert "STEM" not in count(labels_of(ranges), near)
-    blind = labels_of(ranges, stems={"opacity": {"enabled": False}})
+    blind = labels_of(ranges, runs={"behind_m": np.inf})
     assert count(blind, near)["STEM"] > 0.8 * near.sum()
 
 
@@ -130,7 +130,7 @@ def test_a_stem_goes_on_from_line_to_line() -> None:
     ranges = image(ground())
     ranges[6] = image(ground(), stem(5.0))[6]
     assert "STEM" not in count(labels_of(ranges), True)
-    assert "STEM" in count(labels_of(ranges, stems={"joining": {"enabled": False}}), True)
+    assert "STEM" in count(labels_of(ranges, stems={"near_m": -1.0, "near_share": 0.0, "runs": 1.0}), True)
 
 
 def test_a_shot_that_touches_a_stem_is_of_it() -> None:
@@ -138,7 +138,7 @@ def test_a_shot_that_touches_a_stem_is_of_it() -> None:
     column = int(np.argmin(np.abs(BEAM - np.deg2rad(90))))
     ranges[5, column] += 0.045
     assert labels_of(ranges)[5, column] == Label.STEM
-    assert labels_of(ranges, touching={"enabled": False})[5, column] != Label.STEM
+    assert labels_of(ranges, classes={"beside_m": -1.0})[5, column] != Label.STEM
 
 
 def test_noise_is_alone_or_below_the_ground() -> None:
@@ -148,28 +148,28 @@ def test_noise_is_alone_or_below_the_ground() -> None:
     ranges[4, soil] *= 1.4
     labels = labels_of(ranges)
     assert labels[4, sky] == labels[4, soil] == Label.NOISE
-    assert labels_of(ranges, company={"enabled": False})[4, sky] == Label.VEGETATION
+    assert labels_of(ranges, classes={"near_m": -1.0})[4, sky] == Label.VEGETATION
     ranges[5, sky + 1] = 17.2
     assert labels_of(ranges)[4, sky] == Label.VEGETATION
 
 
 def test_flat_places_are_ground_up_to_a_greater_height() -> None:
     ranges = image(ground())
-    heights = heights_over_ground(ranges, PLANE, TerrainParams())
+    heights = heights_over_ground(ranges, PLANE, FOREST)
     assert np.nanmax(np.abs(heights[:, np.abs(BEAM) < 1.2])) < 0.03
     # a mound 0.1 m high among lower ground
     mound = np.abs(BEAM - 0.5) < 0.02
     ranges[:, mound] *= 1 - 0.1 / HEIGHT_M
     inside = np.abs(BEAM - 0.5) < 0.018
     assert set(count(labels_of(ranges), inside)) == {"GROUND"}
-    assert "GROUND" not in count(labels_of(ranges, flat={"enabled": False}), inside)
+    assert "GROUND" not in count(labels_of(ranges, classes={"cover_m": 0.0}), inside)
 
 
 def test_ground_behind_a_bush_is_bridged() -> None:
     """Where no ground is seen its height lies on a straight line between what is seen on either side."""
     hidden = (BEAM > 0.6) & (BEAM < 0.9)
     bush = np.where(hidden, 1.2, np.inf)
-    heights = heights_over_ground(image(ground(), bush), PLANE, TerrainParams())
+    heights = heights_over_ground(image(ground(), bush), PLANE, FOREST)
     expected = HEIGHT_M - 1.2 * np.cos(BEAM[hidden])
     np.testing.assert_allclose(heights[:, hidden], np.tile(expected, (N_LINES, 1)), atol=0.03)
 
@@ -186,8 +186,8 @@ def test_blocks_are_labelled_by_themselves() -> None:
 def test_small_and_empty_blocks(shape: tuple[int, int]) -> None:
     plane = Plane.of(np.linspace(-1.0, 1.0, shape[1]))
     nothing = np.full(shape, np.nan, dtype=np.float32)
-    assert (forest(nothing, plane, 0.0, ForestParams()) == Label.MISSING).all()
-    labels = forest(np.full(shape, 5.0, dtype=np.float32), plane, 0.0, ForestParams())
+    assert (forest(nothing, plane, 0.0, FOREST) == Label.MISSING).all()
+    labels = forest(np.full(shape, 5.0, dtype=np.float32), plane, 0.0, FOREST)
     assert (labels != Label.MISSING).all()
 
 
@@ -196,7 +196,7 @@ def test_no_ground_is_no_reason_against_stems() -> None:
     ranges[:, np.cos(BEAM) > 0] = np.nan
     heights = np.full(ranges.shape, 1e9, dtype=np.float32)
     heights[np.isnan(ranges)] = np.nan
-    assert find_stems(ranges, heights, PLANE, 0.0, StemsParams()).sum() > 0.9 * np.isfinite(ranges).sum()
+    assert find_stems(ranges, heights, PLANE, 0.0, FOREST).sum() > 0.9 * np.isfinite(ranges).sum()
 
 
 @cache
@@ -213,7 +213,7 @@ def walk() -> tuple[F32, F64, U8]:
 def test_stems_and_ground_of_a_simulated_walk() -> None:
     """Fewer lines and columns than a user has; the figures of whole walks are in the documentation."""
     ranges, angle, reference = walk()
-    labels = forest(ranges, Plane.of(angle), 0.0, ForestParams())
+    labels = forest(ranges, Plane.of(angle), 0.0, FOREST)
     for label, recall, precision in ((Label.STEM, 0.75, 0.9), (Label.GROUND, 0.9, 0.85), (Label.NOISE, 0.35, 0.6)):
         both = np.count_nonzero((labels == label) & (reference == label))
         assert both > recall * np.count_nonzero(reference == label), label.name
@@ -228,14 +228,14 @@ def test_the_preset_labels_a_stream_block_by_block(threads: int) -> None:
     found = classify_ranges(ranges, config, beam_rad=angle, threads=threads).labels
     parts = [np.ascontiguousarray(ranges[i : i + 40]) for i in range(0, len(ranges), 40)]
     plane = Plane.of(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
-    np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, 0.0, ForestParams()) for part in parts]))
+    np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, 0.0, FOREST) for part in parts]))
 
 
 def test_sides_may_be_exchanged() -> None:
     """Mirrored beams are the same forest."""
     ranges, angle, _ = walk()
-    labels = forest(ranges, Plane.of(angle), 0.0, ForestParams())
-    mirrored = forest(ranges, Plane.of(-angle), 0.0, ForestParams())
+    labels = forest(ranges, Plane.of(angle), 0.0, FOREST)
+    mirrored = forest(ranges, Plane.of(-angle), 0.0, FOREST)
     assert (labels == mirrored).mean() > 0.999
 
 
@@ -246,7 +246,7 @@ def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
     measured = forest_noise(noisy)
     assert measured is not None
     assert measured == pytest.approx(noise_m, rel=0.25)
-    aware, not_aware = (forest(noisy, Plane.of(angle), told, ForestParams()) for told in (measured, 0.0))
+    aware, not_aware = (forest(noisy, Plane.of(angle), told, FOREST) for told in (measured, 0.0))
     stems = reference == Label.STEM
     assert (aware == Label.STEM)[stems].mean() > 0.75
     if noise_m == 0.03:
@@ -268,9 +268,9 @@ def test_a_run_is_as_wide_as_the_noise() -> None:
     ranges = image(ground(), stem(5.0))
     noisy = ranges + np.random.default_rng(1).normal(0, 0.03, ranges.shape).astype(np.float32)
     on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (-ranges * np.cos(BEAM) > 1 - HEIGHT_M)
-    heights = heights_over_ground(noisy, PLANE, TerrainParams())
-    found = {told: find_stems(noisy, heights, PLANE, told, StemsParams())[on_stem].mean() for told in (0.0, 0.03)}
+    heights = heights_over_ground(noisy, PLANE, FOREST)
+    found = {told: find_stems(noisy, heights, PLANE, told, FOREST)[on_stem].mean() for told in (0.0, 0.03)}
     assert found[0.03] > 0.97
     assert found[0.03] > found[0.0] + 0.03
-    unaware = StemsParams(noise_sigmas=0.0)
+    unaware = FOREST._replace(run_sigmas=0.0)
     assert find_stems(noisy, heights, PLANE, 0.03, unaware)[on_stem].mean() == found[0.0]

@@ -7,11 +7,13 @@ import pytest
 
 from benchmarks import contest_data
 from benchmarks.contest_classes import counts_of, scores
-from benchmarks.contest_methods import label, preset_with
+from benchmarks.contest_methods import label
+from prc_cli.config import load_config
 from prc_cli.core.types import F32, F64
-from prc_cli.methods.fused.interlace import InterlaceParams, put_in_step
-from prc_cli.methods.fused.neighbours import SmoothnessParams
+from prc_cli.methods.fused import pipeline
+from prc_cli.methods.fused.interlace import put_in_step
 from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.thresholds import STREET
 
 BEAM = np.deg2rad(np.linspace(40, 90, 101))
 NOISE_M = 0.005
@@ -24,10 +26,9 @@ def wall(late: F64, *, lines: int = 40, per_line_m: float = 0.3) -> F32:
     return ranges.astype(np.float32)
 
 
-def in_step(range_m: F32, **params: object) -> F32:
-    chosen = InterlaceParams.model_validate(params)
-    noise_m = np.full(len(range_m), NOISE_M)
-    return put_in_step(range_m, ScanPlane.of(BEAM), noise_m, SmoothnessParams(), chosen)
+def in_step(range_m: F32, interlace_rad: float = STREET.interlace_rad) -> F32:
+    limits = STREET._replace(interlace_rad=interlace_rad)
+    return put_in_step(range_m, ScanPlane.of(BEAM), np.full(len(range_m), NOISE_M), limits)
 
 
 @pytest.mark.parametrize("late", [0.5, -0.5])
@@ -55,8 +56,8 @@ def test_others_stay() -> None:
     leaves = (level + np.random.default_rng(5).uniform(-1, 1, level.shape)).astype(np.float32)
     for given in (level, leaves, wall(odd)[:2], np.full((9, len(BEAM)), np.nan, np.float32)):
         assert in_step(given) is given
-    assert in_step(wall(odd), enabled=False).tolist() == wall(odd).tolist()
-    assert in_step(wall(odd), step_deg=0.6).tolist() == wall(odd).tolist()
+    assert in_step(wall(odd), np.inf).tolist() == wall(odd).tolist()
+    assert in_step(wall(odd), np.deg2rad(0.6)).tolist() == wall(odd).tolist()
 
 
 def test_missing_shots_stay_missing() -> None:
@@ -66,11 +67,12 @@ def test_missing_shots_stay_missing() -> None:
 
 
 @pytest.mark.usefixtures("real_data")
-def test_the_real_push_broom_is_interlaced() -> None:
+def test_the_real_push_broom_is_interlaced(monkeypatch: pytest.MonkeyPatch) -> None:
     scan = contest_data.oakland(1)
     found = {}
-    for name, assignments in (("in step", ()), ("as measured", ("fused.interlace.enabled=false",))):
-        codes = label(scan, preset_with("fused", assignments)).codes.astype(np.int64)
+    for name, least_rad in (("in step", STREET.interlace_rad), ("as measured", np.inf)):
+        monkeypatch.setattr(pipeline, "STREET", STREET._replace(interlace_rad=least_rad))
+        codes = label(scan, load_config(preset="fused")).codes.astype(np.int64)
         found[name] = scores(counts_of(scan, codes))[:, 2]
     assert found["in step"][2] > max(found["as measured"][2] + 0.02, 0.955)
     assert found["in step"][3] > max(found["as measured"][3] + 0.03, 0.89)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F32
-from prc_cli.methods.fused.plane import _middle, off_lines, range_noise
+from prc_cli.methods.fused.range_noise import _middle, off_lines, range_noise
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 8, 9, 200, 201])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from prc_cli.methods.fused import classes, ground, pipeline, plane, profiles
+from prc_cli.methods.fused import classes, ground, pipeline, plane, range_noise
 from prc_cli.methods.fused import (
     classes_loops as fused_classes,
 )
@@ -33,13 +33,13 @@ def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
     assert plane.INNER_LINES == fused_neighbours.LINES
     assert plane.WIDE_LINES == fused_strips.LINES == fused_texture.LINES == fused_classes.LINES
     assert classes.BESIDE_THIN_LINES == fused_classes.MARGIN
-    assert plane.PART_LINES <= pipeline.SPACED_LINES
+    assert range_noise.PART_LINES <= pipeline.SPACED_LINES
     assert plane.INNER_LINES + plane.WIDE_LINES + plane.VOTE_LINES == plane.AROUND_LINES
 
 
 def test_stages_and_loops_agree_on_places_beside_the_scanner() -> None:
     assert (ground.BINS, ground.DEPTHS) == (fused_ground.BINS, fused_ground.DEPTHS)
-    assert (profiles.LINES, profiles.BINS) == (fused_fans.LINES, fused_fans.BINS)
+    assert (classes.LINES, classes.BINS) == (fused_fans.LINES, fused_fans.BINS)
     strips = (fused_strips.STRIPS, fused_strips.STRIP_M, fused_strips.SLOT_M, fused_strips.SLOTS)
     assert strips == (fused_classes.STRIPS, fused_classes.STRIP_M, fused_classes.SLOT_M, fused_classes.SLOTS)
     for loops in (fused_confidence, fused_flanks):

@@ -9,27 +9,25 @@ from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.methods.base import OneByOne
 from prc_cli.methods.fused import spacing_loops as loops
-from prc_cli.methods.fused.neighbours import SmoothnessParams, smooth_pairs
+from prc_cli.methods.fused.neighbours import smooth_pairs
 from prc_cli.methods.fused.pipeline import FusedParams, FusedScanner, classify_block, initial_state
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.spacing import (
     IN_LINE_PAIRS,
     SPACED_LINES,
     STANDS,
-    Halt,
     Spacing,
-    SpacingParams,
-    keep_labels,
     spaced_pairs,
     strides_of,
 )
-from prc_cli.methods.fused.thresholds import SpacingThresholds, typed
-from tests.methods.fused.street_lines import BEAM, BUILDING, VEGETATION, street_lines
+from prc_cli.methods.fused.thresholds import Smoothness, SmoothThresholds, Spaced
+from tests.methods.fused.street_lines import BEAM, BUILDING, VEGETATION, street_lines, with_limits
 
 SCANNER = FusedScanner.of(BEAM)
 PLANE = ScanPlane.of(BEAM)
 NOISE_M = 0.002
-OFF = {"spacing": {"enabled": False}}
+ALONE = with_limits(SCANNER, spaced=None)
+"""Neighbours are those of the next line, however close it is."""
 
 
 def drive(places: I64, n_lines: int = 48) -> tuple[F32, U8]:
@@ -39,14 +37,14 @@ def drive(places: I64, n_lines: int = 48) -> tuple[F32, U8]:
     return ranges[places] + noise.astype(np.float32), kind[places]
 
 
-def labelled(ranges: F32, k: int = 64, **settings: object) -> tuple[U8, I64]:
+def labelled(ranges: F32, k: int = 64, scanner: FusedScanner = SCANNER) -> tuple[U8, I64]:
     """Return the labels of a drive in blocks of k lines, and the distances of lines after every block."""
-    params = FusedParams.model_validate({"lines_per_block": k, "sensor": {"range_noise_m": NOISE_M}, **settings})
-    turn = OneByOne(initial_state(SCANNER))
+    params = FusedParams.model_validate({"lines_per_block": k, "sensor": {"range_noise_m": NOISE_M}})
+    turn = OneByOne(initial_state(scanner))
     parts, strides = [], []
     for first in range(0, len(ranges), k):
         following = ranges[first + k : first + k + SPACED_LINES]
-        parts.append(classify_block(ranges[first : first + k], following, SCANNER, turn, params))
+        parts.append(classify_block(ranges[first : first + k], following, scanner, turn, params))
         strides.append(turn.state.spacing.stride)
     return np.concatenate(parts), np.array(strides)
 
@@ -65,7 +63,7 @@ def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
     normal, kind = drive(np.arange(48))
     usual = share(labelled(normal)[0], kind, VEGETATION, Label.VEGETATION)
     slow, kind = drive(np.arange(48 * 12) // 12)
-    aware, not_aware = labelled(slow)[0], labelled(slow, **OFF)[0]
+    aware, not_aware = labelled(slow)[0], labelled(slow, scanner=ALONE)[0]
     assert share(aware, kind, VEGETATION, Label.VEGETATION) > usual - 0.02
     assert share(aware, kind, BUILDING, Label.BUILDING) > 0.97
     assert share(not_aware, kind, VEGETATION, Label.VEGETATION) < usual - 0.02
@@ -94,7 +92,7 @@ def test_a_drive_that_stops_keeps_its_labels() -> None:
 
 def test_normal_drives_are_labelled_as_without() -> None:
     ranges, _ = drive(np.arange(48))
-    np.testing.assert_array_equal(labelled(ranges)[0], labelled(ranges, **OFF)[0])
+    np.testing.assert_array_equal(labelled(ranges)[0], labelled(ranges, scanner=ALONE)[0])
 
 
 def test_labels_hardly_depend_on_the_size_of_blocks() -> None:
@@ -109,16 +107,16 @@ def test_labels_hardly_depend_on_the_size_of_blocks() -> None:
 def test_too_few_leaves_change_nothing() -> None:
     counts = np.zeros((59, 6, 2), np.int32)
     counts[:, :, 0] = counts[:, :-1, 1] = 1
-    strides, _ = strides_of(counts, Spacing.none(), 0, 40, SpacingParams())
+    strides, _ = strides_of(counts, Spacing.none(), 0, 40, Spaced())
     assert (strides == 1).all()
     counts *= 9
-    strides, after = strides_of(counts, Spacing.none(), 0, 40, SpacingParams())
+    strides, after = strides_of(counts, Spacing.none(), 0, 40, Spaced())
     assert strides[-1] == after.stride == STANDS
     # a distance that is in use is left for a smaller one only if that sees clearly fewer leaves again
     again = np.array([[100, 60], [100, 35], [100, 10], [100, 5], [100, 5], [100, 0]], np.int32)
     for now, expected in ((1, 2), (4, 4)):
         known = Spacing(np.zeros((6, 2)), now)
-        assert strides_of(np.tile(again, (30, 1, 1)), known, 0, 11, SpacingParams())[1].stride == expected
+        assert strides_of(np.tile(again, (30, 1, 1)), known, 0, 11, Spaced())[1].stride == expected
 
 
 def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
@@ -126,13 +124,13 @@ def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
     margin = SPACED_LINES - 3
     strides = np.array([1, 1, 4, 4, 4, 4, 4, 2, 2, 0, 0, 16, 16, 16, 1, 8], np.int64)
     noise_m = np.where(np.arange(len(strides)) < 6, 2 * NOISE_M, NOISE_M)
-    found = spaced_pairs(ranges, strides, PLANE, noise_m, SmoothnessParams())
+    found = spaced_pairs(ranges, strides, PLANE, noise_m, Smoothness())
     for i, stride in enumerate(strides.tolist()):
         rows = np.full((5, len(BEAM)), np.nan, np.float32)
         rows[2] = ranges[margin + i]
         if stride != STANDS:
             rows = ranges[margin + i - 2 * stride : margin + i + 2 * stride + 1 : stride]
-        pairs = smooth_pairs(np.ascontiguousarray(rows), PLANE, float(noise_m[i]), SmoothnessParams())[0]
+        pairs = smooth_pairs(np.ascontiguousarray(rows), PLANE, float(noise_m[i]), Smoothness())[0]
         np.testing.assert_array_equal(found[i], pairs if stride != STANDS else IN_LINE_PAIRS[pairs])
 
 
@@ -150,26 +148,13 @@ def test_a_leaf_that_many_shots_hit_is_rough_and_a_wall_is_smooth() -> None:
     wall = (distance_m / np.sin(beam) + noise).astype(np.float32)
     shares = {}
     for apart_m in (0.0, 0.012):
-        params = SmoothnessParams(apart_m=apart_m)
+        params = Smoothness(pairs=SmoothThresholds(apart_m=np.float32(apart_m)))
         shares[apart_m] = [
             float((smooth_pairs(one, plane, NOISE_M, params)[0, 16:-16] >= 4).mean()) for one in (leaves, wall)
         ]
     assert shares[0.0][0] > 0.5
     assert shares[0.012][0] < 0.25
     assert min(shares[0.0][1], shares[0.012][1]) > 0.95
-
-
-def test_only_shots_that_are_as_far_as_before_keep_their_labels() -> None:
-    limits = typed(SpacingThresholds, tolerance_m=0.1, tolerance_per_m=0.0, near_m=1.0)
-    halt = Halt(np.array([5, 5, 5, np.nan], np.float32), np.array([3, 2, 3, 0], np.uint8))
-    ranges = np.array([[5.05, 5, 6, 7], [5, 5, 5, 5], [9, 9, 9, 9], [9, 9, 9, 9]], np.float32)
-    labels = np.full((4, 4), int(Label.VEGETATION), np.uint8)
-    labels[2] = int(Label.BUILDING)
-    kept, after = keep_labels(labels, ranges, np.array([0, 0, 1, 0]), halt, np.full(4, NOISE_M), lambda _: limits)
-    leaf, wall = int(Label.VEGETATION), int(Label.BUILDING)
-    assert kept.tolist() == [[3, leaf, leaf, leaf], [3, leaf, 3, leaf], [wall] * 4, [wall] * 4]
-    assert after.range_m.tolist() == [9, 9, 9, 9]
-    assert labels[3, 0] == leaf
 
 
 def test_stage_and_loop_agree_on_the_lines_that_are_compared() -> None:

@@ -16,7 +16,9 @@ from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import LABELS_ALONE, OneByOne
 from prc_cli.methods.fused import pipeline
 from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, FusedState, initial_state
-from prc_cli.methods.fused.plane import NoiseAlong, ScanPlane, SensorParams
+from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.range_noise import DEFAULT_NOISE_M, NoiseAlong, SensorParams
+from prc_cli.methods.fused.thresholds import NEVER, NO_BINS
 from prc_cli.methods.run import run_blocks
 from tests.methods.fused.street_lines import (
     BEAM,
@@ -27,6 +29,7 @@ from tests.methods.fused.street_lines import (
     STRAY,
     VEGETATION,
     street_lines,
+    with_limits,
 )
 
 PLANE = ScanPlane.of(BEAM)
@@ -49,11 +52,15 @@ def classify_block(
     return found.labels, turn.state
 
 
-def classified(ranges: F32, params: FusedParams | None = None) -> U8:
-    params = params or FusedParams()
-    state, parts, k = initial_state(SCANNER), [], params.lines_per_block
+PARAMS = FusedParams()
+
+
+def classified(ranges: F32, params: FusedParams = PARAMS, **limits: Any) -> U8:
+    scanner = with_limits(SCANNER, **limits)
+    state, parts, k = initial_state(scanner), [], params.lines_per_block
     for first in range(0, len(ranges), k):
-        labels, state = classify_block(ranges[first : first + k], ranges[first + k : first + k + 5], state, params)
+        following = ranges[first + k : first + k + 5]
+        labels, state = classify_block(ranges[first : first + k], following, state, params, scanner)
         parts.append(labels)
     return np.concatenate(parts)
 
@@ -104,7 +111,7 @@ def test_the_noise_of_ranges_is_measured() -> None:
         assert noise_along(ranges, SensorParams()) == pytest.approx([noise_m] * 40, rel=0.25)
     assert noise_along(ranges, SensorParams(range_noise_m=0.004)) == [0.004] * 40
     nothing = np.full((8, len(BEAM)), np.nan, np.float32)
-    assert noise_along(nothing, SensorParams()) == [SensorParams().default_noise_m] * 8
+    assert noise_along(nothing, SensorParams()) == [DEFAULT_NOISE_M] * 8
 
 
 def test_the_noise_is_measured_on_the_same_lines_however_a_stream_is_cut() -> None:
@@ -120,28 +127,27 @@ def test_the_noise_is_measured_on_the_same_lines_however_a_stream_is_cut() -> No
         assert noise_along(ranges, SensorParams(), k) == whole
 
 
-@pytest.mark.parametrize("again", [True, False])
-def test_a_drive_that_begins_beneath_trees_sees_better_later(again: bool) -> None:
+def test_a_drive_that_begins_beneath_trees_sees_better_later() -> None:
     ranges = np.tile(street_lines(64)[0], (8, 1))
     leaves = np.random.default_rng(8).exponential(0.1, ranges.shape).astype(np.float32)
     leaves[256:384] = 0
-    found = noise_along(ranges + leaves, SensorParams(again=again))
-    assert (found[-1] < 0.003) == again
+    found = noise_along(ranges + leaves, SensorParams())
+    assert found[-1] < 0.003
     assert min(found[:288]) > 0.003
 
 
 @pytest.mark.parametrize(
     ("off", "kind"),
     [
-        ({"company": {"least": 0}, "noise": {"spikes": False}}, STRAY),
-        ({"cars": {"enabled": False}}, CAR),
-        ({"leaves": {"share": 0.0, "share_before_walls": 0.0}}, VEGETATION),
-        ({"ground": {"step_m": 0.0, "slope": 0.0, "gap_slope": 0.0, "level_m": 0.0, "soil_m": 0.0}}, GROUND),
+        ({"decision": {"least_near": 0, "spike_share": NEVER}}, STRAY),
+        ({"decision": {"car_bins": NO_BINS, "car_bins_rough": NO_BINS}}, CAR),
+        ({"decision": {"leaf_share": 0, "leaf_share_before_wall": 0}}, VEGETATION),
+        ({"walk": {"step_m": 0, "slope": 0, "gap_slope": 0}, "decision": {"level_m": 0, "soil_m": 0}}, GROUND),
     ],
 )
 def test_a_step_that_is_off_is_missed(street: tuple[F32, U8], off: dict[str, Any], kind: int) -> None:
     usual = recalls(classified(street[0]), street[1])[kind]
-    assert recalls(classified(street[0], FusedParams(**off)), street[1])[kind] < usual - 0.2
+    assert recalls(classified(street[0], **off), street[1])[kind] < usual - 0.2
 
 
 def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]) -> None:
@@ -150,9 +156,7 @@ def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]
     height = -ranges * np.cos(BEAM) + HEIGHT_M
     window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.6)
     ranges[window] *= rng.uniform(1.05, 1.13, int(window.sum())).astype(np.float32)
-    with_walls, without = (
-        classified(ranges, FusedParams(walls={"enabled": on}, votes={"enabled": False})) for on in (True, False)
-    )
+    with_walls, without = (classified(ranges, walls={"height_m": height}, votes=None) for height in (1.5, NEVER))
     assert (with_walls[window] == Label.BUILDING).mean() > 0.8
     assert (without[window] == Label.BUILDING).mean() < 0.5
 
@@ -163,7 +167,7 @@ def test_lonely_ranges_far_behind_the_windows_of_a_wall_are_noise(street: tuple[
     height = -ranges * np.cos(BEAM) + HEIGHT_M
     window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.5)
     ranges[window] *= rng.uniform(1.8, 2.4, int(window.sum())).astype(np.float32)
-    found, missed = (classified(ranges, FusedParams(noise={"ghosts": on})) for on in (True, False))
+    found, missed = (classified(ranges, decision={"ghost_near": near}) for near in (6, 0))
     assert (found[window] == Label.NOISE).mean() > 0.6
     assert (missed[window] == Label.NOISE).mean() < 0.3
 
@@ -177,14 +181,12 @@ def test_what_few_shots_are_left_of_a_wall_are_building(street: tuple[F32, U8]) 
     left = band & ~np.isnan(ranges)
     # four of five lines must see a wall, which the outermost lines of a stream do not have around them
     left[:2] = left[-2:] = False
-    found, missed = (classified(ranges, FusedParams(noise={"held": on, "sparse": False})) for on in (True, False))
-    assert (found[left] == Label.BUILDING).mean() > 0.9
-    assert (missed[left] == Label.BUILDING).mean() < 0.6
+    assert (classified(ranges)[left] == Label.BUILDING).mean() > 0.9
 
 
 def test_votes_settle_single_shots(street: tuple[F32, U8]) -> None:
     ranges, kind = street
-    voted, alone = (classified(ranges, FusedParams(votes={"enabled": on})) for on in (True, False))
+    voted, alone = classified(ranges), classified(ranges, votes=None)
     assert recalls(voted, kind)[VEGETATION] > recalls(alone, kind)[VEGETATION]
 
 
@@ -228,10 +230,9 @@ def test_the_ground_is_found_again_after_more_lines_without_it_than_are_remember
 def test_the_noise_is_measured_in_the_first_lines_that_tell_it() -> None:
     ranges = np.tile(street_lines(64)[0], (4, 1))
     ranges[:224] = np.nan
-    for params in (SensorParams(), SensorParams(again=False)):
-        assert noise_along(ranges, params) == [params.default_noise_m] * 256
-        later = np.concatenate([ranges, ranges[224:]])
-        assert noise_along(later, params)[256:] == pytest.approx([0.002] * 32, rel=0.25)
+    assert noise_along(ranges, SensorParams()) == [DEFAULT_NOISE_M] * 256
+    later = np.concatenate([ranges, ranges[224:]])
+    assert noise_along(later, SensorParams())[256:] == pytest.approx([0.002] * 32, rel=0.25)
 
 
 def test_any_lines_are_labelled() -> None:

@@ -1,0 +1,166 @@
+"""Loop of the fused classifier that asks again, in a wider window, which shots are noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import float32, helper, inlined, kernel, record, uint8
+from prc_cli.methods.fused.thresholds import AgainThresholds
+
+Words = NDArray[np.uint64]
+
+LINES, COLUMNS = 3, 8
+"""Greatest distance of the shots that are asked about, in lines and columns."""
+BESIDE_LINES = 1
+"""The same of the shots whose label is asked for, in lines."""
+SMOOTH = 2
+"""Smooth pairs of a shot that is on a surface."""
+MOST_FELLOWS = 1
+"""Most shots on a surface as far as a mirror image: what is mirrored is seen by few."""
+MISSING_PART = 6
+"""With more than a sixth of the window missing, that nothing is near in range says little."""
+_MISSING, _NOISE, _CAR = int(Label.MISSING), int(Label.NOISE), int(Label.CAR)
+_ALONE, _MIRRORED = np.uint8(1), np.uint8(2)
+"""Bits of what is asked of a shot."""
+_FAR = np.float32(1e9)
+
+
+@helper
+def _mark(labels: U8, smooth: U8, texture: F32, above: F32, thresholds: AgainThresholds, marks: U8) -> None:
+    """Mark the rough shots of a line that may be alone; without branches, as most are not."""
+    rough, foot = thresholds.alone_texture, thresholds.foot_m
+    for i in range(len(labels)):
+        is_open = (labels[i] != _MISSING) & (labels[i] != _NOISE)
+        is_rough = (smooth[i] == 0) & (texture[i] > rough) & (above[i] > foot)
+        marks[i] = _ALONE if is_open & is_rough else np.uint8(0)
+
+
+@helper
+def _mark_amid_cars(labels: U8, smooth: U8, marks: U8) -> None:
+    """Mark the rough shots of a line with a car on both sides: one of the two shots there is part of it."""
+    m, cars, car = len(labels), 0, np.uint8(_CAR)
+    for i in range(m):
+        cars += labels[i] == car
+    if cars == 0 or m < 5:
+        return
+    a, b, c, d = labels[: m - 4], labels[1 : m - 3], labels[3 : m - 1], labels[4:]
+    own, pairs, inner = labels[2 : m - 2], smooth[2 : m - 2], marks[2 : m - 2]
+    for i in range(m - 4):
+        is_amid = ((a[i] == car) | (b[i] == car)) & ((c[i] == car) | (d[i] == car))
+        is_open = (own[i] != _NOISE) & (own[i] != _MISSING) & (pairs[i] < SMOOTH)
+        inner[i] |= _MIRRORED if is_amid & is_open else np.uint8(0)
+
+
+@helper
+def _list(words: Words, marks: U8, shots: I32) -> int:
+    """List the marked shots of a line, return how many there are; eight marks are one word."""
+    n = 0
+    for w in range(len(words)):
+        if words[w] == np.uint64(0):
+            continue
+        for i in range(8 * w, 8 * w + 8):
+            shots[n] = i
+            n += marks[i] != 0
+    return n
+
+
+@inlined
+def _is_mirrored(
+    range_m: F32, smooth: U8, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds
+) -> bool:
+    """Return whether a shot is seen amid a car, farther than its panes and body, and no surface is there.
+
+    ``labels`` begins ``before`` lines after the others.
+    """
+    line, i = at
+    m, own, gap, car = range_m.shape[1], range_m[line, i], thresholds.mirror_m, np.uint8(_CAR)
+    row, end = range_m[line], own - gap
+    if not ((row[i - 1] < end) | (row[i - 2] < end)) & ((row[i + 1] < end) | (row[i + 2] < end)):
+        return False
+    first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, m)
+    left = right = fellows = np.int32(0)
+    for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
+        for j in range(first, last):
+            place = np.uint64(j)
+            off = range_m[k, place] - own
+            is_before = (off < -gap) & (labels[k - before, place] == car)
+            left += np.int32(is_before & (j < i))
+            right += np.int32(is_before & (j > i))
+            fellows += np.int32((abs(off) <= gap) & (smooth[k, place] >= SMOOTH))
+    least = thresholds.mirror_share * np.float32((2 * BESIDE_LINES + 1) * COLUMNS)
+    return bool((np.float32(min(left, right)) >= least) & (fellows <= MOST_FELLOWS))
+
+
+@inlined
+def _is_as_far(range_m: F32, line: int, i: int, same: np.float32) -> bool:
+    """Return whether another shot of the window is about as far as one."""
+    own, found = range_m[line, i], np.int32(-1)  # the shot is as far as itself
+    first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])
+    for n in range(2 * LINES + 1):
+        # from its own line outwards
+        k = line + (n + 1) // 2 * (1 if n % 2 else -1)
+        for j in range(first, last):
+            found += np.int32(abs(range_m[k, np.uint64(j)] - own) < same)
+        if found > 0:
+            return True
+    return False
+
+
+@helper
+def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> bool:
+    """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
+    if thresholds.alone_m > 0 and _is_as_far(range_m, line, i, thresholds.alone_m):
+        return False
+    own = range_m[line, i]
+    before = after = _FAR
+    missing = cells = 0
+    for k in range(line - LINES, line + LINES + 1):
+        for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])):
+            off = range_m[k, j] - own
+            cells += 1
+            missing += off != off
+            before = min(before, -off if off < 0 else _FAR)
+            after = min(after, off if off > 0 else _FAR)
+    return bool((missing * MISSING_PART < cells) & (max(before, after) > thresholds.alone_gap_m))
+
+
+@kernel(
+    uint8[:, ::1](
+        uint8[:, ::1],
+        uint8[:, ::1],
+        float32[:, ::1],
+        uint8[:, ::1],
+        float32[:, ::1],
+        float32[:, ::1],
+        record(AgainThresholds),
+    )
+)
+def noise_again(
+    labels: U8, voted: U8, range_m: F32, smooth: U8, above_m: F32, texture: F32, thresholds: AgainThresholds
+) -> U8:
+    """Label noise that is seen in a wider window alone: what a car mirrors, and ranges that nothing around has.
+
+    ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32, metres; ``smooth``
+    (lines + 6, M) uint8; ``above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32; returns (lines, M)
+    uint8.
+    """
+    n_lines, m = voted.shape
+    found = voted.copy()
+    room = (m + 7) // 8 * 8
+    marks, shots = np.zeros(room, np.uint8), np.empty(room + 1, np.int32)
+    words = marks.view(np.uint64)
+    # the first line of the labels is this many lines after that of the ranges
+    before = LINES - BESIDE_LINES
+    for line in range(n_lines):
+        k = line + LINES
+        _mark(voted[line], smooth[k], texture[line], above_m[line], thresholds, marks[:m])
+        _mark_amid_cars(labels[line + BESIDE_LINES], smooth[k], marks[:m])
+        for n in range(_list(words, marks, shots)):
+            i = int(shots[n])
+            is_alone = marks[i] & _ALONE and _is_alone(range_m, k, i, thresholds)
+            if is_alone or (marks[i] & _MIRRORED and _is_mirrored(range_m, smooth, labels, (k, i), before, thresholds)):
+                found[line, i] = np.uint8(_NOISE)
+    return found

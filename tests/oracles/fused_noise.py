@@ -1,0 +1,78 @@
+"""Slow and simple twin of :mod:`prc_cli.methods.fused.noise_loops`: every shot by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.thresholds import AgainThresholds
+
+MISSING, NOISE, CAR = 0, 2, 7
+
+
+@dataclass(frozen=True)
+class _Window:
+    """A shot and what is around it."""
+
+    labels: U8
+    range_m: F32
+    smooth: U8
+    line: int
+    i: int
+
+    @property
+    def own(self) -> np.float32:
+        return np.float32(self.range_m[self.line, self.i])
+
+    def around(self, lines: int = 3) -> Iterator[tuple[int, int]]:
+        """Yield the places of the window but the shot's own."""
+        for k in range(self.line - lines, self.line + lines + 1):
+            for j in range(max(self.i - 8, 0), min(self.i + 9, self.range_m.shape[1])):
+                if (k, j) != (self.line, self.i):
+                    yield k, j
+
+    def is_mirrored(self, thresholds: AgainThresholds) -> bool:
+        if not 2 <= self.i < self.range_m.shape[1] - 2:
+            return False
+        for way in (-1, 1):
+            two = [self.i + way, self.i + 2 * way]
+            if not (self.labels[self.line - 2, two] == CAR).any():
+                return False
+            if not (self.range_m[self.line, two] < self.own - thresholds.mirror_m).any():
+                return False
+        sides, fellows = [0, 0], 0
+        for k, j in self.around(1):
+            off = self.range_m[k, j] - self.own
+            if off < -thresholds.mirror_m and self.labels[k - 2, j] == CAR and j != self.i:
+                sides[int(j > self.i)] += 1
+            if abs(off) <= thresholds.mirror_m and self.smooth[k, j] >= 2:
+                fellows += 1
+        return bool(min(sides) >= thresholds.mirror_share * np.float32(24) and fellows <= 1)
+
+    def is_alone(self, thresholds: AgainThresholds) -> bool:
+        ranges = np.array([self.range_m[place] for place in self.around()], np.float32)
+        off = ranges[~np.isnan(ranges)] - self.own
+        if (np.abs(off) < thresholds.alone_m).any():
+            return False
+        # the shot itself is part of the window
+        if np.isnan(ranges).sum() * 6 >= len(ranges) + 1:
+            return False
+        sides = [off[off > 0], -off[off < 0]]
+        return any(len(one) == 0 or one.min() > thresholds.alone_gap_m for one in sides)
+
+
+def noise_again(
+    labels: U8, voted: U8, range_m: F32, smooth: U8, above_m: F32, texture: F32, thresholds: AgainThresholds
+) -> U8:
+    """Ask again which shots are noise; see :func:`prc_cli.methods.fused.noise_loops.noise_again`."""
+    found = voted.copy()
+    for line, i in zip(*np.nonzero((voted != MISSING) & (voted != NOISE)), strict=True):
+        shot, pairs = _Window(labels, range_m, smooth, int(line) + 3, int(i)), smooth[line + 3, i]
+        is_rough = pairs == 0 and texture[line, i] > thresholds.alone_texture and above_m[line, i] > thresholds.foot_m
+        is_open = pairs < 2 and labels[line + 1, i] not in (MISSING, NOISE)
+        if (is_open and shot.is_mirrored(thresholds)) or (is_rough and shot.is_alone(thresholds)):
+            found[line, i] = NOISE
+    return found
