@@ -26,7 +26,7 @@ from benchmarks.contest_chains import CHAINS
 from benchmarks.contest_data import ROOT, Scan
 from benchmarks.contest_drives import print_drives
 from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, pooled
-from benchmarks.contest_methods import DEFAULT, FUSED, PAPERS, TO_THE_TOP, Method, ablations, fused, label, label_scan
+from benchmarks.contest_methods import DEFAULT, FUSED, PAPERS, Method, fused, label, label_scan
 from benchmarks.contest_pictures import failures
 from benchmarks.contest_runs import (
     FOREST,
@@ -438,36 +438,6 @@ def print_best(rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]]
     print()
 
 
-def ablation(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Contribution of every step of the fused method."""
-    switched = ablations()
-    if not switched or not all(method.name in runs for method in fused()):
-        return
-    print("## What each step is worth\n")
-    say("""Macro F1 without the step (mean over the scans of a group) and the difference to all steps; negative: the
-    step helps.""")
-    own_items = tuple(item for item in contest.items if item.group not in FURTHER)
-    contest = replace(contest, items=own_items)
-    found = contest.all_runs(switched)
-    groups = contest.groups()
-    for base in fused():
-        own = {name: each for name, each in found.items() if name.startswith(f"{base.name} without ")}
-        shown = {name: items for name, items in groups.items() if of_group(runs[base.name], items)}
-        print(f"| {base.name} | " + " | ".join(shown) + " |\n|---|" + "---:|" * len(shown))
-        whole = {name: float(np.mean([v.macro for v in of_group(runs[base.name], i)])) for name, i in shown.items()}
-        print("| all steps | " + " | ".join(f"{value:.3f}" for value in whole.values()) + " |")
-        for name, each in own.items():
-            cells = []
-            for group, items in shown.items():
-                value = float(np.mean([v.macro for v in of_group(each, items)]))
-                cells.append(f"{value:.3f} ({value - whole[group]:+.3f})")
-            print(f"| {name.removeprefix(f'{base.name} ')} | {' | '.join(cells)} |")
-        print()
-    print("The same by class, simulated streets and Oakland 2, 3: F1, mean over the scans.\n")
-    for title, items in (("Simulated streets", _streets(groups)), (OAKLAND, groups.get(OAKLAND, []))):
-        print_classes(title, items, {**{m.name: runs[m.name] for m in fused()}, **found})
-
-
 def things(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Cars, poles and curbs."""
     print("## Cars, poles, curbs\n")
@@ -637,7 +607,6 @@ PARTS: dict[str, Part] = {
     "things": things,
     "default": default,
     "peers": against_peers,
-    "ablation": ablation,
     "confusion": confusion,
     "speed": speed,
     "drives": drives,
@@ -666,7 +635,7 @@ def main() -> None:
     items = tuple(each for each in data_sets() if not arguments.only or arguments.only in f"{each.group} {each.name}")
     if arguments.quick:
         items = tuple(each for each in items if each.name in _quick_names())
-    contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused(), *TO_THE_TOP), arguments.quick)
+    contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused()), arguments.quick)
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
     print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n")

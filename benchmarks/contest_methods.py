@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
 from benchmarks import contest_files
 from benchmarks.contest_data import ROOT, Scan
 from benchmarks.user import in_process
-from prc_cli.config import LoadedConfig, load_config, parse_assignment
+from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import merge
 from prc_cli.core.errors import ConfigError
@@ -103,18 +102,6 @@ PAPERS = (
 )
 """The methods of both papers, with published parameters except for the two push-broom presets."""
 
-TO_THE_TOP = (
-    Method(
-        "fused-forest, stems up to 4.6 m",
-        "fused-forest",
-        {"fused": {"forest": {"stem_top_m": 4.6}}},
-        mappings=frozenset({"cylinders"}),
-    ),
-)
-"""The same with the height of stems: the cylinders of the reference end 4.3 m above the ground, which is 4.6 m in a
-plane tilted by 20°. Higher parts of a stem are noise in that reference by definition."""
-
-
 DEFAULT = Method("nothing told", mappings=STREETS | FORESTS)
 """``prc classify IN OUT`` without a preset: the program chooses the method."""
 
@@ -129,35 +116,6 @@ def fused() -> tuple[Method, ...]:
             continue
         found.append(Method(name, name, mappings=mappings))
     return tuple(found)
-
-
-def ablations() -> tuple[Method, ...]:
-    """Return a fused method for each of its steps that can be switched off, found among its parameters."""
-    found = []
-    for method in fused():
-        config = load_config(preset=method.preset).config
-        section = next(name for name in type(config).model_fields if getattr(config, name) is config.classifier)
-        for path in _switches(config.classifier):
-            if (path[0] == "forest") != (method.mappings == FORESTS):
-                continue
-            table: dict[str, Any] = {path[-1]: False}
-            for key in reversed((section, *path[:-1])):
-                table = {key: table}
-            step = ".".join(key for key in path if key not in ("enabled", "forest"))
-            found.append(Method(f"{method.name} without {step}", method.preset, table, mappings=method.mappings))
-    return tuple(found)
-
-
-def _switches(params: BaseModel, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Return the keys of all steps that are on and can be switched off."""
-    found = []
-    for name in type(params).model_fields:
-        value = getattr(params, name)
-        if value is True:
-            found.append((*before, name))
-        elif isinstance(value, BaseModel):
-            found += _switches(value, (*before, name))
-    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,14 +133,6 @@ class Labelled:
     """What was said of the file: doubts and refusals, one line each."""
     is_down_told: bool = False
     """Whether straight down had to be told."""
-
-
-def preset_with(preset: str, assignments: Iterable[str]) -> LoadedConfig:
-    """Return a preset with assignments such as ``fused.walls.enabled=false``."""
-    options: dict[str, object] = {}
-    for assignment in assignments:
-        options = merge(options, parse_assignment(assignment))
-    return load_config(preset=preset, options=options)
 
 
 def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Labelled:

@@ -23,7 +23,6 @@ import numpy as np
 from benchmarks.contest_data import Scan, views
 from benchmarks.contest_methods import label
 from benchmarks.peak import peak_mib
-from benchmarks.rings import CLASSES
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.classes import CarTest, ClassCodes, Label, Surface
@@ -55,6 +54,11 @@ from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
 from prc_cli.simulation.world import PROPERTIES, Material, Property
 
+CLASSES = {
+    "kitti": {Label.GROUND: (9, 10, 11, 12, 17), Label.BUILDING: (13, 14), Label.VEGETATION: (15, 16)},
+    "nuscenes": {Label.GROUND: (0, 1), Label.BUILDING: (2,), Label.VEGETATION: (4,)},
+}
+"""Reference codes of the views; others are not judged."""
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 SICK = ROOT / "sample_configs" / "sick_push_broom.toml"

@@ -13,17 +13,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan, Simulated
 from benchmarks.contest_judge import judge
-from benchmarks.contest_methods import label, preset_with
+from benchmarks.contest_methods import label
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.stream import ExtraReturns
 from prc_cli.core.types import F64
+from prc_cli.methods.fused import pipeline
+from prc_cli.methods.fused.thresholds import STREET, Limits
 
 NAMES = ("noise", "ground", "building", "vegetation")
 SCENES = ("residential", "terraces", "suburb", "boulevard", "mixed")
@@ -94,7 +97,7 @@ DRIVES: dict[str, Callable[[int], F64]] = {
     "1/16": every(0.0625),
     "stop and go": stop_and_go,
 }
-SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (("", ()), ("without", ("fused.spacing.enabled=false",)))
+SETTINGS = {"": STREET, "without": STREET._replace(spaced=None)}
 
 
 def streets(seeds: Sequence[int]) -> list[Scan]:
@@ -103,9 +106,10 @@ def streets(seeds: Sequence[int]) -> list[Scan]:
     return [data.simulated(spec) for spec in specs]
 
 
-def f1_of(scan: Scan, assignments: Sequence[str]) -> list[float]:
+def f1_of(scan: Scan, limits: Limits) -> list[float]:
     """Return the F1 of the four classes; NaN = too rare."""
-    found = label(scan, preset_with("fused", assignments))
+    with mock.patch.object(pipeline, "STREET", limits):
+        found = label(scan, load_config(preset="fused"))
     scores = judge(scan, found.codes, found.extra_codes).f1()
     return [scores.get(name, np.nan) for name in NAMES]
 
@@ -136,8 +140,8 @@ def main() -> None:
     normal = None
     for name, where in DRIVES.items():
         drives = [slowed(scan, where(len(scan.range_m)), seed) for scan, seed in zip(scans, seeds, strict=True)]
-        for suffix, assignments in SETTINGS:
-            rows = np.array([f1_of(drive, assignments) for drive in drives])
+        for suffix, limits in SETTINGS.items():
+            rows = np.array([f1_of(drive, limits) for drive in drives])
             normal = rows if normal is None else normal
             print(f"| {name} {suffix} | {cells(rows, normal)} |")
     assert normal is not None

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.contest_classes import counts_of, scores
 
 from benchmarks import contest_data
-from benchmarks.contest_classes import counts_of, scores
 from benchmarks.contest_methods import label
 from prc_cli.config import load_config
 from prc_cli.core.types import F32, F64
