@@ -139,15 +139,11 @@ def main() -> None:
             means = [np.mean([np.mean(list(one.values())) for one in some]) for some in (found[group], whole)]
             cells.append(f"{means[1]:.3f}" if name == "all steps" else f"{means[0] - means[1]:+.4f}")
             for one in sorted({key for scores in whole for key in scores}):
-                pairs = [
-                    (now.get(one, 0.0), then[one]) for now, then in zip(found[group], whole, strict=True) if one in then
-                ]
-                lost.append((float(np.mean([now - then for now, then in pairs])), f"{one}, {group}"))
-        worst = min(lost)
-        print(
-            f"| {name} | {' | '.join(cells)} | {'' if name == 'all steps' else f'{worst[0]:+.3f} {worst[1]}'} |",
-            flush=True,
-        )
+                pairs = zip(found[group], whole, strict=True)
+                off = [now.get(one, 0.0) - then[one] for now, then in pairs if one in then]
+                lost.append((float(np.mean(off)), f"{one}, {group}"))
+        most = "" if name == "all steps" else f"{min(lost)[0]:+.3f} {min(lost)[1]}"
+        print(f"| {name} | {' | '.join(cells)} | {most} |")
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ GOALS: dict[str, dict[str, float]] = {
 }
 """Least F1, mean over the scans, by group and class."""
 FURTHER = (SLOW, FOREST_NOISY, *VIEWS.values())
-"""Groups that ablations leave out."""
+"""Groups with tables of their own."""
 MOST_LOST = 0.03
 """Of F1 in a slow drive, beside the same street driven normally."""
 JUDGED_OF_PEERS = ("ground", "noise")
@@ -242,7 +242,7 @@ def print_wins(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Number of scans on which a fused method is the best of the stream, overall and by class."""
     for method in fused():
         own = runs.get(method.name, {})
-        same = {method.name, *(other.name for other in TO_THE_TOP if other.preset == method.preset)}
+        same = {method.name}
         there = [item for item in contest.items if item.how in own]
         lost: list[str] = []
         n_classes = 0

@@ -11,7 +11,7 @@ from benchmarks.contest_chains import CHAINS
 from benchmarks.contest_data import TEST_FORESTS, TEST_STREETS, TRAIN, TRAIN_FOREST, Scan, Simulated, save, simulated
 from benchmarks.contest_files import ScanFile, write
 from benchmarks.contest_judge import MAPPINGS, judge, mapping_of, pooled
-from benchmarks.contest_methods import PAPERS, ablations, label, label_scan
+from benchmarks.contest_methods import PAPERS, label, label_scan
 from benchmarks.contest_peers import FILTERS, Points, run
 from benchmarks.contest_runs import DataSet, Store, as_image, points_of
 from prc_cli.config import load_config
@@ -156,11 +156,3 @@ def test_points_and_their_codes_go_and_come_back() -> None:
     np.testing.assert_array_equal(np.concatenate([image[there], extra]), codes)
     assert not image[~there].any()
     np.testing.assert_array_equal(points.line[: np.count_nonzero(there)], np.nonzero(there)[0])
-
-
-def test_steps_that_are_switched_off_are_off() -> None:
-    found = ablations()
-    assert len({method.name for method in found}) == len(found)
-    for method in found:
-        assert method.command().endswith("=false")
-        method.config(scan_of([[2, 2]]))
