@@ -26,7 +26,7 @@ from benchmarks.contest_chains import CHAINS
 from benchmarks.contest_data import ROOT, Scan
 from benchmarks.contest_drives import print_drives
 from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, pooled
-from benchmarks.contest_methods import DEFAULT, FUSED, PAPERS, Method, fused, label, label_scan
+from benchmarks.contest_methods import DEFAULT, FUSED, PAPERS, TO_THE_TOP, Method, fused, label, label_scan
 from benchmarks.contest_pictures import failures
 from benchmarks.contest_runs import (
     FOREST,
@@ -242,7 +242,7 @@ def print_wins(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Number of scans on which a fused method is the best of the stream, overall and by class."""
     for method in fused():
         own = runs.get(method.name, {})
-        same = {method.name}
+        same = {method.name, *(other.name for other in TO_THE_TOP if other.preset == method.preset)}
         there = [item for item in contest.items if item.how in own]
         lost: list[str] = []
         n_classes = 0
@@ -635,7 +635,7 @@ def main() -> None:
     items = tuple(each for each in data_sets() if not arguments.only or arguments.only in f"{each.group} {each.name}")
     if arguments.quick:
         items = tuple(each for each in items if each.name in _quick_names())
-    contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused()), arguments.quick)
+    contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused(), *TO_THE_TOP), arguments.quick)
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
     print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n")

@@ -102,6 +102,18 @@ PAPERS = (
 )
 """The methods of both papers, with published parameters except for the two push-broom presets."""
 
+TO_THE_TOP = (
+    Method(
+        "fused-forest, stems up to 4.6 m",
+        "fused-forest",
+        {"fused": {"forest": {"stem_top_m": 4.6}}},
+        mappings=frozenset({"cylinders"}),
+    ),
+)
+"""The same with the height of stems: the cylinders of the reference end 4.3 m above the ground, which is 4.6 m in a
+plane tilted by 20°. Higher parts of a stem are noise in that reference by definition."""
+
+
 DEFAULT = Method("nothing told", mappings=STREETS | FORESTS)
 """``prc classify IN OUT`` without a preset: the program chooses the method."""
 

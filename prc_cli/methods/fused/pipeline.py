@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from prc_cli.core.classes import Label
+from prc_cli.core.config import Params
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
@@ -71,7 +72,7 @@ from prc_cli.methods.fused.spacing import (
     strides_of,
 )
 from prc_cli.methods.fused.strips import Standing, stand
-from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET, Limits, in_room
+from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET, Forest, Limits, in_room
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
@@ -98,6 +99,22 @@ CONFIDENCE_KERNELS = frozenset(
 )
 
 
+class ForestParams(Params):
+    """What is a matter of definition in a forest (``[fused.forest]``)."""
+
+    stem_top_m: float = Field(
+        1000.0,
+        ge=0,
+        le=1000,
+        description="height over the ground, in the scan plane, up to which stems are stems and from which on they are "
+        "other vegetation [m]",
+    )
+
+    def limits(self) -> Forest:
+        """Return the limits of the forest."""
+        return FOREST._replace(classes=FOREST.classes._replace(top_m=self.stem_top_m))
+
+
 class FusedParams(MethodParams):
     """Parameters of the fused classifier (``[fused]``); its limits are constants, in thresholds.py."""
 
@@ -106,6 +123,7 @@ class FusedParams(MethodParams):
     )
     lines_per_block: int = Field(128, ge=1, le=100_000, description="scan lines that are labelled together")
     sensor: SensorParams = SensorParams()
+    forest: ForestParams = ForestParams()
 
     def method(self) -> Fused:
         """Return the method with these parameters."""
@@ -283,6 +301,7 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
 
     >>> from prc_cli.methods.base import OneByOne
     >>> from prc_cli.core.classes import Label
+    from prc_cli.core.config import Params
     >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
     >>> lines = np.tile(2.0 / np.cos(beam), (8, 1)).astype(np.float32)
     >>> lines[4, 100] = 1.0
@@ -301,7 +320,7 @@ def _classify(
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         in_forest_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, known, params.sensor))
-        return forest(range_m, scanner.plane, in_forest_m, FOREST), None
+        return forest(range_m, scanner.plane, in_forest_m, params.forest.limits()), None
     limits = scanner.limits
     n_lines, ahead = len(range_m), lines_ahead(plane, limits)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
