@@ -127,20 +127,36 @@ def main() -> None:
                     for title, limits in (("STREET", STREET), ("RINGS", RINGS)):
                         patches.enter_context(mock.patch.object(pipeline, title, STREET_STEPS[name](limits)))
                 rows.setdefault(name, {}).setdefault(group, []).append(f1_of(scan))
-    groups = list(rows["all steps"])
-    print(f"| without | {' | '.join(groups)} | most lost by a class |\n|---|{'---:|' * len(groups)}---|")
+    whole = rows["all steps"]
+    if held_out:
+        print_classes(whole)
+    else:
+        print_steps(rows, whole)
+
+
+def print_classes(whole: dict[str, list[dict[str, float]]]) -> None:
+    """Print the mean F1 of every class."""
+    names = sorted({one for found in whole.values() for scores in found for one in scores})
+    print(f"| | {' | '.join(whole)} |\n|---|{'---:|' * len(whole)}")
+    for name in names:
+        own = {group: [scores[name] for scores in found if name in scores] for group, found in whole.items()}
+        print(f"| {name} | {' | '.join(f'{np.mean(some):.3f}' if some else '' for some in own.values())} |")
+
+
+def print_steps(rows: dict[str, dict[str, list[dict[str, float]]]], whole: dict[str, list[dict[str, float]]]) -> None:
+    """Print what is lost without every step."""
+    print(f"| without | {' | '.join(whole)} | most lost by a class |\n|---|{'---:|' * len(whole)}---|")
     for name, found in rows.items():
         cells, lost = [], []
-        for group in groups:
-            whole = rows["all steps"][group]
+        for group, before in whole.items():
             if group not in found:
                 cells.append("")
                 continue
-            means = [np.mean([np.mean(list(one.values())) for one in some]) for some in (found[group], whole)]
-            cells.append(f"{means[1]:.3f}" if name == "all steps" else f"{means[0] - means[1]:+.4f}")
-            for one in sorted({key for scores in whole for key in scores}):
-                pairs = zip(found[group], whole, strict=True)
-                off = [now.get(one, 0.0) - then[one] for now, then in pairs if one in then]
+            now, then = (np.mean([np.mean(list(one.values())) for one in some]) for some in (found[group], before))
+            cells.append(f"{then:.3f}" if name == "all steps" else f"{now - then:+.4f}")
+            for one in sorted({key for scores in before for key in scores}):
+                pairs = zip(found[group], before, strict=True)
+                off = [scores.get(one, 0.0) - first[one] for scores, first in pairs if one in first]
                 lost.append((float(np.mean(off)), f"{one}, {group}"))
         most = "" if name == "all steps" else f"{min(lost)[0]:+.3f} {min(lost)[1]}"
         print(f"| {name} | {' | '.join(cells)} | {most} |")

@@ -15,6 +15,8 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.explain import Explanation, explain
+from prc_cli.methods.fused import pipeline
+from prc_cli.methods.fused.thresholds import NEVER, STREET, Forest, Limits
 from prc_cli.simulation.settings import Kind
 from tests.cli.test_commands import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -93,9 +95,8 @@ def check_answers(found: Explanation) -> None:
     """The answers lead to the label."""
     answers = said(found)
     name = found.label.name.lower()
-    assert all(
-        key.partition(".")[0] in ("prc", "fused", "sequential_angle") for a in found.answers for key, _ in a.limits
-    )
+    known = {"prc", "fused", "sequential_angle", *Limits._fields, *Forest._fields}
+    assert all(key.partition(".")[0] in known for a in found.answers for key, _ in a.limits)
     if found.method == "fused":
         last = [answer for answer in found.answers if answer.so != "keeps its class"][-1]
         assert last.so.startswith(name)
@@ -115,21 +116,17 @@ def check_answers(found: Explanation) -> None:
             assert (answers["surfaces"].so == "smooth") == (found.label == Label.STEM)
 
 
-def test_the_answers_of_the_wider_window_are_told(folder: Path) -> None:
-    source, labels = folder / "street.npz", []
-    former = {"fused": {"noise": {"mirrors": False, "alone": False, "sparse": False, "spike_m": 0.0}}}
-    for options in ({}, former):
-        loaded = load_config(preset="fused", options=options)
+def test_the_answers_of_the_wider_window_are_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, labels, loaded = folder / "street.npz", [], load_config(preset="fused")
+    off = STREET.again._replace(mirror_m=np.float32(NEVER), alone_texture=np.float32(NEVER))
+    for limits in (STREET, STREET._replace(again=off)):
+        monkeypatch.setattr(pipeline, "STREET", limits)
         summary = classify(source, folder / "again.npy", loaded, overwrite=True)
         labels.append(np.load(folder / "again.npy").reshape(summary.counts.n_lines, -1))
+    monkeypatch.undo()
     noise = 7
-    for changed, so in (
-        ((labels[0] == noise) & (labels[1] != noise), "noise"),
-        ((labels[0] == 2) & (labels[1] == noise), "ground"),
-    ):
-        line, column = np.argwhere(changed)[0].tolist()
-        found = explain(source, line, column, load_config(preset="fused"))
-        assert said(found)["wider window"].so == so
+    line, column = np.argwhere((labels[0] == noise) & (labels[1] != noise))[0].tolist()
+    assert said(explain(source, line, column, loaded))["wider window"].so == "noise"
 
 
 def test_a_table_and_json(prc: Prc, folder: Path) -> None:

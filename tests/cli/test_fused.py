@@ -14,7 +14,9 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.fused import pipeline
 from prc_cli.methods.fused.pipeline import FusedParams
+from prc_cli.methods.fused.thresholds import RINGS, STREET
 from tests import patience
 from tests.cli.test_commands import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -137,17 +139,20 @@ def labels(image: F32, beam: F64, params: FusedParams) -> U8:
 
 
 @pytest.mark.data
-def test_the_kitti_frame_is_labelled_by_rings(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+def test_the_kitti_frame_is_labelled_by_rings(
+    prc: Prc, real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config = Path(__file__).resolve().parents[2] / "sample_configs" / "kitti_frame.toml"
     reference = np.fromfile(real_data / "kitti" / "000000.label", np.uint32) & 0xFFFF
     lookup = ClassCodes().lookup()
     kinds = {Label.GROUND: (40, 44, 48, 49, 60, 72), Label.BUILDING: (50, 51, 52), Label.VEGETATION: (70, 71)}
     judged = np.isin(reference, [code for codes in kinds.values() for code in codes])
     f1 = {}
-    for name, options in (("rings", ()), ("profiler", ("--set", "fused.rings.enabled=false"))):
+    for name, limits in (("rings", RINGS), ("profiler", STREET._replace(spaced=None, interlace_rad=np.inf))):
+        monkeypatch.setattr(pipeline, "RINGS", limits)
         output = tmp_path / f"{name}.npy"
         frame = real_data / "kitti" / "000000.bin"
-        result = prc("classify", frame, output, "--config", config, "--preset", "fused", *options)
+        result = prc("classify", frame, output, "--config", config, "--preset", "fused")
         assert result.code in (0, 4), result.err
         labels = np.load(output)
         for label, codes in kinds.items():

@@ -26,9 +26,8 @@ def test_completion_of_values() -> None:
     context, parameter = click.Context(cli), click.Option(["--x"])
     assert "prc.support.zeta_p=" in complete_assignment(context, parameter, "prc.support.z")
     assert complete_assignment(context, parameter, "prc.environment=f") == ["prc.environment=forest"]
-    assert complete_assignment(context, parameter, "fused.cars.named=") == [
-        "fused.cars.named=true", "fused.cars.named=false",
-    ]  # fmt: skip
+    backdate = "sequential_angle.coarse.surfaces.backdate="
+    assert complete_assignment(context, parameter, backdate) == [f"{backdate}true", f"{backdate}false"]
     assert "input.return=" in complete_assignment(context, parameter, "input.re")
     assert complete_assignment(context, parameter, "nonsense=") == []
     assert "street_scan" in complete_mapping(context, parameter, "stre")
