@@ -81,7 +81,11 @@ class EchoPulseSource:
         self._folder = path.parent
         found = [_NAME.fullmatch(each.name) for each in sorted(self._folder.iterdir())]
         self._arrays = {_own_name(match): _array(self._folder, match) for match in found if match is not None}
-        self._count = _array(self._folder, _matched(path))
+        match = _NAME.fullmatch(path.name)
+        if match is None:
+            problem = f"expected a name such as pulse-uint8-{COUNT}.bin"
+            raise InputError(str(path), problem, "name the file that counts")
+        self._count = _array(self._folder, match)
         self._n_pulses = self._count.n
         self._time = self._read_time()
         n_echoes, n_empty = self._totals()
@@ -193,13 +197,6 @@ class EchoPulseSource:
             problem = f"{match['n']} entries, but {self._n_pulses} shots"
             raise InputError(str(path), problem, "copy the folder from the archive again")
         return start, step
-
-
-def _matched(path: Path) -> re.Match[str]:
-    match = _NAME.fullmatch(path.name)
-    if match is None:
-        raise InputError(str(path), f"expected a name such as pulse-uint8-{COUNT}.bin", "name the file that counts")
-    return match
 
 
 def _own_name(match: re.Match[str]) -> str:

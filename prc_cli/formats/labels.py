@@ -159,11 +159,9 @@ def open_array_codes(path: Path, dimension: str | None) -> CodeSource:
     return CodeSource(path, shape[0] * row, read, name=name)
 
 
-def open_text_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open a column of a text file."""
-    from prc_cli.formats.text.read import TextSource
-
-    source = TextSource(path)
+def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open a dimension of a file of records: a text, a cloud."""
+    source = by_suffix("scans")[suffix_of(path)].open_records(path, None)
     name = _choose(path, list(source.dimensions), dimension)
     # label files of this program have record numbers
     numbered = {"record", "class", "name"} <= set(source.dimensions)
@@ -174,7 +172,12 @@ def open_text_codes(path: Path, dimension: str | None) -> CodeSource:
                 _check_numbers(path, np.asarray(chunk.values["record"], np.float64), chunk.first_record)
             yield chunk.values[name]
 
-    return CodeSource(path, None, read, missing=True, name=name)
+    return CodeSource(path, source.n_records, read, missing=True, name=name)
+
+
+def open_las_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open a dimension of a LAS or LAZ file, ``classification`` by default."""
+    return open_record_codes(path, dimension or "classification")
 
 
 def _check_numbers(path: Path, record: F64, first: int) -> None:
@@ -184,22 +187,6 @@ def _check_numbers(path: Path, record: F64, first: int) -> None:
         at = int(np.argmax(wrong))
         problem = f"row {first + at} holds record {record[at]:g}, expected {first + at}: rows were moved or left out"
         raise InputError(str(path), problem, "sort the rows by record, all of them")
-
-
-def open_las_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open a dimension of a LAS or LAZ file, ``classification`` by default."""
-    from prc_cli.formats.las.read import LasSource
-
-    source = LasSource(path)
-    name = dimension if dimension is not None else "classification"
-    if name not in source.dimensions:
-        known = ", ".join(source.dimensions)
-        raise ConfigError(str(path), f"no dimension {name!r} in the file", f"it has: {known}")
-
-    def read() -> Iterator[NDArray[Any]]:
-        return (chunk.values[name] for chunk in source.chunks((name,)))
-
-    return CodeSource(path, source.n_records, read, name=name)
 
 
 def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
@@ -214,7 +201,7 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
         with parquet.ParquetFile(path) as file:
             schema, n = file.schema_arrow, file.metadata.num_rows
     except (pa.ArrowException, *_DAMAGED) as error:
-        raise InputError(str(path), f"no whole Parquet file ({_one_line(error)})", damaged) from error
+        raise InputError(str(path), f"no whole Parquet file ({' '.join(str(error).split())[:160]})", damaged) from error
     name = _choose(path, list(schema.names), dimension)
     kind = schema.types[schema.names.index(name)]
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
@@ -234,7 +221,7 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
                 first += len(column)
                 yield column.to_numpy(zero_copy_only=False)
         except (pa.ArrowException, *_DAMAGED) as error:
-            problem = f"record {first} and on cannot be read ({_one_line(error)})"
+            problem = f"record {first} and on cannot be read ({' '.join(str(error).split())[:160]})"
             raise InputError(str(path), problem, damaged) from error
 
     return CodeSource(path, n, read, name=name)
@@ -262,25 +249,6 @@ def open_semantic_codes(path: Path, dimension: str | None) -> CodeSource:
                 yield (labels & SEMANTIC_BITS).astype(np.uint16)
 
     return CodeSource(path, size // LABEL_BYTES, read)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:160]
-
-
-def open_cloud_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open a property of a PLY or PCD cloud."""
-    from prc_cli.formats.clouds.pcd import open_pcd
-    from prc_cli.formats.clouds.ply import open_ply
-
-    source = open_ply(path) if suffix_of(path) == ".ply" else open_pcd(path)
-    name = _choose(path, list(source.dimensions), dimension)
-
-    def read() -> Iterator[NDArray[Any]]:
-        for chunk in source.chunks((name,)):
-            yield chunk.values[name]
-
-    return CodeSource(path, source.n_records, read, missing=True, name=name)
 
 
 class LabelFileWriter(ScatterWriter):
@@ -329,9 +297,12 @@ class LabelFileWriter(ScatterWriter):
         # text after the record number, by code, so that the loop only joins strings
         tails = [f"{code},{_cell(self._name(code))}" for code in range(256)]
         with self._temporary.open("w", encoding="utf-8", newline="") as handle:
-            handle.write(",".join(["record", "class", "name", *self._headings()]) + "\n")
-            for record, item in _numbered(columns):
-                numbers = record.tolist()
+            handle.write(
+                ",".join(["record", "class", "name", *(column.heading or column.name for column in self._optional)])
+                + "\n"
+            )
+            for item in columns:
+                numbers = item.record.tolist()
                 ends: Any = [tails[code] for code in item.codes.tolist()]
                 for column in self._optional:
                     texts = _texts(item.values[column.name])
@@ -344,37 +315,21 @@ class LabelFileWriter(ScatterWriter):
 
         names = pa.array([self._name(code) for code in range(256)])
         fields = [("record", pa.int64()), ("class", pa.uint8()), ("name", pa.dictionary(pa.uint8(), pa.string()))]
-        types = [pa.from_numpy_dtype(column.dtype) for column in self._optional]
-        fields += zip(self._headings(), types, strict=True)
+        fields += [(column.heading or column.name, pa.from_numpy_dtype(column.dtype)) for column in self._optional]
         schema = pa.schema(fields)
         try:
             # write to our own file object, so that a failed write shows the error of the system
             with self._temporary.open("wb") as handle, pq.ParquetWriter(handle, schema) as writer:
-                for record, item in _numbered(columns):
+                for item in columns:
                     codes = pa.array(item.codes)
-                    table = [
-                        pa.array(record),
-                        codes,
-                        pa.DictionaryArray.from_arrays(codes, names),
-                    ]
+                    table = [pa.array(item.record), codes, pa.DictionaryArray.from_arrays(codes, names)]
                     table += [pa.array(item.values[column.name]) for column in self._optional]
                     writer.write_table(pa.Table.from_arrays(table, schema=schema))
         except pa.ArrowException as error:
             raise OutputError(str(self.path), f"cannot be written as Parquet ({error})", "try .csv or .npy") from error
 
-    def _headings(self) -> list[str]:
-        return [column.heading or column.name for column in self._optional]
-
     def _name(self, code: int) -> str:
         return self._names.get(code, f"class {code}")
-
-
-def _numbered(columns: Iterator[Columns]) -> Iterator[tuple[I64, Columns]]:
-    """Give every chunk the indices of its records."""
-    first = 0
-    for item in columns:
-        yield np.arange(first, first + len(item.codes)) if item.record is None else item.record, item
-        first += len(item.codes)
 
 
 def _texts(values: Values) -> list[Any]:

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from prc_cli.cli import cli
 from prc_cli.formats.registry import by_suffix, formats
+from prc_cli.formats.testing import check_reads
 from tests.street import angles, street
 
 PACKAGE = """
@@ -78,6 +79,7 @@ def run(*words: object) -> str:
 
 
 def test_a_format_from_outside_goes_through_the_commands(toy: Path, tmp_path: Path) -> None:
+    assert check_reads(by_suffix("scans")[".toy"], toy) == street().size
     found = json.loads(run("info", toy, "--json"))
     assert found["format"] == "toy"
     run("classify", toy, tmp_path / "labels.npy", "--preset", "urban")

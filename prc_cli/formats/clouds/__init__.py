@@ -14,7 +14,7 @@ FORMATS = tuple(
         keeps_points=True,
         write_labels="prc_cli.formats.clouds.write:open_label_writer",
         codes=(suffix,),
-        open_codes="prc_cli.formats.labels:open_cloud_codes",
+        open_codes="prc_cli.formats.labels:open_record_codes",
     )
     for name, suffix, opener in (
         ("PLY", ".ply", "prc_cli.formats.clouds.ply:open_ply"),

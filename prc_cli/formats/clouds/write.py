@@ -192,28 +192,23 @@ class CloudWriter(StagedWriter):
         self._handle.close()
 
 
-def _cell(block: LabelledBlock, axis: int) -> Values:
-    scan = block.block
-    line = scan.first_line + np.arange(scan.n_lines, dtype=np.int64)
-    column = np.arange(scan.points_per_line, dtype=np.int64)
-    found = line[:, None] if axis == 0 else column[None, :]
-    return np.broadcast_to(found, scan.range_m.shape)
+def _cells(axis: int, name: str) -> OptionalColumn:
+    """Return line or column of every shot as an optional column."""
+
+    def of_shots(block: LabelledBlock) -> Values:
+        numbers: Values = np.indices(block.block.range_m.shape, sparse=True)[axis]
+        return np.broadcast_to(numbers + (0 if axis else block.block.first_line), block.block.range_m.shape)
+
+    def of_extra(block: LabelledBlock) -> Values:
+        extra = block.block.extra
+        found = extra.column if axis else block.block.first_line + extra.line.astype(np.int64)
+        return np.asarray(found).astype(np.uint32)
+
+    dimension = ExtraDimension(name, np.dtype("<u4"), "")
+    return OptionalColumn(dimension, name, "range", name.replace("_", " "), NO_CELL, of_shots, of_extra)
 
 
-def _extra_cell(block: LabelledBlock, axis: int) -> Values:
-    extra = block.block.extra
-    found: Values = extra.column if axis else block.block.first_line + extra.line.astype(np.int64)
-    return found.astype(np.uint32)
-
-
-_CELLS = tuple(
-    OptionalColumn(
-        ExtraDimension(name, np.dtype("<u4"), ""), name, "range", name.replace("_", " "), NO_CELL,
-        lambda block, axis=axis: _cell(block, axis),  # type: ignore[misc]
-        lambda block, axis=axis: _extra_cell(block, axis),  # type: ignore[misc]
-    )
-    for axis, name in enumerate(_CELL_NAMES)
-)  # fmt: skip
+_CELLS = tuple(_cells(axis, name) for axis, name in enumerate(_CELL_NAMES))
 _RANGE = OptionalColumn(
     RANGE, "range", "range", "range", np.nan,
     lambda block: block.block.range_m, lambda block: block.block.extra.range_m,

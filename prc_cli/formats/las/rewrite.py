@@ -220,7 +220,7 @@ def _of_part(batches: Iterator[U8], columns: Iterator[Columns], n: int) -> Itera
     """Yield the records of a part with their values, and read no farther than to the last of them."""
     # the columns first: where they end, no further batch is decoded
     for k, (values, old) in enumerate(zip(columns, batches, strict=False)):
-        if values.record is not None and len(values.record):
+        if len(values.record):
             yield old[values.record - k * n], values
 
 

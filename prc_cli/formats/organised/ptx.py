@@ -163,7 +163,6 @@ class PtxStream:
     def _parts(self, scan: _Scan) -> Iterator[F64]:
         """Yield (n, 3 or 4) numbers: x, y, z [m] and intensity of consecutive points."""
         rest, line, left = b"", scan.first_line, scan.stop - scan.start
-        rows = _Rows(self._path, scan)
         with open_to_read(self._path) as handle:
             handle.seek(scan.start)
             while left:
@@ -177,7 +176,7 @@ class PtxStream:
                 if len(rest) > MAX_LINE_BYTES:
                     raise too_long(self._path, line + data.count(b"\n"))
                 if data:
-                    yield rows.parse(line, data)
+                    yield _parse(self._path, scan, line, data)
                     line += data.count(b"\n")
 
 
@@ -188,64 +187,57 @@ def _filled(values: F32, n: int) -> F32:
     return np.concatenate([values, np.full((n - len(values), *values.shape[1:]), np.nan, np.float32)])
 
 
-class _Rows:
-    """Parses the rows of points of a scan."""
+def _parse(path: Path, scan: _Scan, first: int, data: bytes) -> F64:
+    """Return (n, 3 or 4) float64, a row of it for every line of the text."""
+    n = data.count(b"\n") + (not data.endswith(b"\n"))
+    found = _parse_fast(scan, _plain(data), n)
+    return _parse_exactly(path, scan, first, data) if found is None else found
 
-    def __init__(self, path: Path, scan: _Scan) -> None:
-        self._path, self._scan = path, scan
-        self._n_used = min(scan.n_cells, 4)
 
-    def parse(self, first: int, data: bytes) -> F64:
-        """Return (n, 3 or 4) float64, a row of it for every line of the text."""
-        n = data.count(b"\n") + (not data.endswith(b"\n"))
-        found = self._parse_fast(_plain(data), n)
-        return self._parse_exactly(first, data) if found is None else found
+def _parse_fast(scan: _Scan, data: bytes, n: int) -> F64 | None:
+    """Parse the rows with pyarrow; None where it refuses or counts lines differently."""
+    import pyarrow as pa
+    from pyarrow import csv
 
-    def _parse_fast(self, data: bytes, n: int) -> F64 | None:
-        """Parse the rows with pyarrow; None where it refuses or counts lines differently."""
-        import pyarrow as pa
-        from pyarrow import csv
+    keys = [str(index) for index in range(scan.n_cells)]
+    used = keys[:4]
+    try:
+        table = csv.read_csv(
+            pa.BufferReader(data),
+            csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES),
+            csv.ParseOptions(delimiter=" ", quote_char=False),
+            csv.ConvertOptions(column_types={key: pa.float64() for key in used}, include_columns=used, null_values=[]),
+        )
+    except pa.ArrowInvalid:
+        return None
+    if table.num_rows != n:
+        return None
+    rows = np.empty((n, len(used)))
+    for index, key in enumerate(used):
+        rows[:, index] = table.column(key).to_numpy()
+    return rows
 
-        keys = [str(index) for index in range(self._scan.n_cells)]
-        used = keys[: self._n_used]
-        try:
-            table = csv.read_csv(
-                pa.BufferReader(data),
-                csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES),
-                csv.ParseOptions(delimiter=" ", quote_char=False),
-                csv.ConvertOptions(
-                    column_types={key: pa.float64() for key in used}, include_columns=used, null_values=[]
-                ),
-            )
-        except pa.ArrowInvalid:
-            return None
-        if table.num_rows != n:
-            return None
-        rows = np.empty((n, len(used)))
-        for index, key in enumerate(used):
-            rows[:, index] = table.column(key).to_numpy()
-        return rows
 
-    def _parse_exactly(self, first: int, data: bytes) -> F64:
-        scan = self._scan
-        lines = data.split(b"\n")
-        lines = lines if lines[-1] else lines[:-1]
-        rows = np.empty((len(lines), self._n_used))
-        for index, line in enumerate(lines):
-            number = first + index
-            where = f"{self._path}: line {number}"
-            if len(line) > MAX_LINE_BYTES:
-                raise too_long(self._path, number)
-            cells = line.decode("utf-8", errors="replace").split()
-            if len(cells) != scan.n_cells:
-                _refuse_row(self._path, number, line, scan)
-            for column in range(self._n_used):
-                value = to_number(cells[column])
-                if value is None:
-                    problem = f"found {shorten(cells[column])!r}, expected a number"
-                    raise InputError(where, problem, "write 0 0 0 for a point that is missing")
-                rows[index, column] = value
-        return rows
+def _parse_exactly(path: Path, scan: _Scan, first: int, data: bytes) -> F64:
+    n_used = min(scan.n_cells, 4)
+    lines = data.split(b"\n")
+    lines = lines if lines[-1] else lines[:-1]
+    rows = np.empty((len(lines), n_used))
+    for index, line in enumerate(lines):
+        number = first + index
+        where = f"{path}: line {number}"
+        if len(line) > MAX_LINE_BYTES:
+            raise too_long(path, number)
+        cells = line.decode("utf-8", errors="replace").split()
+        if len(cells) != scan.n_cells:
+            _refuse_row(path, number, line, scan)
+        for column in range(n_used):
+            value = to_number(cells[column])
+            if value is None:
+                problem = f"found {shorten(cells[column])!r}, expected a number"
+                raise InputError(where, problem, "write 0 0 0 for a point that is missing")
+            rows[index, column] = value
+    return rows
 
 
 def _refuse_row(path: Path, number: int, line: bytes, scan: _Scan) -> NoReturn:
@@ -359,12 +351,12 @@ class _Survey:
     def _intensity_scale(self, scan: _Scan) -> float:
         """Return the factor for intensities: 65535 where they run from 0 to 1, as PTX defines, else 1."""
         self._handle.seek(scan.start)
-        rows, left, line = _Rows(self._path, scan), scan.shape.n_records, scan.first_line
+        left, line = scan.shape.n_records, scan.first_line
         n_seen, inside = 0, True
         while left and n_seen < _LOOKED_AT and inside:
             n = min(_LOOKED_AT, left)
             head = b"".join(self._handle.readline(MAX_LINE_BYTES + 1) for _ in range(n))
-            found = rows.parse(line, head)
+            found = _parse(self._path, scan, line, head)
             # leave out shots without return
             value = found[found[:, :3].any(axis=1), 3]
             inside = bool(((value >= 0) & (value <= 1) | np.isnan(value)).all())

@@ -112,8 +112,8 @@ class Columns:
     """(n,) uint8, class codes."""
     values: dict[str, Values]
     """(n,) arrays of the optional columns, by name."""
-    record: I64 | None = None
-    """(n,) int64, index in the input of every record; None = the next ones from 0 on, without a gap."""
+    record: I64
+    """(n,) int64, index in the input of every record."""
 
 
 class StagedWriter(ABC):
@@ -414,11 +414,11 @@ class ScatterWriter(StagedWriter):
             codes = self._code_spool.span(start, stop)
             values = {name: spool.span(start, stop) for name, spool in self._spools.items()}
             if self._there is None:
-                yield Columns(codes, values)
+                yield Columns(codes, values, np.arange(start, stop))
                 continue
             there = self._there.span(start, stop) != 0
-            record = start + np.flatnonzero(there)
-            yield Columns(codes[there], {name: column[there] for name, column in values.items()}, record)
+            values = {name: column[there] for name, column in values.items()}
+            yield Columns(codes[there], values, start + np.flatnonzero(there))
 
 
 def _remove_quietly(path: Path) -> None:

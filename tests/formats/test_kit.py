@@ -1,0 +1,35 @@
+"""The kit that other packages test their formats with holds for our own ones."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from prc_cli.formats.options import Layout
+from prc_cli.formats.registry import by_suffix
+from prc_cli.formats.testing import check_damage, check_reads, check_round_trip
+from tests.fuzz.seeds import LAYOUT, seed
+from tests.fuzz.targets import suffix_of_seed
+
+DUMP = Layout.model_validate(tomllib.loads(LAYOUT)["layout"])
+SAMPLES = (
+    "plain.las", "pf6.laz", "copc7.laz", "a.npy", "a.npz", "a.csv.gz", "a.3d", "a.ply", "text.ply", "lzf.pcd", "a.xyz",
+    "a.bin", "a.ptx", "a.e57", "plain.bag", "plain.mcap", "velodyne.pcap",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", by_suffix("streams"))
+def test_streams_are_written_alike_and_come_back(tmp_path: Path, suffix: str) -> None:
+    check_round_trip(by_suffix("streams")[suffix], suffix, tmp_path)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_are_read_and_damaged_ones_are_read_or_refused(tmp_path: Path, name: str) -> None:
+    suffix = suffix_of_seed(name)
+    form, path = by_suffix("scans")[suffix], tmp_path / f"sample{suffix}"
+    path.write_bytes(seed(name))
+    layout = DUMP if form.is_dump else None
+    assert check_reads(form, path, layout) > 0
+    check_damage(form, path, tmp_path, layout, n_cases=30)
