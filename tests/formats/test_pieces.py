@@ -43,19 +43,6 @@ def test_skipping_lines_equals_reading_them(monkeypatch: pytest.MonkeyPatch, see
         assert one._handle.read() == b"".join(every[n:])
 
 
-def test_lines_that_are_too_long_are_told_with_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ptx, "MAX_LINE_BYTES", 10)
-    one: Any = ptx._Survey.__new__(ptx._Survey)
-    for data, is_refused in ((b"a\n" + b"b" * 300, True), (b"a\n" + b"b\n" * 300, False)):
-        one._handle, one._line, one._path = io.BytesIO(data), 7, Path("a.ptx")
-        monkeypatch.setattr(ptx, "TEXT_BYTES", 50)
-        if is_refused:
-            with pytest.raises(InputError, match="line 9"):
-                one._skip(5)
-        else:
-            assert one._skip(5) == 5
-
-
 @pytest.mark.parametrize(
     ("value", "expected"),
     [(1, 1), (0, None), (-3, None), (True, None), (2.0, None), ("5", None), (2154, 2154), (None, None)],

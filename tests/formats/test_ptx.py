@@ -287,26 +287,6 @@ def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> Non
         scans_of(stream)
 
 
-def test_mutations_give_one_line_or_a_result(tmp_path: Path) -> None:
-    raw = (ptx_scan(grid_points(4, 5), rotation=turn_x(3)) + ptx_scan(grid_points(2, 3), colour=True)).encode()
-    path = tmp_path / "a.ptx"
-    n_read = 0
-    for seed in range(300):
-        rng = np.random.default_rng(seed)
-        data = bytearray(raw[: rng.integers(len(raw))] if seed % 5 == 0 else raw)
-        for _ in range(rng.integers(1, 4)):
-            data[rng.integers(len(data)) if data else 0 :][:1] = b""
-            if data:
-                data[rng.integers(len(data))] = rng.choice(list(b"0123456789.-+eE \n\r\tnaif\x00\xff"))
-        path.write_bytes(data)
-        try:
-            scans_of(PtxStream(path, AUTO))
-            n_read += 1
-        except PrcError as error:
-            assert "\n" not in str(error)  # noqa: PT017
-    assert n_read > 20
-
-
 def test_las_and_labels_out(tmp_path: Path) -> None:
     import laspy
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -64,24 +63,13 @@ class PlyHeader:
     n_bytes: int
     """First byte behind the header."""
 
-    @property
-    def vertex_at(self) -> int:
-        """Index of the points among the elements."""
-        return next(index for index, one in enumerate(self.elements) if one.name == "vertex")
+    vertex_at: int
+    """Index of the points among the elements."""
 
     @property
     def vertex(self) -> Element:
         """The points."""
         return self.elements[self.vertex_at]
-
-    def describe(self) -> dict[str, Any]:
-        """Return the header as plain values for JSON."""
-        return {
-            "format": self.form,
-            "elements": {one.name: one.count for one in self.elements},
-            "properties": dict(self.vertex.properties),
-            "comments": list(self.comments),
-        }
 
 
 def read_ply_header(path: Path) -> PlyHeader:
@@ -91,24 +79,16 @@ def read_ply_header(path: Path) -> PlyHeader:
     if not head.startswith(_MAGIC) or head[3:4] not in (b"\n", b"\r"):
         found = shorten(head[:12].decode("latin-1"))
         raise InputError(f"{path}: line 1", f"found {found!r}, expected ply", "check that this is a PLY file")
-    lines, n_bytes = _lines(path, head)
-    return _parse(path, lines, n_bytes)
-
-
-def _lines(path: Path, head: bytes) -> tuple[list[str], int]:
-    """Return the lines of the header and its size."""
     lines: list[str] = []
     at = 0
-    while True:
+    while not lines or lines[-1] != _END:
         end = head.find(b"\n", at)
         if end < 0:
             problem = f"no line {_END} in the first {len(head)} bytes"
             raise InputError(f"{path}: line {len(lines) + 1}", problem, "copy it from the archive again")
-        line = head[at:end].removesuffix(b"\r").decode("utf-8", errors="replace").strip()
-        lines.append(line)
+        lines.append(head[at:end].removesuffix(b"\r").decode("utf-8", errors="replace").strip())
         at = end + 1
-        if line == _END:
-            return lines, at
+    return _parse(path, lines, at)
 
 
 def _parse(path: Path, lines: list[str], n_bytes: int) -> PlyHeader:
@@ -132,16 +112,17 @@ def _parse(path: Path, lines: list[str], n_bytes: int) -> PlyHeader:
             raise InputError(where, problem, _AGAIN)
     if not form:
         raise InputError(f"{path}: line 2", "no line format, expected e.g. format binary_little_endian 1.0", _AGAIN)
-    vertex = next((one for one in elements if one.name == "vertex"), None)
-    if vertex is None:
+    at = next((index for index, one in enumerate(elements) if one.name == "vertex"), None)
+    if at is None:
         names = ", ".join(one.name for one in elements[:10]) or "none"
         raise InputError(str(path), f"no element vertex, it has {names}", "export the points")
+    vertex = elements[at]
     if vertex.list_name:
         problem = f"property {vertex.list_name!r} of the points is a list, expected plain numbers"
         raise InputError(str(path), problem, "export it without that property")
     if not vertex.properties or not vertex.count:
         raise InputError(str(path), "no points (element vertex is empty), expected scan data", _AGAIN)
-    return PlyHeader(form, tuple(elements), tuple(comments), len(lines), n_bytes)
+    return PlyHeader(form, tuple(elements), tuple(comments), len(lines), n_bytes, at)
 
 
 def _form(where: str, cells: list[str]) -> str:
@@ -205,7 +186,12 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
     head = CloudHead(
         path, f"PLY, {header.form.replace('_', ' ')}", names, types,
         offsets_m=offsets_of(header.comments), comments=header.comments, notes=tuple(notes),
-        described=header.describe(),
+        described={
+            "format": header.form,
+            "elements": {one.name: one.count for one in header.elements},
+            "properties": dict(vertex.properties),
+            "comments": list(header.comments),
+        },
     )  # fmt: skip
     return CloudSource(head, body, layout)
 

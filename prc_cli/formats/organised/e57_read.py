@@ -44,6 +44,7 @@ from prc_cli.formats.organised.scans import (
     is_rotation,
     lengths,
     lines_per_block,
+    listed,
     spans,
     to_float32,
 )
@@ -211,8 +212,7 @@ class E57Stream:
         differ = [scan.shape.scanner for scan in self._scans if scan.bounds_differ]
         if not differ:
             return []
-        some = ", ".join(map(str, differ[:10])) + (", ..." if len(differ) > 10 else "")
-        return [f"the header's index bounds do not fit the points of scan {some}: the points' own are taken"]
+        return [f"the header's index bounds do not fit the points of scan {listed(differ)}: the points' own are taken"]
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""

@@ -30,7 +30,6 @@ INTENSITY_TOP = 65535.0
 INVALID = 2
 """State of a point without any coordinates."""
 
-_NOTHING = (np.inf, -np.inf)
 _DOUBLES = ("cartesianX", "cartesianY", "cartesianZ", "timeStamp")
 
 
@@ -194,7 +193,7 @@ class _Scan:
         self._names = output._fields
         library, image = output._library, output._image
         self._library, self._image = library, image
-        self._rows, self._columns, self._limits = (_NOTHING,) * 3
+        self._limits = dict.fromkeys(("rowIndex", "columnIndex", "intensity"), (np.inf, -np.inf))
         self._node = library.StructureNode(image)
         self._node.set("guid", output._guid(f"scan {len(output._done)}"))
         self._node.set("name", library.StringNode(image, f"scanner {scanner}"))
@@ -228,9 +227,8 @@ class _Scan:
             for name, buffer in self._buffers.items():
                 buffer[: part.stop - first] = values[name][part]
             self._writer.write(part.stop - first)
-        self._rows = _wider(self._rows, values["rowIndex"])
-        self._columns = _wider(self._columns, values["columnIndex"])
-        self._limits = _wider(self._limits, values["intensity"])
+        for name, (low, high) in self._limits.items():
+            self._limits[name] = min(low, float(values[name].min())), max(high, float(values[name].max()))
 
     def cancel(self) -> None:
         """Release the writer of the library."""
@@ -241,15 +239,12 @@ class _Scan:
         self._writer.close()
         names = ("rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
         bounds = self._library.StructureNode(self._image)
-        for name, bound in zip(names, (*self._rows, *self._columns), strict=True):
+        for name, bound in zip(names, (*self._limits["rowIndex"], *self._limits["columnIndex"]), strict=True):
             bounds.set(name, self._library.IntegerNode(self._image, int(bound)))
         self._node.set("indexBounds", bounds)
-        if "intensity" in self._names and 0 <= self._limits[0] <= self._limits[1] <= INTENSITY_TOP:
+        low, high = self._limits["intensity"]
+        if "intensity" in self._names and 0 <= low <= high <= INTENSITY_TOP:
             limits = self._library.StructureNode(self._image)
             for name, value in (("intensityMinimum", 0.0), ("intensityMaximum", INTENSITY_TOP)):
                 limits.set(name, self._library.FloatNode(self._image, value))
             self._node.set("intensityLimits", limits)
-
-
-def _wider(limits: tuple[float, float], values: NDArray[Any]) -> tuple[float, float]:
-    return min(limits[0], float(values.min())), max(limits[1], float(values.max()))

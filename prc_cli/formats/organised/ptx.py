@@ -29,6 +29,7 @@ from prc_cli.formats.organised.scans import (
     is_rotation,
     lengths,
     lines_per_block,
+    listed,
     spans,
     to_float32,
 )
@@ -108,9 +109,8 @@ class PtxStream:
         moved = [scan.shape.scanner for scan in self._scans if scan.pose.offset_m.any()]
         if not moved:
             return []
-        some = ", ".join(map(str, moved[:10])) + (", ..." if len(moved) > 10 else "")
         return [
-            f"the header's transformation and scanner position differ in scan {some}: "
+            f"the header's transformation and scanner position differ in scan {listed(moved)}: "
             "ranges are measured from the scanner position"
         ]
 
@@ -329,7 +329,12 @@ class _Survey:
             raise InputError(f"{self._path}: line {self._line + 1}", problem, "export the scan again")
         n_found = self._skip(wanted)
         if n_found < wanted and not (self._pad and n_found > wanted - m):
-            raise self._too_few(header_line, n_found, n_lines, m)
+            problem = (
+                f"the file ends after {n_found} points, the header in line {header_line} says "
+                f"{n_lines} columns x {m} rows = {wanted}"
+            )
+            pad = ", or set input.partial_line to pad" * (n_found > wanted - m)
+            raise InputError(f"{self._path}: line {self._line}", problem, f"copy it from the archive again{pad}")
         shape = ScanShape(scanner, n_lines if m else 0, m if n_lines else 0, n_found, first_record)
         scan = _Scan(
             shape, header_line, self._pose(header_line, rows[0], matrix), start, self._handle.tell(), n_cells, 1.0
@@ -337,16 +342,6 @@ class _Survey:
         if n_cells > 3 and wanted:
             scan = replace(scan, intensity_scale=self._intensity_scale(scan))
         return scan
-
-    def _too_few(self, header_line: int, n_found: int, n_lines: int, m: int) -> InputError:
-        problem = (
-            f"the file ends after {n_found} points, the header in line {header_line} says "
-            f"{n_lines} columns x {m} rows = {n_lines * m}"
-        )
-        hint = "copy it from the archive again"
-        if n_found > (n_lines - 1) * m:
-            hint += ", or set input.partial_line to pad"
-        return InputError(f"{self._path}: line {self._line}", problem, hint)
 
     def _intensity_scale(self, scan: _Scan) -> float:
         """Return the factor for intensities: 65535 where they run from 0 to 1, as PTX defines, else 1."""

@@ -154,8 +154,7 @@ def describe(
     more = ", ..." if len(full) > 5 else ""
     empty = [shape.scanner for shape in shapes if not shape.n_cells]
     if empty:
-        some = ", ".join(map(str, empty[:10])) + (", ..." if len(empty) > 10 else "")
-        notes = [*notes, f"{_scans(len(empty))} without points left out: {some}"]
+        notes = [*notes, f"{_scans(len(empty))} without points left out: {listed(empty)}"]
     assumed = [
         Assumption("input.lines", "columns of the scan", f"{_scans(len(full))} of lines x beams {sizes}{more}"),
         Assumption("input.scanner", "one a scan", "every scan of the file has its own lines"),
@@ -199,6 +198,11 @@ def in_turn(parts: Iterator[NDArray[Any]], sizes: Iterable[int], missing: InputE
     # whoever reads the parts checks that there are no more
     for _ in parts:
         pass
+
+
+def listed(numbers: list[int]) -> str:
+    """Return the first numbers of scans, for messages."""
+    return ", ".join(map(str, numbers[:10])) + (", ..." if len(numbers) > 10 else "")
 
 
 def _scans(n: int) -> str:

@@ -14,6 +14,9 @@ EVEN_RAD = 1e-10
 """Angles are written as start and step if all are this close to even steps [rad]."""
 
 
+_FRAME = ("x", "y", "z", "intensity")
+
+
 def config_path(path: Path) -> Path:
     """Return the name of the configuration beside a raw dump.
 
@@ -60,17 +63,7 @@ class FrameStream(StreamWriter):
             self._handle.write(points[np.argsort(record, kind="stable")].data)
         self._handle.close()
         rules = ["[input]", 'lines = "rings"', f"points_per_line = {self.shape.points_per_line}"] * self.shape.rings
-        fields = [f'    {{ name = "{name}", type = "f4" }},' for name in ("x", "y", "z", "intensity")]
-        lines = [
-            f"# the points of {self.path.name}",
-            *rules,
-            "[layout]",
-            'endian = "little"',
-            "fields = [",
-            *fields,
-            "]",
-            "",
-        ]
+        lines = [f"# the points of {self.path.name}", *rules, *_layout(np.dtype([(name, "f4") for name in _FRAME]))]
         self._config_temporary.write_text("\n".join(lines), encoding="utf-8")
 
 
@@ -135,11 +128,16 @@ class RawStream(StreamWriter):
             lines += [f"angle_start = {self._even[0]!r}", f"angle_step = {self._even[1]!r}"]
         if self.shape.down_rad is not None and not self.shape.registered:
             lines += [f"nadir = {float(np.rad2deg(self.shape.down_rad))!r}"]
-        lines += ["", "[layout]", 'endian = "little"', f"points_per_line = {self._m}", "fields = ["]
-        for name in self._dtype.names or ():
-            unit = ', unit = "rad"' if name == "angle" else ""
-            lines.append(f'    {{ name = "{name}", type = "{self._dtype[name].str[1:]}"{unit} }},')
-        return "\n".join([*lines, "]", ""])
+        return "\n".join([*lines, "", *_layout(self._dtype, f"points_per_line = {self._m}")])
+
+
+def _layout(dtype: np.dtype[np.void], *more: str) -> list[str]:
+    """Return the lines of a layout that reads records."""
+    lines = ["[layout]", 'endian = "little"', *more, "fields = ["]
+    for name in dtype.names or ():
+        unit = ', unit = "rad"' if name == "angle" else ""
+        lines.append(f'    {{ name = "{name}", type = "{dtype[name].str[1:]}"{unit} }},')
+    return [*lines, "]", ""]
 
 
 def even_steps(degrees: F64) -> tuple[float, float] | None:

@@ -7,8 +7,6 @@
 from __future__ import annotations
 
 import contextlib
-from abc import abstractmethod
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -60,24 +58,17 @@ class _TableStream(StreamWriter):
         super().__init__(path, shape)
         self._columns = table_columns(shape)
         self._schema = pa.schema(list(self._columns.items()))
+        self._writer: Any = None
 
     def _add(self, item: StreamItem) -> None:
-        for table in self._tables(item):
-            try:
-                self._put(table)
-            except pa.ArrowException as error:
-                raise OutputError(str(self.path), f"cannot be written ({error})", "check the disk") from error
-
-    @abstractmethod
-    def _put(self, table: pa.Table) -> None: ...
-
-    def _tables(self, item: StreamItem) -> Iterator[pa.Table]:
         lines = max(1, ROWS_AT_ONCE // item.block.points_per_line)
         for first in range(0, item.block.n_lines, lines):
             values = stream_rows(item, slice(first, min(first + lines, item.block.n_lines)))
-            yield pa.Table.from_arrays(
-                [_array(values[name], kind) for name, kind in self._columns.items()], schema=self._schema
-            )
+            columns = [_array(values[name], kind) for name, kind in self._columns.items()]
+            try:
+                self._writer.write_table(pa.Table.from_arrays(columns, schema=self._schema))
+            except pa.ArrowException as error:
+                raise OutputError(str(self.path), f"cannot be written ({error})", "check the disk") from error
 
 
 class CsvStream(_TableStream):
@@ -94,13 +85,10 @@ class CsvStream(_TableStream):
         self._writer = pa.csv.CSVWriter(self._sink, self._schema, write_options=options)
         self._stack.callback(_close, self._writer)
 
-    def _put(self, table: pa.Table) -> None:
-        self._writer.write_table(table)
-
     def _close(self) -> None:
         self._writer.close()
         self._sink.close()
-        self._handle.close()
+        super()._close()
 
 
 class ParquetStream(_TableStream):
@@ -111,12 +99,9 @@ class ParquetStream(_TableStream):
         self._writer = pa.parquet.ParquetWriter(self._handle, self._schema)
         self._stack.callback(_close, self._writer)
 
-    def _put(self, table: pa.Table) -> None:
-        self._writer.write_table(table)
-
     def _close(self) -> None:
         self._writer.close()
-        self._handle.close()
+        super()._close()
 
 
 def _close(stream: Any) -> None:

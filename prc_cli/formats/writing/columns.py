@@ -16,7 +16,6 @@ from prc_cli.core.config import Params
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.facts import ClassContexts
 from prc_cli.core.stream import CriticalZetas, LabelledBlock, StageLabels
-from prc_cli.core.types import U8
 from prc_cli.formats.writing.coordinates import Placement
 
 HIGH_NOISE_CODE = 18
@@ -170,20 +169,12 @@ class OptionalColumn:
         return self.dimension.dtype
 
 
-def _segments(block: LabelledBlock) -> Values:
-    return np.zeros(block.labels.shape, np.uint32) if block.segments is None else block.segments
-
-
 def _stage(found: Callable[[StageLabels], Values]) -> Callable[[LabelledBlock], Values | None]:
     return lambda block: None if block.stages is None else found(block.stages)
 
 
 def _critical(found: Callable[[CriticalZetas], Values]) -> Callable[[LabelledBlock], Values | None]:
     return lambda block: None if block.critical is None else found(block.critical)
-
-
-def _extra_confidence(block: LabelledBlock) -> U8:
-    return np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
 
 
 def _of_stages(
@@ -202,7 +193,7 @@ OPTIONAL_COLUMNS = (
         "segment_ids",
         "segment id",
         0,
-        _segments,
+        lambda block: np.zeros(block.labels.shape, np.uint32) if block.segments is None else block.segments,
     ),
     OptionalColumn(
         RANGE,
@@ -242,7 +233,9 @@ OPTIONAL_COLUMNS = (
         "confidence",
         0,
         lambda block: block.confidence,
-        _extra_confidence,
+        lambda block: (
+            np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
+        ),
         needs="fused method",
     ),
 )

@@ -9,10 +9,10 @@ import hashlib
 import json
 import threading
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from types import TracebackType
 from typing import Any
 
 from prc_cli import __version__
@@ -21,7 +21,6 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.profile import stage, timed
 from prc_cli.core.stream import Assumption, ReadTally
-from prc_cli.core.threads import TICK_S
 
 PROGRAM = "prc-cli"
 RECORD_SUFFIX = ".prc.json"
@@ -207,42 +206,27 @@ class FingerprintBeside:
     """
 
     def __init__(self, path: Path, *, threads: int, hashes: bool = True) -> None:
-        self._path = path
-        self._hashes = hashes
+        self._path, self._hashes = path, hashes
         self._stop = threading.Event()
-        self._found: Fingerprint | None = None
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="fingerprint", daemon=True) if threads > 1 else None
+        self._pool = ThreadPoolExecutor(1, "fingerprint") if threads > 1 else None
+        self._found: Future[Fingerprint | None] | None = None
 
     def __enter__(self) -> FingerprintBeside:
-        if self._thread is not None:
-            self._thread.start()
+        if self._pool is not None:
+            self._found = self._pool.submit(self._read)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._join()
+        if self._pool is not None:
+            self._pool.shutdown()
 
     def result(self) -> Fingerprint:
         """Wait for the fingerprint."""
         with timed("waiting for the fingerprint"):
-            self._join()
-        if self._thread is None:
-            self._run()
-        if self._error is not None:
-            raise self._error
-        assert self._found is not None
-        return self._found
-
-    def _join(self) -> None:
-        while self._thread is not None and self._thread.is_alive():
-            self._thread.join(TICK_S)
-
-    def _run(self) -> None:
-        try:
-            self._found = self._read()
-        except BaseException as raised:  # raised again by ``result``
-            self._error = raised
+            found = self._read() if self._found is None else self._found.result()
+        assert found is not None
+        return found
 
     @stage("fingerprint")
     def _read(self) -> Fingerprint | None:
