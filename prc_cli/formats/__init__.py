@@ -17,13 +17,7 @@ _BAG_PARTS = (".db3", ".mcap")
 
 
 def check_input(path: Path) -> str:
-    """Return the suffix of a readable input file.
-
-    Raises
-    ------
-    InputError
-        When it is absent, not a file, empty, or has an unknown suffix.
-    """
+    """Return the suffix of a readable input file; refuse what is absent, not a file, empty, or has an unknown suffix."""
     known = tuple(by_suffix("scans"))
     suffix = suffix_of(path)
     if path.is_dir():
@@ -91,23 +85,8 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
 
 
 def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
-    """Open a range image or organised scans, for which :func:`open_source` returns None.
-
-    Parameters
-    ----------
-    path : Path
-        Range image or organised scans.
-    config : InputConfig
-        How the file is read.
-    lines_at_once : int
-        Preferred number of lines per read: a multiple of it.
-    """
+    """Open a range image or organised scans, for which :func:`open_source` returns None; read such lines at once."""
     return by_suffix("scans")[suffix_of(path)].open_images(path, config, lines_at_once)
 
 
-__all__ = [
-    "LAS_SUFFIXES",
-    "check_input",
-    "open_images",
-    "open_source",
-]
+__all__ = ["LAS_SUFFIXES", "check_input", "open_images", "open_source"]

@@ -113,8 +113,12 @@ def guess_records(path: Path) -> GuessedRecords | None:
     endian, kinds = max(found, key=lambda one: _merit(rows, one[1], one[0]))
     columns = {str(at): _column(rows, at, kind, endian) for at, kind in kinds}
     named = guess_names(columns)
-    fields = tuple(_field(named.get(str(at), f"field_{at}"), kind, columns[str(at)]) for at, kind in kinds)
-    return GuessedRecords(_header_bytes(head, size, period, rows), endian, fields)
+    fields = []
+    for at, kind in kinds:
+        name = named.get(str(at), f"field_{at}")
+        scale, missing = range_scale(columns[str(at)]) if name == "range" else (1.0, None)
+        fields.append(GuessedField(name, kind, scale, missing))
+    return GuessedRecords(_header_bytes(head, size, period, rows), endian, tuple(fields))
 
 
 def byte_period(data: U8) -> int | None:
@@ -212,13 +216,6 @@ def _header_bytes(head: U8, size: int, period: int, rows: U8) -> int:
             return last
         last = at + period
     return first
-
-
-def _field(name: str, kind: str, values: NDArray[Any]) -> GuessedField:
-    if name != "range":
-        return GuessedField(name, kind)
-    scale, missing = range_scale(values)
-    return GuessedField(name, kind, scale, missing)
 
 
 def range_scale(values: NDArray[Any]) -> tuple[float, float | None]:

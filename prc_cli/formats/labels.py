@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
-from prc_cli.core.types import F64, I64
+from prc_cli.core.types import I64
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.writing.base import (
@@ -169,7 +169,13 @@ def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
     def read() -> Iterator[NDArray[Any]]:
         for chunk in source.chunks((name, "record") if numbered else (name,)):
             if numbered:
-                _check_numbers(path, np.asarray(chunk.values["record"], np.float64), chunk.first_record)
+                # label files whose rows were sorted or filtered are refused: they are matched by order
+                first, record = chunk.first_record, np.asarray(chunk.values["record"], np.float64)
+                if (wrong := record != np.arange(first, first + len(record))).any():
+                    at = int(np.argmax(wrong))
+                    problem = f"row {first + at} holds record {record[at]:g}, expected {first + at}"
+                    problem += ": rows were moved or left out"
+                    raise InputError(str(path), problem, "sort the rows by record, all of them")
             yield chunk.values[name]
 
     return CodeSource(path, source.n_records, read, missing=True, name=name)
@@ -178,15 +184,6 @@ def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
 def open_las_codes(path: Path, dimension: str | None) -> CodeSource:
     """Open a dimension of a LAS or LAZ file, ``classification`` by default."""
     return open_record_codes(path, dimension or "classification")
-
-
-def _check_numbers(path: Path, record: F64, first: int) -> None:
-    """Refuse label files whose rows were sorted or filtered: they are matched by order."""
-    wrong = record != np.arange(first, first + len(record))
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        problem = f"row {first + at} holds record {record[at]:g}, expected {first + at}: rows were moved or left out"
-        raise InputError(str(path), problem, "sort the rows by record, all of them")
 
 
 def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:

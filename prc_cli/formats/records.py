@@ -75,10 +75,7 @@ class RecordSource(Protocol):
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the input.
 
-        Raises
-        ------
-        InputError
-            When the file is damaged; the message names the position, what was found and what was expected.
+        A damaged file is an ``InputError`` that names the position, what was found and what was expected.
         """
 
 

@@ -102,7 +102,10 @@ def _parse(path: Path, lines: list[str], n_bytes: int) -> PlyHeader:
         if word in ("comment", "obj_info"):
             comments.append(rest)
         elif word == "format" and not form:
-            form = _form(where, cells)
+            if not cells or cells[0] not in FORMATS or cells[1:] != ["1.0"]:
+                problem = f"found format {shorten(' '.join(cells))!r}, expected {', '.join(FORMATS)} and 1.0"
+                raise InputError(where, problem, _AGAIN)
+            form = cells[0]
         elif word == "element":
             elements.append(_element(where, cells, elements))
         elif word == "property" and elements:
@@ -123,13 +126,6 @@ def _parse(path: Path, lines: list[str], n_bytes: int) -> PlyHeader:
     if not vertex.properties or not vertex.count:
         raise InputError(str(path), "no points (element vertex is empty), expected scan data", _AGAIN)
     return PlyHeader(form, tuple(elements), tuple(comments), len(lines), n_bytes, at)
-
-
-def _form(where: str, cells: list[str]) -> str:
-    if not cells or cells[0] not in FORMATS or cells[1:] != ["1.0"]:
-        problem = f"found format {shorten(' '.join(cells))!r}, expected {', '.join(FORMATS)} and 1.0"
-        raise InputError(where, problem, _AGAIN)
-    return cells[0]
 
 
 def _element(where: str, cells: list[str], before: list[Element]) -> Element:

@@ -151,7 +151,13 @@ class CloudSource:
         renamed = [f"{own} as {name}" for name, (own, _) in found.items() if own != name and name in NAMES]
         if renamed and not given:
             notes.append(f"properties taken under another name: {', '.join(renamed)}")
-        rules += _usual_rules(found, head, is_own=own_m is not None)
+        has_own_lines = "scan_line" in found and own_m is None
+        if "ring" in found and set(XYZ) <= set(found) and not has_own_lines and "angle" not in found:
+            rings = (
+                KnownRule("lines", "rings", "the points have a ring, and x, y, z from the scanner"),
+                KnownRule("range", "sensor-xyz", "rings turn around the origin of x, y, z"),
+            )
+            rules += [rule for rule in rings if rule.key not in {one.key for one in head.rules}]
         rules += angle_rules(found["angle"][0] if "angle" in found else None)
         self.facts = SourceFacts(
             points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
@@ -364,16 +370,6 @@ def _own_points_per_line(comments: tuple[str, ...]) -> int | None:
     told = [text.removeprefix(OWN_COMMENT) for text in comments if text.startswith(OWN_COMMENT)]
     m = told[-1].strip() if told else ""
     return int(m) if m.isascii() and m.isdecimal() and 0 < len(m) <= 8 and int(m) else None
-
-
-def _usual_rules(found: Mapping[str, Any], head: CloudHead, *, is_own: bool) -> list[KnownRule]:
-    """Return what the properties say of lines, columns and ranges, for ``auto``."""
-    rules: list[KnownRule] = []
-    has_lines = "scan_line" in found
-    if "ring" in found and set(XYZ) <= set(found) and (is_own or not has_lines) and "angle" not in found:
-        rules.append(KnownRule("lines", "rings", "the points have a ring, and x, y, z from the scanner"))
-        rules.append(KnownRule("range", "sensor-xyz", "rings turn around the origin of x, y, z"))
-    return [rule for rule in rules if rule.key not in {one.key for one in head.rules}]
 
 
 def _shown(names: Mapping[str, Any]) -> str:

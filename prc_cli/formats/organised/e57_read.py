@@ -149,7 +149,7 @@ class E57Stream:
             raise InputError(self._where(table.index), f"{problem}, expected a denser scan", "export the scan again")
         counts = np.zeros(shape.n_lines, np.int64)
         at = tally.columns[0] - column_low
-        counts[at : at + tally.columns[1] - tally.columns[0] + 1] = tally.counts()
+        counts[at : at + tally.columns[1] - tally.columns[0] + 1] = tally.counts
         if counts.max() > MAX_RETURNS * shape.points_per_line:
             column = column_low + int(counts.argmax())
             problem = f"found {counts.max()} points in column {column}, which has {shape.points_per_line} rows"
@@ -331,12 +331,9 @@ class _IndexTally:
         self.rows = (0, -1)
         self.columns = (0, -1)
         self.in_order = True
-        self._counts: I64 = np.zeros(0, np.int64)
+        self.counts: I64 = np.zeros(0, np.int64)
+        """Number of points by column, from the first to the last column with points."""
         self._last = -np.inf
-
-    def counts(self) -> I64:
-        """Return the number of points by column, from the first to the last column with points."""
-        return self._counts
 
     def add(self, row: F64, column: F64) -> None:
         """Count points."""
@@ -348,13 +345,13 @@ class _IndexTally:
         if columns != self.columns:
             grown = np.zeros(columns[1] - columns[0] + 1, np.int64)
             at = self.columns[0] - columns[0]
-            grown[at : at + len(self._counts)] = self._counts
-            self._counts = grown
+            grown[at : at + len(self.counts)] = self.counts
+            self.counts = grown
         self.rows, self.columns = rows, columns
         number = column.astype(np.int64)
         low = int(number.min())
         found = np.bincount(number - low)
-        self._counts[low - columns[0] : low - columns[0] + len(found)] += found
+        self.counts[low - columns[0] : low - columns[0] + len(found)] += found
         self.in_order = self.in_order and bool(column[0] >= self._last and (column[1:] >= column[:-1]).all())
         self._last = column[-1]
 

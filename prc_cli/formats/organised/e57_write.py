@@ -83,7 +83,7 @@ class E57Stream(StreamWriter):
     def _cancel(self) -> None:
         with contextlib.suppress(self._library.E57Exception, RuntimeError):
             if self._scan is not None:
-                self._scan.cancel()
+                self._scan.writer.close()
         with contextlib.suppress(self._library.E57Exception, RuntimeError):
             self._image.cancel()
 
@@ -208,7 +208,7 @@ class _Scan:
         wrapped = library.VectorSourceDestBuffer()
         for name, values in self._buffers.items():
             wrapped.append(library.SourceDestBuffer(image, name, values, POINTS_AT_ONCE, True, True))
-        self._writer = points.writer(wrapped)
+        self.writer = points.writer(wrapped)
 
     def _kind(self, name: str) -> Any:
         library, image = self._library, self._image
@@ -226,17 +226,13 @@ class _Scan:
             part = slice(first, min(first + POINTS_AT_ONCE, n))
             for name, buffer in self._buffers.items():
                 buffer[: part.stop - first] = values[name][part]
-            self._writer.write(part.stop - first)
+            self.writer.write(part.stop - first)
         for name, (low, high) in self._limits.items():
             self._limits[name] = min(low, float(values[name].min())), max(high, float(values[name].max()))
 
-    def cancel(self) -> None:
-        """Release the writer of the library."""
-        self._writer.close()
-
     def close(self) -> None:
         """Write the header of the scan."""
-        self._writer.close()
+        self.writer.close()
         names = ("rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
         bounds = self._library.StructureNode(self._image)
         for name, bound in zip(names, (*self._limits["rowIndex"], *self._limits["columnIndex"]), strict=True):

@@ -311,7 +311,7 @@ class StagedWriter(ABC):
             ClassCount(int(code), self._names.get(int(code), f"class {code}"), int(self._counts[code]))
             for code in np.flatnonzero(self._counts)
         )
-        return record.with_written(classes or record.classes, self.notices)
+        return replace(record, classes=classes or record.classes, notices=(*record.notices, *self.notices))
 
 
 class StreamWriter(StagedWriter):

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -85,10 +85,6 @@ class RunRecord(Brief):
     """Which form of the loops ran; noted only where it is another."""
     output: Fingerprint | None = None
     """The finished output; only in the record beside it, for no file holds its own hash."""
-
-    def with_written(self, classes: tuple[ClassCount, ...], notices: tuple[str, ...]) -> RunRecord:
-        """Return the record with counts and notices of the writer."""
-        return replace(self, classes=classes, notices=(*self.notices, *notices))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as nested plain values."""

@@ -60,7 +60,7 @@ def test_indices_are_counted_as_one_by_one(seed: int) -> None:
     low, high = int(column.min()), int(column.max())
     assert tally.rows == (row.min(), row.max())
     assert tally.columns == (low, high)
-    assert tally.counts().tolist() == [int(np.sum(column == one)) for one in range(low, high + 1)]
+    assert tally.counts.tolist() == [int(np.sum(column == one)) for one in range(low, high + 1)]
     assert tally.in_order is (seed % 2 == 1)
 
 

@@ -10,7 +10,6 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.writing.columns import OutputConfig, check_codes, class_names
 from prc_cli.formats.writing.record import (
-    ClassCount,
     Fingerprint,
     fingerprint,
 )
@@ -67,13 +66,6 @@ def test_short_form_is_json_and_names_what_it_left_out() -> None:
     assert "notices" not in shortest
     with pytest.raises(ValueError, match="even in short form, limit 10"):
         record.to_json_within(10)
-
-
-def test_written_counts_are_filled_in() -> None:
-    record = run_record().with_written((ClassCount(2, "ground", 5),), ("told",))
-    found = json.loads(record.to_json())
-    assert found["classes"] == [{"code": 2, "count": 5, "name": "ground"}]
-    assert found["notices"] == ["told"]
 
 
 def test_fingerprint_of_nothing(tmp_path: Path) -> None:
