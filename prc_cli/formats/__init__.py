@@ -17,7 +17,7 @@ _BAG_PARTS = (".db3", ".mcap")
 
 
 def check_input(path: Path) -> str:
-    """Return the suffix of a readable input file; refuse what is absent, not a file, empty, or has an unknown suffix."""
+    """Return the suffix of an input; refuse what is absent, not a file, empty, or has an unknown suffix."""
     known = tuple(by_suffix("scans"))
     suffix = suffix_of(path)
     if path.is_dir():

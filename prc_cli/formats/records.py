@@ -1,14 +1,16 @@
-"""The interface of readers for lists of records, from which the stream is built.
+"""The interface of readers for lists of records, from which the stream is built, and what their records hold.
 
 A source only decodes; :mod:`prc_cli.streams.grid` finds line, column and range of every record, for all formats alike.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.facts import SourceFacts
@@ -109,3 +111,99 @@ class DerivedSource:
     def facts(self) -> SourceFacts:
         """What the file says of itself beside its records."""
         return self.source.facts
+
+
+AXES = ("x", "y", "z")
+CLASS_NAMES = ("classification", "class", "label")
+"""Dimensions that hold class codes; the first that is there counts."""
+MOST_KINDS = 256
+"""More different codes, returns or sources are not told one by one."""
+REGISTERED_SPAN_M, REGISTERED_FAR_M = 300.0, 2000.0
+"""Coordinates that span more, or lie farther from zero, are not relative to one scanner."""
+
+
+@dataclass(slots=True)
+class Contents:
+    """Counts of the records of a file; filled by :meth:`see`."""
+
+    bounds_m: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Least and greatest finite coordinate by axis [m]."""
+    time_s: tuple[float, float] | None = None
+    """Least and greatest time [s]."""
+    classes: Counter[int] = field(default_factory=Counter)
+    """Records by class code."""
+    class_names: dict[int, str] = field(default_factory=dict)
+    """What the file itself calls its own codes, from 64 on."""
+    returns: Counter[str] = field(default_factory=Counter)
+    """Records by return, as ``"2 of 3"``."""
+    sources: Counter[int] = field(default_factory=Counter)
+    """Records by point source id."""
+
+    def see(self, values: dict[str, NDArray[Any]]) -> None:
+        """Take the next records, by dimension."""
+        for axis in (*AXES, "time"):
+            if axis in values and (found := _bounds(values[axis])):
+                old = self.time_s if axis == "time" else self.bounds_m.get(axis)
+                both = found if old is None else (min(old[0], found[0]), max(old[1], found[1]))
+                if axis == "time":
+                    self.time_s = both
+                else:
+                    self.bounds_m[axis] = both
+        for name in CLASS_NAMES:
+            if name in values:
+                _count(self.classes, values[name])
+                break
+        if "point_source_id" in values:
+            _count(self.sources, values["point_source_id"])
+        if "return_number" in values and "number_of_returns" in values:
+            pairs = values["return_number"].astype(np.int64) * 256 + values["number_of_returns"]
+            kinds, n = np.unique(pairs, return_counts=True)
+            for pair, count in zip(kinds.tolist(), n.tolist(), strict=True):
+                if len(self.returns) < MOST_KINDS:
+                    self.returns[f"{pair // 256} of {pair % 256}"] += count
+
+    @property
+    def is_registered(self) -> bool | None:
+        """Whether the coordinates cannot be relative to one scanner; None without coordinates."""
+        if "x" not in self.bounds_m or "y" not in self.bounds_m:
+            return None
+        across = [self.bounds_m[axis] for axis in ("x", "y")]
+        return any(
+            high - low > REGISTERED_SPAN_M or max(abs(low), abs(high)) > REGISTERED_FAR_M for low, high in across
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "bounds_m": {axis: list(both) for axis, both in self.bounds_m.items()},
+            "registered": self.is_registered,
+            "time_s": None if self.time_s is None else list(self.time_s),
+            "classes": {str(code): n for code, n in sorted(self.classes.items())},
+            "class_names": {str(code): name for code, name in sorted(self.class_names.items())},
+            "returns": dict(sorted(self.returns.items())),
+            "point_source_ids": {str(code): n for code, n in sorted(self.sources.items())},
+        }
+
+
+def watched_contents(source: RecordSource, contents: Contents, also: tuple[str, ...] = ()) -> Iterator[RecordChunk]:
+    """Read a source once and count its records on the way."""
+    there = set(source.dimensions)
+    classes = next((name for name in CLASS_NAMES if name in there), None)
+    counted = (*AXES, "time", "return_number", "number_of_returns", "point_source_id")
+    names = [name for name in (*counted, *also) if name in there] + ([classes] if classes else [])
+    for chunk in source.chunks(tuple(dict.fromkeys(names))):
+        contents.see(chunk.values)
+        yield chunk
+
+
+def _bounds(values: NDArray[Any]) -> tuple[float, float] | None:
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if len(known) else None
+
+
+def _count(counter: Counter[int], values: NDArray[Any]) -> None:
+    known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
+    found, n = np.unique(known.astype(np.int64, copy=False), return_counts=True)
+    for code, count in zip(found.tolist(), n.tolist(), strict=True):
+        if code in counter or len(counter) < MOST_KINDS:
+            counter[code] += count

@@ -300,7 +300,7 @@ def _poses(name: str) -> bytes:
     import tempfile
 
     from tests.formats.bags import recordings as made
-    from tests.formats.trajectory.test_poses import odometry, poses, tum
+    from tests.formats.test_poses import odometry, poses, tum
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name

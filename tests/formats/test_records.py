@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.cli import main
 from prc_cli.formats import open_source
-from prc_cli.formats.contents import Contents, watched_contents
+from prc_cli.formats.records import Contents, watched_contents
 
 
 def counted(path: Path) -> Contents:
