@@ -26,18 +26,7 @@ from prc_cli.jobs.batch.outputs import Cleaned, Verified
 from prc_cli.jobs.batch.plan import Estimate, Plan
 from prc_cli.jobs.batch.report import BatchSummary, done_dict, failed_dict
 from prc_cli.jobs.batch.run import Again, Noted, Ready, RunEvent
-from prc_cli.jobs.batch.types import (
-    Alarm,
-    Compared,
-    Done,
-    Doubted,
-    Entry,
-    Failed,
-    Progress,
-    Run,
-    Started,
-    doubts_of,
-)
+from prc_cli.jobs.batch.types import Alarm, Compared, Done, Doubted, Entry, Failed, Progress, Run, Started, doubts_of
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""

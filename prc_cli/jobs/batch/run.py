@@ -17,14 +17,7 @@ from prc_cli.jobs.batch.discovery import check, discover, output_name
 from prc_cli.jobs.batch.journal import Journal, read_entries
 from prc_cli.jobs.batch.local import LocalEngine, share_cores
 from prc_cli.jobs.batch.lock import Lock
-from prc_cli.jobs.batch.plan import (
-    BatchConfig,
-    Estimate,
-    Plan,
-    Planned,
-    estimate,
-    make_plan,
-)
+from prc_cli.jobs.batch.plan import BatchConfig, Estimate, Plan, Planned, estimate, make_plan
 from prc_cli.jobs.batch.report import (
     BatchEvaluation,
     BatchSummary,
@@ -158,7 +151,7 @@ class _Run:
             self._settle(plan, known)
             self._classify(plan)
             self._lock.check()  # somebody may have removed our folder, and with it the journal
-            self._compare_classes(plan, _Earlier(known.values()))
+            self._compare_classes(plan, known)
             evaluation = self._evaluate(plan)
             if self._stopping:
                 ended = "stopped"
@@ -173,7 +166,7 @@ class _Run:
                 self._journal.end_run(error.exit_code)
             raise
         summary = self._summarise(plan, config, run, ended, evaluation)
-        code = summary.exit_code if stop is None else _exit_code(stop)
+        code = summary.exit_code if stop is None else getattr(stop, "code", INTERRUPTED)
         totals = {"done": len(summary.done), "failed": len(summary.failed), "doubted": summary.n_doubted}
         self._journal.end_run(code, totals)
         write_summary(summary)
@@ -244,11 +237,13 @@ class _Run:
             return
         settings = replace(settings, jobs=min(settings.jobs, len(items)))
         events = self._engine.run(self._feed(items), settings)
-        with _closed(events):
+        try:
             for event in events:
                 self._listener(event)
                 if isinstance(event, Done | Failed):
                     self._end(event, attempt)
+        finally:
+            close_items(events)
 
     def _feed(self, items: Iterable[Planned]) -> Iterator[Task]:
         """Hand out files; the journal knows of each before a worker may write anything."""
@@ -295,18 +290,21 @@ class _Run:
             self._journal.finish(Failed(name, None, time.monotonic() - begun, problem))
             self._outcomes.pop(name, None)
 
-    def _compare_classes(self, plan: Plan, earlier: _Earlier) -> None:
+    def _compare_classes(self, plan: Plan, known: Mapping[str, Entry]) -> None:
         """Raise an alarm for every file whose class shares are far from those of earlier runs."""
-        if not self._settings.drift:
-            return
+        earlier = _earlier(known.values()) if self._settings.drift else {}
         for item in plan.todo:
-            outcome = self._outcomes.get(item.task.name)
-            if isinstance(outcome, Done):
-                sentence = drift(dict(outcome.labels), earlier.of(item.task))
-                if sentence is not None:
-                    alarm = Alarm(outcome.name, sentence)
-                    self._alarms.append(alarm)
-                    self._listener(alarm)
+            outcome, others = self._outcomes.get(item.task.name), earlier.get(item.task.config_sha256, [])
+            labels = [
+                dict(entry.outcome.labels)
+                for entry in others
+                if isinstance(entry.outcome, Done) and entry.name != item.task.name
+            ]
+            sentence = drift(dict(outcome.labels), labels[:EARLIER_FILES]) if isinstance(outcome, Done) else None
+            if sentence is not None:
+                alarm = Alarm(item.task.name, sentence)
+                self._alarms.append(alarm)
+                self._listener(alarm)
 
     def _evaluate(self, plan: Plan) -> BatchEvaluation | None:
         """Compare all outputs of the archive that are done, whichever run wrote them, with the reference."""
@@ -358,33 +356,10 @@ class _Run:
         self._listener(Noted(text))
 
 
-class _Earlier:
-    """The classes of files that were done before this run, by configuration."""
-
-    def __init__(self, known: Iterable[Entry]) -> None:
-        self._files: dict[str, list[tuple[str, dict[str, int]]]] = {}
-        for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
-            if entry.state == "done" and isinstance(entry.outcome, Done):
-                files = self._files.setdefault(entry.config_sha256, [])
-                if len(files) <= EARLIER_FILES:
-                    files.append((entry.name, dict(entry.outcome.labels)))
-
-    def of(self, task: Task) -> list[dict[str, int]]:
-        """Return the records by label of files of the same configuration, without the file itself."""
-        files = self._files.get(task.config_sha256, [])
-        return [labels for name, labels in files if name != task.name][:EARLIER_FILES]
-
-
-@contextlib.contextmanager
-def _closed(events: Iterator[Event]) -> Iterator[None]:
-    """Stop an engine's workers at the end, also after an error."""
-    try:
-        yield
-    finally:
-        close_items(events)
-
-
-def _exit_code(stop: BaseException) -> int:
-    if isinstance(stop, SystemExit) and isinstance(stop.code, int):
-        return stop.code
-    return INTERRUPTED
+def _earlier(known: Iterable[Entry]) -> dict[str, list[Entry]]:
+    """Return the files that were done last before this run, by configuration; one more than are compared with."""
+    files: dict[str, list[Entry]] = {}
+    for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
+        if entry.state == "done" and len(some := files.setdefault(entry.config_sha256, [])) <= EARLIER_FILES:
+            some.append(entry)
+    return files
