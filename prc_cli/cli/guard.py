@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 
 from prc_cli.cli.safe import printable
-from prc_cli.core.limits import STEP_CPU_S, hold_limits
+from prc_cli.core.process import STEP_CPU_S, hold_limits
 
 SWITCH = "PRC_GUARD"
 """Environment variable; 0 = no child process, for debuggers."""

@@ -1,16 +1,24 @@
-"""Whose process this is: the command's own, or that of a program which imported the package."""
+"""The running process: whose it is, what a step of decoding may take, when freed memory goes back to the system.
+
+Limits are switched on in processes that a crash may end: the child of :mod:`prc_cli.cli.guard` and the workers of
+``prc batch``. A step that needs more processor time ends the process (SIGXCPU), more memory is a ``MemoryError``.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
+
+_T = TypeVar("_T")
 
 
 class _State:
-    own = False
+    own = limited = False
 
 
 def claim_process() -> None:
@@ -33,7 +41,7 @@ def is_own_process() -> bool:
     return _State.own
 
 
-@contextmanager
+@contextlib.contextmanager
 def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
     """Let modules seem not to be installed while a package is loaded that does without them.
 
@@ -49,3 +57,90 @@ def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
         for name in hidden:
             modules.pop(name, None)
         modules.update(before)
+
+
+STEP_CPU_S = 60
+"""Most processor time of a step, of all threads [s]."""
+SPARE_BYTES, BYTES_PER_BYTE = 1 << 30, 64
+"""A step may take so much memory, and so many times the size of its file [bytes]."""
+
+
+def hold_limits() -> None:
+    """Hold the limits in this process from now on, where the system can."""
+    _State.limited = sys.platform == "linux"
+
+
+@contextlib.contextmanager
+def step(path: Path) -> Iterator[None]:
+    """Hold the limits while a library decodes a part of a file."""
+    if not _State.limited:
+        yield
+        return
+    import resource
+
+    with open("/proc/self/statm", "rb") as handle:  # noqa: PTH123 - once a step
+        used = int(handle.read().split()[5]) * resource.getpagesize()
+    most = {
+        resource.RLIMIT_CPU: int(time.process_time()) + STEP_CPU_S,
+        resource.RLIMIT_DATA: used + SPARE_BYTES + BYTES_PER_BYTE * path.stat().st_size,
+    }
+    before = {kind: resource.getrlimit(kind) for kind in most}
+    for kind, (soft, hard) in before.items():
+        own = most[kind] if soft == resource.RLIM_INFINITY else min(most[kind], soft)
+        resource.setrlimit(kind, (own, hard))
+    try:
+        yield
+    finally:
+        for kind, limits in before.items():
+            resource.setrlimit(kind, limits)
+
+
+def bounded(path: Path, parts: Iterator[_T]) -> Iterator[_T]:
+    """Yield the parts of a file; the decoding of each is a :func:`step`.
+
+    >>> list(bounded(Path("a.bag"), iter("ab")))
+    ['a', 'b']
+    """
+    end = object()
+    while True:
+        with step(path):
+            part = next(parts, end)
+        if part is end:
+            return
+        yield part  # type: ignore[misc]
+
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+"""From glibc's ``malloc.h``."""
+_SMALL, _LARGE, _KEPT = 1 << 17, (1 << 25) - (1 << 16), 1 << 26
+"""Bytes: what glibc maps by itself at the start, the most that it may be told to, and the most that it keeps."""
+
+
+def return_memory() -> None:
+    """Let the C library return every large array as it is freed; the first time before any thread.
+
+    What is read to look at an input does not stay beside the blocks then. The library also keeps a separate arena per
+    thread, up to eight per core, which would add up; threads started after this call share one. Other C libraries are
+    not affected.
+    """
+    _tell(_M_ARENA_MAX, 1)
+    _tell(_M_MMAP_THRESHOLD, _SMALL)
+    _tell(_M_TRIM_THRESHOLD, _SMALL)
+
+
+def keep_memory() -> None:
+    """Let the C library keep up to 64 MiB of freed memory for the next arrays.
+
+    Requesting the pages of a block again takes longer than the computation on images of a few hundred kilobytes.
+    """
+    _tell(_M_ARENA_MAX, 1)
+    _tell(_M_MMAP_THRESHOLD, _LARGE)
+    _tell(_M_TRIM_THRESHOLD, _KEPT)
+
+
+def _tell(what: int, value: int) -> None:
+    import ctypes
+
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    if mallopt is not None:
+        mallopt(what, value)

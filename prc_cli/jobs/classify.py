@@ -23,7 +23,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
 from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
-from prc_cli.core.memory import return_memory
+from prc_cli.core.process import return_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind

@@ -8,7 +8,7 @@ from itertools import count
 from typing import Any, TypeVar
 
 from prc_cli.core.blocks import regroup
-from prc_cli.core.memory import keep_memory
+from prc_cli.core.process import keep_memory
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.threads import Relay, close_items, ordered
 from prc_cli.methods.base import LABELS_ALONE, Classifier, Part, Wanted

@@ -140,7 +140,7 @@ import contextlib, sqlite3, sys, threading
 from pathlib import Path
 from prc_cli import cli
 from prc_cli.cli import guard
-from prc_cli.core import limits
+from prc_cli.core import process as limits
 
 def work(arguments, debug):
     begun, ended = threading.Event(), threading.Event()

@@ -12,7 +12,7 @@ from tests import patience
 SCRIPT = """
 import resource
 import numpy as np
-from prc_cli.core.memory import keep_memory
+from prc_cli.core.process import keep_memory
 from tests import patience
 
 def faults():
@@ -29,7 +29,7 @@ print(faults())
 
 RETURNED = """
 import numpy as np
-from prc_cli.core.memory import keep_memory, return_memory
+from prc_cli.core.process import keep_memory, return_memory
 
 def resident():
     with open("/proc/self/statm") as file:

@@ -17,7 +17,7 @@ from typing import Any
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read, suffix_of
-from prc_cli.core.limits import bounded
+from prc_cli.core.process import bounded
 
 MAX_MESSAGE = 1 << 28
 """Longest message of a database, also when unpacked [bytes]."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
-from prc_cli.core.limits import step
+from prc_cli.core.process import step
 from prc_cli.core.types import F64
 from prc_cli.formats.organised.scans import MAX_SCANS
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
-from prc_cli.core.limits import bounded
+from prc_cli.core.process import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.names import usual_names
 from prc_cli.formats.options import LayoutField, decode
