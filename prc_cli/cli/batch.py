@@ -317,7 +317,7 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
     from prc_cli.cli.batch_report import plan_dict, print_plan, say
     from prc_cli.jobs.batch.run import plan_batch
 
-    _engine(options, say)  # a wrong option is as wrong here; the sample is measured on this machine
+    _engine(options, say)  # a wrong option is as wrong here
     plan, estimate = plan_batch(settings)
     if options["as_json"]:
         click.echo(json.dumps(plan_dict(plan, estimate), indent=1, allow_nan=False))

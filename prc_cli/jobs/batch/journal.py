@@ -99,7 +99,7 @@ class Journal:
         refuse_links(self._folder, self.path)  # SQLite would make the target of a link to nothing
         make_folder(self._folder)
         with contextlib.ExitStack() as stack:
-            self._database = stack.enter_context(_opened(self.path, "rwc"))
+            self._database = stack.enter_context(_opened(self.path))
             with _errors(self.path):
                 self._database.execute("PRAGMA synchronous = EXTRA")
                 if not _n_tables(self._database):
@@ -183,7 +183,7 @@ class Journal:
         keys = [(os.fsencode(name),) for name in known]
         for path in journal_paths(self._folder):
             refuse_links(path)
-            with _opened(path, "rw") as database, _errors(path), _transaction(database):
+            with _opened(path) as database, _errors(path), _transaction(database):
                 database.executemany("DELETE FROM files WHERE name = ?", keys)
         self._others = {name: entry for name, entry in self._others.items() if name not in known}
         return len(known)
@@ -200,26 +200,25 @@ def read_runs(folder: Path) -> list[Run]:
     columns = "id, shard, version, owner, started, finished, exit_code, totals"
     found: list[Run] = []
     for path in journal_paths(folder):
-        with _opened(path, "rw") as database, _errors(path):
+        with _opened(path) as database, _errors(path):
             rows = database.execute(f"SELECT {columns} FROM runs") if _n_tables(database) else ()
             found.extend(map(_run, rows))
     return sorted(found, key=lambda run: (run.started, run.id))
 
 
 def _all_entries(path: Path) -> list[Entry]:
-    with _opened(path, "rw") as database, _errors(path):
+    with _opened(path) as database, _errors(path):
         return list(map(_entry, database.execute(f"SELECT {_ENTRY} FROM files"))) if _n_tables(database) else []
 
 
 @contextlib.contextmanager
-def _opened(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+def _opened(path: Path) -> Iterator[sqlite3.Connection]:
     """Open a journal; to read it, too, since a transaction that was cut off is rolled back by the next who comes."""
     if path.exists() and not path.is_file():
         raise InputError(str(path), "cannot be read (not a regular file)", "move it away")
     with _errors(path):
         # autocommit: every statement is a transaction of its own, whole or not at all
-        uri = f"{path.absolute().as_uri()}?mode={mode}"
-        database = sqlite3.connect(uri, uri=True, timeout=WAIT_S, isolation_level=None)
+        database = sqlite3.connect(path, timeout=WAIT_S, isolation_level=None)
         try:
             _check(database, path)
         except BaseException:
