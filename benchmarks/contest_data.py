@@ -27,8 +27,7 @@ from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.jobs.classify import open_stream
 from prc_cli.simulation.drive import SimulatedBlock, SimulatedScan
-from prc_cli.simulation.settings import Kind, load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 from prc_cli.simulation.trajectory import aim
 
 ROOT = Path(__file__).resolve().parent.parent

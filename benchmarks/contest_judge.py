@@ -14,10 +14,9 @@ from scipy.spatial import cKDTree
 from benchmarks.contest_data import Scan
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.types import F64, I64
-from prc_cli.evaluation.intervals import all_scores, block_intervals
+from prc_cli.evaluation.confusion import GroupedCounts, cells_of
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.result import Interval
-from prc_cli.evaluation.splits import GroupedCounts, cells_of
+from prc_cli.evaluation.scores import Interval, all_scores, block_intervals
 
 FOLDER = Path(__file__).resolve().parent
 MAPPINGS = {

@@ -14,8 +14,7 @@ _ANGLE_STEP_DEG = {True: 0.006, False: 1.0}
 
 def write_raw(path: Path, n_lines: int) -> None:
     """Write a street of any length by repeating a simulated one."""
-    from prc_cli.simulation.settings import load_settings
-    from prc_cli.simulation.simulation import open_simulation
+    from prc_cli.simulation.settings import load_settings, open_simulation
 
     options = {"lines": 600, "scanner": {"points_per_line": POINTS_PER_LINE}}
     scan = open_simulation("street", load_settings("street", options=options)).scan

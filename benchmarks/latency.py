@@ -16,8 +16,7 @@ import time
 import numpy as np
 
 from prc_cli.core.types import F32
-from prc_cli.simulation.settings import Kind, load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 
 LINES = 900
 WARM = 300

@@ -30,8 +30,7 @@ from prc_cli.core.types import F64, I64, Mask
 from prc_cli.jobs.objects import Thing, find_objects
 from prc_cli.jobs.objects.grow import RULES
 from prc_cli.jobs.simulate import Beside, simulate
-from prc_cli.simulation.settings import Kind, load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 from prc_cli.simulation.world import Material
 
 NEAR_M = {"stem": 0.5, "pole": 0.6, "car": 2.5}

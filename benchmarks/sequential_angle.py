@@ -43,15 +43,19 @@ from prc_cli.methods.sequential_angle.angles import (
     signed_angles,
 )
 from prc_cli.methods.sequential_angle.car import CarParams, cars
-from prc_cli.methods.sequential_angle.coarse import CoarseParams, coarse
+from prc_cli.methods.sequential_angle.coarse import (
+    CoarseParams,
+    DenseVegetationParams,
+    car_surface,
+    coarse,
+    dense_vegetation,
+)
 from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
 from prc_cli.methods.sequential_angle.dividers import DividersParams
 from prc_cli.methods.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import split_sides, vertical_lines
 from prc_cli.methods.sequential_angle.markov import HmmParams
-from prc_cli.methods.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
-from prc_cli.simulation.settings import load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.simulation.world import PROPERTIES, Material, Property
 
 CLASSES = {

@@ -37,8 +37,7 @@ from prc_cli.simulation.forest.params import PRESETS as FORESTS
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.simulation.settings import Kind, Settings, load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
 from prc_cli.simulation.trajectory import Station
 from prc_cli.simulation.world import Bodies
 

@@ -21,8 +21,7 @@ from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import stream_window
 from prc_cli.reference.prc import method as oracle_prc
 from prc_cli.reference.prc import stages as oracle
-from prc_cli.simulation.settings import load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import load_settings, open_simulation
 
 ROUNDS = 7
 """Rounds; each runs every job once, so that other load affects all. The best time counts."""

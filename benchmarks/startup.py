@@ -32,7 +32,7 @@ WARM = ("urban", "street-scan", "fused")
 ONE = """
 import sys, time
 from importlib import import_module
-import prc_cli.methods.sequential_angle.verticals_loops
+import prc_cli.methods.sequential_angle.labels_loops
 begin = time.process_time()
 import_module(sys.argv[1])
 print(time.process_time() - begin)

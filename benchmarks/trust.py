@@ -47,7 +47,7 @@ from benchmarks.trust_cases import (
 from benchmarks.trust_scans import PARTS, Frame, Part, Source, Window, frames, sources
 from benchmarks.user import Runner, in_own_process, in_process
 from prc_cli.core.types import I64, U8
-from prc_cli.evaluation.splits import GroupedCounts, cells_of
+from prc_cli.evaluation.confusion import GroupedCounts, cells_of
 
 _OPTION = (
     r"(?:-M \d+|--set [a-z_.]+=[^A-Z\s;,)]+(?=[\s;,)]|$)|--sort-by-time|--scanner [a-z_]+"

@@ -10,8 +10,7 @@ from prc_cli.core.blocks import join
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.simulation.drive import SimulatedScan
-from prc_cli.simulation.settings import Kind, load_settings
-from prc_cli.simulation.simulation import Simulation, open_simulation
+from prc_cli.simulation.settings import Kind, Simulation, load_settings, open_simulation
 
 FIELD_DEG = 125.12
 """Elevations that the static scanner covers [degrees]."""

@@ -19,13 +19,11 @@ from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
 from prc_cli.core.window import Window, parse_window
-from prc_cli.evaluation.gates import GateResult, check_gates, parse_gate, refuse_failed
 from prc_cli.evaluation.html import as_html, check_picture
 from prc_cli.evaluation.latex import as_latex
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
-from prc_cli.evaluation.result import Evaluation
-from prc_cli.evaluation.scores import scores
+from prc_cli.evaluation.scores import Evaluation, GateResult, check_gates, parse_gate, refuse_failed, scores
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions

@@ -8,7 +8,6 @@ from rich.table import Table
 
 from prc_cli.cli.report import results
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.gates import GateResult
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
     doubts,
@@ -19,8 +18,7 @@ from prc_cli.evaluation.reports import (
     split_table,
     with_interval,
 )
-from prc_cli.evaluation.result import Evaluation, Interval
-from prc_cli.evaluation.scores import CLASS_SCORES, Scores, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, Evaluation, GateResult, Interval, Scores, scores
 
 MAX_PARTS = 40
 """Most parts of a split shown on a terminal."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.brief import Brief
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.mapping import OTHER, ClassMapping, scored_names
 
@@ -142,3 +144,132 @@ def shares(counts: I64, sums: I64) -> F64:
 
 def _used(counts: dict[str, I64], name: str) -> bool:
     return name != OTHER and bool(counts.get(name, 0))
+
+
+UNKNOWN = -1
+"""Group of pairs whose range, line or scanner is unknown."""
+MAX_BYTES = 64 << 20
+"""Most counts in all groups together."""
+_MAX_FILES, _MAX_INDEX = 1 << 20, 1 << 40
+
+
+class GroupedCounts:
+    """Confusion counts by group, filled chunk by chunk."""
+
+    def __init__(self, mapping: ClassMapping, what: str) -> None:
+        self._names = mapping.names("reference"), mapping.names("predicted")
+        self._what = what
+        self._row: dict[int, int] = {}
+        self._counts = np.zeros((4, len(self._names[0]) * len(self._names[1]) + 1), np.int64)
+
+    @property
+    def groups(self) -> tuple[int, ...]:
+        """Groups with at least one pair, ascending."""
+        return tuple(sorted(self._row))
+
+    def add(self, groups: I64, cells: I64) -> None:
+        """Count pairs."""
+        if not len(groups):
+            return
+        n_cells = self._counts.shape[1]
+        low, span = int(groups.min()), int(groups.max()) - int(groups.min()) + 1
+        if span * n_cells <= 4 * len(groups) + (1 << 16):
+            found = np.bincount((groups - low) * n_cells + cells, minlength=span * n_cells).reshape(span, n_cells)
+            present = np.flatnonzero(found.any(axis=1))
+            self._add(present + low, found[present])
+            return
+        names, index = np.unique(groups, return_inverse=True)
+        self._check(len(names))
+        found = np.bincount(index * n_cells + cells, minlength=len(names) * n_cells).reshape(len(names), n_cells)
+        self._add(names, found)
+
+    def _add(self, groups: I64, counts: I64) -> None:
+        for group in groups.tolist():
+            self._row.setdefault(group, len(self._row))
+        self._check(len(self._row))
+        if len(self._row) > len(self._counts):
+            more = np.zeros((2 * len(self._row), self._counts.shape[1]), np.int64)
+            more[: len(self._counts)] = self._counts
+            self._counts = more
+        self._counts[[self._row[group] for group in groups.tolist()]] += counts
+
+    def merge(self, other: GroupedCounts) -> None:
+        """Add the counts of another one for the same mapping."""
+        if other._row:
+            self._add(np.fromiter(other._row, np.int64), other._counts[list(other._row.values())])
+
+    def _check(self, n_groups: int) -> None:
+        most = MAX_BYTES // (8 * self._counts.shape[1])
+        if n_groups > most:
+            raise ConfigError(self._what, f"more than {most} groups of pairs", "make the groups larger")
+
+    def matrix(self, group: int) -> ConfusionMatrix:
+        """Return the matrix of one group, empty if it has no pairs."""
+        row = self._row.get(group)
+        counts = np.zeros(self._counts.shape[1], np.int64) if row is None else self._counts[row]
+        rows, columns = self._names
+        return ConfusionMatrix(rows, columns, counts[:-1].reshape(len(rows), len(columns)).copy(), int(counts[-1]))
+
+    def scored(self) -> I64:
+        """Return the counts of all groups with scored pairs, (groups, rows, columns), by ascending group."""
+        rows, columns = self._names
+        counts = self._counts[[self._row[group] for group in self.groups], :-1]
+        return counts[counts.any(axis=1)].reshape(-1, len(rows), len(columns))
+
+
+def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], reference: NDArray[np.integer]) -> I64:
+    """Return the cell of the confusion matrix that every pair falls in.
+
+    >>> mapping = ClassMapping(ignore=[0], predicted={"ground": [2]}, reference={"ground": [2], "car": [65]})
+    >>> cells_of(mapping, np.array([2, 2, 0]), np.array([2, 65, 2]))
+    array([0, 1, 2])
+    """
+    refuse_poor_match(len(predicted), len(reference))
+    column = mapping.class_indices(predicted, "predicted")
+    row = mapping.class_indices(reference, "reference")
+    n_rows, n_columns = len(mapping.names("reference")), len(mapping.names("predicted"))
+    return np.where((row >= 0) & (column >= 0), row * n_columns + column, n_rows * n_columns)
+
+
+def check_edges(edges: Sequence[float]) -> F64:
+    """Return the edges of range bins."""
+    found = np.asarray(edges, np.float64)
+    if not np.isfinite(found).all() or (found < 0).any() or (np.diff(found) <= 0).any():
+        shown = ", ".join(f"{edge:g}" for edge in edges)
+        raise ConfigError("split by range", f"found the edges {shown}, expected ascending ranges of 0 m and above")
+    return found
+
+
+def range_groups(range_m: F64, edges: F64) -> I64:
+    """Return the range bin of every pair: 0 = below the first edge; :data:`UNKNOWN` where the range is NaN.
+
+    >>> range_groups(np.array([5.0, 10.0, 99.0, np.nan]), np.array([10.0, 20.0]))
+    array([ 0,  1,  2, -1])
+    """
+    return np.where(np.isnan(range_m), UNKNOWN, np.digitize(range_m, edges))
+
+
+def range_bounds(group: int, edges: F64) -> tuple[str, float, float]:
+    """Return the name of a range bin and where it begins and ends [m].
+
+    >>> range_bounds(1, np.array([10.0, 20.0])), range_bounds(2, np.array([10.0, 20.0]))
+    (('10-20 m', 10.0, 20.0), ('from 20 m', 20.0, inf))
+    """
+    low = 0.0 if group == 0 else float(edges[group - 1])
+    high = float(edges[group]) if group < len(edges) else math.inf
+    return (f"from {low:g} m" if math.isinf(high) else f"{low:g}-{high:g} m"), low, high
+
+
+def block_groups(file: I64, index: I64, per_block: int) -> I64:
+    """Return one number for file and block; :data:`UNKNOWN` where the index is."""
+    block = np.minimum(index // per_block, _MAX_INDEX - 1)
+    return np.where(index < 0, UNKNOWN, np.minimum(file, _MAX_FILES - 1) * _MAX_INDEX + block)
+
+
+def file_and_block(group: int) -> tuple[int, int]:
+    """Return file and block of a number from :func:`block_groups`.
+
+    >>> file_and_block(int(block_groups(np.array([2]), np.array([250]), 100)[0]))
+    (2, 2)
+    """
+    return divmod(group, _MAX_INDEX)

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import NO_INTERVALS, Found, figure, match_line, matrix_of, split_table
-from prc_cli.evaluation.result import Evaluation, Interval
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, Evaluation, Interval, scores
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",

@@ -1,6 +1,6 @@
 """An evaluation as a dictionary, JSON, CSV or Markdown.
 
-Each function takes an :class:`~prc_cli.evaluation.result.Evaluation`, or a confusion matrix, which has no matching,
+Each function takes an :class:`~prc_cli.evaluation.scores.Evaluation`, or a confusion matrix, which has no matching,
 parts and intervals.
 """
 
@@ -16,9 +16,18 @@ from dataclasses import asdict
 from typing import Any, TypeAlias
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.gates import GateResult
-from prc_cli.evaluation.result import Evaluation, Interval, MatchReport, SplitPart
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, Scores, scores
+from prc_cli.evaluation.scores import (
+    CLASS_SCORES,
+    OVERALL_SCORES,
+    ClassScores,
+    Evaluation,
+    GateResult,
+    Interval,
+    MatchReport,
+    Scores,
+    SplitPart,
+    scores,
+)
 
 Found: TypeAlias = ConfusionMatrix | Evaluation
 

@@ -1,12 +1,22 @@
-"""Scores of a confusion matrix, per class and overall; undefined scores are NaN, never 0."""
+"""Scores of a confusion matrix, per class and overall, their intervals and gates, and the result of an evaluation.
+
+Undefined scores are NaN, never 0.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from prc_cli.core.errors import ConfigError
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.brief import Brief
+from prc_cli.core.errors import ConfigError, GateError, InputError
+from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.mapping import ClassMapping, scored_names
 
 CLASS_SCORES: tuple[str, ...] = ("recall", "precision", "f1", "iou", "accuracy")
 """Scores that every class has, in the order of the reports."""
@@ -141,3 +151,202 @@ def _agreed(matrix: ConfusionMatrix, name: str) -> int:
 
 def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else math.nan
+
+
+LEVEL = 0.95
+"""Confidence level."""
+FEW_BLOCKS = 20
+"""With fewer blocks, intervals are unreliable."""
+_AT_ONCE = 1 << 22
+
+
+def block_intervals(blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]) -> dict[str, Interval]:
+    """Compute intervals of every score that is defined: the spread without one block at a time, times Student's t."""
+    if len(blocks) < 2:
+        problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
+        raise InputError("intervals", problem, "make the blocks shorter with --interval-lines, or give -M")
+    total = blocks.sum(axis=0)
+    centre = {name: float(values[0]) for name, values in all_scores(total[None], *names).items()}
+    found = _jackknife(blocks, total, names, centre)
+    return {
+        name: Interval(max(low, -1.0 if name == "kappa" else 0.0), min(high, 1.0))
+        for name, (low, high) in found.items()
+        if not np.isnan(low + high)
+    }
+
+
+def _jackknife(
+    blocks: I64, total: I64, names: tuple[tuple[str, ...], tuple[str, ...]], centre: dict[str, float]
+) -> dict[str, tuple[float, float]]:
+    from scipy.special import stdtrit
+
+    each = max(1, _AT_ONCE // total.size)
+    parts = [all_scores(total - blocks[k : k + each], *names) for k in range(0, len(blocks), each)]
+    found = {}
+    for name, value in centre.items():
+        left_out = np.concatenate([part[name] for part in parts])
+        # a score that depends on a single block is undefined without it: no interval
+        n = len(left_out)
+        error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
+        half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error
+        found[name] = value - half, value + half
+    return found
+
+
+def all_scores(
+    counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
+) -> dict[str, F64]:
+    """Compute every score of many confusion matrices at once; see :func:`prc_cli.evaluation.scores.scores`."""
+    # float64: the product of two sums of 1e10 does not fit 64 bits
+    rows, columns = counts.sum(axis=2, dtype=np.float64), counts.sum(axis=1, dtype=np.float64)
+    total = rows.sum(axis=1)
+    found: dict[str, F64] = {}
+    agreed, expected = np.zeros(len(counts)), np.zeros(len(counts))
+    recalls = []
+    for name in scored_names(reference_names, predicted_names):
+        i, j = reference_names.index(name), predicted_names.index(name)
+        true, row, column = counts[:, i, j].astype(np.float64), rows[:, i], columns[:, j]
+        either = row + column - true
+        found[f"recall.{name}"] = _shares(true, row)
+        found[f"precision.{name}"] = _shares(true, column)
+        found[f"f1.{name}"] = _shares(2 * true, row + column)
+        found[f"iou.{name}"] = _shares(true, either)
+        found[f"accuracy.{name}"] = _shares(total - either + true, total)
+        recalls.append(found[f"recall.{name}"])
+        agreed += true
+        expected += row * column
+    observed, chance = _shares(agreed, total), _shares(expected, total * total)
+    known = ~np.isnan(np.stack(recalls))
+    sums = np.where(known, np.stack(recalls), 0.0).sum(axis=0)
+    found["accuracy"] = observed
+    found["balanced_accuracy"] = _shares(sums, known.sum(axis=0).astype(np.float64))
+    found["kappa"] = _shares(observed - chance, 1.0 - chance)
+    return found
+
+
+def _shares(part: F64, whole: F64) -> F64:
+    result = np.full(part.shape, np.nan)
+    np.divide(part, whole, out=result, where=(whole != 0) & ~np.isnan(whole))
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A minimum for a score."""
+
+    name: str
+    """``accuracy``, ``recall.ground``, ..."""
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class GateResult:
+    """A gate and the score found."""
+
+    name: str
+    limit: float
+    value: float
+    """NaN if the score is undefined; the gate then fails."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the score reached the limit."""
+        return self.value >= self.limit
+
+
+def parse_gate(text: str, mapping: ClassMapping) -> Gate:
+    """Parse a gate; refuse a score that an evaluation with this mapping cannot have.
+
+    >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": [2]})
+    >>> parse_gate("recall.ground=0.95", mapping)
+    Gate(name='recall.ground', limit=0.95)
+    """
+    name, _, value = text.partition("=")
+    try:
+        limit = float(value)
+    except ValueError:
+        limit = math.nan
+    if not -1 <= limit <= 1:
+        problem = f"found {text!r}, expected SCORE.CLASS=VALUE with a value up to 1, such as recall.ground=0.95"
+        raise ConfigError("--fail-under", problem)
+    gate_value(scores(ConfusionMatrix.empty(mapping)), name.strip())
+    return Gate(name.strip(), limit)
+
+
+def check_gates(found: Scores, gates: Iterable[Gate]) -> tuple[GateResult, ...]:
+    """Compare scores with gates."""
+    return tuple(GateResult(gate.name, gate.limit, gate_value(found, gate.name)) for gate in gates)
+
+
+def refuse_failed(results: Iterable[GateResult]) -> None:
+    """Raise if any gate failed, naming all failed ones."""
+    failed = [item for item in results if not item.passed]
+    if failed:
+        told = [f"found {_found(item.value)}, demanded at least {item.limit:.4f}" for item in failed]
+        more = "; ".join(f"{item.name}: {text}" for item, text in zip(failed[1:], told[1:], strict=True))
+        raise GateError(failed[0].name, told[0], more)
+
+
+def _found(value: float) -> str:
+    return "undefined (no such records)" if math.isnan(value) else f"{value:.4f}"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class MatchReport(Brief):
+    """How the records of both sides were matched, and how many."""
+
+    method: str
+    """``order``, ``cell`` (scan line and column), ``time``, ``dimension:NAME`` or ``nearest``."""
+    n_predicted: int
+    n_reference: int
+    n_matched: int
+    """Pairs; every record is in at most one, except reference records with several partners (``nearest``, optional)."""
+    tolerance: float | None = None
+    """Largest difference of a pair: seconds for ``time``, metres for ``nearest``."""
+    notes: tuple[str, ...] = ()
+    """Remarks for the reader, one sentence each."""
+    n_reference_matched: int | None = None
+    """Reference records in at least one pair; None = ``n_matched``, as each is in one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SplitPart:
+    """The pairs of one part of a split, for example ranges of 10 to 20 m."""
+
+    name: str
+    """Displayed name, such as ``10-20 m``."""
+    low: float
+    """Lower bound: range [m], first scan line, scanner id."""
+    high: float
+    """Upper bound, exclusive; inf = open."""
+    matrix: ConfusionMatrix
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A confidence interval of a score."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Evaluation(Brief):
+    """Result of ``prc evaluate``."""
+
+    predicted: tuple[str, ...]
+    """Files."""
+    reference: tuple[str, ...]
+    """Files."""
+    mapping: str
+    """Name or file of the class mapping."""
+    match: MatchReport
+    matrix: ConfusionMatrix
+    splits: dict[str, tuple[SplitPart, ...]]
+    """Parts by what was split by: ``range``, ``lines``, ``scanner``; pairs whose range, line
+    or scanner is not known are a part of their own named ``unknown``. The counts add up to those of ``matrix``; parts
+    without scored records are left out, and the ignored records with them."""
+    intervals: dict[str, Interval]
+    """Intervals by the score's name as in ``--fail-under``, such as ``recall.ground``; empty unless requested."""
+    interval_method: str = ""
+    """For example ``block jackknife, 120 blocks of 99 lines, 95 %``."""

@@ -258,7 +258,7 @@ def _processor() -> Iterator[Check]:
     from prc_cli.kernels import load_compiler
 
     load_compiler()
-    from prc_cli.kernels.about import about
+    from prc_cli.kernels.compiling import about
 
     found, usable, all_cores = about(), default_threads(), os.cpu_count() or 1
     features = ", ".join(found.features) or "no vector instructions"
@@ -288,7 +288,7 @@ def _cache() -> Iterator[Check]:
     from prc_cli.kernels import load_compiler
 
     load_compiler()
-    from prc_cli.kernels.about import cache_state
+    from prc_cli.kernels.compiling import cache_state
 
     found = cache_state()
     details = {
@@ -594,8 +594,7 @@ def _engines() -> Iterator[Check]:
     from prc_cli.config import load_config
     from prc_cli.core.blocks import join
     from prc_cli.jobs.classify import classify_ranges, load_classifier
-    from prc_cli.simulation.settings import load_settings
-    from prc_cli.simulation.simulation import open_simulation
+    from prc_cli.simulation.settings import load_settings, open_simulation
 
     n_shots, n_other, seconds = 0, {}, 0.0
     for preset, (kind, options) in COMPARED.items():

@@ -40,10 +40,8 @@ from prc_cli.formats.writing.record import ClassCount, Fingerprint, RunRecord
 from prc_cli.jobs.classify import Counts, Progress
 from prc_cli.simulation.drive import SimulatedBlock
 from prc_cli.simulation.forest.scene import ForestScene
-from prc_cli.simulation.settings import Kind, Settings, StationSettings, load_settings
-from prc_cli.simulation.simulation import Simulation, open_simulation
-from prc_cli.simulation.trajectory import Trajectory
-from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write_trajectory
+from prc_cli.simulation.settings import Kind, Settings, Simulation, StationSettings, load_settings, open_simulation
+from prc_cli.simulation.trajectory import WORLD, Frame, Trajectory, check_frame, write_trajectory
 
 TRAJECTORY_HZ = 200.0
 """Positions per second in trajectory files."""

@@ -2,14 +2,14 @@
 
 The key is a time, an id or a coordinate. A window moves along it. It holds, of both sides, every record that can
 influence the pairs of the records that are decided next. A matcher pairs the records of a window in memory
-(:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.places`). The pairs therefore do not depend on how the streams are
+(:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.keys`). The pairs therefore do not depend on how the streams are
 chunked, and memory does not grow with the streams.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -18,6 +18,56 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
+from prc_cli.formats.records import RecordSource
+from prc_cli.streams.sorting import sorted_by_time
+
+RECORD = "record"
+"""Column of :func:`columns_of` with the index of the record in its source, int64."""
+SORT_RECORDS = 1 << 18
+"""Records of a side sorted in memory at a time; twice as many are held while merging."""
+
+
+def columns_of(
+    source: RecordSource, names: tuple[str, ...], *, sort: bool, with_record: bool = True
+) -> Iterator[Columns]:
+    """Yield dimensions of a source, and :data:`RECORD` if asked; by ascending ``time`` if asked, else as stored."""
+    if sort:
+        source = sorted_by_time(source, run_records=SORT_RECORDS, merge_records=2 * SORT_RECORDS)
+    for chunk in source.chunks(names):
+        values = {name: chunk.values[name] for name in names}
+        if not with_record:
+            yield values
+            continue
+        first = chunk.first_record
+        record = np.arange(first, first + chunk.n, dtype=np.int64) if chunk.record is None else chunk.record
+        yield {**values, RECORD: record}
+
+
+def in_step(
+    streams: Sequence[Iterator[Columns]], check_lengths: Callable[[Sequence[int]], None]
+) -> Iterator[tuple[Columns, ...]]:
+    """Walk streams of the same records in equal steps."""
+    rest: list[Columns] = [{} for _ in streams]
+    seen = [0] * len(streams)
+    while True:
+        for k, stream in enumerate(streams):
+            while not _length(rest[k]):
+                chunk = next(stream, None)
+                if chunk is None:
+                    break
+                rest[k] = chunk
+                seen[k] += _length(chunk)
+        n = min(_length(columns) for columns in rest)
+        if not n:
+            break
+        yield tuple({name: values[:n] for name, values in columns.items()} for columns in rest)
+        rest = [{name: values[n:] for name, values in columns.items()} for columns in rest]
+    check_lengths([n + sum(_length(chunk) for chunk in stream) for n, stream in zip(seen, streams, strict=True)])
+
+
+def _length(columns: Columns) -> int:
+    return len(next(iter(columns.values()))) if columns else 0
+
 
 Columns: TypeAlias = dict[str, NDArray[Any]]
 """(n,) arrays of the same records by name."""

@@ -1,19 +1,209 @@
-"""Matchers by key: which records of a window have the nearest key.
-
-:class:`MutualKeys` pairs records one to one, as an evaluation needs it: two records are a pair if each is the nearest
-of the other. A record whose own partner was filtered away stays alone and does not take its neighbour's.
-:class:`NearestLabel` gives every point the nearest label, as a transfer of labels needs it: points may share a label.
-"""
+"""Matchers by key or place: which records of a window have the nearest key, or the nearest coordinates."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from prc_cli.core.types import F64, I64
+from prc_cli.core.types import F64, I64, Mask
 from prc_cli.matching.join import CODE, KEY, SAME, Columns, Match
-from prc_cli.matching.ties import Both, most_frequent, pair_in_order, runs
+
+AXES = ("x", "y", "z")
+_EXACT = float(1 << 53)
+"""Whole numbers below are exact in float64."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyRule:
+    """The key by which a record is matched."""
+
+    kind: str
+    """``time``, ``dimension``, ``cell`` (scan line and column), ``record`` (index in the input), ``rank`` (index among
+    the records with a class) or ``place`` (coordinates)."""
+    dimension: str = "time"
+    """Dimension that holds the key; of a place, the axis that records are sorted by."""
+    same: tuple[str, ...] = ()
+    """Integer dimensions (0 to 65535) that must be equal beside the key, such as ``return_number``; at most three."""
+    offset: float = 0.0
+    """Added to the key [s for times]."""
+
+    @property
+    def key_names(self) -> tuple[str, ...]:
+        """Dimensions that hold the key."""
+        return AXES if self.kind == "place" else (self.dimension,) if self.kind in ("time", "dimension") else ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dimensions that the rule reads."""
+        return (*self.key_names, *self.same)
+
+
+def exact_keys(stored: NDArray[Any]) -> tuple[F64, Mask]:
+    """Return ids (n,) as float64, and which of them are whole numbers that it holds exactly.
+
+    >>> exact_keys(np.array([7.0, 0.5, np.nan]))[1]
+    array([ True, False, False])
+    """
+    with np.errstate(invalid="ignore"):
+        key = stored.astype(np.float64)
+        return key, (np.abs(key) < _EXACT) & (np.floor(key) == key)
+
+
+Both: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
+"""The same column of the left and of the right records."""
+
+
+def runs(key: F64) -> tuple[I64, I64]:
+    """Return where the runs of equal sorted keys begin, and the number of the run that every key lies in.
+
+    >>> runs(np.array([1.0, 1.0, 3.0]))
+    (array([0, 2]), array([0, 0, 1]))
+    """
+    new = np.ones(len(key), np.bool_)
+    np.not_equal(key[1:], key[:-1], out=new[1:])
+    return np.flatnonzero(new), np.cumsum(new) - 1
+
+
+def pair_in_order(
+    left_group: I64,
+    right_group: I64,
+    partner: I64,
+    same: Both | None = None,
+    classes: Both | None = None,
+) -> Match:
+    """Pair the members of groups that are partners, the k-th of one with the k-th of the other.
+
+    If one side has more members, it is unknown which of them the other side lacks. They are left out, unless all
+    members of the larger side have one class: then the choice makes no difference.
+    """
+    group_of_right = np.full(int(right_group.max(initial=-1)) + 1, -1, np.int64)
+    paired = np.flatnonzero(partner >= 0)
+    group_of_right[partner[paired]] = paired
+    left_code = np.where(partner >= 0, np.arange(len(partner)), -1)[left_group] if len(partner) else left_group
+    right_code = group_of_right[right_group] if len(right_group) else right_group
+    left_at, right_at = np.flatnonzero(left_code >= 0), np.flatnonzero(right_code >= 0)
+    left_code, right_code = left_code[left_at], right_code[right_at]
+    if same is not None:
+        width = 1 + max(int(column.max(initial=0)) for column in same)
+        left_code = left_code * width + same[0][left_at]
+        right_code = right_code * width + same[1][right_at]
+    order = np.argsort(left_code, kind="stable")
+    left_at, left_code = left_at[order], left_code[order]
+    order = np.argsort(right_code, kind="stable")
+    right_at, right_code = right_at[order], right_code[order]
+    codes, left_first, left_count = np.unique(left_code, return_index=True, return_counts=True)
+    right_first = np.searchsorted(right_code, codes, side="left")
+    right_count = np.searchsorted(right_code, codes, side="right") - right_first
+    equal = left_count == right_count
+    n_pairs = np.where(equal, left_count, 0)
+    if classes is not None and not equal.all():
+        left_alike = _alike(classes[0][left_at], left_first, left_count)
+        right_alike = _alike(classes[1][right_at], right_first, right_count)
+        clear = np.where(left_count > right_count, left_alike, right_alike)
+        n_pairs = np.where(equal | clear, np.minimum(left_count, right_count), 0)
+    # the members of a group are adjacent on both sides
+    member = np.arange(n_pairs.sum()) - np.repeat(np.cumsum(n_pairs) - n_pairs, n_pairs)
+    left_pair = left_at[np.repeat(left_first, n_pairs) + member]
+    right_pair = right_at[np.repeat(right_first, n_pairs) + member]
+    unclear = np.repeat((n_pairs == 0) & (right_count > 0), left_count)
+    in_order = np.repeat(equal & (left_count > 1), n_pairs)
+    return Match(left_pair, right_pair, {"n_ambiguous": left_at[unclear], "n_in_order": left_pair[in_order]})
+
+
+def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask]:
+    """Return, for runs of records, the first one with the most frequent code, and whether codes differ."""
+    starts, group = np.unique(first, return_inverse=True)
+    lengths = np.zeros(len(starts), np.int64)
+    lengths[group] = last - first
+    run = np.repeat(np.arange(len(starts)), lengths)
+    position = np.repeat(starts - np.concatenate(([0], np.cumsum(lengths)[:-1])), lengths) + np.arange(len(run))
+    # one row a run and code: its first position and how often it is there
+    order = np.lexsort((position, codes[position], run))
+    run, position = run[order], position[order]
+    code = codes[position]
+    new = np.flatnonzero(np.concatenate(([True], (run[1:] != run[:-1]) | (code[1:] != code[:-1]))))
+    count = np.diff(new, append=len(run))
+    run, position = run[new], position[new]
+    best = np.lexsort((position, -count, run))
+    top = best[np.concatenate(([True], run[best][1:] != run[best][:-1]))]
+    return position[top][group], (np.bincount(run, minlength=len(starts)) > 1)[group]
+
+
+def _alike(classes: NDArray[Any], first: I64, count: I64) -> Mask:
+    """Return for every run of records whether it is of one class."""
+    changes = np.zeros(len(classes) + 1, np.int64)
+    if len(classes) > 1:
+        np.cumsum(classes[1:] != classes[:-1], out=changes[1:-1])
+    alike: Mask = changes[np.maximum(first + count - 1, 0)] == changes[np.minimum(first, max(len(classes) - 1, 0))]
+    return alike
+
+
+_TREE = {"balanced_tree": False, "compact_nodes": False}
+"""Medians are slow where many points share a coordinate, as on a grid."""
+
+
+@dataclass(frozen=True, slots=True)
+class NearestPlaces:
+    """Pairs of records with the nearest coordinates; the key of the join is one of the three.
+
+    Records of one place are paired as :func:`prc_cli.matching.keys.pair_in_order` says.
+
+    Both left points are near the right one, which is nearer to the second:
+
+    >>> left, right = ({"x": np.array(x), "y": np.zeros(len(x)), "z": np.zeros(len(x))} for x in ([0, 0.1], [0.11]))
+    >>> one, several = (NearestPlaces(0.5, one_to_one=mutual)(left, right, slice(0, 2)) for mutual in (True, False))
+    >>> one.left, several.left
+    (array([1]), array([0, 1]))
+    """
+
+    tolerance: float
+    """Largest distance [m]."""
+    one_to_one: bool = True
+    """Whether a pair must be nearest to each other; else every left record takes its nearest right one."""
+
+    def __call__(self, left: Columns, right: Columns, decided: slice) -> Match:
+        """Pair the records of a window."""
+        from scipy.spatial import cKDTree
+
+        (left_value, left_group), (right_value, right_group) = _places(left), _places(right)
+        if not len(left_value) or not len(right_value):
+            return pair_in_order(left_group, right_group, np.full(len(left_value), -1))
+        # coordinates of a projection are millions of metres: the trees work beside the origin
+        origin = right_value[0]
+        left_value, right_value = left_value - origin, right_value - origin
+        # the bound is exclusive
+        bound = float(np.nextafter(self.tolerance, math.inf))
+        _, found = cKDTree(right_value, **_TREE).query(left_value, distance_upper_bound=bound, workers=-1)
+        near = found < len(right_value)
+        partner = np.where(near, found, -1).astype(np.int64)
+        if self.one_to_one:
+            asked = np.unique(partner[near])
+            if len(asked):
+                back = np.full(len(right_value), -1)
+                _, back[asked] = cKDTree(left_value, **_TREE).query(right_value[asked], workers=-1)
+                partner[near & (back[partner] != np.arange(len(left_value)))] = -1
+            return pair_in_order(left_group, right_group, partner, classes=both(left, right, CODE))
+        first = np.full(len(right_value), len(right_group), np.int64)
+        np.minimum.at(first, right_group, np.arange(len(right_group)))
+        chosen = np.flatnonzero(partner[left_group] >= 0)
+        return Match(chosen, first[partner[left_group[chosen]]])
+
+
+def _places(columns: Columns) -> tuple[F64, I64]:
+    """Return the different places (k, 3), and which one every record is at (n,)."""
+    xyz = np.stack([np.asarray(columns[axis], np.float64) for axis in AXES], axis=1)
+    order = np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0]))
+    placed = xyz[order]
+    new = np.ones(len(xyz), np.bool_)
+    np.any(placed[1:] != placed[:-1], axis=1, out=new[1:])
+    group = np.empty(len(xyz), np.int64)
+    group[order] = np.cumsum(new) - 1
+    return placed[new], group
+
 
 SPARE_LABELS = 64
 """``spare`` of the join for :class:`NearestLabel`: how far it sees the next label with the same :data:`SAME`."""
@@ -29,7 +219,7 @@ class MutualKeys:
     """Pairs of records that are nearest to each other.
 
     The nearest is found by the key alone; of two as near, the lower. Records of one key are paired as
-    :func:`prc_cli.matching.ties.pair_in_order` says, those with equal :data:`SAME` where both sides have it.
+    :func:`prc_cli.matching.keys.pair_in_order` says, those with equal :data:`SAME` where both sides have it.
 
     >>> left, right = {KEY: np.array([1.0, 2.0, 3.0])}, {KEY: np.array([0.9, 2.8])}
     >>> found = MutualKeys(0.5)(left, right, slice(0, 3))

@@ -22,7 +22,7 @@ from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.gates import GateResult
+from prc_cli.evaluation.scores import GateResult
 from prc_cli.jobs.batch import run as run_module
 from prc_cli.jobs.batch.lock import Holder, Owner
 from prc_cli.jobs.batch.plan import Estimate, Plan, Planned

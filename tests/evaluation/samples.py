@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.result import Evaluation, Interval, MatchReport, SplitPart
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Evaluation, Interval, MatchReport, SplitPart, scores
 
 ROWS = ("ground", "building", "stem", "other")
 COLUMNS = ("ground", "building", "stem", "unclassified")

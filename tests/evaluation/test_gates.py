@@ -3,9 +3,8 @@ from __future__ import annotations
 import pytest
 
 from prc_cli.core.errors import ConfigError, GateError
-from prc_cli.evaluation.gates import Gate, check_gates, parse_gate, refuse_failed
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.scores import scores
+from prc_cli.evaluation.scores import Gate, check_gates, parse_gate, refuse_failed, scores
 from tests.evaluation.samples import MATRIX
 
 

@@ -13,14 +13,11 @@ from hypothesis import strategies as st
 
 from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import InputError
-from prc_cli.evaluation.charts import Curve, class_colour, line_chart
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.gates import Gate, check_gates
-from prc_cli.evaluation.html import as_html
+from prc_cli.evaluation.html import Curve, as_html, class_colour, line_chart
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict
-from prc_cli.evaluation.result import Evaluation
-from prc_cli.evaluation.scores import CLASS_SCORES, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, Evaluation, Gate, check_gates, scores
 from tests.evaluation import samples
 
 VOID = {"meta", "input", "img", "br", "link"}

@@ -8,8 +8,7 @@ from scipy import stats
 
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.intervals import all_scores, block_intervals
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, gate_value, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, all_scores, block_intervals, gate_value, scores
 
 ROWS, COLUMNS = ("ground", "stem", "other"), ("noise", "ground", "stem")
 NAMES = ROWS, COLUMNS

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.gates import Gate, check_gates
 from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
-from prc_cli.evaluation.scores import scores
+from prc_cli.evaluation.scores import Gate, check_gates, scores
 from tests.evaluation import samples
 
 MATRIX = ConfusionMatrix(

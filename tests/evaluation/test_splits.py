@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.evaluation import splits
-from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
-from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.splits import (
+from prc_cli.evaluation import confusion as splits
+from prc_cli.evaluation.confusion import (
     UNKNOWN,
+    ConfusionMatrix,
     GroupedCounts,
+    accumulate,
     block_groups,
     cells_of,
     check_edges,
@@ -21,6 +21,7 @@ from prc_cli.evaluation.splits import (
     range_bounds,
     range_groups,
 )
+from prc_cli.evaluation.mapping import ClassMapping
 
 MAPPING = ClassMapping(
     ignore=[0], predicted={"ground": [2], "building": [6]}, reference={"ground": [2], "building": [6], "car": [65]}

@@ -10,7 +10,6 @@ from PIL import Image
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import U8
-from prc_cli.imaging.page import html_page
 from prc_cli.imaging.pictures import range_bar
 from prc_cli.imaging.sheet import (
     LEFT,
@@ -25,6 +24,7 @@ from prc_cli.imaging.sheet import (
     round_step,
     zoom_for,
 )
+from prc_cli.imaging.viewer import html_page
 
 
 def plain(height: int, width: int, colour: int = 90) -> U8:

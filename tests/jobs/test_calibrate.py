@@ -29,9 +29,15 @@ from prc_cli.jobs.calibrate.reports import (
 from prc_cli.jobs.calibrate.search import split_groups
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import classify
-from prc_cli.methods.prc.background import BackgroundParams, background
 from prc_cli.methods.prc.pipeline import PrcParams
-from prc_cli.methods.prc.support import SupportParams, stream_window, support, window_reach
+from prc_cli.methods.prc.support import (
+    BackgroundParams,
+    SupportParams,
+    background,
+    stream_window,
+    support,
+    window_reach,
+)
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz, write_raw
 
 

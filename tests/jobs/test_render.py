@@ -15,9 +15,8 @@ from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
-from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
+from prc_cli.imaging.pictures import NOT_SCORED_COLOUR, TRIGGER_COLOUR, trigger_codes, trigger_picture
 from prc_cli.imaging.sheet import Axis
-from prc_cli.imaging.stages import TRIGGER_COLOUR, trigger_codes, trigger_picture
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, _pages, render
 from prc_cli.jobs.render.cloud import _draw_scale

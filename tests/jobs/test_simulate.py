@@ -19,8 +19,7 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import classify, open_stream
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, reference_path, simulate
-from prc_cli.simulation.settings import Kind, Settings, load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
 
 FORMATS = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst", ".bin", ".npz", ".npy", ".e57")
 REGISTERED = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
 from prc_cli.jobs.transfer import TransferSummary, sides, transfer
 from prc_cli.jobs.transfer.options import TransferOptions
-from prc_cli.matching.keyed_source import Survey
+from prc_cli.matching.sides import Survey
 from tests.formats.las.lasbytes import parse
 
 N = 5000

@@ -22,8 +22,8 @@ LOAD = """
 from prc_cli import kernels
 from prc_cli.kernels import compiling
 compiling.PATIENCE_S = 600.0
-kernels.load_kernels(frozenset({"sequential_angle.verticals"}))
-from prc_cli.methods.sequential_angle.verticals_loops import first_high_verticals
+kernels.load_kernels(frozenset({"sequential_angle.labels"}))
+from prc_cli.methods.sequential_angle.labels_loops import first_high_verticals
 print(sum(first_high_verticals.stats.cache_misses.values()))
 """
 
@@ -90,7 +90,7 @@ def test_every_module_is_compiled_by_one_process_alone(tmp_path: Path, monkeypat
     assert compiled == ["a", "c"]
 
 
-MODULES = ["prc_cli.methods.sequential_angle.verticals_loops", "prc_cli.methods.sequential_angle.lines_loops"]
+MODULES = ["prc_cli.methods.sequential_angle.labels_loops", "prc_cli.methods.sequential_angle.fourier_loops"]
 
 
 @needs_compiler

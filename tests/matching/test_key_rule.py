@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.matching.key_rule import exact_keys
+from prc_cli.matching.keys import exact_keys
 
 
 def test_ids_are_exact_below_two_to_the_53() -> None:

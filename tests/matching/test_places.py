@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prc_cli.matching.join import KEY, Columns, JoinTally, merge_join
-from prc_cli.matching.places import NearestPlaces
+from prc_cli.matching.keys import NearestPlaces
 from tests.matching.samples import cut, pairs_of
 
 

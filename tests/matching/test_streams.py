@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.matching.streams import in_step
+from prc_cli.matching.join import in_step
 
 
 def test_streams_walk_in_equal_steps_however_they_are_chunked() -> None:

@@ -16,8 +16,8 @@ from prc_cli.core.classes import Label
 from prc_cli.simulation.forest.params import PRESETS, ForestSceneParams
 from prc_cli.simulation.forest.reference import inside_plot, reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
-from prc_cli.simulation.forest.stems import Species, Stems
 from prc_cli.simulation.forest.terrain import Terrain
+from prc_cli.simulation.forest.trees import Species, Stems
 from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
 
 

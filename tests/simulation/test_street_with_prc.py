@@ -13,8 +13,7 @@ from prc_cli.core.types import F32, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.jobs.classify import classify_ranges
-from prc_cli.simulation.settings import load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import load_settings, open_simulation
 
 LINES = 3 * 99
 

@@ -13,8 +13,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64
 from prc_cli.formats.trajectory import project, read_sbet, read_text
 from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.simulation.trajectory import MOTIONS, MotionParams, Station, Trajectory, aim
-from prc_cli.simulation.trajectory_files import Frame, write_trajectory
+from prc_cli.simulation.trajectory import MOTIONS, Frame, MotionParams, Station, Trajectory, aim, write_trajectory
 
 EVEN: dict[str, float] = {
     "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "bounce_m": 0, "lean_deg": 0, "speed_variation": 0, "stop_every_m": 0

@@ -7,10 +7,9 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import ScanStream
-from prc_cli.simulation.settings import load_settings
-from prc_cli.simulation.simulation import open_simulation
-from prc_cli.simulation.street.centreline import LANE_M
+from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.simulation.street.plan import ROAD_HALF_M
+from prc_cli.simulation.street.road import LANE_M
 from tests.simulated import HEIGHT_M, drive_arrays, drive_scan, static_arrays, static_scan
 
 KNOWN_STATIC = {

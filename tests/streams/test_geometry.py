@@ -10,8 +10,7 @@ import pytest
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
-from prc_cli.simulation.settings import load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.streams.down import wrap
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.sample import LineSample, Window

@@ -19,10 +19,9 @@ from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError, I
 from prc_cli.core.files import atomic_output, remove_stale, suffix_of
 from prc_cli.core.types import F64
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.gates import Gate, GateResult, check_gates, parse_gate
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict as scores_as_dict
-from prc_cli.evaluation.scores import Scores, scores
+from prc_cli.evaluation.scores import Gate, GateResult, Scores, check_gates, parse_gate, scores
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels import code_suffix_of
 from prc_cli.jobs.batch.local import LocalEngine

@@ -10,8 +10,8 @@ import numpy as np
 from prc_cli.core.types import F64
 from prc_cli.jobs.calibrate.curves import Curves
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
-from prc_cli.methods.prc.background import BackgroundParams
 from prc_cli.methods.prc.pipeline import PrcParams
+from prc_cli.methods.prc.support import BackgroundParams
 from prc_cli.methods.prc.surfaces import PUBLISHED_AREA, PUBLISHED_BLOCK
 
 D_C_SIGMAS = 17.0

@@ -11,13 +11,14 @@ import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.window import Window
-from prc_cli.evaluation.confusion import ConfusionMatrix, refuse_poor_match
-from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.result import Evaluation, MatchReport
-from prc_cli.evaluation.splits import (
+from prc_cli.evaluation.confusion import (
+    ConfusionMatrix,
     GroupedCounts,
     cells_of,
+    refuse_poor_match,
 )
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.scores import Evaluation, MatchReport
 from prc_cli.formats.las.crs import same_crs, short_crs
 from prc_cli.formats.las.read import LasSource
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
@@ -40,12 +41,12 @@ from prc_cli.matching.join import (
     Columns,
     JoinTally,
     UnsortedError,
+    columns_of,
+    in_step,
     merge_join,
 )
-from prc_cli.matching.key_rule import AXES, KeyRule
-from prc_cli.matching.keys import MutualKeys
+from prc_cli.matching.keys import AXES, KeyRule, MutualKeys, NearestPlaces
 from prc_cli.matching.pairs import files_of
-from prc_cli.matching.places import NearestPlaces
 from prc_cli.matching.sides import (
     CONFIDENCE,
     FILE,
@@ -54,7 +55,6 @@ from prc_cli.matching.sides import (
     SECONDS,
     Side,
 )
-from prc_cli.matching.streams import columns_of, in_step
 
 
 def evaluate_all(

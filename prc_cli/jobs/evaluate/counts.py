@@ -11,12 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.types import I64
-from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.intervals import FEW_BLOCKS, LEVEL, block_intervals
-from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.result import Interval, SplitPart
-from prc_cli.evaluation.splits import (
+from prc_cli.evaluation.confusion import (
     UNKNOWN,
+    ConfusionMatrix,
     GroupedCounts,
     block_groups,
     check_edges,
@@ -24,6 +21,8 @@ from prc_cli.evaluation.splits import (
     range_bounds,
     range_groups,
 )
+from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.evaluation.scores import FEW_BLOCKS, LEVEL, Interval, SplitPart, block_intervals
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.join import (
     Columns,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.window import Window
-from prc_cli.evaluation.splits import (
+from prc_cli.evaluation.confusion import (
     check_edges,
 )
 

@@ -14,7 +14,7 @@ from PIL import Image
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import PrcError
 from prc_cli.core.types import I64, U8
-from prc_cli.evaluation.charts import class_colour
+from prc_cli.evaluation.html import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.mapping import Side as SideName
 from prc_cli.formats.labels import open_codes

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.jobs.evaluate.options import EvaluateOptions
-from prc_cli.matching.key_rule import AXES, KeyRule
+from prc_cli.matching.keys import AXES, KeyRule
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
 from prc_cli.matching.sides import (
     Side,

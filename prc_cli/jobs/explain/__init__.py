@@ -29,7 +29,7 @@ from prc_cli.jobs.explain.prc import prc_answers
 from prc_cli.jobs.explain.sequential_angle import sequential_angle_answers
 from prc_cli.jobs.progress import advance
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Turn, Wanted
-from prc_cli.methods.fused.heights import Overhearing
+from prc_cli.methods.fused.confidence import Overhearing
 from prc_cli.methods.fused.pipeline import FusedParams
 from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.run import SHOTS_AT_ONCE, run_blocks

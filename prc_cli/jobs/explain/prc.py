@@ -11,10 +11,10 @@ from prc_cli.core.classes import Label
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.explain.answers import Answer, metres
-from prc_cli.methods.prc.forest import is_dense
 from prc_cli.methods.prc.pipeline import LINK, TAIL, TOTALS, Connected, PrcParams, Seen, draw, grow, see
 from prc_cli.methods.prc.support import required_counts, stream_window, window_reach
 from prc_cli.methods.prc.surfaces import area_threshold
+from prc_cli.methods.prc.urban import is_dense
 
 
 def prc_answers(

@@ -12,8 +12,8 @@ from prc_cli.config import LoadedConfig, MethodChoice, refuse_window
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
 from prc_cli.formats import check_input
-from prc_cli.imaging.page import html_page
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
+from prc_cli.imaging.viewer import html_page
 from prc_cli.jobs.choice import decide, decided_by
 from prc_cli.jobs.classify import Progress
 from prc_cli.jobs.render.options import CAPTIONS, COLOURS, PRC_STEPS, SUFFIXES, VIEWS, RenderOptions, RenderResult

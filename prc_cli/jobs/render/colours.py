@@ -25,6 +25,9 @@ from prc_cli.imaging.pictures import (
     MISSING_COLOUR,
     NOT_SCORED_COLOUR,
     Bar,
+    critical_bar,
+    critical_limits,
+    critical_picture,
     range_bar,
     range_limits,
     range_picture,
@@ -33,7 +36,6 @@ from prc_cli.imaging.pictures import (
     value_picture,
 )
 from prc_cli.imaging.sheet import Colour, Key
-from prc_cli.imaging.stages import critical_bar, critical_limits, critical_picture
 from prc_cli.jobs.render.options import RenderOptions
 
 NOT_SCORED = "not scored"

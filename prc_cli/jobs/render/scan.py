@@ -18,9 +18,17 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StageLabels
 from prc_cli.core.types import F64, I64, U8, Mask
 from prc_cli.evaluation.mapping import Side
-from prc_cli.imaging.pictures import AGREE_COLOUR, Bar, difference_picture, mask_picture, segment_picture
+from prc_cli.imaging.pictures import (
+    AGREE_COLOUR,
+    Bar,
+    difference_picture,
+    mask_picture,
+    segment_picture,
+    trigger_codes,
+    trigger_key,
+    trigger_picture,
+)
 from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Key, Panel, zoom_for
-from prc_cli.imaging.stages import trigger_codes, trigger_key, trigger_picture
 from prc_cli.jobs.classify import Progress, label_blocks, open_stream
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.render.colours import (

@@ -31,10 +31,9 @@ from prc_cli.jobs.progress import tell_share
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.jobs.transfer.sides import check_paths, open_sides
 from prc_cli.jobs.transfer.verdict import TransferCounts, counts_of, notices_of, refuse_poor_match
-from prc_cli.matching.join import CODE, KEY, SAME, JoinTally, merge_join
+from prc_cli.matching.join import CODE, KEY, RECORD, SAME, JoinTally, columns_of, merge_join
 from prc_cli.matching.keys import SPARE_LABELS, NearestLabel
 from prc_cli.matching.sides import CONFIDENCE
-from prc_cli.matching.streams import RECORD, columns_of
 
 
 @dataclass(frozen=True, repr=False)

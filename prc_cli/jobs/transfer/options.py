@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.las.rewrite import CARRIED
-from prc_cli.matching.keyed_source import (
+from prc_cli.matching.sides import (
     MAX_SAME,
 )
 

@@ -22,14 +22,14 @@ from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.transfer.options import TransferOptions
-from prc_cli.matching.key_rule import KeyRule
-from prc_cli.matching.keyed_source import (
+from prc_cli.matching.keys import KeyRule
+from prc_cli.matching.sides import (
+    CONFIDENCE,
     CodesAlone,
     KeyedSource,
     Survey,
     survey,
 )
-from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.streams.gps_weeks import WEEK_S, WeekSource
 
 GPS_EPOCH_SHIFT_S = 1e9

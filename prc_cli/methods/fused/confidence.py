@@ -9,11 +9,11 @@ share of shots with this label and these answers that were right on simulated st
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I32, I64, U8
+from prc_cli.methods.base import Part, Turn
 from prc_cli.methods.fused.neighbours import Neighbours
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.strips import Standing
@@ -177,3 +178,53 @@ def _rows(questions: tuple[tuple[Label, tuple[str, ...]], ...]) -> I64:
 @cache
 def _steps() -> F32:
     return np.array(list(MEASURES.values()), np.float32)
+
+
+UNKNOWN_M = 1e6
+"""Heights beyond are those of places where no ground was seen [m]."""
+_LEAST_SHARE = 0.5
+"""Beams nearer to level than 60 degrees tell nothing of the tilt of the plane."""
+_ValueT = TypeVar("_ValueT")
+_ResultT = TypeVar("_ResultT")
+
+
+class Overhearing(Turn):
+    """A turn that also keeps the results of its steps.
+
+    Attributes
+    ----------
+    results : dict
+        Result of every step so far, by the name of its part.
+    """
+
+    def __init__(self, turn: Turn) -> None:
+        self._turn = turn
+        self.results: dict[str, Any] = {}
+
+    def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
+        """Run a step; see :class:`~prc_cli.methods.base.Turn`."""
+        result = self._turn.hand_on(part, step)
+        self.results[part.name] = result
+        return result
+
+
+def true_heights(above_m: F32, block: ScanBlock) -> F32:
+    """Return heights in metres from heights in the scan plane.
+
+    ``above_m`` (lines, M) float32; returns (lines, M) float32.
+    """
+    known = np.where(above_m < np.float32(UNKNOWN_M), above_m, np.float32(np.nan))
+    heights: F32 = (known * np.float32(_cosine_of_tilt(block))).astype(np.float32, copy=False)
+    return heights
+
+
+def _cosine_of_tilt(block: ScanBlock) -> float:
+    """Return height per metre in the scan plane: 1 where the plane is upright, or its lean is not known."""
+    if block.xyz_m is None or block.beam_rad is None:
+        return 1.0
+    down = np.cos(block.beam_rad)
+    steep = np.abs(down) > _LEAST_SHARE
+    in_plane = block.range_m[:, steep].astype(np.float64) * down[steep]
+    ratio = -block.xyz_m[:, steep, 2] / in_plane
+    ratio = ratio[np.isfinite(ratio)]
+    return min(float(np.median(ratio)), 1.0) if len(ratio) else 1.0

@@ -23,9 +23,8 @@ from pydantic import Field
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
-from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
-from prc_cli.methods.blocks import check_block
+from prc_cli.core.types import F32, F64, I32, I64, U8
+from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of, check_block
 from prc_cli.methods.fused.classes import (
     BESIDE_THIN_LINES,
     LINES,
@@ -42,14 +41,15 @@ from prc_cli.methods.fused.classes import (
 from prc_cli.methods.fused.confidence import (
     QUESTIONS,
     Evidence,
+    Overhearing,
     cells_of,
     confidence_of,
     load_table,
     of_further_returns,
+    true_heights,
 )
 from prc_cli.methods.fused.forest import forest, heights_over_ground
 from prc_cli.methods.fused.ground import Ground, GroundMemory, follow_ground
-from prc_cli.methods.fused.heights import Overhearing, true_heights
 from prc_cli.methods.fused.interlace import put_in_step
 from prc_cli.methods.fused.neighbours import Neighbours, chords, near_neighbours, smooth_pairs
 from prc_cli.methods.fused.plane import (
@@ -62,7 +62,6 @@ from prc_cli.methods.fused.plane import (
     is_fan,
 )
 from prc_cli.methods.fused.range_noise import Noise, NoiseAlong, SensorParams, forest_noise
-from prc_cli.methods.fused.returns import label_further_returns
 from prc_cli.methods.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
@@ -73,6 +72,7 @@ from prc_cli.methods.fused.spacing import (
 )
 from prc_cli.methods.fused.strips import Standing, stand
 from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET, Forest, Limits, in_room
+from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
@@ -607,3 +607,22 @@ def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: FusedPar
     """Refuse arrays that cannot be the next block of the stream."""
     key = "fused.lines_per_block"
     check_block(range_m, next_m, width, params.lines_per_block, columns=", one column a beam", key=key)
+
+
+def label_further_returns(range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, limit_m: float) -> U8:
+    """Label the returns of a shot other than its main one.
+
+    Light that passes a leaf meets other leaves, which may be isolated; such returns are vegetation, not noise.
+
+    Returns (n,) uint8.
+
+    >>> import numpy as np
+    >>> image = np.array([[6.0, 6.1, 20.0]], dtype=np.float32)
+    >>> labels = np.array([[Label.VEGETATION, Label.VEGETATION, Label.BUILDING]], dtype=np.uint8)
+    >>> own = np.zeros(2, np.int32), np.array([0, 2], np.int32), np.array([9.0, 30.0], np.float32)
+    >>> [Label(label).name for label in label_further_returns(image, labels, *own, 0.3)]
+    ['VEGETATION', 'NOISE']
+    """
+    found = label_extra_returns(range_m, labels, line, column, range_m_extra, limit_m, limit_m)
+    found[(labels[line, column] == Label.VEGETATION) & (found == Label.NOISE)] = Label.VEGETATION
+    return found

@@ -14,13 +14,19 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import CriticalZetas, LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
-from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted
-from prc_cli.methods.blocks import WHERE, check_block
-from prc_cli.methods.prc.background import BackgroundParams, background
+from prc_cli.methods.base import WHERE, Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, check_block
 from prc_cli.methods.prc.components import Components, ComponentsParams, Joined, identify, join
 from prc_cli.methods.prc.critical import critical_zetas
-from prc_cli.methods.prc.forest import ForestParams, forest
-from prc_cli.methods.prc.support import SupportParams, stream_window, support, tail_after, unusual, window_reach
+from prc_cli.methods.prc.support import (
+    BackgroundParams,
+    SupportParams,
+    background,
+    stream_window,
+    support,
+    tail_after,
+    unusual,
+    window_reach,
+)
 from prc_cli.methods.prc.surfaces import (
     Surfaces,
     SurfacesParams,
@@ -29,7 +35,7 @@ from prc_cli.methods.prc.surfaces import (
     smooth_last_line,
     surfaces,
 )
-from prc_cli.methods.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
+from prc_cli.methods.prc.urban import ForestParams, Totals, UrbanParams, count_smooth, find_ground, forest, urban
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.012

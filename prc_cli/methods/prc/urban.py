@@ -12,7 +12,7 @@ from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.types import F32, I64, U8
+from prc_cli.core.types import F32, I64, U8, Mask
 from prc_cli.methods.prc.components import Components
 from prc_cli.methods.prc.surfaces import Surfaces
 
@@ -93,3 +93,43 @@ def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
     h = surfaces.components
     label_of = np.where(h.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))
     return kernels.draw_components(window, surfaces.supported, surfaces.covered, h.image, label_of, _OTHERS)
+
+
+class ForestParams(Params):
+    """Which columns of a block are ground (``[prc.forest]``)."""
+
+    column_step: int = Field(
+        10, ge=1, le=1_000_000, description="columns that are ground, or not, together; the first one of them decides"
+    )
+    density: float = Field(
+        1 / 3, ge=0, le=1, description="share of smooth shots in a column above which it is ground, of all k lines"
+    )
+    noise_in_ground_columns: bool = Field(
+        True, description="noise in ground columns becomes ground, as printed; false keeps it noise"
+    )
+
+
+@stage("classes")
+def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
+    """Label a block of forest.
+
+    ``window`` (reach + lines * M + reach,) float32, metres; returns (lines, M) uint8.
+    """
+    dense = is_dense(surfaces.smooth, params)
+    columns = np.repeat(dense, params.column_step)[: surfaces.supported.shape[1]]
+    labels_of = np.array([Label.MISSING, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM], dtype=np.uint8)
+    return kernels.draw_columns(
+        window, surfaces.supported, surfaces.covered, columns, params.noise_in_ground_columns, labels_of
+    )
+
+
+def is_dense(smooth: Mask, params: ForestParams) -> Mask:
+    """Return for every group of columns whether its first column is dense: smooth often enough (eq. 12).
+
+    Noise and missing shots count in the denominator.
+
+    >>> is_dense(np.zeros((255, 4270), dtype=bool), ForestParams()).shape
+    (427,)
+    """
+    dense: Mask = np.count_nonzero(smooth[:, :: params.column_step], axis=0) / len(smooth) > params.density
+    return dense

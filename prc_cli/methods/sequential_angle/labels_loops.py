@@ -1,18 +1,161 @@
-"""Loops that give shots their class, when all stages have had their say (Stamos et al. 2012, sec. 7 and 8)."""
+"""Short loops over half-lines (Stamos et al. 2012, sec. 3, 7 and 8).
+
+Their order, lines that may hold a car, high verticals, and the final classes.
+
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from prc_cli.core.classes import Label, Surface
-from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, kernel
 
-_NOTHING, _HORIZONTAL = int(Surface.MISSING), int(Surface.HORIZONTAL)
+_NOTHING = _MISSING = int(Surface.MISSING)
+_HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
+_UNSEEN, _GROUND, _CAR, _CURB = int(Label.MISSING), int(Label.GROUND), int(Label.CAR), int(Label.CURB)
+_UNCLASSIFIED = int(Label.UNCLASSIFIED)
+
+
+@kernel("Tuple((boolean[::1], int32[::1]))(uint8[:, ::1], float32[:, :, ::1], int32[::1], float32[::1], float64)")
+def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float) -> tuple[Mask, I32]:
+    """Find the last beam of the first vertical run of every row that ends high above the ground.
+
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; ``ground_m`` (R,) float32,
+    metres; returns ``found`` (R,) bool, ``beam`` (R,) int32.
+    """
+    n_rows = len(n_beams)
+    found = np.zeros(n_rows, np.bool_)
+    beam = np.full(n_rows, -1, np.int32)
+    for row in range(n_rows):
+        limit = np.float64(ground_m[row]) + height_m
+        codes = surface[row]
+        points = xyz_m[row]
+        n = n_beams[row]
+        for k in range(n):
+            if codes[k] == _VERTICAL and (k + 1 == n or codes[k + 1] != _VERTICAL) and points[k, 2] > limit:
+                found[row] = True
+                beam[row] = k
+                break
+    return found, beam
+
+
+@kernel("Tuple((boolean[::1], int32[::1]))(uint8[:, ::1], int32[::1], float64[:, ::1], float64, boolean)")
+def first_triggers(
+    surface: U8, n_beams: I32, increments: F64, threshold: float, closed_gaps_only: bool
+) -> tuple[Mask, I32]:
+    """Run the CUSUM of the observable chain H, V, M along every row until it triggers.
+
+    The chain begins at the first beam with a return and ends before the first return that is neither H nor V.
+
+    ``surface`` (R, n) uint8; ``n_beams`` (R,) int32; ``increments`` (3, 3) float64; returns ``triggered`` (R,) bool,
+    ``beam`` (R,) int32.
+    """
+    n_rows = len(n_beams)
+    triggered = np.zeros(n_rows, np.bool_)
+    beam = np.full(n_rows, -1, np.int32)
+    for row in range(n_rows):
+        codes = surface[row]
+        stop = n_beams[row]
+        if closed_gaps_only:
+            while stop > 0 and codes[stop - 1] == _MISSING:
+                stop -= 1
+        k = 0
+        while k < stop and codes[k] == _MISSING:
+            k += 1
+        total = 0.0
+        before = -1
+        while k < stop:
+            code = codes[k]
+            if code == _HORIZONTAL:
+                state = 0
+            elif code == _VERTICAL:
+                state = 1
+            elif code == _MISSING:
+                state = 2
+            else:
+                break
+            if before >= 0:
+                total = max(0.0, total + increments[before, state])
+                if total > threshold:
+                    triggered[row] = True
+                    beam[row] = k
+                    break
+            before = state
+            k += 1
+    return triggered, beam
+
+
+@kernel(
+    "Tuple((float32[:, ::1], float32[:, :, ::1], float32[:, ::1]))"
+    "(float32[:, ::1], float32[:, :, ::1], int32[:, ::1], float64)"
+)
+def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+    """Pick the beams of half-lines out of scan lines with coordinates.
+
+    ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32; ``columns`` (n_sides, n) int32; returns (lines *
+    n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32.
+    """
+    n_lines = range_m.shape[0]
+    n_sides, n = columns.shape
+    ranges = np.empty((n_lines * n_sides, n), np.float32)
+    xyz = np.empty((n_lines * n_sides, n, 3), np.float32)
+    horizontal = np.empty((n_lines * n_sides, n), np.float32)
+    nan = np.float32(np.nan)
+    for line in range(n_lines):
+        for side in range(n_sides):
+            row = line * n_sides + side
+            for k in range(n):
+                column = max(columns[side, k], 0)
+                r = range_m[line, column]
+                x, y, z = xyz_m[line, column, 0], xyz_m[line, column, 1], xyz_m[line, column, 2]
+                seen = np.float64(r) <= max_range_m and not np.isnan(x + y + z) and columns[side, k] >= 0
+                ranges[row, k] = r if seen else nan
+                xyz[row, k, 0] = x if seen else nan
+                xyz[row, k, 1] = y if seen else nan
+                xyz[row, k, 2] = z if seen else nan
+            for k in range(n):  # by itself, for vector instructions; NaN where the shot is missing
+                x_here, y_here = np.float64(xyz[row, k, 0]), np.float64(xyz[row, k, 1])
+                horizontal[row, k] = np.float32(np.sqrt(x_here * x_here + y_here * y_here))
+    return ranges, xyz, horizontal
+
+
+@kernel(
+    "Tuple((float32[:, ::1], float32[:, :, ::1], float32[:, ::1]))"
+    "(float32[:, ::1], float64[::1], float64[::1], int32[:, ::1], float64)"
+)
+def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+    """Pick the beams of half-lines out of scan lines of ranges; coordinates are those in the scan plane.
+
+    ``range_m`` (lines, M) float32; ``across, up`` (M,) float64; ``columns`` (n_sides, n) int32; returns (lines *
+    n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32.
+    """
+    n_lines = range_m.shape[0]
+    n_sides, n = columns.shape
+    ranges = np.full((n_lines * n_sides, n), np.nan, np.float32)
+    xyz = np.full((n_lines * n_sides, n, 3), np.nan, np.float32)
+    horizontal = np.full((n_lines * n_sides, n), np.nan, np.float32)
+    for line in range(n_lines):
+        for side in range(n_sides):
+            row = line * n_sides + side
+            for k in range(n):
+                column = columns[side, k]
+                if column < 0:
+                    continue
+                r = np.float64(range_m[line, column])
+                if r <= max_range_m:
+                    x = r * across[column]
+                    ranges[row, k] = range_m[line, column]
+                    xyz[row, k, 0] = np.float32(x)
+                    xyz[row, k, 1] = np.float32(0.0)
+                    xyz[row, k, 2] = np.float32(r * up[column])
+                    horizontal[row, k] = np.float32(abs(x))
+    return ranges, xyz, horizontal
+
+
 _CURB_DEPTH_M = 0.3
 """Curb points that are farther behind the nearest one of their row belong to another curb [m]."""
-_MISSING, _GROUND, _CAR, _CURB = int(Label.MISSING), int(Label.GROUND), int(Label.CAR), int(Label.CURB)
-_UNCLASSIFIED = int(Label.UNCLASSIFIED)
 
 
 @kernel(
@@ -121,7 +264,7 @@ def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:
     for line in range(n_lines):
         for k in range(m):
             label = labels[line, k]
-            beyond = label == _MISSING and range_m[line, k] == range_m[line, k]
+            beyond = label == _UNSEEN and range_m[line, k] == range_m[line, k]
             marked[line, k] = np.uint8(_UNCLASSIFIED) if beyond else label
             n_beyond += beyond
     return marked, n_beyond

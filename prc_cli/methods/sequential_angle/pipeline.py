@@ -27,8 +27,14 @@ from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
-from prc_cli.methods.sequential_angle.car import CarParams, cars
-from prc_cli.methods.sequential_angle.coarse import CoarseParams, coarse
+from prc_cli.methods.sequential_angle.car import CarParams, CarSearch, car_search, cars
+from prc_cli.methods.sequential_angle.coarse import (
+    CoarseParams,
+    DenseVegetationParams,
+    car_surface,
+    coarse,
+    dense_vegetation,
+)
 from prc_cli.methods.sequential_angle.curb import (
     CurbParams,
     CurbState,
@@ -44,8 +50,6 @@ from prc_cli.methods.sequential_angle.ground import (
     potential_ground,
 )
 from prc_cli.methods.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
-from prc_cli.methods.sequential_angle.search import CarSearch, car_search
-from prc_cli.methods.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.methods.sequential_angle.windows import without_windows
 
 KERNELS = frozenset({"sequential_angle"})
@@ -136,7 +140,7 @@ class Undecided:
     ground_height_m: F32
     """(R,) float32, z_g [m]."""
     trigger: U8
-    """(R, n) uint8, as in :class:`~prc_cli.methods.sequential_angle.search.CarSearch`; n = 0 if not wanted."""
+    """(R, n) uint8, as in :class:`~prc_cli.methods.sequential_angle.car.CarSearch`; n = 0 if not wanted."""
     car_interval: U16
     """(R, n) uint16, likewise."""
     car_test: U8

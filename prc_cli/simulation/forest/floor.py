@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F64, Mask
-from prc_cli.simulation.forest.chance import CELL_M
 from prc_cli.simulation.forest.params import ForestSceneParams
-from prc_cli.simulation.forest.parts import cones, ellipsoids
-from prc_cli.simulation.forest.path import Rows
-from prc_cli.simulation.forest.terrain import Terrain
+from prc_cli.simulation.forest.terrain import CELL_M, Rows, Terrain
+from prc_cli.simulation.forest.trees import cones, ellipsoids
 from prc_cli.simulation.world import Bodies, Material
 
 _ELBOW_M = 0.35

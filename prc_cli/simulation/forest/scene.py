@@ -11,14 +11,10 @@ from threading import RLock
 import numpy as np
 
 from prc_cli.core.types import F64
-from prc_cli.simulation.forest.chance import CELL_M, Purpose, first_number, generator
 from prc_cli.simulation.forest.floor import Floor
 from prc_cli.simulation.forest.params import ForestSceneParams
-from prc_cli.simulation.forest.parts import footprints, take, triangles
-from prc_cli.simulation.forest.path import Rows
-from prc_cli.simulation.forest.stems import Stand, Stems
-from prc_cli.simulation.forest.terrain import Terrain
-from prc_cli.simulation.forest.trees import tree_bodies
+from prc_cli.simulation.forest.terrain import CELL_M, Purpose, Rows, Terrain, first_number, generator
+from prc_cli.simulation.forest.trees import Stand, Stems, footprints, take, tree_bodies, triangles
 from prc_cli.simulation.world import Bodies, Material
 
 _OVERHANG_M = 6.0

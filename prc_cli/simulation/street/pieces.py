@@ -7,9 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from prc_cli.simulation.street import cars, furniture, trees
+from prc_cli.simulation.street import cars, furniture
+from prc_cli.simulation.street import furniture as trees
+from prc_cli.simulation.street.movers import person
 from prc_cli.simulation.street.params import Character, StreetSceneParams
-from prc_cli.simulation.street.people import person
 from prc_cli.simulation.street.pile import Frame, Pile, Span
 from prc_cli.simulation.street.plan import (
     BUILDING_LINE_M,

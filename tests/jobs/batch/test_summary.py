@@ -13,7 +13,7 @@ import pytest
 from prc_cli.core.errors import OutputError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.gates import GateResult
+from prc_cli.evaluation.scores import GateResult
 from prc_cli.jobs.batch.report import (
     EXIT_CODES,
     BatchEvaluation,

@@ -18,7 +18,7 @@ from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.result import Evaluation
+from prc_cli.evaluation.scores import Evaluation
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
 from prc_cli.jobs.evaluate import evaluate_all

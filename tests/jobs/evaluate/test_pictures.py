@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from prc_cli.core.errors import InputError
-from prc_cli.evaluation.charts import class_colour
+from prc_cli.evaluation.html import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.jobs.evaluate.pictures import MAX_LINES, class_pictures
 

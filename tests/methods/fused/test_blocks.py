@@ -13,8 +13,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.methods.fused.pipeline import FusedParams
-from prc_cli.simulation.settings import load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import load_settings, open_simulation
 
 MOST = 0.001
 """Share of the labels that may change: everywhere none but in slow drives."""

@@ -17,8 +17,7 @@ from prc_cli.methods.fused.forest import find_stems, forest, heights_over_ground
 from prc_cli.methods.fused.plane import Plane
 from prc_cli.methods.fused.range_noise import forest_noise
 from prc_cli.methods.fused.thresholds import FOREST
-from prc_cli.simulation.settings import load_settings
-from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.settings import load_settings, open_simulation
 
 HEIGHT_M = 2.0
 N_LINES = 12

@@ -13,7 +13,7 @@ from prc_cli.config import load_config
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.classify import classify, label_blocks
-from prc_cli.methods.fused.heights import true_heights
+from prc_cli.methods.fused.confidence import true_heights
 from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines
 
 

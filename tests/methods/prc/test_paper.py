@@ -10,9 +10,9 @@ import pytest
 
 from prc_cli import kernels
 from prc_cli.core.types import F32
-from prc_cli.methods.prc.forest import ForestParams, is_dense
 from prc_cli.methods.prc.support import SupportParams, required_counts, stream_window, support
 from prc_cli.methods.prc.surfaces import SurfacesParams, area_threshold
+from prc_cli.methods.prc.urban import ForestParams, is_dense
 
 needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="millions of shots")
 

@@ -9,13 +9,18 @@ from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
 from prc_cli.core.types import F32, I64, U8, Mask
-from prc_cli.methods.prc.background import BackgroundParams, background
 from prc_cli.methods.prc.components import Components, ComponentsParams, identify, join
-from prc_cli.methods.prc.forest import ForestParams, forest
 from prc_cli.methods.prc.pipeline import PrcParams, PrcState, initial_state
-from prc_cli.methods.prc.support import SupportParams, stream_window, support, window_reach
+from prc_cli.methods.prc.support import (
+    BackgroundParams,
+    SupportParams,
+    background,
+    stream_window,
+    support,
+    window_reach,
+)
 from prc_cli.methods.prc.surfaces import Surfaces, SurfacesParams, area_threshold, find_small, surfaces
-from prc_cli.methods.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
+from prc_cli.methods.prc.urban import ForestParams, Totals, UrbanParams, count_smooth, find_ground, forest, urban
 from tests.methods.prc.streams import run_blocks, segments_of, trace_block
 
 nan = np.nan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.methods.sequential_angle.high_verticals import HighVerticalsParams, high_verticals
+from prc_cli.methods.sequential_angle.car import HighVerticalsParams, high_verticals
 from tests.methods.sequential_angle.car_lines import H, V, car, make_lines, road, see, wall
 
 PARAMS = HighVerticalsParams()

@@ -7,7 +7,7 @@ import pytest
 
 from prc_cli.core.errors import PrcError
 from prc_cli.core.types import F64
-from prc_cli.methods.sequential_angle.mean_shift import mean_shift
+from prc_cli.methods.sequential_angle.ground import mean_shift
 
 
 def literal(values: F64, bandwidth: float) -> list[int]:

@@ -10,7 +10,7 @@ from numpy.random import Generator
 
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
-from prc_cli.methods.sequential_angle.suspicious import SuspiciousParams, increments, suspicious
+from prc_cli.methods.sequential_angle.car import SuspiciousParams, increments, suspicious
 
 CODES = {"M": 0, "T": 1, "H": 2, "V": 3, "U": 4}
 PARAMS = SuspiciousParams(enabled=True)

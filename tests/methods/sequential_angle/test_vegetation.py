@@ -10,8 +10,14 @@ from scipy.stats import norm
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F64, Mask
 from prc_cli.methods.sequential_angle.angles import AnglesParams, angle_differences, signed_angles
-from prc_cli.methods.sequential_angle.coarse import CoarseParams, TiltParams, coarse
-from prc_cli.methods.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
+from prc_cli.methods.sequential_angle.coarse import (
+    CoarseParams,
+    DenseVegetationParams,
+    TiltParams,
+    car_surface,
+    coarse,
+    dense_vegetation,
+)
 from tests.methods.sequential_angle.scenes import street_lines
 
 PARAMS = DenseVegetationParams()
