@@ -29,8 +29,8 @@ from prc_cli.core.types import F32, F64
 from prc_cli.jobs.classify import open_stream
 from prc_cli.streams.angle_step import BENT, CERTAIN, HOP, curvatures, measure_step
 from prc_cli.streams.beam_finder import SAMPLE_LINES, SPREAD
+from prc_cli.streams.evidence.figures import Window
 from prc_cli.streams.evidence.geometry import check_angle_step
-from prc_cli.streams.evidence.sample import Window
 from prc_cli.streams.evidence.seen import Seen
 
 MOST_LINES = SPREAD * SAMPLE_LINES

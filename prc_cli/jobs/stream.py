@@ -23,9 +23,8 @@ from prc_cli.jobs.choice import choice_by_request, choose, decided_by
 from prc_cli.jobs.classify import Counts, load_classifier
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.evidence.live import LiveEvidence
 from prc_cli.streams.evidence.result import ResultWatch
-from prc_cli.streams.evidence.watch import watched
+from prc_cli.streams.evidence.watch import LiveEvidence, watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.pipe import ByteStream, open_pipe
 

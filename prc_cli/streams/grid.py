@@ -19,8 +19,7 @@ from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.streams.cells import MAX_BLOCK_CELLS, CellRules, blocks_of, dense_block, pad_line
-from prc_cli.streams.gps_weeks import WeekSource, times_of_trajectory, week_steps
-from prc_cli.streams.limits import cell_limit
+from prc_cli.streams.order import WeekSource, times_of_trajectory, week_steps
 from prc_cli.streams.probe import Estimates, given_timing, line_rules
 from prc_cli.streams.ranges import RangeRule, clean_measured, open_ranges
 from prc_cli.streams.reading import (
@@ -36,7 +35,7 @@ from prc_cli.streams.rules import GridRules, given_points_per_line, resolve_rule
 from prc_cli.streams.setup import ScannerSetup, column_rule, find_setups, given_angles
 from prc_cli.streams.sorting import sorted_by_time
 from prc_cli.streams.table import INTENSITY, RANGE, XYZ, Table, take
-from prc_cli.streams.whole_lines import LineRules
+from prc_cli.streams.whole_lines import LineRules, cell_limit
 from prc_cli.streams.window import WindowEnd
 
 

@@ -11,13 +11,20 @@ from prc_cli.core.stream import Assumption
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.angles import Sweep, find_angle_grid, find_sweep
 from prc_cli.streams.columns import AngleGrid, columns_by_dimension
-from prc_cli.streams.limits import Admission, CellLimit
-from prc_cli.streams.lines import FixedLines, LineRule, NumberedLines, SweptLines, TimedLines
+from prc_cli.streams.lines import (
+    UNKNOWN,
+    FixedLines,
+    LineRule,
+    NumberedLines,
+    ShotTiming,
+    SweptLines,
+    TimedLines,
+    find_timing,
+)
 from prc_cli.streams.reading import first_records, nothing_placed
 from prc_cli.streams.rules import GridRules
-from prc_cli.streams.shot_timing import UNKNOWN, ShotTiming, find_timing
 from prc_cli.streams.table import LINE, START, Table, take
-from prc_cli.streams.whole_lines import LineRules, ScanState, WholeLines, advance, whole_shots
+from prc_cli.streams.whole_lines import Admission, CellLimit, LineRules, ScanState, WholeLines, advance, whole_shots
 
 PROBE_RECORDS = 1 << 18
 """Number of first records used for estimates."""

@@ -10,29 +10,278 @@ neighbours where the rotation is uneven, and leaves cells empty where shots are 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
-from prc_cli.core.types import F32, I64, Mask
+from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.records import RecordSource
+from prc_cli.streams.down import wrap
 from prc_cli.streams.ranges import clean_measured, open_ranges
-from prc_cli.streams.ring_turns import (
-    Frame,
-    Turns,
-    find_step,
-    find_turns,
-    in_ring_order,
-    ring_columns,
-    ring_lines,
-    turns_of_rings,
-    whole_rings,
-)
+
+MOST_OF_COLUMNS = 1.5
+"""Frames that turn less lie in column order, not ring after ring."""
+MAX_RINGS = 4096
+"""Most rings of a frame."""
+BACKWARD_RAD = math.radians(20.0)
+"""Steps back up to this are shots out of order; larger ones are steps forward over the rest of the turn."""
+MAX_RING_NUMBER = 2.0**53
+"""Numbers of rings from here on are not exact in float64."""
+MAX_RING_ORDER_RAD = math.radians(0.5)
+"""Tolerance for rings out of the order of elevation."""
+MIN_RING = 0.01
+"""Least size of the first and last ring, as a share of the median ring: fewer are shots across the border."""
+WINDOW = 64
+"""Number of neighbours over which the step of azimuth is measured."""
+NEIGHBOUR = 1.5
+"""Steps below this multiple of the median are between neighbours."""
+DENSEST = 25.0
+"""Percentile of the windows for the step: cells must be fine enough where shots are densest."""
+
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Records of a frame with a direction, in file order."""
+
+    record: I64
+    range_m: F32
+    xyz_m: F32
+    intensity: F32 | None
+    ring: I64 | None = None
+    """(n,) int64, number of the ring, where the file has it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Rings of a frame."""
+
+    ring: I64
+    """(n,) int64, from 0 in file order."""
+    along_rad: F64
+    """(n,) float64, azimuth from the start of the ring in the direction of rotation, 0 to a turn [rad]."""
+    cut_rad: float
+    """Azimuth where rings begin [rad]."""
+    way: float
+    """1 = anticlockwise seen from above."""
+
+
+def _elevation(frame: Frame) -> F64:
+    xyz = frame.xyz_m.astype(np.float64)
+    elevation: F64 = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
+    return elevation
+
+
+def find_turns(frame: Frame, path: str) -> Turns:
+    """Find where rings begin: the azimuth with the least spread of elevation within rings."""
+    azimuth = np.arctan2(frame.xyz_m[:, 1].astype(np.float64), frame.xyz_m[:, 0].astype(np.float64))
+    step = wrap(np.diff(azimuth))
+    way = math.copysign(1.0, float(np.sign(step).sum()))
+    step *= way
+    step[step < -BACKWARD_RAD] += _TURN
+    along = way * azimuth[0] + np.concatenate([[0.0], np.cumsum(step)])
+    n_turns = (along[-1] - along[0]) / _TURN
+    if not 1.0 < n_turns < min(MAX_RINGS, len(along) / 2):
+        problem = f"the records turn {abs(n_turns):.1f} times around the scanner, expected ring after ring"
+        hint = "check x, y, z and their order, or find lines in another way: --lines"
+        if abs(n_turns) < MOST_OF_COLUMNS:
+            hint = (
+                "column after column, a frame needs the ring of every point: give a PLY or PCD with the property ring"
+            )
+        raise InputError(path, problem, hint)
+    elevation = _elevation(frame)
+    best: tuple[float, Turns] | None = None
+    for cut in _cuts(along, float(np.median(step[step > 0]))):
+        ring, within = _cut_turns(along - cut)
+        n = np.bincount(ring)
+        total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
+        spread = float((square - total**2 / np.maximum(n, 1)).sum())
+        if best is None or spread < best[0]:
+            best = (spread, Turns(ring, within, float(wrap(np.array([way * cut]))[0]), way))
+    if best is None:
+        raise InputError(path, "no ring begins", "check x, y, z")
+    return best[1]
+
+
+def whole_rings(values: NDArray[Any], path: str) -> I64:
+    """Return the numbers of rings as int64."""
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64)
+    with np.errstate(invalid="ignore"):
+        whole = (np.abs(values) < MAX_RING_NUMBER) & (values == np.floor(values))
+    if not whole.all():
+        odd = values[int(np.argmin(whole))]
+        raise InputError(path, f"found ring {odd:g}, expected whole numbers", "name the rings in a layout")
+    return values.astype(np.int64)
+
+
+def in_ring_order(frame: Frame) -> Frame:
+    """Return a frame sorted by ring and azimuth, as :func:`turns_of_rings` has its rings."""
+    order = _ring_order(frame)[0]
+    return Frame(
+        frame.record[order],
+        frame.range_m[order],
+        frame.xyz_m[order],
+        None if frame.intensity is None else frame.intensity[order],
+        None if frame.ring is None else frame.ring[order],
+    )
+
+
+def turns_of_rings(frame: Frame, path: str) -> Turns:
+    """Return the rings of a frame that numbers them, in any order of its records, sorted by elevation.
+
+    Records of a ring are sorted by azimuth: rings whose beams are turned against each other (staggered) then meet in
+    the lines of their azimuth, not of their time.
+    """
+    order, rank, along, way = _ring_order(frame)
+    n_rings = int(rank.max()) + 1
+    if n_rings > MAX_RINGS or 2 * n_rings > len(order):
+        problem = f"found {n_rings} rings in {len(order)} records with a range"
+        raise InputError(path, problem, "check that the dimension ring numbers the beams")
+    return Turns(rank[order], along[order], 0.0, way)
+
+
+def _ring_order(frame: Frame) -> tuple[I64, I64, F64, float]:
+    """Return the order by ring and azimuth, rank of the ring by elevation, azimuth from 0, sense of rotation."""
+    assert frame.ring is not None
+    xyz = frame.xyz_m.astype(np.float64)
+    azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
+    _, ring = np.unique(frame.ring, return_inverse=True)
+    # the sense of rotation from neighbours in the same ring
+    by_ring = np.argsort(ring, kind="stable")
+    step = wrap(np.diff(azimuth[by_ring]))[np.diff(ring[by_ring]) == 0]
+    way = math.copysign(1.0, float(np.sign(step).sum())) if len(step) else 1.0
+    total = np.bincount(ring, _elevation(frame)) / np.bincount(ring)
+    rank = np.empty(len(total), np.int64)
+    rank[np.argsort(total, kind="stable")] = np.arange(len(total))
+    along = np.remainder(way * azimuth, _TURN)
+    along[along >= _TURN] = 0.0
+    rank = rank[ring]
+    return np.lexsort((along, rank)), rank, along, way
+
+
+def _cut_turns(along: F64) -> tuple[I64, F64]:
+    """Return ring and azimuth within it of shots whose rings begin at multiples of a turn."""
+    turn = np.floor(along / _TURN)
+    # shots out of order around the cut belong to the new ring
+    ring: I64 = np.maximum.accumulate(turn - turn[0]).astype(np.int64)
+    within: F64 = np.remainder(along, _TURN)
+    n = np.bincount(ring)
+    few = MIN_RING * float(np.median(n))
+    # the same at both ends of the frame, where no other ring exists
+    if n[-1] < few:
+        last = ring == len(n) - 1
+        ring[last], within[last] = len(n) - 2, np.nextafter(_TURN, 0)
+    if n[0] < few:
+        within[ring == 0] = 0.0
+        ring = np.maximum(ring - 1, 0)
+    return ring, within
+
+
+def _cuts(along: F64, step: float) -> Iterator[float]:
+    """Yield candidate azimuths for the start of rings, in the direction of rotation: axes, first shot, gaps."""
+    yield from (0.0, math.pi, math.pi / 2, -math.pi / 2, along[0] - step / 2)
+    n_bins = 360
+    seen = np.bincount((np.remainder(along, _TURN) / _TURN * n_bins).astype(np.int64) % n_bins, minlength=n_bins) > 0
+    empty = np.flatnonzero(~seen)
+    if len(empty):
+        # the middle of the longest gap
+        doubled = np.flatnonzero(np.concatenate([seen, seen]))
+        gap = int(np.argmax(np.diff(doubled)))
+        yield float((doubled[gap] + doubled[gap + 1] + 1) / 2 / n_bins * _TURN)
+
+
+def ring_columns(frame: Frame, turns: Turns, wanted: int | None, path: str) -> tuple[int, I64]:
+    """Return the number of rings, and the ring of every record, counted from the lowest."""
+    n_rings = int(turns.ring[-1]) + 1
+    if wanted is not None and n_rings != wanted:
+        problem = f"found {n_rings} rings, expected {wanted} as input.points_per_line says"
+        raise InputError(path, problem, "leave input.points_per_line out, or check that every ring is there")
+    elevation = _elevation(frame)
+    borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
+    middle = np.array([np.median(elevation[a:b]) for a, b in pairwise(borders)])
+    way = 1 if middle[-1] >= middle[0] else -1
+    back = way * np.diff(middle)
+    if (back < -MAX_RING_ORDER_RAD).any():
+        at = int(np.argmin(back))
+        problem = (
+            f"ring {at + 1} lies at {math.degrees(middle[at + 1]):.2f} deg of elevation after one at "
+            f"{math.degrees(middle[at]):.2f} deg, expected rings from top to bottom or from bottom to top"
+        )
+        raise InputError(path, problem, "check that the file holds one frame, ring after ring")
+    return n_rings, turns.ring if way > 0 else n_rings - 1 - turns.ring
+
+
+def find_step(turns: Turns) -> float:
+    """Return the step of azimuth between shots where they are densest [rad]."""
+    step = np.diff(turns.along_rad)
+    step[np.diff(turns.ring) > 0] = np.inf
+    ahead = step[(step > 0) & np.isfinite(step)]
+    if not len(ahead):
+        return 0.0
+    limit = NEIGHBOUR * float(np.median(ahead))
+    near = (step >= 0) & (step < limit)
+    total = np.cumsum(np.concatenate([[0.0], np.where(near, step, 0.0)]))
+    count = np.cumsum(np.concatenate([[0], near]))
+    whole = count[WINDOW:] - count[:-WINDOW] == WINDOW
+    if not whole.any():
+        return float(np.mean(ahead[ahead < limit]))
+    return float(np.percentile((total[WINDOW:] - total[:-WINDOW])[whole] / WINDOW, DENSEST))
+
+
+def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
+    """Return the line of every record, and the mask of records in azimuth order along their ring."""
+    from scipy.optimize import isotonic_regression  # imported here: loading takes longer than classifying a small file
+
+    place = turns.along_rad / _TURN * n_lines
+    line = np.minimum(place.astype(np.int64), n_lines - 1)
+    in_order: Mask = np.ones(len(place), np.bool_)
+    borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
+    for a, b in pairwise(borders):
+        along = place[a:b]
+        if np.any(along[1:] < along[:-1]):
+            in_order[a:b] = _longest_rise(along)
+        own = a + np.flatnonzero(in_order[a:b])
+        # strictly rising cells = ordinal plus a function that does not fall
+        ordinal = np.arange(len(own))
+        line[own] = np.rint(isotonic_regression(place[own] - 0.5 - ordinal).x).astype(np.int64) + ordinal
+    return np.clip(line, 0, n_lines - 1), in_order
+
+
+def _longest_rise(values: F64) -> Mask:
+    """Mark the longest non-decreasing subsequence (patience sorting).
+
+    >>> _longest_rise(np.array([1.0, 2.0, 9.0, 3.0, 3.0])).tolist()
+    [True, True, False, True, True]
+    """
+    tops: list[float] = []
+    at: list[int] = []
+    before = np.full(len(values), -1, np.int64)
+    for i, value in enumerate(values.tolist()):
+        pile = bisect_right(tops, value)
+        if pile == len(tops):
+            tops.append(value)
+            at.append(i)
+        else:
+            tops[pile], at[pile] = value, i
+        before[i] = at[pile - 1] if pile else -1
+    marked: Mask = np.zeros(len(values), np.bool_)
+    i = at[-1] if at else -1
+    while i >= 0:
+        marked[i] = True
+        i = int(before[i])
+    return marked
+
 
 MAX_RECORDS = 10_000_000
 """Most records of a frame, which is held in memory (about 130 bytes per record at most)."""
@@ -44,8 +293,6 @@ RING = "ring"
 """Dimension with the number of the ring; with it, records may be in any order, as in raw column order."""
 BLOCK_LINES = 512
 """Lines of a block."""
-
-_TURN = 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True)

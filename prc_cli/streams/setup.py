@@ -16,13 +16,12 @@ from prc_cli.formats.records import RecordSource
 from prc_cli.streams.angles import column_angles
 from prc_cli.streams.columns import AngleGrid, ColumnRule, find_columns
 from prc_cli.streams.down import NoDirectionError, fit_heights, shown_tilt
-from prc_cli.streams.limits import check_found_columns, check_image
 from prc_cli.streams.probe import Estimates, estimate_assumptions, line_rules, probe
 from prc_cli.streams.ranges import RangeRule, clean_measured
 from prc_cli.streams.reading import whole_lines
 from prc_cli.streams.rules import GridRules
 from prc_cli.streams.table import LINE, START, Table, n_rows
-from prc_cli.streams.whole_lines import LineRules, WholeLines
+from prc_cli.streams.whole_lines import LineRules, WholeLines, check_found_columns, check_image
 from prc_cli.streams.window import WindowEnd
 
 DOWN_LINES = 64

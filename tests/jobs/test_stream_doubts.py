@@ -15,8 +15,7 @@ from prc_cli.core.findings import CHECK_NAMES, Finding
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.jobs.stream import stream
-from prc_cli.streams.evidence.live import LiveEvidence
-from prc_cli.streams.evidence.watch import EvidenceStream
+from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
 from tests.street import POINTS_PER_LINE, street
 
 URBAN = load_config(

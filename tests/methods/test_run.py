@@ -11,6 +11,7 @@ import pytest
 from prc_cli.config import RunConfig
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.kernels import KERNELS
+from prc_cli.kernels.loading import short_name
 from prc_cli.methods.base import Classifier, MethodParams, Needs, OneByOne, Part, Turn, Wanted
 from prc_cli.methods.methods import METHODS, MethodTables, table_of
 from prc_cli.methods.run import run_blocks
@@ -100,7 +101,7 @@ def test_a_runner_that_is_left_early_leaves_no_thread() -> None:
 
 def test_the_table_holds_what_it_names() -> None:
     assert [table_of(method) for method in METHODS] == list(MethodTables.model_fields)
-    homes = {home.removeprefix("prc_cli.kernels.") for home in KERNELS.values()}
+    homes = {short_name(home) for home in KERNELS.values()}
     for method in METHODS:
         params = RunConfig(method=method).classifier
         assert isinstance(params, MethodParams)

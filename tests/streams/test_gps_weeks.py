@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally
-from prc_cli.streams.gps_weeks import WEEK_S, WeekState, unwrap_week
+from prc_cli.streams.order import WEEK_S, WeekState, unwrap_week
 from tests.streams.record_lists import (
     LINE_HZ,
     SHOT_HZ,

@@ -22,9 +22,6 @@ from prc_cli.streams import (
     cells as grid_cells,
 )
 from prc_cli.streams import (
-    limits as grid_limits,
-)
-from prc_cli.streams import (
     probe as grid_probe,
 )
 from prc_cli.streams import (
@@ -32,6 +29,9 @@ from prc_cli.streams import (
 )
 from prc_cli.streams import (
     rules as grid_rules,
+)
+from prc_cli.streams import (
+    whole_lines as grid_limits,
 )
 from prc_cli.streams import (
     whole_lines as grid_lines,

@@ -8,7 +8,6 @@ import pytest
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import I64, Mask
 from prc_cli.streams.angles import Sweep, find_sweep
-from prc_cli.streams.limits import Admission, CellLimit, admit_lines
 from prc_cli.streams.lines import (
     LineState,
     lines_by_dimension,
@@ -16,6 +15,7 @@ from prc_cli.streams.lines import (
     lines_by_wrap,
     lines_fixed,
 )
+from prc_cli.streams.whole_lines import Admission, CellLimit, admit_lines
 
 NAN, INF = np.nan, np.inf
 WHERE = "drive.laz: scan_line"

@@ -15,8 +15,7 @@ from prc_cli.formats.options import InputConfig, Layout, LayoutField
 from prc_cli.streams import rings
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.open import open_input
-from prc_cli.streams.ring_turns import _cut_turns, _cuts
-from prc_cli.streams.rings import open_rings
+from prc_cli.streams.rings import _cut_turns, _cuts, open_rings
 from tests.streams.beam_lines import worst_deg
 from tests.streams.record_lists import MemorySource, Whole, read
 

@@ -12,8 +12,8 @@ import pytest
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64
-from prc_cli.streams import ring_turns
-from prc_cli.streams.ring_turns import Turns, find_step, ring_columns, ring_lines
+from prc_cli.streams import rings as ring_turns
+from prc_cli.streams.rings import Turns, find_step, ring_columns, ring_lines
 
 TURN = 2 * math.pi
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.streams.lines import LineState, lines_by_time
-from prc_cli.streams.shot_timing import (
+from prc_cli.streams.lines import (
     UNKNOWN,
+    LineState,
     ShotTiming,
     find_timing,
+    lines_by_time,
     time_in_line,
 )
 

@@ -16,9 +16,8 @@ from prc_cli.core.types import F64
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams import order
 from prc_cli.streams.elevation import _WithElevation
-from prc_cli.streams.gps_weeks import WeekState, unwrap_week
-from prc_cli.streams.order import OrderEvidence, OrderWatch, StepBack, WatchedStream, order_hint
-from prc_cli.streams.shot_timing import _column_step, _shot_step, find_timing, time_in_line
+from prc_cli.streams.lines import _column_step, _shot_step, find_timing, time_in_line
+from prc_cli.streams.order import OrderEvidence, OrderWatch, StepBack, WatchedStream, WeekState, order_hint, unwrap_week
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 

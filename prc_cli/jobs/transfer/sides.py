@@ -30,7 +30,7 @@ from prc_cli.matching.sides import (
     Survey,
     survey,
 )
-from prc_cli.streams.gps_weeks import WEEK_S, WeekSource
+from prc_cli.streams.order import WEEK_S, WeekSource
 
 GPS_EPOCH_SHIFT_S = 1e9
 """Adjusted standard GPS time is GPS time less this [s] (LAS 1.4, global encoding bit 0)."""

@@ -8,17 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
-from prc_cli.streams.evidence.cells import (
-    check_collisions,
-    check_left_out,
-    check_missing_code,
-    check_other_readers,
-    check_ranges,
-    check_returns,
-    check_rounding,
-    check_unplaced,
-)
+from prc_cli.core.stream import FAR_M
+from prc_cli.core.types import F32
+from prc_cli.formats.ranges import KEY
 from prc_cli.streams.evidence.figures import figures_of, most_turned
 from prc_cli.streams.evidence.geometry import GEOMETRY_CHECKS, check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
@@ -32,6 +27,170 @@ from prc_cli.streams.evidence.lines import (
 from prc_cli.streams.evidence.result import RESULT_CHECKS
 from prc_cli.streams.evidence.seen import Seen
 from prc_cli.streams.evidence.table import INPUT_CHECKS, Check
+
+MANY = 0.01
+"""Share of records that are lost or meet before doubt begins."""
+MANY_OF_RINGS = 0.05
+"""Share of records that meet before doubt begins in frames of rings: shots of a ring stray in azimuth, and where they
+meet, are labelled like further returns."""
+MOST = 0.2
+"""Share of records from which an input is refused."""
+LEAST_RECORDS = 100
+"""Fewer records are not judged."""
+NEAR_M = 0.02
+"""Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
+LEAST_MEDIAN_M = 0.15
+"""Least median range that a unit is offered for [m]."""
+NOTHING_ELSE = 0.95
+"""Where nearly all ranges are equal nothing was measured, or the scan was made up."""
+CODED = 0.01
+"""Share of ranges that are equal to the largest: chance gives one in thousands."""
+HIGH_M, FAR_MEDIAN_M = 150.0, 5000.0
+"""Median ranges that are doubtful, and that not even an aircraft has [m]: 3 to 20 m are usual."""
+COUNTED = 0.01
+"""Share of ranges beyond any scanner from which numbers are misread."""
+LEAST_RETURNS = 0.02
+"""Share of shots with a range below which lines and columns, or ranges, are probably wrong."""
+COARSE_M, ROUNDED_DIGITS, LEAST_ROUNDED, ALL_ROUNDED = 0.03, 4, 5000, 0.98
+"""Steps of rounded ranges [m]: scanners state them to 1 to 10 mm; thresholds on surfaces begin at a few centimetres."""
+MOST_COUNTED = 1 << 16
+"""Ranges that the median is taken of."""
+
+
+def check_thinned(dropped: str) -> tuple[Finding, ...]:
+    """Ask whether the file is one that shots were left out of; ``dropped`` is what its run record says."""
+    if not dropped:
+        return ()
+    hint = "classify the file it was made from, and thin afterwards"
+    return (Finding("thinned", Verdict.DOUBTFUL, dropped, "every shot: classes follow from neighbours", hint),)
+
+
+def check_collisions(seen: Seen) -> Finding | None:
+    """Ask whether every shot has a cell of its own."""
+    share = _share(seen, seen.tally.n_collisions)
+    if share is None:
+        return None
+    of_rings = any(one.key == "input.azimuth_step" for one in seen.info.assumptions)
+    found = f"{share:.1%} of the records met another shot in their cell"
+    hint = "check --lines, --columns and -M; several scanners in one file: --scanner DIMENSION"
+    if of_rings:
+        hint = "one frame a file; or give the angle between lines: --set input.azimuth_step=DEGREES"
+    many = MANY_OF_RINGS if of_rings else MANY
+    return Finding("collisions", _by_share(share, many), found, f"at most {many:.0%}", hint)
+
+
+def check_unplaced(seen: Seen) -> Finding | None:
+    """Ask whether every record has a cell."""
+    share = _share(seen, seen.tally.n_unplaced)
+    if share is None:
+        return None
+    found = f"{share:.1%} of the records found no cell and stay unclassified"
+    hint = "check --lines, --columns and -M; a recording that was begun anew: split the file there"
+    return Finding("unplaced", _by_share(share), found, f"at most {MANY:.0%}", hint)
+
+
+def check_left_out(seen: Seen) -> Finding | None:
+    """Ask, where columns are by order, whether lines hold all their shots."""
+    by_order = any(one.key == "input.columns" and one.value == "order" for one in seen.info.assumptions)
+    tally = seen.tally
+    # the first and the last line may be cut
+    n_lacking = seen.n_shots - tally.n_records + tally.n_extra_returns - 2 * seen.points_per_line
+    share = _share(seen, max(n_lacking, 0))
+    if share is None or not by_order or seen.n_shots <= tally.n_records - tally.n_extra_returns:
+        return None
+    found = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
+    hint = "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
+    verdict = Verdict.DOUBTFUL if share > MANY else Verdict.FINE
+    return Finding("left-out", verdict, found, f"at most {MANY:.0%}", hint)
+
+
+def _share(seen: Seen, count: int) -> float | None:
+    n_records = seen.tally.n_records or seen.n_shots
+    return count / n_records if n_records >= LEAST_RECORDS else None
+
+
+def _by_share(share: float, many: float = MANY) -> Verdict:
+    return Verdict.AGAINST if share > MOST else Verdict.DOUBTFUL if share > many else Verdict.FINE
+
+
+def check_returns(seen: Seen) -> Finding | None:
+    """Ask whether the shots have returns."""
+    if seen.n_shots < LEAST_RECORDS:
+        return None
+    share = 1 - seen.n_missing / seen.n_shots
+    found = f"{share:.2%} of the shots have a range"
+    hint = "check --range, --max-range, the layout, and --columns and -M"
+    verdict = Verdict.DOUBTFUL if share < LEAST_RETURNS else Verdict.FINE
+    return Finding("returns", verdict, found, f"at least {LEAST_RETURNS:.0%}", hint)
+
+
+def check_other_readers(seen: Seen) -> Finding | None:
+    """Ask whether the usual library reads the file, too."""
+    if not seen.info.facts.refused:
+        return None
+    found = f"laspy refuses the header or its VLRs ({seen.info.facts.refused})"
+    hint = "a LAS or LAZ output copies them: copy the input from the archive again, or write another format"
+    return Finding("other-readers", Verdict.DOUBTFUL, found, "a file that other programs read", hint)
+
+
+def check_missing_code(seen: Seen) -> Finding | None:
+    """Ask whether one and the same largest range stands for no return."""
+    known = _known_ranges(seen)
+    if len(known) < LEAST_RECORDS:
+        return None
+    longest = float(known.max())
+    share = float(np.mean(known == longest))
+    found = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
+    others = known[known < longest]
+    is_code = CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
+    option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
+    hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
+    verdict = Verdict.DOUBTFUL if is_code else Verdict.FINE
+    return Finding("missing-code", verdict, found, f"at most {CODED:.0%}", hint, option if is_code else "")
+
+
+def _known_ranges(seen: Seen) -> F32:
+    """Return some of the ranges of the sample, in the order of the stream."""
+    parts = [window.range_m.ravel() for window in seen.windows]
+    shots = np.concatenate(parts) if parts else np.empty(0, np.float32)
+    known: F32 = shots[np.isfinite(shots)]
+    return known[:: max(len(known) // MOST_COUNTED, 1)]
+
+
+def check_rounding(seen: Seen) -> Finding | None:
+    """Ask whether the ranges are finer than the thresholds of the methods."""
+    known = _known_ranges(seen).astype(np.float64)
+    if len(known) < LEAST_ROUNDED:
+        return None
+    steps = np.diff(np.unique(np.round(known, ROUNDED_DIGITS)))
+    steps = steps[steps > COARSE_M / 2]
+    # of ranges that are not rounded, hardly any two neighbours are that far apart
+    step = float(steps.min(initial=np.inf))
+    off = known / step - np.round(known / step)
+    is_rounded = np.isfinite(step) and float(np.mean(np.abs(off) < 0.02)) > ALL_ROUNDED
+    found = f"all ranges are multiples of {step:.3g} m" if is_rounded else "the ranges are finer than any threshold"
+    verdict = Verdict.DOUBTFUL if is_rounded and step > COARSE_M else Verdict.FINE
+    hint = "take the ranges from a file that was not rounded; check the scale of the layout"
+    return Finding("rounding", verdict, found, f"steps of at most {COARSE_M:g} m", hint)
+
+
+def check_ranges(seen: Seen) -> Finding | None:
+    """Ask whether the ranges are numbers that a scanner can measure."""
+    known = _known_ranges(seen)
+    if len(known) < LEAST_RECORDS:
+        return None
+    far, median = float(np.mean(known > FAR_M)), float(np.median(known))
+    found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
+    expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
+    hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
+    for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
+        if not LEAST_MEDIAN_M <= median <= HIGH_M and LEAST_MEDIAN_M <= scale * median <= HIGH_M:
+            hint = f"if they are {unit}: --set {KEY}={scale:g}; else {hint}"
+    if not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST:
+        return Finding("ranges", Verdict.AGAINST, found, expected, hint)
+    verdict = Verdict.DOUBTFUL if far > COUNTED or median > HIGH_M else Verdict.FINE
+    return Finding("ranges", verdict, found, expected, hint)
+
 
 CHECKS: tuple[Check, ...] = tuple(
     sorted((*INPUT_CHECKS, *GEOMETRY_CHECKS, *RESULT_CHECKS), key=lambda one: CHECK_NAMES.index(one.name))

@@ -70,7 +70,7 @@ def check_down(seen: Seen) -> Finding | None:
 
     >>> from dataclasses import replace
     >>> from prc_cli.core.stream import StreamInfo
-    >>> from prc_cli.streams.evidence.sample import Window
+    >>> from prc_cli.streams.evidence.figures import Window
     >>> beam = np.deg2rad(np.arange(-180.0, 180.0))
     >>> line = np.where(np.cos(beam) > 0.3, 2 / np.maximum(np.cos(beam), 0.3), np.nan).astype(np.float32)
     >>> window = Window(0, np.tile(line, (20, 1)))
@@ -143,7 +143,7 @@ def check_angle_step(seen: Seen) -> Finding | None:
     """Compare the angle between shots with the one that planes show; doubt a measured one that is uncertain.
 
     >>> from prc_cli.core.stream import StreamInfo
-    >>> from prc_cli.streams.evidence.sample import Window
+    >>> from prc_cli.streams.evidence.figures import Window
     >>> beam = np.deg2rad(np.arange(-60.0, 60.0, 0.25))
     >>> windows = (Window(0, np.tile(2 / np.cos(beam), (40, 1)).astype(np.float32)),)
     >>> info = StreamInfo("a.npy", "array", 480, None, None)

@@ -7,14 +7,198 @@ All that follows asks whether these neighbours are alike, as consecutive shots o
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 
+from prc_cli.core.files import open_to_read
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.types import F32
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F32, U64
+from prc_cli.formats.registry import is_dump
 from prc_cli.streams.evidence.estimates import WEAK_PERIOD, estimate_points_per_line
 from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold, lag_likeness, likeness
 from prc_cli.streams.evidence.seen import Seen
+
+COLUMNS = 64
+"""Columns that stand for a line, even over it."""
+LEAST_VALUES = 32
+"""Fewer ranges, or fewer different ones, do not stand for a line."""
+MOST_KEPT = 1 << 15
+"""Lines that are remembered; of longer streams only each second, fourth, ... as its digits say."""
+MOST_TIMES = 4
+"""Lines that are equal more often belong to a standing scanner without noise, as in a simulation."""
+LEAST_REPEATED = 8
+"""Fewer repeated lines are not told."""
+_ODD = np.random.default_rng(20).integers(0, 1 << 62, COLUMNS).astype(np.uint64) * np.uint64(2) + np.uint64(1)
+_MIX = np.uint64(0x9E3779B97F4A7C15)
+
+
+def digests(block: ScanBlock) -> U64:
+    """Return a number for every line that has enough ranges, equal for equal lines, (n,) uint64."""
+    step = max(block.points_per_line // COLUMNS, 1)
+    values = np.ascontiguousarray(block.range_m[:, : step * COLUMNS : step])
+    ordered = np.sort(values, axis=1)
+    different = np.count_nonzero(np.diff(ordered, axis=1) > 0, axis=1)  # NaN sorts last and is never greater
+    bits = values[different >= LEAST_VALUES - 1].view(np.uint32).astype(np.uint64)
+    found: U64 = (bits * _ODD[: bits.shape[1]]).sum(axis=1, dtype=np.uint64) + np.uint64(block.scanner)
+    found ^= found >> np.uint64(31)
+    found *= _MIX
+    found ^= found >> np.uint64(29)
+    return found
+
+
+class LineRepeats:
+    """Counts lines that come again, in bounded memory.
+
+    >>> repeats, lines = LineRepeats(), np.random.default_rng(1).random((40, 100), np.float32)
+    >>> repeats.add(ScanBlock(0, lines))
+    >>> repeats.add(ScanBlock(40, lines[:10]))
+    >>> repeats.n_repeated
+    10
+    """
+
+    def __init__(self) -> None:
+        self._times: dict[int, int] = {}
+        self._mask = 0
+
+    def add(self, block: ScanBlock) -> None:
+        """Take the next lines."""
+        if block.points_per_line < LEAST_VALUES:
+            return
+        found = digests(block)
+        for digest in found[found & np.uint64(self._mask) == 0].tolist():
+            self._times[digest] = self._times.get(digest, 0) + 1
+        while len(self._times) > MOST_KEPT:
+            self._mask = 2 * self._mask + 1
+            self._times = {digest: n for digest, n in self._times.items() if not digest & self._mask}
+
+    @property
+    def n_repeated(self) -> int:
+        """Estimated number of lines that had been there before."""
+        again = sum(n - 1 for n in self._times.values() if 1 < n <= MOST_TIMES)
+        return again * (self._mask + 1)
+
+
+def check_repeats(repeats: LineRepeats) -> Finding:
+    """Ask whether lines come twice."""
+    n = repeats.n_repeated
+    verdict = Verdict.DOUBTFUL if n >= LEAST_REPEATED else Verdict.FINE
+    found = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
+    hint = "leave out the part that is there twice"
+    return Finding("repeated-lines", verdict, found, f"fewer than {LEAST_REPEATED}", hint)
+
+
+MISREAD_CHECKS = ("ranges", "shot-order")
+"""Checks that a wrong reading fails."""
+SAMPLE_BYTES = 1 << 18
+"""Read from the middle, where a scanner surely stands in its scene."""
+TYPES = ("f4", "f8", "u2", "u4", "i4")
+SCALES_M = (1.0, 0.001, 0.01)
+"""Metres, millimetres, centimetres."""
+MEDIAN_M, USUAL_M, FARTHEST_M = 8.0, (0.5, 80.0), 5000.0
+"""The median range of streets and forests, about; that of any scan; the farthest range of any."""
+MOST_ODD = 0.01
+"""Share of numbers that are no range, nor stand for a missing one (0 or NaN)."""
+LEAST_RANGES = 2000
+READABLE = 0.1
+"""Likeness of neighbouring shots, as a share of that of random shots: at most 0.05 in all scans at hand."""
+MOST_HEADER_BYTES = 4096
+_SEED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One way to read the bytes of a dump of ranges."""
+
+    type: str
+    endian: str
+    header_bytes: int
+    scale: float
+    has_zeros: bool
+    """Whether zeros stand for missing shots."""
+
+    def options(self) -> str:
+        """Return what to type; what every dump is taken for is left out.
+
+        >>> Reading("f4", "big", 0, 1.0, False).options()
+        '--set layout.endian=big'
+        """
+        named = self.type != "f4" or self.scale != 1
+        scale = f",scale={self.scale:g}" if self.scale != 1 else ""
+        missing = ",missing=0" if self.has_zeros else ""
+        told = [f'\'layout.fields=[{{name="range",type="{self.type}"{scale}{missing}}}]\''] if named else []
+        told += [f"layout.endian={self.endian}"] if self.endian != "little" else []
+        told += [f"layout.header_bytes={self.header_bytes}"] if self.header_bytes else []
+        return " ".join(f"--set {one}" for one in told)
+
+
+def other_reading(path: Path, points_per_line: int | None = None) -> Reading | None:
+    """Find how the bytes of a dump make ranges of a scan."""
+    with open_to_read(path) as handle:
+        size = handle.seek(0, 2)
+        first = max(size // 2 - SAMPLE_BYTES // 2, 0) // 8 * 8
+        handle.seek(first)
+        data = handle.read(SAMPLE_BYTES + 8)
+    best, least = None, READABLE
+    for kind, endian in product(TYPES, ("little", "big")):
+        stored = np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
+        for phase in range(stored.itemsize):
+            values = np.frombuffer(data, stored, (len(data) - phase) // stored.itemsize, phase)
+            scale, share = _as_ranges(values)
+            if share < least:
+                header = _header_bytes(size, stored.itemsize, phase, points_per_line)
+                best, least = Reading(kind, endian, header, scale, bool((values == 0).any())), share
+    return best
+
+
+def _as_ranges(values: np.ndarray) -> tuple[float, float]:
+    """Return the unit in which numbers would be ranges, and how alike neighbours are beside random ones.
+
+    Likeness is infinite where the numbers are no ranges.
+    """
+    with np.errstate(all="ignore"):  # nearly every reading is wrong
+        numbers = values.astype(np.float64)
+        there = (numbers != 0) & ~np.isnan(numbers)
+        middle = float(np.median(numbers[there])) if there.any() else math.nan
+        if not 0 < middle < math.inf:
+            return 1.0, math.inf
+        scale = min(SCALES_M, key=lambda one: abs(math.log(one / MEDIAN_M) + math.log(middle)))
+        range_m: F32 = (numbers * scale).astype(np.float32)
+    good = there & (range_m > SMOOTH) & (range_m < FARTHEST_M)
+    n_good = np.count_nonzero(good)
+    is_odd = np.count_nonzero(there) - n_good > MOST_ODD * len(range_m)
+    if n_good < LEAST_RANGES or is_odd or not USUAL_M[0] <= scale * middle <= USUAL_M[1]:
+        return scale, math.inf
+    logs = np.log(np.where(good, range_m, np.float32(np.nan)))
+    known = logs[good]
+    random = likeness(known, np.random.default_rng(_SEED).permutation(known))
+    return scale, likeness(logs[:-1], logs[1:]) / random if random >= SMOOTH else math.inf
+
+
+def _header_bytes(size: int, item_bytes: int, phase: int, points_per_line: int | None) -> int:
+    """Return the bytes before the first whole line, if they can be a header; else those before the first number."""
+    if points_per_line is not None:
+        over = size % (item_bytes * points_per_line)
+        if over % item_bytes == phase and over <= MOST_HEADER_BYTES:
+            return over
+    return phase
+
+
+def with_other_reading(finding: Finding, path: str, points_per_line: int | None) -> Finding:
+    """Say in a finding against a dump how to read it, if there is a way."""
+    dump = Path(path)
+    if finding.verdict is not Verdict.AGAINST or finding.check not in MISREAD_CHECKS:
+        return finding
+    if not is_dump(dump) or not dump.is_file():
+        return finding
+    reading = other_reading(dump, points_per_line)
+    if reading is None or not reading.options():
+        return finding
+    return replace(finding, hint=f"its bytes are ranges of a scan with {reading.options()}", option=reading.options())
+
 
 LEAST_LINES = 24
 """Shorter streams are not judged."""

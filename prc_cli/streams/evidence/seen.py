@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from prc_cli.core.stream import ReadTally, StreamInfo
 from prc_cli.core.types import F64
-from prc_cli.streams.evidence.sample import Window
+from prc_cli.streams.evidence.figures import Window
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,8 @@ soon as the sample is full for the first time, and again at the end; outputs get
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -15,17 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.brief import Brief
-from prc_cli.core.findings import CHECK_NAMES, ORDER_CHECKS, Finding, accept, refuse
+from prc_cli.core.findings import CHECK_NAMES, ORDER_CHECKS, Finding, accept, doubts, refuse
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.writing.record import dropped_beside
-from prc_cli.streams.evidence.cells import check_thinned
-from prc_cli.streams.evidence.checks import ask_all
-from prc_cli.streams.evidence.lines import LEAST_LINES
-from prc_cli.streams.evidence.misread import with_other_reading
-from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats
-from prc_cli.streams.evidence.sample import LineSample
+from prc_cli.streams.evidence.checks import ask_all, check_thinned
+from prc_cli.streams.evidence.figures import LineSample
+from prc_cli.streams.evidence.lines import LEAST_LINES, LineRepeats, check_repeats, with_other_reading
 from prc_cli.streams.evidence.seen import Seen
 
 MAX_SCANNERS = 4
@@ -162,3 +160,56 @@ def watched(
     """Watch a stream; ``config`` says which findings the user accepts."""
     dropped = stream.info.facts.dropped or dropped_beside(Path(stream.info.path))
     return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m, dropped, others)
+
+
+class LiveEvidence:
+    """A stream without an end that is watched while its blocks pass, unchanged.
+
+    The checks are asked whenever the sample is full anew, which is each time that the stream is twice as long, and at
+    the end. What they find is raised, or told, with the next block.
+    """
+
+    def __init__(self, watch: EvidenceStream, tell: Callable[[Finding], None]) -> None:
+        self._watch = watch
+        self._tell = tell
+        self._told: set[str] = set()
+        self._worst: dict[str, Finding] = {}
+
+    @property
+    def info(self) -> StreamInfo:
+        """Metadata of the stream."""
+        return self._watch.info
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
+        n_asked = 0
+        asked: Future[tuple[Finding, ...]] | None = None
+        with ThreadPoolExecutor(1, thread_name_prefix="evidence") as beside:
+            for block in self._watch.source.blocks():
+                if asked is not None and asked.done():
+                    self.hear(asked.result())
+                    asked = None
+                n_full = self._watch.see(block)
+                if n_full > n_asked and asked is None:
+                    n_asked, asked = n_full, beside.submit(self._watch.question(is_whole=False))
+                yield block
+            if asked is not None:
+                self.hear(asked.result())
+        self.hear(self._watch.question(is_whole=True)())
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the worst answer of every check so far: what was labelled in doubt stays doubtful."""
+        return tuple(self._worst.values())
+
+    def hear(self, findings: Iterable[Finding]) -> None:
+        """Take answers, also those of other checks: refuse, keep and tell them."""
+        found = accept(findings, self._watch.accepted)
+        refuse(self.info.path, found)
+        for finding in found:
+            known = self._worst.get(finding.check)
+            if known is None or finding.verdict >= known.verdict:
+                self._worst[finding.check] = finding
+        for doubt in doubts(found):
+            if doubt.check not in self._told:
+                self._told.add(doubt.check)
+                self._tell(doubt)

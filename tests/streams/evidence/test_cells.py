@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import Assumption, ReadTally, StreamInfo
 from prc_cli.core.types import F32
-from prc_cli.streams.evidence.cells import (
+from prc_cli.streams.evidence.checks import (
     _known_ranges,
     check_collisions,
     check_left_out,
@@ -22,7 +22,7 @@ from prc_cli.streams.evidence.cells import (
     check_rounding,
     check_unplaced,
 )
-from prc_cli.streams.evidence.sample import Window
+from prc_cli.streams.evidence.figures import Window
 from prc_cli.streams.evidence.seen import Seen
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST

@@ -9,8 +9,7 @@ import pytest
 
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.evidence import figures
-from prc_cli.streams.evidence.figures import Turned, figures_of, fold, likeness, most_turned, pieces, spread
-from prc_cli.streams.evidence.sample import Window
+from prc_cli.streams.evidence.figures import Turned, Window, figures_of, fold, likeness, most_turned, pieces, spread
 
 
 def rough(n_lines: int, m: int, seed: int = 3, gone: float = 0.1) -> F32:

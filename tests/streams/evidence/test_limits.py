@@ -13,7 +13,7 @@ from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.streams.evidence import lines
 from prc_cli.streams.evidence.estimates import PeriodEstimate
-from prc_cli.streams.evidence.figures import Figures, Turned, figures_of
+from prc_cli.streams.evidence.figures import Figures, LineSample, Turned, Window, figures_of
 from prc_cli.streams.evidence.lines import (
     check_columns_along,
     check_dropouts,
@@ -23,7 +23,6 @@ from prc_cli.streams.evidence.lines import (
     check_shot_order,
     is_shifted,
 )
-from prc_cli.streams.evidence.sample import LineSample, Window
 from prc_cli.streams.evidence.seen import Seen
 from tests.street import street
 

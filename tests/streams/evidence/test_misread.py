@@ -9,7 +9,7 @@ import pytest
 
 from prc_cli.cli import main
 from prc_cli.core.types import F32
-from prc_cli.streams.evidence.misread import Reading, other_reading
+from prc_cli.streams.evidence.lines import Reading, other_reading
 
 M, LINES = 1000, 200
 

@@ -15,7 +15,8 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence import estimates, repeats
+from prc_cli.streams.evidence import estimates
+from prc_cli.streams.evidence import lines as repeats
 from prc_cli.streams.evidence.checks import CHECKS
 from prc_cli.streams.evidence.estimates import (
     RangeCorrelation,
@@ -23,12 +24,11 @@ from prc_cli.streams.evidence.estimates import (
     estimate_points_per_line,
     range_correlation,
 )
-from prc_cli.streams.evidence.live import LiveEvidence
-from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats, digests
+from prc_cli.streams.evidence.figures import LineSample, lines_of_window
+from prc_cli.streams.evidence.lines import LineRepeats, check_repeats, digests
 from prc_cli.streams.evidence.result import ResultWatch
-from prc_cli.streams.evidence.sample import LineSample, lines_of_window
 from prc_cli.streams.evidence.seen import Seen
-from prc_cli.streams.evidence.watch import EvidenceStream
+from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
 
 
 @pytest.mark.parametrize(
