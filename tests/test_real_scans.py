@@ -15,6 +15,8 @@ from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.info import inspect
+from prc_cli.methods.fused import pipeline
+from prc_cli.methods.fused.thresholds import STREET
 from tests.profiler import (
     JAKARTO_M,
     jakarto,
@@ -157,11 +159,13 @@ def test_the_mobile_file_is_accepted_sorted_by_time(real_data: Path, tmp_path: P
         assert not found.order.is_chronological
 
 
-def test_trees_four_metres_away_are_no_walls(real_data: Path, tmp_path: Path) -> None:
-    source, shares = real_data / "forest" / "tls_park.npz", []
-    for name, options in (("as is", {}), ("next", {"fused": {"smoothness": {"apart_m": 0}}})):
+def test_trees_four_metres_away_are_no_walls(real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, shares, smooth = real_data / "forest" / "tls_park.npz", [], STREET.smoothness
+    next_one = smooth._replace(pairs=smooth.pairs._replace(apart_m=np.float32(0)))
+    for name, limits in (("as is", STREET), ("next", STREET._replace(smoothness=next_one))):
+        monkeypatch.setattr(pipeline, "STREET", limits)
         output = tmp_path / f"{name}.npy"
-        classify(source, output, load_config(preset="fused", options=options))
+        classify(source, output, load_config(preset="fused"))
         codes = np.load(output)
         shares.append(float((codes == 6).sum() / (codes > 0).sum()))
     assert shares[0] < 0.15

@@ -22,7 +22,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from prc_cli.core import limits
+from prc_cli.core import process as limits
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import cache_folder
 from prc_cli.kernels import load_kernels

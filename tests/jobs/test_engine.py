@@ -119,12 +119,12 @@ def test_a_compiled_run_after_a_reference_run_is_compiled(tmp_path: Path) -> Non
     with kernels.use_engine("reference"):
         plain = kernels.support_mask
     assert plain.__module__.startswith("prc_cli.reference")
-    assert kernels.support_mask.__module__.startswith("prc_cli.kernels")
+    assert kernels.support_mask.__module__.startswith("prc_cli.methods")
     summary = classify(source, tmp_path / "compiled.npy")
     assert "engine" not in summary.record.as_dict()
     with pytest.raises(ConfigError):  # a run that fails leaves it as it was, too
         classify(source, tmp_path / "fused.npy", load_config(preset="fused"), engine="reference")
-    assert kernels.support_mask.__module__.startswith("prc_cli.kernels")
+    assert kernels.support_mask.__module__.startswith("prc_cli.methods")
 
 
 def test_fused_is_refused_before_anything_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

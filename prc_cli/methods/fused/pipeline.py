@@ -301,7 +301,6 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
 
     >>> from prc_cli.methods.base import OneByOne
     >>> from prc_cli.core.classes import Label
-    from prc_cli.core.config import Params
     >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
     >>> lines = np.tile(2.0 / np.cos(beam), (8, 1)).astype(np.float32)
     >>> lines[4, 100] = 1.0
