@@ -24,15 +24,16 @@ from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import Contents, DerivedSource, RecordChunk, RecordSource, watched_contents
 from prc_cli.jobs.choice import decide_and_open
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.evidence.estimates import (
+from prc_cli.streams.evidence.periods import (
     PeriodEstimate,
     RangeCorrelation,
+    TimedScan,
     estimate_line_frequency,
     estimate_points_per_line,
     first_times,
+    measure_rates,
     range_correlation,
 )
-from prc_cli.streams.evidence.rates import TimedScan, measure_rates
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import open_input

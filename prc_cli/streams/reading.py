@@ -12,7 +12,7 @@ from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.stream import ReadTally
 from prc_cli.core.types import F32
 from prc_cli.formats.records import RecordChunk, RecordSource
-from prc_cli.streams.evidence.estimates import MAX_SHOTS, WEAK_PERIOD, estimate_points_per_line
+from prc_cli.streams.evidence.periods import MAX_SHOTS, WEAK_PERIOD, estimate_points_per_line
 from prc_cli.streams.lines import FixedLines
 from prc_cli.streams.order import OrderWatch, Policy
 from prc_cli.streams.rules import GridRules

@@ -18,7 +18,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.down import wrap
-from prc_cli.streams.evidence.rates import TimedScan, measure_sweeps
+from prc_cli.streams.evidence.periods import TimedScan, measure_sweeps
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.ranges import XYZ, RangeRule, measure_ranges, open_ranges
 from prc_cli.streams.rules import only_times_tell

@@ -15,7 +15,7 @@ import pytest
 from prc_cli.cli import main, report
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.demo import DemoResult
-from prc_cli.streams.evidence.estimates import PeriodEstimate
+from prc_cli.streams.evidence.periods import PeriodEstimate
 from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_endless, write_npz, write_raw

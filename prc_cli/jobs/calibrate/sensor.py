@@ -15,8 +15,8 @@ from scipy.optimize import nnls
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.streams.angle_step import measure_step
-from prc_cli.streams.evidence.estimates import estimate_line_frequency, first_times
 from prc_cli.streams.evidence.figures import LineSample
+from prc_cli.streams.evidence.periods import estimate_line_frequency, first_times
 
 STRETCH = 9
 """Successive shots in a stretch that is tested for flatness."""

@@ -18,8 +18,8 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, U64
 from prc_cli.formats.registry import is_dump
-from prc_cli.streams.evidence.estimates import WEAK_PERIOD, estimate_points_per_line
 from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold, lag_likeness, likeness
+from prc_cli.streams.evidence.periods import WEAK_PERIOD, estimate_points_per_line
 from prc_cli.streams.evidence.seen import Seen
 
 COLUMNS = 64

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.streams.evidence.estimates import (
+from prc_cli.streams.evidence.periods import (
     WEAK,
     RangeCorrelation,
     estimate_line_frequency,

@@ -12,7 +12,6 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.streams.evidence import lines
-from prc_cli.streams.evidence.estimates import PeriodEstimate
 from prc_cli.streams.evidence.figures import Figures, LineSample, Turned, Window, figures_of
 from prc_cli.streams.evidence.lines import (
     check_columns_along,
@@ -23,6 +22,7 @@ from prc_cli.streams.evidence.lines import (
     check_shot_order,
     is_shifted,
 )
+from prc_cli.streams.evidence.periods import PeriodEstimate
 from prc_cli.streams.evidence.seen import Seen
 from tests.street import street
 

@@ -11,7 +11,7 @@ import pytest
 from prc_cli.config import LoadedConfig, RunConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.jobs.info import inspect
-from prc_cli.streams.evidence.rates import measure_rates, measure_sweeps
+from prc_cli.streams.evidence.periods import measure_rates, measure_sweeps
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array
 

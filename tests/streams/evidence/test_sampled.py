@@ -15,17 +15,17 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence import estimates
 from prc_cli.streams.evidence import lines as repeats
+from prc_cli.streams.evidence import periods as estimates
 from prc_cli.streams.evidence.checks import CHECKS
-from prc_cli.streams.evidence.estimates import (
+from prc_cli.streams.evidence.figures import LineSample, lines_of_window
+from prc_cli.streams.evidence.lines import LineRepeats, check_repeats, digests
+from prc_cli.streams.evidence.periods import (
     RangeCorrelation,
     estimate_line_frequency,
     estimate_points_per_line,
     range_correlation,
 )
-from prc_cli.streams.evidence.figures import LineSample, lines_of_window
-from prc_cli.streams.evidence.lines import LineRepeats, check_repeats, digests
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.seen import Seen
 from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
@@ -240,7 +240,7 @@ def test_autocorrelation_equals_a_plain_one() -> None:
     rng = np.random.default_rng(2)
     valid = (rng.random(90) < 0.7).astype(np.float64)
     signal = np.where(valid, rng.normal(size=90), 0.0)
-    found = estimates._autocorrelation(signal, valid, 60)
+    found = estimates._autocorrelation(signal, 60, valid)
     np.testing.assert_allclose(found, [slow_correlation(signal, valid, lag) for lag in range(61)], atol=1e-9)
     assert found.shape == (61,)
 
