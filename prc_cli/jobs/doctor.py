@@ -20,8 +20,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from prc_cli import __version__
 from prc_cli.core.errors import PrcError
@@ -76,6 +77,18 @@ class Check:
     """The same as plain values."""
 
 
+Fault: TypeAlias = tuple[object, Status, str, str]
+"""Whether something is wrong, how bad that is, what it adds to what was found, and what to do."""
+
+
+def _judge(name: str, text: str, details: Mapping[str, Any], *faults: Fault) -> Check:
+    """Return a check with the first thing that is wrong, if any."""
+    for applies, status, more, hint in faults:
+        if applies:
+            return Check(name, status, text + more, hint, details)
+    return Check(name, "ok", text, "", details)
+
+
 def examine(out: Path | None = None, *, run: bool = True) -> Iterator[Check]:
     """Run all checks, one after the other."""
     checks: list[tuple[str, Callable[[], Iterator[Check]]]] = [
@@ -107,47 +120,84 @@ def _broken(name: str, error: Exception) -> Check:
     if isinstance(error, ImportError):
         hint = "install what it names anew: pip install --force-reinstall PACKAGE"
         return Check(name, "bad", f"cannot be loaded ({error})", hint)
-    hint = "report it with the output of prc doctor --json"
-    return Check(name, "bad", f"{type(error).__name__}: {error}", hint)
+    return Check(name, "bad", f"{type(error).__name__}: {error}", "report it with the output of prc doctor --json")
 
 
 def _python() -> Iterator[Check]:
-    found = platform.python_version()
+    found, encoding = platform.python_version(), sys.getfilesystemencoding()
     details = {"version": found, "executable": sys.executable, "platform": platform.platform(), "prc": __version__}
-    needed = _metadata_value("Requires-Python")
-    text = f"prc {__version__}, Python {found} on {platform.system()} {platform.machine()}"
-    lower = re.search(r">=\s*([0-9.]+)", needed)
-    if lower is not None and _release(found) < _release(lower[1]):
-        yield Check("python", "bad", f"{text}, expected Python {needed}", "install a newer Python", details)
-        return
-    if sys.getfilesystemencoding().lower() != "utf-8":
-        hint = "set PYTHONUTF8=1, so that names are printed as they are"
-        yield Check("python", "warn", f"{text}; file names are {sys.getfilesystemencoding()}", hint, details)
-        return
-    yield Check("python", "ok", text, "", details)
+    needed = ""
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        needed = ", ".join(metadata.metadata(DISTRIBUTION).get_all("Requires-Python") or [])
+    yield _judge(
+        "python", f"prc {__version__}, Python {found} on {platform.system()} {platform.machine()}", details,
+        (not _is_met(found, needed), "bad", f", expected Python {needed}", "install a newer Python"),
+        (
+            encoding.lower() != "utf-8", "warn", f"; file names are {encoding}",
+            "set PYTHONUTF8=1, so that names are printed as they are",
+        ),
+    )  # fmt: skip
+
+
+def _is_met(found: str, needed: str) -> bool:
+    """Tell whether a version is at least as new as needed; candidates of a release count as it."""
+    from packaging.specifiers import SpecifierSet
+    from packaging.version import Version
+
+    return bool(found) and SpecifierSet(needed).contains(Version(found).base_version)
+
+
+@dataclass(frozen=True, slots=True)
+class _Requirement:
+    name: str
+    needed: str
+    extra: str
+    found: str
+    """Installed version, empty if none."""
+
+    @property
+    def is_met(self) -> bool:
+        return _is_met(self.found, self.needed)
+
+    @property
+    def at_least(self) -> str:
+        return self.needed.rpartition(">=")[2] or "0"
+
+
+def _requirements() -> list[_Requirement]:
+    """Return what the distribution's metadata ask for; nothing where there are none."""
+    from packaging.requirements import Requirement
+
+    found = []
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        for text in metadata.requires(DISTRIBUTION) or []:
+            one, version = Requirement(text), ""
+            extra = re.search(r"extra == \"([^\"]+)", str(one.marker or ""))
+            with contextlib.suppress(metadata.PackageNotFoundError):
+                version = metadata.version(one.name)
+            found.append(_Requirement(one.name, str(one.specifier), extra[1] if extra else "", version))
+    return found
 
 
 def _packages() -> Iterator[Check]:
     """Compare installed versions with the lower bounds in the distribution's metadata."""
     required = [item for item in _requirements() if not item.extra]
+    old = [item for item in required if not item.is_met]
+    broken = {} if old else _broken_packages([item.name for item in required])
+    details = {item.name: {"found": item.found, "at_least": item.at_least} for item in required}
+    told = ", ".join(f"{item.name} {item.found}" for item in required)
     if not required:
         hint = "install it, so that its dependencies are known: pip install prc-cli"
         yield Check("packages", "warn", f"no metadata of {DISTRIBUTION}: run from a source tree", hint)
-        return
-    old = [item for item in required if not item.is_met]
-    details = {item.name: {"found": item.found, "at_least": item.at_least} for item in required}
-    if old:
+    elif old:
         told = ", ".join(f"{item.name} {item.found or 'missing'} (expected {item.at_least} or newer)" for item in old)
         wanted = " ".join(f"'{item.name}>={item.at_least}'" for item in old)
         yield Check("packages", "bad", told, f"pip install {wanted}", details)
-        return
-    broken = _broken_packages([item.name for item in required])
-    if broken:
+    elif broken:
         told = ", ".join(f"{name} cannot be loaded ({why})" for name, why in broken.items())
         yield Check("packages", "bad", told, f"pip install --force-reinstall {' '.join(broken)}", details)
-        return
-    told = ", ".join(f"{item.name} {item.found}" for item in required)
-    yield Check("packages", "ok", told, "", details)
+    else:
+        yield Check("packages", "ok", told, "", details)
 
 
 def _broken_packages(names: Iterable[str]) -> dict[str, str]:
@@ -173,75 +223,22 @@ def _broken_packages(names: Iterable[str]) -> dict[str, str]:
 
 def _extras() -> Iterator[Check]:
     """Report which optional parts are installed."""
-    by_extra: dict[str, list[_Requirement]] = {}
-    for item in _requirements():
-        if item.extra and item.extra not in DEVELOPERS:
-            by_extra.setdefault(item.extra, []).append(item)
-    if not by_extra:
-        return
+    required = sorted(_requirements(), key=lambda item: item.extra)
     told, details, old = [], {}, []
-    for extra, items in sorted(by_extra.items()):
+    for extra, group in groupby((one for one in required if one.extra), key=lambda item: item.extra):
+        if extra in DEVELOPERS:
+            continue
+        items = list(group)
         details[extra] = {item.name: item.found for item in items}
         old += [item for item in items if item.found and not item.is_met]
-        absent = [item.name for item in items if not item.found]
         versions = ", ".join(f"{item.name} {item.found}" for item in items)
-        told.append(f"{extra}: no (pip install '{DISTRIBUTION}[{extra}]')" if absent else f"{extra}: {versions}")
+        is_whole = all(item.found for item in items)
+        told.append(f"{extra}: {versions}" if is_whole else f"{extra}: no (pip install '{DISTRIBUTION}[{extra}]')")
     if old:
         problem = ", ".join(f"{item.name} {item.found} (expected {item.at_least} or newer)" for item in old)
         yield Check("extras", "warn", problem, f"pip install -U {' '.join(item.name for item in old)}", details)
-        return
-    yield Check("extras", "ok", "; ".join(told), "", details)
-
-
-@dataclass(frozen=True, slots=True)
-class _Requirement:
-    name: str
-    at_least: str
-    extra: str
-    found: str
-    """Installed version, empty if none."""
-
-    @property
-    def is_met(self) -> bool:
-        return bool(self.found) and _release(self.found) >= _release(self.at_least)
-
-
-def _requirements() -> list[_Requirement]:
-    try:
-        texts = metadata.requires(DISTRIBUTION) or []
-    except metadata.PackageNotFoundError:
-        return []
-    found = []
-    for text in texts:
-        head, _, marker = text.partition(";")
-        name = re.match(r"[A-Za-z0-9_.-]+", head)
-        extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)", marker)
-        bound = re.search(r">=\s*([0-9][^,;\s)]*)", head)
-        if name is None:
-            continue
-        try:
-            version = metadata.version(name[0])
-        except metadata.PackageNotFoundError:
-            version = ""
-        found.append(
-            _Requirement(name[0], "0" if bound is None else bound[1], "" if extra is None else extra[1], version)
-        )
-    return found
-
-
-def _metadata_value(key: str) -> str:
-    try:
-        return ", ".join(metadata.metadata(DISTRIBUTION).get_all(key) or [])
-    except metadata.PackageNotFoundError:
-        return ""
-
-
-def _release(version: str) -> tuple[int, ...]:
-    """Return the numbers of a version, without trailing zeros and suffixes (rc1, .dev0)."""
-    numbers = [int(part) for part in re.findall(r"\d+", re.match(r"[\d.]*", version.split("+")[0])[0])]  # type: ignore[index]
-    while numbers and not numbers[-1]:
-        numbers.pop()
-    return tuple(numbers)
+    elif told:
+        yield Check("extras", "ok", "; ".join(told), "", details)
 
 
 def _laz() -> Iterator[Check]:
@@ -263,25 +260,21 @@ def _processor() -> Iterator[Check]:
     found, usable, all_cores = about(), default_threads(), os.cpu_count() or 1
     features = ", ".join(found.features) or "no vector instructions"
     cores = f"{usable} of {all_cores} cores" if usable < all_cores else f"{usable} cores"
-    text = f"{cores}, {found.processor} ({features})"
     details = {"cores": usable, "of": all_cores, "processor": found.processor, "features": list(found.features)}
-    if not found.compiles:
-        hint = "unset NUMBA_DISABLE_JIT: loops run a hundred times slower"
-        yield Check("processor", "bad", f"{text}; compiling is turned off", hint, details)
-        return
-    load = _load()
-    if load is not None and load > 2 * all_cores:
-        hint = "wait, or take fewer files at a time with --jobs"
-        yield Check("processor", "warn", f"{text}; {load:.0f} processes want them", hint, details)
-        return
-    yield Check("processor", "ok", text, "", details)
-
-
-def _load() -> float | None:
-    try:
-        return os.getloadavg()[0]
-    except (OSError, AttributeError):  # not on this system
-        return None
+    load = 0.0
+    with contextlib.suppress(OSError, AttributeError):  # not on this system
+        load = os.getloadavg()[0]
+    yield _judge(
+        "processor", f"{cores}, {found.processor} ({features})", details,
+        (
+            not found.compiles, "bad", "; compiling is turned off",
+            "unset NUMBA_DISABLE_JIT: loops run a hundred times slower",
+        ),
+        (
+            load > 2 * all_cores, "warn", f"; {load:.0f} processes want them",
+            "wait, or take fewer files at a time with --jobs",
+        ),
+    )  # fmt: skip
 
 
 def _cache() -> Iterator[Check]:
@@ -291,46 +284,40 @@ def _cache() -> Iterator[Check]:
     from prc_cli.kernels.compiling import cache_state
 
     found = cache_state()
+    folder, temporary = found.folder, Path(tempfile.gettempdir()).resolve()
     details = {
-        "folder": None if found.folder is None else str(found.folder),
-        "bytes": found.n_bytes,
-        "compiled": found.n_compiled,
+        "folder": None if folder is None else str(folder), "bytes": found.n_bytes, "compiled": found.n_compiled,
         "modules": found.n_modules,
-    }
-    if found.folder is None:
+    }  # fmt: skip
+    if folder is None:
         hint = "set NUMBA_CACHE_DIR to a folder that this user can write: else every run compiles for half a minute"
         yield Check("compiled loops", "warn", "no folder to keep them can be written", hint, details)
         return
-    free = shutil.disk_usage(found.folder).free
-    text = f"{found.n_compiled} of {found.n_modules} modules compiled, {_size(found.n_bytes)} in {found.folder}"
-    if free < CACHE_BYTES:
-        hint = "free space, or set NUMBA_CACHE_DIR to a folder on another disk"
-        yield Check("compiled loops", "warn", f"{text}, {_size(free)} free", hint, details)
-    elif not os.environ.get("NUMBA_CACHE_DIR") and _is_within(found.folder, Path(tempfile.gettempdir())):
-        hint = "set HOME, XDG_CACHE_HOME or NUMBA_CACHE_DIR: temporary folders are emptied"
-        yield Check("compiled loops", "warn", text, hint, details)
-    else:
-        yield Check("compiled loops", "ok", text, "", details)
-
-
-def _is_within(path: Path, folder: Path) -> bool:
-    return path.resolve().is_relative_to(folder.resolve())
+    free = shutil.disk_usage(folder).free
+    is_lost = not os.environ.get("NUMBA_CACHE_DIR") and folder.resolve().is_relative_to(temporary)
+    text = f"{found.n_compiled} of {found.n_modules} modules compiled, {_size(found.n_bytes)} in {folder}"
+    yield _judge(
+        "compiled loops", text, details,
+        (
+            free < CACHE_BYTES, "warn", f", {_size(free)} free",
+            "free space, or set NUMBA_CACHE_DIR to a folder on another disk",
+        ),
+        (is_lost, "warn", "", "set HOME, XDG_CACHE_HOME or NUMBA_CACHE_DIR: temporary folders are emptied"),
+    )  # fmt: skip
 
 
 def _memory() -> Iterator[Check]:
-    free = _free_memory()
+    free, cores = _free_memory(), default_threads()
     if free is None:
         return
-    cores = default_threads()
-    text = f"{_size(free)} free for {cores} cores"
-    details = {"free_bytes": free}
-    if free < MEMORY_BYTES:
-        yield Check("memory", "bad", text, "end other programs, or give the container more", details)
-    elif free < cores * MEMORY_BYTES:
-        hint = f"take at most {max(1, free // MEMORY_BYTES)} files at a time with --jobs"
-        yield Check("memory", "warn", text, hint, details)
-    else:
-        yield Check("memory", "ok", text, "", details)
+    yield _judge(
+        "memory", f"{_size(free)} free for {cores} cores", {"free_bytes": free},
+        (free < MEMORY_BYTES, "bad", "", "end other programs, or give the container more"),
+        (
+            free < cores * MEMORY_BYTES, "warn", "",
+            f"take at most {max(1, free // MEMORY_BYTES)} files at a time with --jobs",
+        ),
+    )  # fmt: skip
 
 
 def _free_memory() -> int | None:
@@ -353,21 +340,21 @@ def _free_memory() -> int | None:
 
 
 def _temporary() -> Iterator[Check]:
-    folder = Path(tempfile.gettempdir())
+    folder, given = Path(tempfile.gettempdir()), os.environ.get("TMPDIR")
     free = shutil.disk_usage(folder).free
-    details = {"folder": str(folder), "free_bytes": free}
     with tempfile.TemporaryFile(dir=folder) as handle:
         handle.write(b"x")
-    text = f"{_size(free)} free in {folder}"
-    given = os.environ.get("TMPDIR")
-    if given and Path(given) != folder:
-        hint = f"make the folder, or let TMPDIR name another: mkdir -p {given}"
-        yield Check("temporary files", "warn", f"{text}, since TMPDIR={given} cannot be used", hint, details)
-    elif free < DISK_BYTES:
-        hint = "set TMPDIR to a folder on a larger disk: --sort-by-time and --match sort there"
-        yield Check("temporary files", "warn", text, hint, details)
-    else:
-        yield Check("temporary files", "ok", text, "", details)
+    yield _judge(
+        "temporary files", f"{_size(free)} free in {folder}", {"folder": str(folder), "free_bytes": free},
+        (
+            given and Path(given) != folder, "warn", f", since TMPDIR={given} cannot be used",
+            f"make the folder, or let TMPDIR name another: mkdir -p {given}",
+        ),
+        (
+            free < DISK_BYTES, "warn", "",
+            "set TMPDIR to a folder on a larger disk: --sort-by-time and --match sort there",
+        ),
+    )  # fmt: skip
 
 
 def _output(out: Path) -> Iterator[Check]:
@@ -384,12 +371,17 @@ def _output(out: Path) -> Iterator[Check]:
     try:
         trial = Path(tempfile.mkdtemp(prefix=".prc-doctor-", dir=folder))
     except OSError as error:
-        yield Check(
-            name, "bad", f"cannot be written ({error.strerror or error})", "change its permissions, or choose another"
-        )
+        problem = f"cannot be written ({error.strerror or error})"
+        yield Check(name, "bad", problem, "change its permissions, or choose another")
         return
     try:
-        yield _space(out, folder)
+        free, kind = shutil.disk_usage(folder).free, file_system(folder)
+        is_new = "" if folder == out else f" ({folder}; it is new)"
+        yield _judge(
+            "output disk", f"{_size(free)} free on {kind or 'an unknown file system'}{is_new}",
+            {"folder": str(folder), "free_bytes": free, "file_system": kind},
+            (free < DISK_BYTES, "warn", "", "free space: see the disk budget in the page on operations"),
+        )  # fmt: skip
         yield _links(trial)
         yield _sqlite(trial)
         yield _names(trial)
@@ -404,79 +396,65 @@ def _runs(folder: Path) -> Check:
     from prc_cli.jobs.batch.journal import read_entries
     from prc_cli.jobs.batch.lock import holders
 
-    name = "earlier runs"
-    entries, owners = read_entries(folder), holders(folder)
+    entries = read_entries(folder)
+    at_work = [str(item.owner) for item in holders(folder) if item.alive]
     states = Counter(entry.state for entry in entries)
     versions = sorted({entry.version for entry in entries})
     text = ", ".join(f"{count:,} {state}" for state, count in sorted(states.items())) or "no files"
-    details = {
-        "files": dict(states),
-        "versions": versions,
-        "at_work": [str(item.owner) for item in owners if item.alive],
-    }
-    for found in owners:
-        if found.alive:
-            return Check(name, "ok", f"{text}; at work: {found.owner}", "", details)
-    if set(versions) - {__version__}:
-        hint = "they are done again; --keep-version leaves them, see the page on operations"
-        return Check(name, "warn", f"{text}; some by version {', '.join(versions)}", hint, details)
-    return Check(name, "ok", text, "", details)
-
-
-def _space(out: Path, folder: Path) -> Check:
-    free, kind = shutil.disk_usage(folder).free, file_system(folder)
-    text = f"{_size(free)} free on {kind or 'an unknown file system'}" + (
-        "" if folder == out else f" ({folder}; it is new)"
-    )
-    details = {"folder": str(folder), "free_bytes": free, "file_system": kind}
-    if free < DISK_BYTES:
-        return Check("output disk", "warn", text, "free space: see the disk budget in the page on operations", details)
-    return Check("output disk", "ok", text, "", details)
+    details = {"files": dict(states), "versions": versions, "at_work": at_work}
+    if at_work:
+        return Check("earlier runs", "ok", f"{text}; at work: {at_work[0]}", "", details)
+    hint = "they are done again; --keep-version leaves them, see the page on operations"
+    other = set(versions) - {__version__}
+    return _judge("earlier runs", text, details, (other, "warn", f"; some by version {', '.join(versions)}", hint))
 
 
 def _links(trial: Path) -> Check:
     """Try the file operations that the lock of a batch run and atomic outputs use."""
     from prc_cli.jobs.batch.lock import has_locks
 
-    name = "locks in it"
-    first, second = trial / "first", trial / "second"
+    first, second, third = trial / "first", trial / "second", trial / "third"
     before = time.time()
     with first.open("xb") as handle:
         handle.write(b"x")
         handle.flush()
         os.fsync(handle.fileno())
     clock_s = first.stat().st_mtime - before
-    try:
+    linked, is_made_anew = False, False
+    with contextlib.suppress(OSError):
         os.link(first, second)
         linked = True
-    except OSError:
-        linked = False
-    try:
+    with contextlib.suppress(FileExistsError):
         first.open("xb").close()
-    except FileExistsError:
-        pass
-    else:
-        return Check(name, "bad", "a file that exists could be created anew", "use another disk: two runs could meet")
-    third = trial / "third"
+        is_made_anew = True
     third.write_bytes(b"y")
     third.replace(first)
-    if third.exists() or first.read_bytes() != b"y" or (linked and second.read_bytes() != b"x"):
-        return Check(name, "bad", "a file did not replace another one whole", "use another disk for outputs")
+    is_whole = not third.exists() and first.read_bytes() == b"y" and (not linked or second.read_bytes() == b"x")
     locks = has_locks(trial)
     details = {"locks": locks, "hard_links": linked, "clock_s": round(clock_s, 3)}
-    if not locks:
-        hint = "prc batch refuses it: choose another disk; Lustre: mount it with -o flock"
-        return Check(name, "bad", "the file system has no file locks", hint, details)
-    if abs(clock_s) > CLOCK_S:
-        text = f"exclusive files and renaming work; the clock of the file server is {clock_s:+.0f} s off"
-        return Check(name, "warn", text, "let both keep time with NTP: --since and changed inputs go by it", details)
-    return Check(name, "ok", f"locks, exclusive files, renaming{' and hard links' * linked} work", "", details)
+    faults: tuple[Fault, ...] = (
+        (
+            is_made_anew, "bad", "a file that exists could be created anew",
+            "use another disk: two runs could meet",
+        ),
+        (not is_whole, "bad", "a file did not replace another one whole", "use another disk for outputs"),
+        (
+            not locks, "bad", "the file system has no file locks",
+            "prc batch refuses it: choose another disk; Lustre: mount it with -o flock",
+        ),
+        (
+            abs(clock_s) > CLOCK_S, "warn",
+            f"exclusive files and renaming work; the clock of the file server is {clock_s:+.0f} s off",
+            "let both keep time with NTP: --since and changed inputs go by it",
+        ),
+        (True, "ok", f"locks, exclusive files, renaming{' and hard links' * linked} work", ""),
+    )  # fmt: skip
+    return _judge("locks in it", "", details, *faults)
 
 
 def _sqlite(trial: Path) -> Check:
     """Write like the journal, while a second connection reads."""
-    name, path = "journal in it", trial / "journal.sqlite"
-    kind = file_system(trial)
+    path, kind = trial / "journal.sqlite", file_system(trial)
     with contextlib.closing(sqlite3.connect(path, timeout=2.0, isolation_level=None)) as one:
         one.execute("PRAGMA synchronous=EXTRA")
         one.execute("CREATE TABLE trial (n INTEGER)")
@@ -485,48 +463,42 @@ def _sqlite(trial: Path) -> Check:
         one.execute("COMMIT")
         with contextlib.closing(sqlite3.connect(path, timeout=2.0)) as other:
             n = other.execute("SELECT count(*) FROM trial").fetchone()[0]
-    details = {"sqlite": sqlite3.sqlite_version, "file_system": kind}
-    text = f"SQLite {sqlite3.sqlite_version}"
-    if n != 1:
-        return Check(
-            name, "bad", f"{text}: what was written was not read back", "use another disk for outputs", details
-        )
-    if kind.startswith(_NETWORK):
-        hint = "several machines may share it with --shard i/n, which gives each a journal of its own"
-        return Check(name, "warn", f"{text} on {kind}, which is a network's", hint, details)
-    return Check(name, "ok", text, "", details)
+    return _judge(
+        "journal in it", f"SQLite {sqlite3.sqlite_version}",
+        {"sqlite": sqlite3.sqlite_version, "file_system": kind},
+        (n != 1, "bad", ": what was written was not read back", "use another disk for outputs"),
+        (
+            kind.startswith(_NETWORK), "warn", f" on {kind}, which is a network's",
+            "several machines may share it with --shard i/n, which gives each a journal of its own",
+        ),
+    )  # fmt: skip
 
 
 def _names(trial: Path) -> Check:
     """Try file names as they occur in archives."""
-    name = "file names in it"
     tried = {"Latin-1": b"stra\xdfe", "a line feed": b"a\nb", "a colon": b"a:b", "200 bytes": b"n" * 200}
-    refused = []
+    refused = list(tried)
     for what, raw in tried.items():
         path = trial / os.fsdecode(raw)
-        try:
+        with contextlib.suppress(OSError, ValueError):
             path.write_bytes(b"")
-            if path not in trial.iterdir():
-                refused.append(what)
-        except (OSError, ValueError):
-            refused.append(what)
+            if path in trial.iterdir():
+                refused.remove(what)
     (trial / "case").write_bytes(b"")
     folds = (trial / "CASE").exists()
     details = {"refused": refused, "ignores_case": folds}
     if refused or folds:
         told = [f"names with {what} are refused" for what in refused] + ["names that differ in case are one"] * folds
         hint = "inputs with such names fail, or are refused before the run"
-        return Check(name, "warn", ", ".join(told), hint, details)
-    return Check(name, "ok", f"{', '.join(tried)} and upper case are kept", "", details)
+        return Check("file names in it", "warn", ", ".join(told), hint, details)
+    return Check("file names in it", "ok", f"{', '.join(tried)} and upper case are kept", "", details)
 
 
 def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
     """Return the type of a folder's file system, empty where the system does not report it."""
-    try:
+    place, found, longest, lines = folder.resolve(), "", -1, list[str]()
+    with contextlib.suppress(OSError):
         lines = mounts.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
-    except OSError:
-        return ""
-    place, found, longest = folder.resolve(), "", -1
     for line in lines:
         fields = line.split(" ")
         if len(fields) < 3:
@@ -562,31 +534,29 @@ def _end_to_end() -> Iterator[Check]:
         found = scores(evaluate(output, scan))
         by_laspy = classes_by_laspy(output)
         values = {name: gate_value(found, name) for name in ("recall.ground", "precision.building")}
-    seconds = time.perf_counter() - loaded
-    n_shots = summary.counts.n_shots
+    seconds, n_shots = time.perf_counter() - loaded, summary.counts.n_shots
     written = {item.code: item.count for item in summary.record.classes}
-    peak = peak_memory()
     details = {
-        "shots": n_shots,
-        "seconds": round(seconds, 3),
-        "loading_s": round(loaded - start, 3),
-        "scores": {name: round(value, 4) for name, value in values.items()},
-        "peak_memory_bytes": peak,
-    }
+        "shots": n_shots, "seconds": round(seconds, 3), "loading_s": round(loaded - start, 3),
+        "scores": {name: round(value, 4) for name, value in values.items()}, "peak_memory_bytes": peak_memory(),
+    }  # fmt: skip
     told = ", ".join(f"{name} {value:.2f}" for name, value in values.items())
     text = (
         f"a street of {n_shots:,} shots simulated, classified from LAZ to LAZ and evaluated in {seconds:.1f} s "
         f"({told}); {loaded - start:.1f} s to load the loops"
     )
-    if not min(values.values()) >= LEAST_SCORE:
-        hint = "the compiled loops are wrong on this machine: remove the cache named above, and report it"
-        yield Check("end to end", "bad", f"{text}; expected at least {LEAST_SCORE} of both", hint, details)
-        return
-    if by_laspy != written:
-        hint = "report it, with the versions above"
-        yield Check("end to end", "bad", f"{text}; laspy reads other classes than were written", hint, details)
-        return
-    yield Check("end to end", "ok", f"{text}; laspy reads the same classes", "", details)
+    yield _judge(
+        "end to end", text, details,
+        (
+            not min(values.values()) >= LEAST_SCORE, "bad", f"; expected at least {LEAST_SCORE} of both",
+            "the compiled loops are wrong on this machine: remove the cache named above, and report it",
+        ),
+        (
+            by_laspy != written, "bad", "; laspy reads other classes than were written",
+            "report it, with the versions above",
+        ),
+        (True, "ok", "; laspy reads the same classes", ""),
+    )  # fmt: skip
 
 
 def _engines() -> Iterator[Check]:
@@ -594,6 +564,7 @@ def _engines() -> Iterator[Check]:
     from prc_cli.config import load_config
     from prc_cli.core.blocks import join
     from prc_cli.jobs.classify import classify_ranges, load_classifier
+    from prc_cli.kernels import Engine
     from prc_cli.simulation.settings import load_settings, open_simulation
 
     n_shots, n_other, seconds = 0, {}, 0.0
@@ -603,21 +574,24 @@ def _engines() -> Iterator[Check]:
         load_classifier(config)
         start = time.perf_counter()
         block = join(list(open_simulation(kind, load_settings(kind, options=options), threads=1).scan.blocks()))
-        compiled = classify_ranges(block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m).labels
-        plain = classify_ranges(
-            block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m, engine="reference"
-        ).labels
+        compiled, plain = (
+            classify_ranges(block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m, engine=engine).labels
+            for engine in get_args(Engine)
+        )
         n_shots += block.range_m.size
         n_other[preset] = int((compiled != plain).sum())
         seconds += time.perf_counter() - start
-    details = {"shots": n_shots, "seconds": round(seconds, 3), "different": n_other}
-    text = f"{n_shots:,} shots by compiled loops and by --engine reference ({', '.join(COMPARED)}) in {seconds:.1f} s"
-    if any(n_other.values()):
-        told = ", ".join(f"{preset} {count:,}" for preset, count in n_other.items() if count)
-        hint = "remove the cache named above and run prc doctor again; until then prc classify --engine reference"
-        yield Check("engines", "bad", f"{text}: labels differ ({told}), expected the same", hint, details)
-        return
-    yield Check("engines", "ok", f"{text}: the same labels", "", details)
+    told = ", ".join(f"{preset} {count:,}" for preset, count in n_other.items() if count)
+    yield _judge(
+        "engines",
+        f"{n_shots:,} shots by compiled loops and by --engine reference ({', '.join(COMPARED)}) in {seconds:.1f} s",
+        {"shots": n_shots, "seconds": round(seconds, 3), "different": n_other},
+        (
+            told, "bad", f": labels differ ({told}), expected the same",
+            "remove the cache named above and run prc doctor again; until then prc classify --engine reference",
+        ),
+        (True, "ok", ": the same labels", ""),
+    )  # fmt: skip
 
 
 def _size(n_bytes: int) -> str:
