@@ -210,7 +210,7 @@ def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) 
         assert run.poll() is None
         run.send_signal(signal.SIGINT)
         _, told = run.communicate(timeout=HANGS_S)
-    assert run.returncode == 130
+    assert run.returncode == 130, told
     assert "Traceback" not in told
     assert list(out.iterdir()) == []
 
