@@ -63,14 +63,12 @@ class RunConfig(MethodTables, _Input):
     def constants(cls, location: list[str], given: Any) -> dict[str, Any]:
         """Return what was set once in a method's table, and is constant now (``constants.toml`` of the method)."""
         path = Path(methods.__file__).with_name(location[0]) / "constants.toml"
-        found = tomllib.loads(path.read_text("utf-8")) if len(location) > 1 and path.exists() else {}
-        for part in location[1:]:
-            found = found.get(part, {}) if isinstance(found, dict) else {}
-        if isinstance(given, Mapping) and isinstance(found, dict):
-            found = {name: found[name] for name in given if name in found}
-        for part in reversed(location if found != {} else ()):
-            found = {part: found}
-        return found
+        if len(location) < 2 or not path.exists():
+            return {}
+        known = dict(flatten(tomllib.loads(path.read_text("utf-8")), f"{location[0]}."))
+        key = ".".join(location)
+        keys = [name for name, _ in flatten(given, f"{key}.")] if isinstance(given, Mapping) else [key]
+        return {name: known[name] for name in keys if name in known}
 
     @property
     def is_decided(self) -> bool:

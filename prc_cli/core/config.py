@@ -26,7 +26,7 @@ class Params(BaseModel):
 
     @classmethod
     def constants(cls, location: list[str], given: Any) -> dict[str, Any]:
-        """Return the values, as a nested table, of keys that are none any more, for the error that names them."""
+        """Return dotted keys that are none any more, with their values, for the error that names them."""
         return {}
 
     def __repr__(self) -> str:
@@ -118,8 +118,8 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
     location = [str(part) for part in issue["loc"]]
     key = ".".join(location)
     if issue["type"] == "extra_forbidden":
-        if constants := dict(flatten(model.constants(location, issue["input"]))):
-            values = ", ".join(f"{name} = {value}" for name, value in constants.items())
+        if constants := model.constants(location, issue["input"]):
+            values = ", ".join(f"{name} = {str(value).lower()}" for name, value in constants.items())
             hint = f"leave it out; it is {values}" if len(constants) == 1 else f"leave them out: {values}"
             return ConfigError(where, f"{key} is a constant now, expected no such key", hint)
         known = sorted(_keys_at(model, location[:-1]))

@@ -11,6 +11,7 @@ import pytest
 from prc_cli.config import PRESETS, RunConfig, json_schema, load_config, parse_assignment, to_toml
 from prc_cli.core.config import merge
 from prc_cli.core.errors import ConfigError
+from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET
 
 
 def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> None:
@@ -51,6 +52,12 @@ def test_the_presets_hold_the_published_values() -> None:
         ({"input": {"max_range": 1.0, "min_range": 2.0}}, "max_range (1.0 m) above min_range (2.0 m)"),
         ({"layout": {"fields": [{"name": "range", "type": "complex"}]}}, "layout.fields.0.type"),
         ({"classes": {"ground": 300}}, "classes.ground: found 300"),
+        ({"fused": {"walls": {"roof_m": 5}}}, "fused.walls is a constant now, expected no such key; leave it out"),
+        ({"fused": {"sensor": {"again": False}}}, "it is fused.sensor.again = true"),
+        ({"fused": {"noise": {"sparse_shots": 4}}}, "fused.noise.sparse_shots = gone with noise.sparse"),
+        ({"fused": {"votes": {"near_m": 2, "enabled": True}}}, "fused.votes.near_m = 1.5, fused.votes.enabled = true"),
+        ({"fused": {"forest": {"flat": {"cover_m": 0.2}}}}, "it is fused.forest.flat.cover_m = 0.15"),
+        ({"fused": {"wals": {"roof_m": 5}}}, "unknown key 'fused.wals'"),
     ],
 )
 def test_wrong_keys_and_values_name_themselves(table: dict[str, object], message: str) -> None:
@@ -112,3 +119,31 @@ def test_the_schema_names_every_table() -> None:
     assert set(schema["properties"]) == {"preset", *RunConfig.model_fields}
     shown = tomllib.loads(to_toml(load_config(), comments=False))
     assert set(shown) <= set(schema["properties"])
+
+
+@pytest.mark.parametrize(
+    ("key", "limit"),
+    [
+        ("company.near_m", STREET.near.near_m),
+        ("company.least", STREET.decision.least_near),
+        ("smoothness.noise_sigmas", STREET.smoothness.noise_sigmas),
+        ("ground.step_m", STREET.walk.step_m),
+        ("strips.foot_m", STREET.strips.foot_m),
+        ("walls.before_m", STREET.walls.before_m),
+        ("noise.ghost_m", STREET.decision.ghost_m),
+        ("noise.mirror_share", STREET.again.mirror_share),
+        ("leaves.share", STREET.decision.leaf_share),
+        ("cars.top_m", STREET.decision.car_top_m),
+        ("curbs.margin", STREET.curbs and STREET.curbs.margin),
+        ("rings.memory_lines", RINGS.walk.memory_lines),
+        ("rings.car_share", RINGS.roofs.share),
+        ("forest.soil_m", FOREST.classes.soil_m),
+        ("forest.stems.gaps.longest_m", FOREST.runs.gap_m),
+        ("forest.terrain.reach_m", FOREST.reach_m),
+    ],
+)
+def test_the_error_of_a_former_key_tells_the_limit_that_holds(key: str, limit: float) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(options=parse_assignment(f"fused.{key}=0.123"))
+    told = float(str(caught.value.hint).rpartition(" = ")[2])
+    assert told == pytest.approx(float(limit))
