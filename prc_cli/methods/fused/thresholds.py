@@ -16,6 +16,14 @@ NEVER = 1e9
 """A limit that no value reaches."""
 NO_BINS = 99
 """More bins than a level surface can have."""
+LEAST_NEAR = f32(2)
+"""A shot with fewer near neighbours is lonely, and counts neither in the walk nor in a strip."""
+FOOT_M = f32(0.15)
+"""Lower shots above the ground are no part of what stands on it [m]."""
+CAR_TOP_M = f32(4.75)
+"""Things that reach higher are no cars, in the scan plane [m]."""
+BEFORE_M = f32(2)
+"""Foliage must be rougher up to this far in front of a wall, because of balconies [m]."""
 
 
 class NearThresholds(NamedTuple):
@@ -75,7 +83,7 @@ class ChordThresholds(NamedTuple):
 class WalkThresholds(NamedTuple):
     """How the ground is followed from shot to shot and from line to line."""
 
-    least_near: np.float32 = f32(2)
+    least_near: np.float32 = LEAST_NEAR
     """Near neighbours that a shot needs."""
     step_m: np.float32 = f32(0.14)
     """Greatest step in height from one shot to the next [m]."""
@@ -98,9 +106,9 @@ class WalkThresholds(NamedTuple):
 class StripThresholds(NamedTuple):
     """Which shots count in a strip, and as what."""
 
-    least_near: np.float32 = f32(2)
+    least_near: np.float32 = LEAST_NEAR
     """Near neighbours that a shot needs."""
-    foot_m: np.float32 = f32(0.15)
+    foot_m: np.float32 = FOOT_M
     """Least height above the ground [m]."""
     rough: np.float32 = f32(2)
     """Most smooth pairs of a rough shot."""
@@ -108,7 +116,7 @@ class StripThresholds(NamedTuple):
     """Fewest smooth pairs of a smooth shot."""
     level_smooth: np.float32 = f32(6)
     """Fewest smooth pairs of a shot on a level surface."""
-    level_top_m: np.float32 = f32(4.75)
+    level_top_m: np.float32 = CAR_TOP_M
     """Level surfaces are lower than this above the ground [m]."""
     jump_m: np.float32 = f32(1)
     """A level surface reaches to adjacent shots that are less than this to the side [m]."""
@@ -123,7 +131,7 @@ class WallThresholds(NamedTuple):
     """Least share of that surface in everything in the strip."""
     lines: np.float32 = f32(4)
     """Fewest lines, of five, that see some of it."""
-    before_m: np.float32 = f32(2)
+    before_m: np.float32 = BEFORE_M
     """A wall is reported to strips up to this far in front of it [m]."""
 
 
@@ -154,7 +162,7 @@ class FlankThresholds(NamedTuple):
 class DecisionThresholds(NamedTuple):
     """Limits of the questions that label a shot."""
 
-    least_near: np.float32 = f32(2)
+    least_near: np.float32 = LEAST_NEAR
     """A shot with fewer near neighbours is lonely."""
     spike_share: np.float32 = f32(0.65)
     """A rough shot is a spike where the share of smooth pairs around it is greater."""
@@ -176,7 +184,7 @@ class DecisionThresholds(NamedTuple):
     """A place with a smaller share of smooth pairs is foliage."""
     leaf_share_before_wall: np.float32 = f32(0.2)
     """The same close in front of a wall."""
-    before_m: np.float32 = f32(2)
+    before_m: np.float32 = BEFORE_M
     """Greatest distance in front of a wall that is close [m]."""
     front_m: np.float32 = f32(0.4)
     """Shots up to this far in front of a wall are part of it [m]."""
@@ -188,7 +196,7 @@ class DecisionThresholds(NamedTuple):
     """Roofs are up to this far behind a wall: foliage must be as rough there as before it [m] ..."""
     storey_m: np.float32 = f32(2.5)
     """... if the wall is this high above the ground [m]."""
-    car_top_m: np.float32 = f32(4.75)
+    car_top_m: np.float32 = CAR_TOP_M
     """Things that reach above this are no cars [m] ..."""
     lorry_top_m: np.float32 = f32(5.75)
     """... nor, above this, lorries [m]."""
@@ -235,7 +243,7 @@ class AgainThresholds(NamedTuple):
     """... and this share of the shots on either side are of the car."""
     alone_texture: np.float32 = f32(0.25)
     """Rough shots may be alone where the share of smooth pairs around is greater ..."""
-    foot_m: np.float32 = f32(0.15)
+    foot_m: np.float32 = FOOT_M
     """... higher than this above the ground [m] ..."""
     alone_m: np.float32 = f32(0.1)
     """... with no other within this in range [m] ..."""
