@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from typing import Any, TypeVar
 from unittest import mock
 
 import numpy as np
@@ -28,58 +29,59 @@ from prc_cli.methods.fused.thresholds import FOREST, NEVER, NO_BINS, RINGS, STRE
 
 LEAST_THINGS = 200
 """Fewest cars, poles or curbs of the reference, in shots, to score them."""
-BINS = {"car_bins": NO_BINS, "car_bins_rough": NO_BINS}
+Tables = dict[str, Any]
+"""Limits by table and name; a value that is no dict takes the place of the table, None = the step is left out."""
+LimitsT = TypeVar("LimitsT", Limits, Forest)
 
 
-def deciding(**limits: float) -> Callable[[Limits], Limits]:
-    """Return the step that changes limits of the decision."""
-    own = {name: np.float32(limit) for name, limit in limits.items()}
-    return lambda all_limits: all_limits._replace(decision=all_limits.decision._replace(**own))
+def changed(limits: LimitsT, **tables: Any) -> LimitsT:
+    """Return limits with others in some tables, ``walls={"height_m": 9.0}``, each of the type that it takes.
+
+    A name instead of a number is another limit of the same table. A table that is left out already stays so.
+    """
+    own: Tables = {}
+    for table, values in tables.items():
+        before = getattr(limits, table)
+        if isinstance(values, dict) and before is not None:
+            told = {key: getattr(before, value) if isinstance(value, str) else value for key, value in values.items()}
+            own[table] = before._replace(**{key: type(getattr(before, key))(value) for key, value in told.items()})
+        elif before is not None:
+            own[table] = values
+    return limits._replace(**own)
 
 
-def again(**limits: float) -> Callable[[Limits], Limits]:
-    own = {name: np.float32(limit) for name, limit in limits.items()}
-    return lambda all_limits: all_limits._replace(again=all_limits.again._replace(**own))
-
-
-def other(**values: object) -> Callable[[Limits], Limits]:
-    return lambda all_limits: all_limits._replace(**values)  # type: ignore[arg-type]
-
-
-STREET_STEPS: dict[str, Callable[[Limits], Limits]] = {
-    "interlaced columns in step": other(interlace_rad=math.inf),
-    "neighbours farther away where lines are close": other(spaced=None),
-    "walls": lambda own: own._replace(walls=own.walls._replace(height_m=np.float32(NEVER))),
-    "roofs above walls": deciding(roof_m=-NEVER),
-    "foliage rougher close to walls": lambda own: deciding(leaf_share_before_wall=own.decision.leaf_share)(own),
-    "flanks of vehicles": other(flanks=None),
-    "bodies of lorries": lambda own: (
-        own if own.flanks is None else own._replace(flanks=own.flanks._replace(high_m=np.float32(-1)))
-    ),
-    "texture at its depth": lambda own: own._replace(foliage=own.foliage._replace(at_depth=False)),
-    "spikes": deciding(spike_share=NEVER),
-    "sides of pits": deciding(pit_near=NEVER),
-    "lone leaves": deciding(leaf_slots=NEVER),
-    "ghosts behind walls": deciding(ghost_near=0),
-    "mirror images in cars": again(mirror_m=NEVER),
-    "ranges that nothing around has": again(alone_texture=NEVER),
-    "cars by level surfaces": deciding(**BINS),
-    "cars by roofs": other(roof_step_rad=math.inf),
-    "cars not in rooms": other(room_m=0.0),
-    "poles": deciding(pole_m=0, box_m=0),
-    "trunks": deciding(thick_m=NEVER),
-    "arms of lamps": deciding(arm_m=NEVER),
-    "bins and cabinets": deciding(box_m=0),
-    "curbs": other(curbs=None),
-    "votes": other(votes=None),
+STREET_STEPS: dict[str, Tables] = {
+    "interlaced columns in step": {"interlace_rad": math.inf},
+    "neighbours farther away where lines are close": {"spaced": None},
+    "walls": {"walls": {"height_m": NEVER}},
+    "roofs above walls": {"decision": {"roof_m": -NEVER}},
+    "foliage rougher close to walls": {"decision": {"leaf_share_before_wall": "leaf_share"}},
+    "flanks of vehicles": {"flanks": None},
+    "bodies of lorries": {"flanks": {"high_m": -1}},
+    "texture at its depth": {"foliage": {"at_depth": False}},
+    "spikes": {"decision": {"spike_share": NEVER}},
+    "sides of pits": {"decision": {"pit_near": NEVER}},
+    "lone leaves": {"decision": {"leaf_slots": NEVER}},
+    "ghosts behind walls": {"decision": {"ghost_near": 0}},
+    "mirror images in cars": {"again": {"mirror_m": NEVER}},
+    "ranges that nothing around has": {"again": {"alone_texture": NEVER}},
+    "cars by level surfaces": {"decision": {"car_bins": NO_BINS, "car_bins_rough": NO_BINS}},
+    "cars by roofs": {"roof_step_rad": math.inf},
+    "cars not in rooms": {"room_m": 0.0},
+    "poles": {"decision": {"pole_m": 0, "box_m": 0}},
+    "trunks": {"decision": {"thick_m": NEVER}},
+    "arms of lamps": {"decision": {"arm_m": NEVER}},
+    "bins and cabinets": {"decision": {"box_m": 0}},
+    "curbs": {"curbs": None},
+    "votes": {"votes": None},
 }
-FOREST_STEPS: dict[str, Callable[[Forest], Forest]] = {
-    "runs behind leaves": lambda own: own._replace(runs=own.runs._replace(gap_steep=-math.inf)),
-    "opaque stems": lambda own: own._replace(runs=own.runs._replace(behind_m=math.inf)),
-    "joined runs": lambda own: own._replace(stems=own.stems._replace(near_m=-1.0, near_share=0.0, runs=1.0)),
-    "ground in flat places": lambda own: own._replace(classes=own.classes._replace(cover_m=0.0)),
-    "shots beside stems": lambda own: own._replace(classes=own.classes._replace(beside_m=-1.0)),
-    "isolated shots": lambda own: own._replace(classes=own.classes._replace(near_m=-1.0)),
+FOREST_STEPS: dict[str, Tables] = {
+    "runs behind leaves": {"runs": {"gap_steep": -math.inf}},
+    "opaque stems": {"runs": {"behind_m": math.inf}},
+    "joined runs": {"stems": {"near_m": -1, "near_share": 0, "runs": 1}},
+    "ground in flat places": {"classes": {"cover_m": 0}},
+    "shots beside stems": {"classes": {"beside_m": -1}},
+    "isolated shots": {"classes": {"near_m": -1}},
 }
 
 
@@ -116,16 +118,16 @@ def main() -> None:
     held_out = "held-out" in sys.argv[1:]
     rows: dict[str, dict[str, list[dict[str, float]]]] = {}
     for group, scan in scans(held_out=held_out):
-        steps = {} if held_out else FOREST_STEPS if group == "forests" else {**STREET_STEPS, "rings": other()}
+        steps = {} if held_out else FOREST_STEPS if group == "forests" else {**STREET_STEPS, "rings": {}}
         for name in ("all steps", *steps):
             with ExitStack() as patches:
                 if name == "rings":
                     patches.enter_context(mock.patch.object(pipeline, "RINGS", STREET))
                 elif name in FOREST_STEPS:
-                    patches.enter_context(mock.patch.object(pipeline, "FOREST", FOREST_STEPS[name](FOREST)))
+                    patches.enter_context(mock.patch.object(pipeline, "FOREST", changed(FOREST, **steps[name])))
                 elif name in STREET_STEPS:
                     for title, limits in (("STREET", STREET), ("RINGS", RINGS)):
-                        patches.enter_context(mock.patch.object(pipeline, title, STREET_STEPS[name](limits)))
+                        patches.enter_context(mock.patch.object(pipeline, title, changed(limits, **steps[name])))
                 rows.setdefault(name, {}).setdefault(group, []).append(f1_of(scan))
     whole = rows["all steps"]
     if held_out:

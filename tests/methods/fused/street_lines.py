@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.ablation import changed
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.methods.fused.pipeline import FusedScanner
 
@@ -55,11 +56,5 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
 
 
 def with_limits(scanner: FusedScanner, **tables: Any) -> FusedScanner:
-    """Return a scanner with other limits, ``walls={"height_m": 9.0}`` or a value, such as None = step left out."""
-    own = {
-        name: getattr(scanner.limits, name)._replace(**{
-            key: type(getattr(getattr(scanner.limits, name), key))(limit) for key, limit in value.items()
-        }) if isinstance(value, dict) else value
-        for name, value in tables.items()
-    }  # fmt: skip
-    return replace(scanner, limits=scanner.limits._replace(**own))
+    """Return a scanner with other limits; see :func:`benchmarks.ablation.changed`."""
+    return replace(scanner, limits=changed(scanner.limits, **tables))

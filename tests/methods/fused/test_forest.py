@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.ablation import changed
 from prc_cli.config import load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.classes import Label
@@ -54,8 +55,7 @@ def image(*bodies: F64) -> F32:
 
 
 def labels_of(ranges: F32, **tables: dict[str, float]) -> U8:
-    limits = FOREST._replace(**{name: getattr(FOREST, name)._replace(**own) for name, own in tables.items()})
-    return forest(ranges, PLANE, 0.0, limits)
+    return forest(ranges, PLANE, 0.0, changed(FOREST, **tables))
 
 
 def count(labels: U8, where: Any) -> dict[str, int]:
