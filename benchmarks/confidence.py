@@ -33,6 +33,7 @@ from prc_cli.core.types import F64, I32, I64, U8, Mask
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused import confidence, pipeline
 from prc_cli.methods.fused.confidence import N_CELLS, QUESTIONS, Environment, confidence_of, load_table
 
@@ -99,7 +100,7 @@ def judge(scan: Scan, environment: Environment) -> Judged:
         return confidence_of(labels, found, table)
 
     with mock.patch.object(pipeline, "confidence_of", kept):
-        items = list(label_blocks(scan.blocks(), params, confidence=True))
+        items = list(label_blocks(scan.blocks(), params, wanted=Wanted(confidence=True)))
     labels = np.concatenate([item.labels for item in items])
     shots = np.concatenate([item.confidence for item in items if item.confidence is not None])
     right, there = _right(scan, labels)
@@ -399,14 +400,14 @@ def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
         for wanted in (False, True) * 4:
             start = time.process_time()
             for _ in range(3):
-                list(label_blocks(scan.blocks(), params, confidence=wanted))
+                list(label_blocks(scan.blocks(), params, wanted=Wanted(confidence=wanted)))
             times[wanted].append((time.process_time() - start) / 3 / scan.n_shots)
         off, on = (1e10 * min(times[wanted]) for wanted in (False, True))
         print(f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} ms more with confidence")
         found = {}
         for n_lines in (128, 64, 16):
             chosen = params.model_copy(update={"lines_per_block": n_lines})
-            items = label_blocks(scan.blocks(), chosen, confidence=True)
+            items = label_blocks(scan.blocks(), chosen, wanted=Wanted(confidence=True))
             found[n_lines] = np.concatenate([item.confidence for item in items if item.confidence is not None])
         for n_lines in (64, 16):
             off_by = np.abs(found[128].astype(int) - found[n_lines])[~np.isnan(scan.range_m)]

@@ -36,6 +36,7 @@ from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.classify import classify, label_blocks
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, simulate
+from prc_cli.methods.base import Wanted
 from prc_cli.methods.sequential_angle.angles import (
     AnglesParams,
     angle_differences,
@@ -381,7 +382,7 @@ CAUSES: tuple[tuple[str, CarTest | None], ...] = (
 
 def lost_cars(block: ScanBlock, label: U8, config: LoadedConfig) -> I64:
     """Count the shots of cars by :data:`CAUSES`, (causes,) int64."""
-    found = list(label_blocks(iter([block]), config.config.classifier, stages=True))
+    found = list(label_blocks(iter([block]), config.config.classifier, wanted=Wanted(stages=True)))
     stages = [each.stages for each in found if each.stages is not None]
     test = np.concatenate([each.car_test for each in stages])
     layer = np.concatenate([each.car_surface for each in stages])

@@ -17,6 +17,7 @@ from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F32
 from prc_cli.jobs.classify import classify_ranges, label_blocks
 from prc_cli.kernels import load_kernels
+from prc_cli.methods.base import Wanted
 from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import stream_window
 from prc_cli.reference.prc import method as oracle_prc
@@ -29,7 +30,7 @@ ROUNDS = 7
 
 def classify_all(ranges: F32, params: PrcParams, threads: int, *, segments: bool = False) -> None:
     """Run the block pipeline over a range image; labels are dropped block by block."""
-    for _ in label_blocks(iter([ScanBlock(0, ranges)]), params, threads=threads, segments=segments):
+    for _ in label_blocks(iter([ScanBlock(0, ranges)]), params, threads=threads, wanted=Wanted(segments=segments)):
         pass
 
 

@@ -25,7 +25,7 @@ from prc_cli.jobs.explain import explain as explain_shot
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 def explain(source: Path, place: str, station: int | None, as_json: bool, quiet: bool, **options: Any) -> None:
-    """Say why a shot of IN has its class: what every stage found, and the parameters that decided.
+    """Say why a shot of IN has its class: the rule that decided, its limits, and what the stages measured.
 
     IN is classified from its start to the block of the shot, as prc classify does, so that the class is the one that
     prc classify writes.
@@ -56,18 +56,29 @@ def _place(text: str) -> tuple[int, int]:
 
 
 def _print(found: Explanation) -> None:
-    table = Table(title=f"{found.path}: line {found.line:,}, column {found.column:,}: {found.label.name.lower()}")
-    for heading in ("stage", "found", "so", "decided by"):
-        table.add_column(heading, overflow="fold")
-    for answer in found.answers:
-        limits = "\n".join(f"{key} = {value}" for key, value in answer.limits)
-        table.add_row(answer.stage, answer.found, answer.so, limits)
+    code = f"{found.label.name.lower()}, code {found.code}"
+    results().print(f"{found.path}: line {found.line:,}, column {found.column:,}: {code}", soft_wrap=True)
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(overflow="fold")
+    table.add_column(overflow="fold")
+    table.add_row("because", f"{found.sentence} (reason {found.reason}, {found.rule})")
+    for n, (key, value) in enumerate(found.limits.items()):
+        table.add_row("" if n else "decided by", f"{key} = {value}")
+    for name, value in found.measures.items():
+        table.add_row(name, _told(value))
     results().print(table)
     facts = [f"record {found.record:,}" if found.record >= 0 else "no record"]
     facts += [] if found.range_m is None else [f"range {found.range_m:.3f} m"]
     facts += [] if found.time_s is None else [f"time {found.time_s:.6f} s"]
     facts += [] if found.beam_deg is None else [f"{found.beam_deg:.2f} deg from straight down"]
     facts += [f"scanner {found.scanner}"] if found.scanner else []
-    results().print(f"{', '.join(facts)}: {found.label.name.lower()}, code {found.code}", soft_wrap=True)
-    chosen = "" if found.choice is None else f" (--preset {found.choice.preset}): {found.choice.why}"
+    results().print(", ".join(facts), soft_wrap=True)
+    chosen = "" if found.chosen is None else f" (--preset {found.chosen.preset}): {found.chosen.why}"
     results().print(f"method: {found.method}{chosen}", soft_wrap=True)
+
+
+def _told(value: Any) -> str:
+    """Return a measured value for people."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "not known" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)

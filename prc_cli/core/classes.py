@@ -32,6 +32,66 @@ class Label(IntEnum):
     POLE = 11
 
 
+LABEL_BITS = 15
+"""``reason & LABEL_BITS`` is the label of a reason."""
+
+
+class Reason(IntEnum):
+    """Rule that gave a shot its label, ``16 k + label`` with k from 1; :mod:`prc_cli.methods.reasons` says each."""
+
+    MISSING = 0
+    BEYOND_REACH = 1 << 4 | Label.UNCLASSIFIED
+    UNDECIDED = 2 << 4 | Label.UNCLASSIFIED
+    UNSUPPORTED = 1 << 4 | Label.NOISE
+    LONELY = 2 << 4 | Label.NOISE
+    ISOLATED = 3 << 4 | Label.NOISE
+    SPIKE = 4 << 4 | Label.NOISE
+    BELOW_GROUND = 5 << 4 | Label.NOISE
+    BEHIND_WALL = 6 << 4 | Label.NOISE
+    IN_CAR = 7 << 4 | Label.NOISE
+    MIRRORED = 8 << 4 | Label.NOISE
+    RANGE_ALONE = 9 << 4 | Label.NOISE
+    FAR_BELOW = 10 << 4 | Label.NOISE
+    ALONE = 11 << 4 | Label.NOISE
+    MOST_SMOOTH = 1 << 4 | Label.GROUND
+    GROUND_COLUMN = 2 << 4 | Label.GROUND
+    GROUND_HEIGHT = 3 << 4 | Label.GROUND
+    WALKED = 4 << 4 | Label.GROUND
+    LEVEL_LOW = 5 << 4 | Label.GROUND
+    LOW = 6 << 4 | Label.GROUND
+    SOIL = 7 << 4 | Label.GROUND
+    FLAT = 8 << 4 | Label.GROUND
+    OTHER_SEGMENT = 1 << 4 | Label.BUILDING
+    SMOOTH = 2 << 4 | Label.BUILDING
+    FACADE = 3 << 4 | Label.BUILDING
+    NON_SMOOTH = 1 << 4 | Label.VEGETATION
+    TO_AND_FRO = 2 << 4 | Label.VEGETATION
+    LEAF = 3 << 4 | Label.VEGETATION
+    FOLIAGE = 4 << 4 | Label.VEGETATION
+    CROWN = 5 << 4 | Label.VEGETATION
+    TRUNK = 6 << 4 | Label.VEGETATION
+    PLANT = 7 << 4 | Label.VEGETATION
+    ABOVE_TOP = 8 << 4 | Label.VEGETATION
+    SMOOTH_COLUMN = 1 << 4 | Label.STEM
+    ON_STEM = 2 << 4 | Label.STEM
+    BESIDE_STEM = 3 << 4 | Label.STEM
+    BETWEEN_DIVIDERS = 1 << 4 | Label.CAR
+    LEVEL_BODY = 2 << 4 | Label.CAR
+    PROFILE = 3 << 4 | Label.CAR
+    CURB_REGION = 1 << 4 | Label.CURB
+    CURB_FACE = 2 << 4 | Label.CURB
+    VERTICAL = 1 << 4 | Label.VERTICAL
+    HORIZONTAL = 1 << 4 | Label.HORIZONTAL
+    POST = 1 << 4 | Label.POLE
+    ARM = 2 << 4 | Label.POLE
+    BOX = 3 << 4 | Label.POLE
+
+
+FURTHER_RETURN, VOTED = 14 << 4, 15 << 4
+"""Reasons of any label: ``label | VOTED`` took the label of most shots around, ``label | FURTHER_RETURN`` that of a
+shot around that is as far."""
+
+
 class Surface(IntEnum):
     """Coarse classification of the sequential-angle method (Stamos et al. 2012, sec. 4)."""
 

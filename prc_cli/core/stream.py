@@ -6,12 +6,13 @@ The stream is chronological: shot ``i = line * M + column``. Shots without retur
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from operator import add, attrgetter
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Surface
@@ -290,3 +291,7 @@ class LabelledBlock(Brief):
     none, or it was not asked for."""
     extra_confidence: U8 | None = None
     """(n,) uint8, the same of ``block.extra``."""
+    reasons: U8 | None = None
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Reason`: the rule that gave the label; None unless asked for."""
+    measures: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """(lines, M) each: what the stages measured, by names with their units, for ``prc explain``."""

@@ -34,7 +34,7 @@ from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.base import StagedWriter
-from prc_cli.formats.writing.columns import LabelOutput, asked_columns
+from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
 from prc_cli.formats.writing.record import (
     Fingerprint,
     FingerprintBeside,
@@ -46,8 +46,8 @@ from prc_cli.jobs.choice import choice_by_place, choice_by_request, choose, deci
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
-from prc_cli.methods.base import MethodParams, UsualLabels, Wanted
-from prc_cli.methods.run import SHOTS_AT_ONCE, run_blocks
+from prc_cli.methods.base import LABELS_ALONE, MethodParams, UsualLabels, Wanted
+from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched
@@ -187,16 +187,17 @@ def label_blocks(
     params: MethodParams,
     *,
     threads: int = 1,
-    segments: bool = False,
-    stages: bool = False,
-    confidence: bool = False,
-    shots_at_once: int = SHOTS_AT_ONCE,
+    wanted: Wanted = LABELS_ALONE,
 ) -> Iterator[LabelledBlock]:
     """Classify a stream block by block, with one state per scanner."""
-    wanted, method = Wanted(segments, stages, confidence), params.method()
-    if confidence:
+    if wanted.confidence:
         load_kernels(confidence_kernels(params))  # before threads need them
-    yield from run_blocks(blocks, method, threads=threads, wanted=wanted, shots_at_once=shots_at_once)
+    yield from run_blocks(blocks, params.method(), threads=threads, wanted=wanted)
+
+
+def wanted_by(output: OutputConfig) -> Wanted:
+    """Return what ``[output]`` asks of a method."""
+    return Wanted(output.segment_ids, output.stages, output.confidence, output.reason)
 
 
 def confidence_kernels(params: MethodParams) -> frozenset[str]:
@@ -386,10 +387,7 @@ def _write_labels(
         if threads > 1:
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
-        labelled = label_blocks(
-            blocks, config.classifier, threads=threads, segments=config.output.segment_ids,
-            stages=config.output.stages, confidence=config.output.confidence,
-        )  # fmt: skip
+        labelled = label_blocks(blocks, config.classifier, threads=threads, wanted=wanted_by(config.output))
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
@@ -411,6 +409,8 @@ class ClassifiedRanges:
     confidence: U8 | None = None
     """Per cent of such shots whose label is right, (lines, M) uint8, 0 = no return or not known; None unless
     ``config.output.confidence`` asks for it."""
+    reasons: U8 | None = None
+    """:class:`prc_cli.core.classes.Reason` of every shot, (lines, M) uint8; None unless ``config.output.reason``."""
 
     @property
     def codes(self) -> U8:
@@ -510,17 +510,18 @@ def classify_ranges(
         found = _input_findings(block, loaded) if is_judged else ()
         refuse("range_m", found)
         threads = threads_of(engine, threads)
-        wanted = config.output.confidence
-        labelled = list(label_blocks(iter([block]), config.classifier, threads=threads, confidence=wanted))
+        wanted = wanted_by(config.output)
+        labelled = list(label_blocks(iter([block]), config.classifier, threads=threads, wanted=wanted))
         if is_judged:
             found = (*found, *_label_findings(labelled, config))
             refuse("range_m", found)
     for doubt in doubts(found):
         told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
         warnings.warn(told, DoubtWarning, stacklevel=2)
-    confidence = [item.confidence for item in labelled if item.confidence is not None]
     labels = np.concatenate([item.labels for item in labelled])
-    return ClassifiedRanges(labels, config.classes, np.concatenate(confidence) if confidence else None)
+    more = [[getattr(item, name) for item in labelled] for name in ("confidence", "reasons")]
+    confidence, reasons = (None if parts[0] is None else np.concatenate(parts) for parts in more)
+    return ClassifiedRanges(labels, config.classes, confidence, reasons)
 
 
 @dataclass(frozen=True, slots=True)

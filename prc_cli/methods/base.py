@@ -138,6 +138,10 @@ class Wanted:
     """Intermediate results (:class:`~prc_cli.core.stream.StageLabels`)."""
     confidence: bool = False
     """How sure every label is [per cent]."""
+    reasons: bool = False
+    """The rule that gave every label (:class:`~prc_cli.core.classes.Reason`)."""
+    measures: bool = False
+    """What the stages measured of every shot, for ``prc explain``; needs ``stages``."""
 
 
 LABELS_ALONE = Wanted()
@@ -225,6 +229,10 @@ class Classifier(Protocol[ScannerT, StateT_co]):
             The lines that became final, in order, including their further returns; may be empty, and may include
             lines of earlier blocks.
         """
+
+    def limits(self, block: ScanBlock) -> Any:
+        """Return what holds the limits of the method for a block, by the names that its rules call them."""
+        return self
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Return sentences on what a finished run could not do.

@@ -8,11 +8,11 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.classes import Reason
 from prc_cli.core.types import F32, I64, U8, Mask
 from prc_cli.methods.fused.thresholds import DecisionThresholds
 
-MISSING, _, NOISE, GROUND, BUILDING, VEGETATION = range(6)
-CAR, POLE = 7, 11
+MISSING, _, NOISE, GROUND = range(4)
 Slots = NDArray[np.uint64]
 
 MARGIN, BESIDE, ACROSS = 20, 12, 4
@@ -144,13 +144,13 @@ class _Shot:
         is_pit = self.upright > 0 and self.near >= self.thresholds.pit_near
         return bool(self.above < -self.thresholds.below_m) and self.smooth < 3 and not is_pit
 
-    def is_ground(self) -> bool:
+    def ground(self) -> Reason | None:
         off = abs(self.above)
-        return bool(
-            (self.is_walked and off < self.thresholds.walked_m)
-            or (off < self.thresholds.level_m and self.level > self.upright)
-            or (off < self.thresholds.soil_m and self.upright <= self.level + 1)
-        )
+        if self.is_walked and off < self.thresholds.walked_m:
+            return Reason.WALKED
+        if off < self.thresholds.level_m and self.level > self.upright:
+            return Reason.LEVEL_LOW
+        return Reason.LOW if off < self.thresholds.soil_m and self.upright <= self.level + 1 else None
 
     def leaf_share(self) -> np.float32:
         ahead = np.float32(0) if self.strip is None else self.walls[2][self.line, self.strip]
@@ -248,29 +248,42 @@ class _Shot:
     def has_crown(self) -> bool:
         return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)
 
-    def label(self) -> int:
+    def rule(self) -> Reason:
         leaf = False
         if self.near < self.thresholds.least_near:
             leaf = self.is_leaf()
+            if self.near == 0 and self.range_m <= self.thresholds.lone_m:
+                return Reason.LONELY
             if not (leaf or (self.near > 0 and self.is_held())):
-                return NOISE
-        if self.is_spike() or self.is_reflection():
-            return NOISE
-        if self.is_ground():
-            return GROUND
-        rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall() and not self.is_facade()
+                return Reason.ISOLATED
+        if self.is_spike():
+            return Reason.SPIKE
+        if self.is_reflection():
+            return Reason.BELOW_GROUND
+        if ground := self.ground():
+            return ground
+        soft = bool(self.texture < self.leaf_share())
+        rough = soft and not self.is_in_wall() and not self.is_facade()
         is_car = self.is_low_with_level(rough=rough)
-        if self.is_ghost(rough=rough) or (is_car and self.is_lost_in_car()):
-            return NOISE
+        if self.is_ghost(rough=rough):
+            return Reason.BEHIND_WALL
+        if is_car and self.is_lost_in_car():
+            return Reason.IN_CAR
         if self.is_standing(is_car=is_car) and self.is_thin():
             if self.has_crown():
-                return VEGETATION
+                return Reason.CROWN
             is_long = not self._is_free_across(BESIDE)
             if not is_long and len(self.run()) >= self.thresholds.pole_shots:
-                return VEGETATION if self.is_thick() else POLE
+                if self.is_thick():
+                    return Reason.TRUNK
+                return Reason.POST if self.level == 0 else Reason.ARM
         if is_car:
-            return CAR
-        return VEGETATION if rough or leaf else BUILDING
+            return Reason.LEVEL_BODY
+        if rough:
+            return Reason.FOLIAGE
+        if leaf:
+            return Reason.LEAF
+        return Reason.FACADE if soft else Reason.SMOOTH
 
 
 def fused_labels(
@@ -286,7 +299,7 @@ def fused_labels(
     step: np.float32,
     thresholds: DecisionThresholds,
 ) -> U8:
-    """Label shots; see :func:`prc_cli.methods.fused.classes_loops.fused_labels`."""
+    """Find the rules of shots; see :func:`prc_cli.methods.fused.classes_loops.fused_labels`."""
     points = (*_points(window_m[MARGIN - 2 : 2 - MARGIN], beams), above_m)
     labels = np.full(texture.shape, MISSING, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(window_m[MARGIN:-MARGIN])), strict=True):
@@ -294,7 +307,7 @@ def fused_labels(
         shot = _Shot(
             window_m, points, counts, is_walked, soft, slots, walls, levels, step, thresholds, int(line), int(i)
         )
-        labels[line, i] = shot.label()
+        labels[line, i] = shot.rule()
     for line, row in enumerate(labels):
         ranges = window_m[line : line + 2 * MARGIN + 1]
         own = _Line(
@@ -324,7 +337,7 @@ class _Line:
         return self.window[MARGIN]
 
     def is_thing(self, j: int) -> bool:
-        return self.labels[j] not in (MISSING, NOISE, GROUND)
+        return self.labels[j] % 16 not in (MISSING, NOISE, GROUND)
 
     def is_top(self, i: int) -> bool:
         is_low = self.limits.foot_m < self.above[i] < self.limits.box_m
@@ -334,9 +347,9 @@ class _Line:
         """Return the last shot of a box to one side, and the next shot; -1 = none close by."""
         last, gap, j = i, 0, i + way
         while 0 <= j < len(self.labels) and gap <= 3:
-            if self.labels[j] in (MISSING, NOISE) or self.near[j] < self.limits.least_near:
+            if self.labels[j] % 16 in (MISSING, NOISE) or self.near[j] < self.limits.least_near:
                 gap += 1
-            elif self.labels[j] == GROUND or not abs(self.ranges[j] - self.ranges[last]) < self.limits.jump_m:
+            elif self.labels[j] % 16 == GROUND or not abs(self.ranges[j] - self.ranges[last]) < self.limits.jump_m:
                 return last, j
             elif self.above[j] >= self.limits.box_m:
                 return last, last
@@ -384,11 +397,11 @@ class _Line:
             (foot, below), (top, beyond) = ends
             if beyond >= 0 and self.ranges[beyond] <= self.ranges[top] + self.limits.far_m:
                 continue
-            if below >= 0 and self.labels[below] != GROUND and self.ranges[below] < self.ranges[foot]:
+            if below >= 0 and self.labels[below] % 16 != GROUND and self.ranges[below] < self.ranges[foot]:
                 continue
             shots = np.array([j for j in range(first, last + 1) if self.is_thing(j)])
             if self.is_small(i, shots):
-                self.labels[shots] = np.uint8(POLE)
+                self.labels[shots] = np.uint8(Reason.BOX)
 
 
 def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:

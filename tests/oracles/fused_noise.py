@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prc_cli.core.classes import Reason
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.thresholds import AgainThresholds
 
@@ -73,6 +74,8 @@ def noise_again(
         shot, pairs = _Window(labels, range_m, smooth, int(line) + 3, int(i)), smooth[line + 3, i]
         is_rough = pairs == 0 and texture[line, i] > thresholds.alone_texture and above_m[line, i] > thresholds.foot_m
         is_open = pairs < 2 and labels[line + 1, i] not in (MISSING, NOISE)
-        if (is_open and shot.is_mirrored(thresholds)) or (is_rough and shot.is_alone(thresholds)):
-            found[line, i] = NOISE
+        if is_rough and shot.is_alone(thresholds):
+            found[line, i] = Reason.RANGE_ALONE
+        elif is_open and shot.is_mirrored(thresholds):
+            found[line, i] = Reason.MIRRORED
     return found

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from prc_cli.core.classes import Reason
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 
@@ -174,11 +175,12 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
                 if (i, k) != (line, column) and abs(r[i, k] - r[line, column]) <= thresholds.near_m:
                     has_near[line, column] = True
     # the rules from the last to the first, each over those after it
-    labels = np.where(has_near, 5, 2)
-    labels[touching & (height <= top)] = 6
-    labels[(height <= thresholds.soil_m) | (level & (height <= thresholds.cover_m))] = 3
-    labels[stems & (height <= top)] = 6
-    labels[stems & (height > top)] = 5
-    labels[height < -thresholds.below_m] = 2
-    labels[np.isnan(height)] = 0
-    return labels.astype(np.uint8)
+    rules = np.where(has_near, Reason.PLANT, Reason.ALONE)
+    rules[touching & (height <= top)] = Reason.BESIDE_STEM
+    rules[level & (height <= thresholds.cover_m)] = Reason.FLAT
+    rules[height <= thresholds.soil_m] = Reason.SOIL
+    rules[stems & (height <= top)] = Reason.ON_STEM
+    rules[stems & (height > top)] = Reason.ABOVE_TOP
+    rules[height < -thresholds.below_m] = Reason.FAR_BELOW
+    rules[np.isnan(height)] = Reason.MISSING
+    return rules.astype(np.uint8)

@@ -12,6 +12,7 @@ from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import ClassScores, scores
 from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.base import Wanted
 from prc_cli.methods.sequential_angle.pipeline import SequentialAngleParams
 from tests.simulated import HEIGHT_M, static_scan
 
@@ -21,7 +22,7 @@ def classified(seed: int, lines: int = 32, *, azimuth_step: float = 0.5, turn: f
     items = list(static_scan(0.2, azimuth_step, seed, turn=turn).labelled_blocks(lines))
     settings = load_config(preset="street-scan").config.classifier
     assert isinstance(settings, SequentialAngleParams)
-    found = list(label_blocks((item.block for item in items), settings, stages=True))
+    found = list(label_blocks((item.block for item in items), settings, wanted=Wanted(stages=True)))
     heights = [item.stages.ground_height_m for item in found if item.stages is not None]
     labels = np.concatenate([item.labels for item in found])
     return labels, np.concatenate([item.labels for item in items]), np.concatenate(heights)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import FURTHER_RETURN, ClassCodes, Label
 from prc_cli.core.config import Params
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.facts import ClassContexts
@@ -49,6 +49,11 @@ class OutputConfig(Params):
         False,
         description="add how sure every label is: extra bytes uint8 `confidence`, or a column, 0 to 100 = per cent of "
         "such shots whose label is right on simulated scans; 0 = not known (fused)",
+    )
+    reason: bool = Field(
+        False,
+        description="add the number of the rule that gave every label: extra bytes uint8 `reason`, or a column; the "
+        "page on reasons has a sentence for each, 0 = no return",
     )
     codes: Literal["upgrade", "below-32"] = Field(
         "upgrade",
@@ -237,6 +242,15 @@ OPTIONAL_COLUMNS = (
             np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
         ),
         needs="fused method",
+    ),
+    OptionalColumn(
+        ExtraDimension("reason", np.dtype("u1"), "rule that decided, 0 no return"),
+        "reason",
+        "reason",
+        "reason",
+        0,
+        lambda block: block.reasons,
+        lambda block: block.extra_labels | np.uint8(FURTHER_RETURN),
     ),
 )
 """All optional columns, in the order of outputs."""

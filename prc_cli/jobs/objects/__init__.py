@@ -37,6 +37,7 @@ from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing
 from prc_cli.jobs.objects.runs import runs_of
 from prc_cli.jobs.objects.write import check_suffix, open_things
 from prc_cli.jobs.progress import advance
+from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
@@ -231,7 +232,9 @@ class _Run:
             yield from (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
             return
         wanted = config.output.confidence
-        for item in label_blocks(self._watch.blocks(), config.classifier, stages=True, confidence=wanted):
+        for item in label_blocks(
+            self._watch.blocks(), config.classifier, wanted=Wanted(stages=True, confidence=wanted)
+        ):
             self._counts = self._counts.add(item)
             self._result.see(item)
             block = item.block if is_own else replace(item.block, xyz_m=None)

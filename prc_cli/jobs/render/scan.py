@@ -46,7 +46,7 @@ from prc_cli.jobs.render.colours import (
     vocabulary,
 )
 from prc_cli.jobs.render.options import CAPTIONS, PRC_STEPS, RenderOptions, choose_steps
-from prc_cli.methods.base import MethodParams, OneByOne
+from prc_cli.methods.base import MethodParams, OneByOne, Wanted
 from prc_cli.methods.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
 from prc_cli.streams.beams import with_beams
 
@@ -214,7 +214,7 @@ def _traced(
 def _labelled(
     blocks: Iterator[ScanBlock], params: MethodParams, steps: tuple[str, ...]
 ) -> Iterator[tuple[ScanBlock, Images]]:
-    for item in label_blocks(blocks, params, stages=True, confidence="confidence" in steps):
+    for item in label_blocks(blocks, params, wanted=Wanted(stages=True, confidence="confidence" in steps)):
         planes, seen, stages = {"classes": item.labels}, ~np.isnan(item.block.range_m), item.stages
         if item.confidence is not None:
             planes["confidence"] = np.where(seen, item.confidence.astype(np.float32), np.float32(np.nan))

@@ -41,6 +41,7 @@ from prc_cli.jobs.render.colours import (
 )
 from prc_cli.jobs.render.options import RenderOptions, RenderResult
 from prc_cli.jobs.render.scan import Part, choose_part, of_station, open_for_pictures, turns, upright
+from prc_cli.methods.base import Wanted
 
 _FLAT = 1e-3
 """Extent across a plane, as a share of that within, below which all lines are thought to lie in one plane."""
@@ -221,7 +222,7 @@ def _labelled(
 ) -> Iterator[LabelledBlock]:
     blocks = of_station(stream, options.station)
     if classify:
-        yield from label_blocks(blocks, loaded.config.classifier, stages=True)
+        yield from label_blocks(blocks, loaded.config.classifier, wanted=Wanted(stages=True))
         return
     for block in blocks:
         yield LabelledBlock(block, np.zeros(block.range_m.shape, np.uint8), np.zeros(len(block.extra), np.uint8))

@@ -50,6 +50,7 @@ from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.rules import ThinRule, parse_rules
 from prc_cli.jobs.thin.selection import choose, without
 from prc_cli.matching.sides import CONFIDENCE
+from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.grid import GridStream
 
@@ -289,7 +290,7 @@ class _Run:
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
             wanted = self.min_confidence is not None
-            for item in label_blocks(stream.blocks(), config.classifier, confidence=wanted):
+            for item in label_blocks(stream.blocks(), config.classifier, wanted=Wanted(confidence=wanted)):
                 labelled[id(item.block)] = lookup[item.labels], lookup[item.extra_labels]
                 told[id(item.block)] = item.confidence, item.extra_confidence
                 yield item.block

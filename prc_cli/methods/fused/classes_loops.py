@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import LABEL_BITS, Label, Reason
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import UniTuple, boolean, float32, helper, inlined, kernel, record, uint8, uint64
 from prc_cli.methods.fused.thresholds import DecisionThresholds
@@ -55,9 +55,18 @@ _LONG, _SHORT, _UNKNOWN = 0, 1, 2
 """Kinds of runs along a line; unknown: each of its shots is asked."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
 _OPEN, _LEAF, _ODD = 255, 254, 253
-"""Marks of undecided shots, of lonely leaves, and of shots that may be noise."""
-_BUILDING, _VEGETATION = int(Label.BUILDING), int(Label.VEGETATION)
-_CAR, _POLE = int(Label.CAR), int(Label.POLE)
+"""Marks of undecided shots, of lonely leaves, and of shots that may be noise; no reason is one of them."""
+_LABEL = np.uint8(LABEL_BITS)
+_LONELY, _ISOLATED, _SPIKE, _BELOW = (
+    np.uint8(rule) for rule in (Reason.LONELY, Reason.ISOLATED, Reason.SPIKE, Reason.BELOW_GROUND)
+)
+_BEHIND_WALL, _IN_CAR = np.uint8(Reason.BEHIND_WALL), np.uint8(Reason.IN_CAR)
+_WALKED, _LEVEL_LOW, _LOW = np.uint8(Reason.WALKED), np.uint8(Reason.LEVEL_LOW), np.uint8(Reason.LOW)
+_SMOOTH, _FACADE = np.uint8(Reason.SMOOTH), np.uint8(Reason.FACADE)
+_ONE_LEAF, _FOLIAGE = np.uint8(Reason.LEAF), np.uint8(Reason.FOLIAGE)
+_CROWN, _TRUNK = np.uint8(Reason.CROWN), np.uint8(Reason.TRUNK)
+_LEVEL_BODY = np.uint8(Reason.LEVEL_BODY)
+_POST, _ARM, _BOX = np.uint8(Reason.POST), np.uint8(Reason.ARM), np.uint8(Reason.BOX)
 
 
 @helper
@@ -290,20 +299,14 @@ def _mark_thin(window_m: F32, line: int, far: np.float32, thin: U8) -> None:
 
 
 @inlined
-def _is_ground(
-    h: np.float32,
-    is_walked: bool,
-    up: np.uint8,
-    flat: np.uint8,
-    thresholds: DecisionThresholds,
-) -> bool:
-    """Return whether a shot is on the ground: walked over, or low and more level than upright."""
+def _ground_rule(
+    h: np.float32, is_walked: bool, up: np.uint8, flat: np.uint8, thresholds: DecisionThresholds
+) -> np.uint8:
+    """Return why a shot is on the ground: walked over, or low and more level than upright; 0 = it is not."""
     off = abs(h)
-    return bool(
-        ((off < thresholds.walked_m) & is_walked)
-        | ((off < thresholds.level_m) & (flat > up))
-        | ((off < thresholds.soil_m) & (up <= flat + np.uint8(1)))
-    )
+    rule = _LOW if (off < thresholds.soil_m) & (up <= flat + np.uint8(1)) else np.uint8(0)
+    rule = _LEVEL_LOW if (off < thresholds.level_m) & (flat > up) else rule
+    return _WALKED if (off < thresholds.walked_m) & is_walked else rule
 
 
 @helper
@@ -318,13 +321,13 @@ def _label_plain(
     least, below, lone = thresholds.least_near, thresholds.below_m, thresholds.lone_m
     for i in range(len(ranges)):
         h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
-        is_ground = _is_ground(h, walked[i], up, flat, thresholds)
+        ground = _ground_rule(h, walked[i], up, flat, thresholds)
         n_near = np.float32(near[i])
         is_held = (n_near >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
         is_odd = (n_near < least) | (pairs == 0) | (h < -below)
         code = np.uint8(_ODD) if is_odd else np.uint8(_OPEN)
-        code = np.uint8(_GROUND) if is_ground & is_held else code
-        code = np.uint8(_NOISE) if (near[i] == 0) & (n_near < least) & (ranges[i] <= lone) else code
+        code = ground if (ground != 0) & is_held else code
+        code = _LONELY if (near[i] == 0) & (n_near < least) & (ranges[i] <= lone) else code
         labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
 
 
@@ -422,7 +425,7 @@ def _label_odd(
                 # far away, gaps between leaves are wider than what counts as near
                 is_leaf = bool(np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots)
             if not (is_leaf or (is_held and near[i] > 0)):
-                labels[i] = _NOISE
+                labels[i] = _ISOLATED
                 continue
         # spikes: the adjacent shots are smooth, in the line and in the lines before and after
         half = int(columns[i])
@@ -430,10 +433,13 @@ def _label_odd(
         shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
         is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
         is_pit = (upright[i] > 0) & (np.float32(near[i]) >= thresholds.pit_near)
-        if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH) & (not is_pit)):
-            labels[i] = _NOISE
-        elif _is_ground(h, walked[i], upright[i], level[i], thresholds):
-            labels[i] = _GROUND
+        ground = _ground_rule(h, walked[i], upright[i], level[i], thresholds)
+        if is_spike:
+            labels[i] = _SPIKE
+        elif (h < -below) & (pairs < BELOW_SMOOTH) & (not is_pit):
+            labels[i] = _BELOW
+        elif ground != 0:
+            labels[i] = ground
         elif is_leaf:
             labels[i] = _LEAF
 
@@ -498,14 +504,18 @@ def _label_things(
         is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
         is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
         is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
-        label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
-        label = np.uint8(_CAR) if is_car else label
+        label = _FACADE if is_soft else _SMOOTH
+        label = _ONE_LEAF if is_leaf else label
+        label = _FOLIAGE if is_rough else label
+        label = _LEVEL_BODY if is_car else label
         is_bare = smooth[i] == 0
         is_past = (wall != nothing) & (z * wall <= end * abs(y)) & is_here
         is_far = ((beyond > ghost_m) & is_rough) | ((beyond > behind_m) & is_bare)
         is_lost = is_bare & is_car & (np.float32(near[i]) < least)
-        is_ghost = (is_past & is_far & (np.float32(near[i]) < ghost_near)) | is_lost
-        label = np.uint8(_NOISE) if is_ghost else label
+        is_behind = is_past & is_far & (np.float32(near[i]) < ghost_near)
+        is_ghost = is_behind | is_lost
+        label = _IN_CAR if is_lost else label
+        label = _BEHIND_WALL if is_behind else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
@@ -519,7 +529,7 @@ def _label_poles(
     shots: I32,
     window_m: F32,
     line: int,
-    near: U8,
+    counts: tuple[U8, U8, U8, U8],
     points: tuple[F32, F32, F32],
     thin: U8,
     rough: Slots,
@@ -529,7 +539,7 @@ def _label_poles(
     """Label those of a list of shots that are on poles and trunks."""
     ranges = window_m[line]
     side, height, above = points
-    least = thresholds.least_near
+    near, level, least = counts[0], counts[3], thresholds.least_near
     end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -541,20 +551,27 @@ def _label_poles(
         if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
-                labels[i] = np.uint8(_VEGETATION)
+                labels[i] = _CROWN
             elif np.float32(n_shots) >= thresholds.pole_shots and (
                 thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
                 beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
                 is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
-                labels[i] = np.uint8(_VEGETATION) if is_thick else np.uint8(_POLE)
+                upright = _POST if level[i] == 0 else _ARM
+                labels[i] = _TRUNK if is_thick else upright
 
 
 @inlined
-def _is_thing(label: np.uint8) -> bool:
-    """Return whether a label is that of a thing above the ground."""
+def _is_thing(rule: np.uint8) -> bool:
+    """Return whether a rule is that of a thing above the ground."""
+    label = rule & _LABEL
     return bool((label != _MISSING) & (label != _NOISE) & (label != _GROUND))
+
+
+@inlined
+def _is_soil(rule: np.uint8) -> bool:
+    return bool(rule & _LABEL == _GROUND)
 
 
 @helper
@@ -601,12 +618,12 @@ def _end_of_box(
     _, _, above = points
     last, j, gap = i, i + way, 0
     while 0 <= j < len(ranges):
-        is_other = not _is_thing(labels[j]) and labels[j] != _GROUND
+        is_other = not _is_thing(labels[j]) and not _is_soil(labels[j])
         if is_other or np.float32(near[j]) < thresholds.least_near:
             gap += 1
             if gap > GAP_SHOTS:
                 return last, -1
-        elif labels[j] == _GROUND or not abs(ranges[j] - ranges[last]) < thresholds.jump_m:
+        elif _is_soil(labels[j]) or not abs(ranges[j] - ranges[last]) < thresholds.jump_m:
             return last, j
         elif above[j] >= thresholds.box_m:
             return last, last
@@ -683,11 +700,11 @@ def _label_boxes(
         top, beyond, foot, below = (last, after, first, before) if is_up else (first, before, last, after)
         if beyond >= 0 and ranges[beyond] <= ranges[top] + thresholds.far_m:
             continue
-        if below >= 0 and labels[below] != _GROUND and ranges[below] < ranges[foot]:
+        if below >= 0 and not _is_soil(labels[below]) and ranges[below] < ranges[foot]:
             continue
         if _is_box(window_m, line, i, (first, last), points, counts[1], labels, thresholds):
             for j in range(first, last + 1):
-                labels[j] = np.uint8(_POLE) if _is_thing(labels[j]) else labels[j]
+                labels[j] = _BOX if _is_thing(labels[j]) else labels[j]
 
 
 @kernel(
@@ -718,7 +735,7 @@ def fused_labels(
     step: np.float32,
     thresholds: DecisionThresholds,
 ) -> U8:
-    """Label every shot of consecutive lines.
+    """Give every shot of consecutive lines the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
     ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres; ``counts`` tuple of (lines
     + 4, M) uint8; ``walked`` (lines + 4, M) bool; ``texture`` (lines, M) float32; ``slots`` tuple of (lines, STRIPS)
@@ -763,7 +780,7 @@ def fused_labels(
         _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
         _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
-        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)
+        _label_poles(shots[:n], window_m, line + MARGIN, own, place, thin, rough, thresholds, row)
         _mark_tops(place[2], own, row, thresholds, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)

@@ -9,11 +9,11 @@ share of shots with this label and these answers that were right on simulated st
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from prc_cli.core.classes import Label
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I32, I64, U8
-from prc_cli.methods.base import Part, Turn
 from prc_cli.methods.fused.neighbours import Neighbours
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.strips import Standing
@@ -184,28 +183,6 @@ UNKNOWN_M = 1e6
 """Heights beyond are those of places where no ground was seen [m]."""
 _LEAST_SHARE = 0.5
 """Beams nearer to level than 60 degrees tell nothing of the tilt of the plane."""
-_ValueT = TypeVar("_ValueT")
-_ResultT = TypeVar("_ResultT")
-
-
-class Overhearing(Turn):
-    """A turn that also keeps the results of its steps.
-
-    Attributes
-    ----------
-    results : dict
-        Result of every step so far, by the name of its part.
-    """
-
-    def __init__(self, turn: Turn) -> None:
-        self._turn = turn
-        self.results: dict[str, Any] = {}
-
-    def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
-        """Run a step; see :class:`~prc_cli.methods.base.Turn`."""
-        result = self._turn.hand_on(part, step)
-        self.results[part.name] = result
-        return result
 
 
 def true_heights(above_m: F32, block: ScanBlock) -> F32:

@@ -6,6 +6,8 @@ independent: the ground is estimated anew every few lines, and a few lines are e
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from prc_cli import kernels
@@ -67,32 +69,41 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, noise_m: float, limit
     return kernels.stem_shots(range_m, runs, table, limits.stems)
 
 
-def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> U8:
-    """Label a block of forest.
+class Woods(NamedTuple):
+    """What a block of forest holds."""
 
-    ``range_m`` (lines, M) float32, metres; returns (lines, M) uint8.
+    reasons: U8
+    """(lines, M) uint8, :class:`~prc_cli.core.classes.Reason`."""
+    above_m: F32
+    """(lines, M) float32, heights above the ground in the scan plane [m]."""
+    on_stem: Mask
+    """(lines, M) bool."""
+
+
+def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> Woods:
+    """Label a block of forest, (lines, M) float32 [m].
 
     Ground, a stem, and a stray shot in front of the sky:
 
-    >>> from prc_cli.core.classes import Label
+    >>> from prc_cli.core.classes import Reason
     >>> beam = np.deg2rad(np.linspace(45, 110, 651))
     >>> down = np.maximum(np.cos(beam), 1e-9)
     >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (8, 1)).astype(np.float32)
     >>> lines[:, 551:] = np.nan
     >>> lines[3, 600] = 30.0
-    >>> labels = forest(lines, Plane.of(beam), 0.0, Forest())
-    >>> [Label(labels[3, column]).name for column in (0, 500, 590, 600)]
-    ['GROUND', 'STEM', 'MISSING', 'NOISE']
+    >>> found = forest(lines, Plane.of(beam), 0.0, Forest()).reasons
+    >>> [Reason(found[3, column]).name for column in (0, 500, 590, 600)]
+    ['SOIL', 'ON_STEM', 'MISSING', 'ALONE']
     """
     range_m = np.ascontiguousarray(range_m)
     heights = heights_over_ground(range_m, plane, limits)
     stems = find_stems(range_m, heights, plane, noise_m, limits)
-    return _draw(range_m, heights, stems, plane, noise_m, limits)
+    return Woods(_decide(range_m, heights, stems, plane, noise_m, limits), heights, stems)
 
 
 @stage("classes")
-def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, noise_m: float, limits: Forest) -> U8:
-    """Label ground and stems; other shots are vegetation, or noise if no shot is near."""
+def _decide(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, noise_m: float, limits: Forest) -> U8:
+    """Decide what is ground and stem; other shots are vegetation, or noise if no shot is near."""
     columns = round(limits.alone_rad / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
     return kernels.forest_labels(range_m, heights_m, stems, around, limits.class_thresholds(noise_m))

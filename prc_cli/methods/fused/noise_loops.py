@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import Label, Reason
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import float32, helper, inlined, kernel, record, uint8
 from prc_cli.methods.fused.thresholds import AgainThresholds
@@ -25,6 +25,7 @@ MISSING_PART = 6
 _MISSING, _NOISE, _CAR = int(Label.MISSING), int(Label.NOISE), int(Label.CAR)
 _ALONE, _MIRRORED = np.uint8(1), np.uint8(2)
 """Bits of what is asked of a shot."""
+_RANGE_ALONE, _MIRROR_IMAGE = np.uint8(Reason.RANGE_ALONE), np.uint8(Reason.MIRRORED)
 _FAR = np.float32(1e9)
 
 
@@ -141,11 +142,11 @@ def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> b
 def noise_again(
     labels: U8, voted: U8, range_m: F32, smooth: U8, above_m: F32, texture: F32, thresholds: AgainThresholds
 ) -> U8:
-    """Label noise that is seen in a wider window alone: what a car mirrors, and ranges that nothing around has.
+    """Find noise that is seen in a wider window alone: what a car mirrors, and ranges that nothing around has.
 
     ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32, metres; ``smooth``
     (lines + 6, M) uint8; ``above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32; returns (lines, M)
-    uint8.
+    uint8, the label, or the reason where it is such noise.
     """
     n_lines, m = voted.shape
     found = voted.copy()
@@ -160,7 +161,8 @@ def noise_again(
         _mark_amid_cars(labels[line + BESIDE_LINES], smooth[k], marks[:m])
         for n in range(_list(words, marks, shots)):
             i = int(shots[n])
-            is_alone = marks[i] & _ALONE and _is_alone(range_m, k, i, thresholds)
-            if is_alone or (marks[i] & _MIRRORED and _is_mirrored(range_m, smooth, labels, (k, i), before, thresholds)):
-                found[line, i] = np.uint8(_NOISE)
+            if marks[i] & _ALONE and _is_alone(range_m, k, i, thresholds):
+                found[line, i] = _RANGE_ALONE
+            elif marks[i] & _MIRRORED and _is_mirrored(range_m, smooth, labels, (k, i), before, thresholds):
+                found[line, i] = _MIRROR_IMAGE
     return found

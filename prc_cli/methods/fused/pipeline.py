@@ -20,11 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import LABEL_BITS, VOTED, Label, Reason
 from prc_cli.core.config import Params
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
-from prc_cli.core.types import F32, F64, I32, I64, U8
-from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of, check_block
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.methods.base import (
+    LABELS_ALONE,
+    Classifier,
+    MethodParams,
+    Needs,
+    Part,
+    Turn,
+    UsualLabels,
+    Wanted,
+    beams_of,
+    check_block,
+)
 from prc_cli.methods.fused.classes import (
     BESIDE_THIN_LINES,
     LINES,
@@ -41,14 +52,13 @@ from prc_cli.methods.fused.classes import (
 from prc_cli.methods.fused.confidence import (
     QUESTIONS,
     Evidence,
-    Overhearing,
     cells_of,
     confidence_of,
     load_table,
     of_further_returns,
     true_heights,
 )
-from prc_cli.methods.fused.forest import forest, heights_over_ground
+from prc_cli.methods.fused.forest import forest
 from prc_cli.methods.fused.ground import Ground, GroundMemory, follow_ground
 from prc_cli.methods.fused.interlace import put_in_step
 from prc_cli.methods.fused.neighbours import Neighbours, chords, near_neighbours, smooth_pairs
@@ -238,40 +248,25 @@ class Fused(Classifier[FusedScanner, FusedState]):
     def label(self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
-        heard = Overhearing(turn) if wanted.stages or wanted.confidence else None
-        labels, evidence = _classify(
-            block.range_m, block.next_m, scanner, heard or turn, self.params, is_asked=wanted.confidence
-        )
+        found = _classify(block.range_m, block.next_m, scanner, turn, self.params, wanted)
         further, limit_m = block.extra, EXTRA_RETURN_M
+        labels, environment = found.labels, self.params.environment
         extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
-        found = LabelledBlock(block, labels, extra)
-        if heard is not None and wanted.stages:
-            found = replace(found, above_m=true_heights(self._above(block, scanner, heard), block))
-        if heard is not None and wanted.confidence:
-            evidence = evidence or self._forest_evidence(block, scanner, heard)
-            questions = QUESTIONS[self.params.environment]
-            cells = cells_of(labels, block.range_m, evidence, scanner.scan_plane, questions)
-            shots = confidence_of(labels, cells, load_table(self.params.environment))
-            found = replace(found, confidence=shots, extra_confidence=of_further_returns(block, shots, limit_m))
-        return (found,)
+        labelled = LabelledBlock(block, labels, extra, reasons=found.reasons)
+        if wanted.stages:
+            labelled = replace(labelled, above_m=true_heights(found.above_m, block))
+        if wanted.measures:
+            labelled = replace(labelled, measures=measures_of(found, block.range_m.shape))
+        if wanted.confidence:
+            evidence = found.evidence or _forest_evidence(block.range_m, found, scanner)
+            cells = cells_of(labels, block.range_m, evidence, scanner.scan_plane, QUESTIONS[environment])
+            shots = confidence_of(labels, cells, load_table(environment))
+            labelled = replace(labelled, confidence=shots, extra_confidence=of_further_returns(block, shots, limit_m))
+        return (labelled,)
 
-    def _forest_evidence(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> Evidence:
-        """Look at a block of forest as at a street; lines beyond it are not known."""
-        plane, limits = scanner.scan_plane, scanner.limits
-        beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
-        window = np.pad(block.range_m, beyond, constant_values=np.float32(np.nan))
-        smooth = smooth_pairs(window, plane, heard.results[NOISE.name], limits.smoothness)
-        seen = see(window, smooth, plane, limits)
-        inner = slice(INNER_LINES, -INNER_LINES)
-        above = np.pad(self._above(block, scanner, heard), beyond, constant_values=np.float32(np.nan))[inner]
-        return evidence_of(seen, above, plane, limits)
-
-    def _above(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> F32:
-        """Return the heights in the scan plane that the labels of a block were decided by."""
-        if self.params.environment == "forest":
-            return heights_over_ground(block.range_m, scanner.plane, FOREST)
-        ground: Grounds = heard.results[MEMORY.name]
-        return ground.above_m[ground.margin : ground.margin + block.n_lines]
+    def limits(self, block: ScanBlock) -> Forest | Limits:
+        """Return the limits that a block is labelled by."""
+        return self.params.forest.limits() if self.params.environment == "forest" else self.scanner(block).limits
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report that this method has no segments."""
@@ -309,17 +304,36 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     >>> Label(labels[4, 100]).name, Label(labels[4, 120]).name
     ('NOISE', 'GROUND')
     """
-    return _classify(range_m, next_m, scanner, turn, params)[0]
+    return _classify(range_m, next_m, scanner, turn, params, LABELS_ALONE).labels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The labels of a block, and what they were decided by; arrays of its lines alone."""
+
+    labels: U8
+    reasons: U8 | None
+    """None unless asked for."""
+    above_m: F32
+    """Above the ground in the scan plane [m]."""
+    noise_m: F64
+    """(lines, 1) or (1, 1), range noise [m]; 0 = not known."""
+    evidence: Evidence | None
+    """None unless asked for, and in forests."""
+    marked: Mask
+    """What the walk along the ground went over; in forests what is on a stem."""
 
 
 def _classify(
-    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams, *, is_asked: bool = False
-) -> tuple[U8, Evidence | None]:
-    """Label a block; see :func:`classify_block`. Also return what streets were decided by, where that is asked."""
+    range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams, wanted: Wanted
+) -> Found:
+    """Label a block; see :func:`classify_block`."""
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         in_forest_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, known, params.sensor))
-        return forest(range_m, scanner.plane, in_forest_m, params.forest.limits()), None
+        woods = forest(range_m, scanner.plane, in_forest_m, params.forest.limits())
+        labels, noise = woods.reasons & np.uint8(LABEL_BITS), np.full((1, 1), in_forest_m)
+        return Found(labels, woods.reasons, woods.above_m, noise, None, woods.on_stem)
     limits = scanner.limits
     n_lines, ahead = len(range_m), lines_ahead(plane, limits)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
@@ -335,18 +349,51 @@ def _classify(
         evidence_of(stream.seen, own.above_m, plane, limits) for stream, own in zip(streams, grounds.parts, strict=True)
     ]
     decided = [
-        _decide(stream, own, evidence, plane, limits)
+        _decide(stream, own, evidence, plane, limits, with_reasons=wanted.reasons)
         for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
     ]
-    labels = _woven(decided, streams, apart)
-    has_profiles = are_wanted(plane, limits)
-    evidence = None
-    if is_asked or has_profiles:
+    labels = _woven([labels for labels, _ in decided], streams, apart)
+    reasons = _woven([reasons for _, reasons in decided], streams, apart) if wanted.reasons else None
+    evidence, has_profiles = None, are_wanted(plane, limits)
+    if wanted.confidence or wanted.measures or has_profiles:
         evidence = _woven_evidence(found, grounds.above_m, streams, apart)
     if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
-        labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits)
-    return labels, evidence
+        before, labels = labels, _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits)
+        if reasons is not None:
+            reasons = np.where(labels == before[:n_lines], reasons[:n_lines], np.uint8(Reason.PROFILE))
+    own = slice(grounds.margin, grounds.margin + n_lines)
+    own_noise_m = noise_m[SPACED_LINES : SPACED_LINES + n_lines, None]
+    return Found(labels, reasons, grounds.above_m[own], own_noise_m, evidence, grounds.walked[own])
+
+
+def measures_of(found: Found, shape: tuple[int, ...]) -> dict[str, AnyArray]:
+    """Return what was measured of every shot of a block, by names with their units."""
+    n_lines = shape[0]
+    measures: dict[str, AnyArray] = {
+        "range noise [m]": np.broadcast_to(found.noise_m, shape), "height above the ground [m]": found.above_m,
+    }  # fmt: skip
+    if found.evidence is None:
+        return {**measures, "on a stem": found.marked}
+    own = slice(found.evidence.margin, found.evidence.margin + n_lines)
+    near, smooth, upright, level = (each[own] for each in found.evidence.seen.counts)
+    return {
+        **measures, "walked over": found.marked, "near neighbours, of 28": near, "smooth pairs, of 10": smooth,
+        "upright chords, of 3": upright, "level chords, of 3": level,
+        "smooth share around": found.evidence.texture[1 : 1 + n_lines],
+    }  # fmt: skip
+
+
+def _forest_evidence(range_m: F32, found: Found, scanner: FusedScanner) -> Evidence:
+    """Look at a block of forest as at a street; lines beyond it are not known."""
+    plane, limits = scanner.scan_plane, scanner.limits
+    beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
+    window = np.pad(range_m, beyond, constant_values=np.float32(np.nan))
+    smooth = smooth_pairs(window, plane, found.noise_m.item(), limits.smoothness)
+    seen = see(window, smooth, plane, limits)
+    inner = slice(INNER_LINES, -INNER_LINES)
+    above = np.pad(found.above_m, beyond, constant_values=np.float32(np.nan))[inner]
+    return evidence_of(seen, above, plane, limits)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -558,15 +605,25 @@ def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, limits: Limits) -> E
     return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
 
 
-def _decide(stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, limits: Limits) -> U8:
-    """Label every shot of a stream."""
-    seen, own = stream.seen, limits.decision
-    labels = decide(stream.wide_m, seen.neighbours, ground, evidence.texture, evidence.standing, plane, own)
-    voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    pairs, texture = seen.neighbours.smooth, evidence.texture
-    asked = ask_again((labels, voted), seen.range_m, pairs, ground.above_m, texture, limits.again)
+def _decide(
+    stream: Stream, ground: Ground, evidence: Evidence, plane: ScanPlane, limits: Limits, *, with_reasons: bool
+) -> tuple[U8, U8]:
+    """Label every shot of a stream; return the labels and, where they are asked for, the reasons."""
+    seen, bits = stream.seen, np.uint8(LABEL_BITS)
+    neighbours, texture = seen.neighbours, evidence.texture
+    rules = decide(stream.wide_m, neighbours, ground, texture, evidence.standing, plane, limits.decision)
+    decided = rules & bits
+    voted = vote(decided, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
+    again = ask_again((decided, voted), seen.range_m, neighbours.smooth, ground.above_m, texture, limits.again)
+    asked = again & bits
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    return find_curbs(asked, seen.range_m[inner], ground.above_m[inner], plane, limits.curbs)
+    labels = find_curbs(asked, seen.range_m[inner], ground.above_m[inner], plane, limits.curbs)
+    if not with_reasons:
+        return labels, labels
+    own = slice(VOTE_LINES, -VOTE_LINES)
+    reasons = np.where(voted == decided[own], rules[own], voted | np.uint8(VOTED))
+    reasons = np.where(asked == again, reasons, again)
+    return labels, np.where(labels == asked, reasons, np.uint8(Reason.CURB_FACE))
 
 
 def _with_cars(

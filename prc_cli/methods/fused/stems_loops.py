@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.classes import Label, Reason
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, inlined, int32, int64, kernel, record, uint8
 from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
@@ -17,8 +18,11 @@ COUNT, PASSED, LOWEST, HIGHEST = range(4)
 _SHOTS, _PASSED, _RUNS, _LENGTH = range(4)
 """Columns of the sums of a stem: shots, returns from behind, runs, length of these [m]."""
 
-LABEL_MISSING, LABEL_NOISE, LABEL_GROUND, LABEL_VEGETATION, LABEL_STEM = 0, 2, 3, 5, 6
-"""As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
+_MISSING = np.uint8(Label.MISSING)
+_FAR_BELOW, _ALONE = np.uint8(Reason.FAR_BELOW), np.uint8(Reason.ALONE)
+_SOIL, _FLAT = np.uint8(Reason.SOIL), np.uint8(Reason.FLAT)
+_PLANT, _ABOVE_TOP = np.uint8(Reason.PLANT), np.uint8(Reason.ABOVE_TOP)
+_ON_STEM, _BESIDE_STEM = np.uint8(Reason.ON_STEM), np.uint8(Reason.BESIDE_STEM)
 NO_GROUND = -1e9
 """Height of the ground where none was seen [m]."""
 N_LOWEST = 3
@@ -488,7 +492,7 @@ def _mark_adjacent(ranges: F32, limit: float, links: U8, adjacent: U8) -> None:
 
 @helper
 def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds: ForestThresholds, labels: U8) -> None:
-    """Label the shots of a line that need no other shots for it, and mark the others.
+    """Decide on the shots of a line that need no other shots for it, and mark the others.
 
     Without branches, so that the compiler can use vector instructions.
     """
@@ -496,14 +500,14 @@ def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds
     below, soil, cover, top = -thresholds.below_m, thresholds.soil_m, thresholds.cover_m, thresholds.top_m
     for i in range(len(heights)):
         height = np.float64(heights[i])
-        is_ground = (height <= soil) | ((height <= cover) & (flat[i] != 0))
-        label = np.uint8(LABEL_VEGETATION) if adjacent[i] != 0 else np.uint8(_OPEN)
-        label = np.uint8(_TOUCHING) if (beside[i] != 0) & (height <= top) else label
-        label = np.uint8(LABEL_GROUND) if is_ground else label
-        stem = np.uint8(LABEL_STEM) if height <= top else np.uint8(LABEL_VEGETATION)
-        label = stem if stems[i] else label
-        label = np.uint8(LABEL_NOISE) if height < below else label
-        labels[i] = label if height == height else np.uint8(LABEL_MISSING)
+        rule = _PLANT if adjacent[i] != 0 else np.uint8(_OPEN)
+        rule = np.uint8(_TOUCHING) if (beside[i] != 0) & (height <= top) else rule
+        rule = _FLAT if (height <= cover) & (flat[i] != 0) else rule
+        rule = _SOIL if height <= soil else rule
+        stem = _ON_STEM if height <= top else _ABOVE_TOP
+        rule = stem if stems[i] else rule
+        rule = _FAR_BELOW if height < below else rule
+        labels[i] = rule if height == height else _MISSING
 
 
 @helper
@@ -538,7 +542,7 @@ def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, li
 
 @kernel(uint8[:, ::1](float32[:, ::1], float32[:, ::1], boolean[:, ::1], int64, record(ForestThresholds)))
 def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
-    """Label a block of forest.
+    """Give every shot of a block of forest the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
     ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``stems`` (lines, M) bool; returns
     (lines, M) uint8.
@@ -562,8 +566,8 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
         for k in range(n_shots):
             column = shots[k]
             if row[column] == _TOUCHING and _touches_stem(range_m, stems, line, column, thresholds.beside_m):
-                row[column] = LABEL_STEM
+                row[column] = _BESIDE_STEM
             else:
                 plant = limit < 0.0 or adjacent[column] or _has_near_shot(range_m, line, column, columns_around, limit)
-                row[column] = LABEL_VEGETATION if plant else LABEL_NOISE
+                row[column] = _PLANT if plant else _ALONE
     return labels

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from prc_cli.core.classes import Label
@@ -36,6 +37,7 @@ from prc_cli.methods.prc.surfaces import (
     surfaces,
 )
 from prc_cli.methods.prc.urban import ForestParams, Totals, UrbanParams, count_smooth, find_ground, forest, urban
+from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.012
@@ -151,12 +153,27 @@ class Prc(Classifier[int, PrcState]):
         extra = label_extra_returns(
             block.range_m, found.labels, further.line, further.column, further.range_m, limits.zeta_p, limits.zeta_s
         )
-        return (LabelledBlock(block, found.labels, extra, found.segments, critical=found.critical),)
+        reasons = reasons_of(found.labels, LABEL_REASONS[self.params.environment]) if wanted.reasons else None
+        measures = measures_of(found) if wanted.measures else {}
+        labelled = LabelledBlock(block, found.labels, extra, found.segments, critical=found.critical)
+        return (replace(labelled, reasons=reasons, measures=measures),)
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report thresholds that the paper advises against."""
         found = unusual(self.params.support)
         return () if found is None else (found,)
+
+
+def measures_of(found: PrcTrace) -> dict[str, NDArray[Any]]:
+    """Return what was measured of every shot of a block, by names with their units."""
+    assert found.critical is not None
+    h, v = found.components, found.surfaces
+    return {
+        "supported in its line from zeta_p [m]": found.critical.in_line_m,
+        "supported by adjacent lines from zeta_s [m]": found.critical.adjacent_m,
+        "where two surfaces meet": found.background, "segment": h.ids[h.image],
+        "shots of its segment in the block": h.sum_by_id(h.pixels)[h.image], "smooth": v.smooth,
+    }  # fmt: skip
 
 
 def initial_state(points_per_line: int) -> PrcState:

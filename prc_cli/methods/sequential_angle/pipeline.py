@@ -15,16 +15,18 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.core.blocks import LineBuffer
-from prc_cli.core.classes import LABEL_OF_SURFACE, CarTest, Label
+from prc_cli.core.classes import LABEL_OF_SURFACE, CarTest, Label, Reason, Surface
 from prc_cli.core.errors import InputError
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
+from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
 from prc_cli.methods.sequential_angle.car import CarParams, CarSearch, car_search, cars
@@ -268,7 +270,11 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             start = rows.stop
             of_part = None if stages is None else stages.of_lines(rows)
             item = _labelled(part, found.labels[rows], of_part, self.params)
-            labelled.append(item if of_part is None else replace(item, above_m=_above(part, of_part, scanner)))
+            if of_part is not None:
+                item = replace(item, above_m=_above(part, of_part, scanner))
+            if wanted.reasons:
+                item = replace(item, reasons=_reasons(item.labels, found.labels[rows]))
+            labelled.append(replace(item, measures=measures_of(item)) if wanted.measures else item)
         return labelled
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
@@ -284,6 +290,25 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         if segments:
             said.append("the sequential-angle method has no segments: every segment id is 0")
         return tuple(said)
+
+
+def _reasons(labels: U8, found: U8) -> U8:
+    """Return the rules behind labels; ``found`` lacks the returns that are beyond the reach of the method."""
+    reasons = reasons_of(labels, LABEL_REASONS["sequential-angle"])
+    reasons[labels != found] = Reason.BEYOND_REACH
+    return reasons
+
+
+def measures_of(item: LabelledBlock) -> dict[str, NDArray[Any]]:
+    """Return what was measured of every shot of final lines, by names with their units."""
+    assert item.stages is not None
+    assert item.above_m is not None
+    surfaces = np.array([surface.name.lower() for surface in Surface])
+    return {
+        "coarse class": surfaces[item.stages.surface], "dense vegetation": item.stages.dense_vegetation,
+        "ground, from the scanner [m]": item.stages.ground_height_m, "height above the ground [m]": item.above_m,
+        "interval between dividers": item.stages.car_interval,
+    }  # fmt: skip
 
 
 def initial_state(beams: Beams, params: SequentialAngleParams) -> SequentialAngleState:

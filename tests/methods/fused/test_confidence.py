@@ -15,6 +15,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import classify, classify_ranges, label_blocks
+from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused.confidence import MEASURES, N_QUESTIONS, QUESTIONS, load_table
 from tests.methods.fused.street_lines import BEAM, street_lines
 
@@ -28,7 +29,7 @@ def confidence(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) 
         replace(block, first_line=a, range_m=block.range_m[a : a + size], is_last=a + size >= block.n_lines)
         for a in range(0, block.n_lines, size)
     )
-    found = [item.confidence for item in label_blocks(pieces, params, confidence=True, threads=threads)]
+    found = [item.confidence for item in label_blocks(pieces, params, wanted=Wanted(confidence=True), threads=threads)]
     return np.concatenate([one for one in found if one is not None])
 
 
@@ -52,7 +53,7 @@ def test_it_depends_neither_on_threads_nor_on_cuts() -> None:
 def test_labels_are_the_same_without_it() -> None:
     block = ScanBlock(0, street_lines(140)[0], beam_rad=BEAM, is_last=True)
     params = load_config(preset="fused").config.classifier
-    on, off = (list(label_blocks(iter([block]), params, confidence=wanted)) for wanted in (True, False))
+    on, off = (list(label_blocks(iter([block]), params, wanted=Wanted(confidence=wanted))) for wanted in (True, False))
     for one, other in zip(on, off, strict=True):
         np.testing.assert_array_equal(one.labels, other.labels)
         assert other.confidence is None
@@ -79,7 +80,7 @@ def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
         0, ranges, beam_rad=BEAM, is_last=True, extra=ExtraReturns(line, column, far, np.arange(2) + ranges.size)
     )
     params = load_config(preset="fused").config.classifier
-    first = next(iter(label_blocks(iter([block]), params, confidence=True)))
+    first = next(iter(label_blocks(iter([block]), params, wanted=Wanted(confidence=True))))
     assert first.confidence is not None
     assert first.extra_confidence is not None
     assert first.extra_confidence[0] in first.confidence[9:12, 196:205]

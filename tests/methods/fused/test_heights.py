@@ -13,6 +13,7 @@ from prc_cli.config import load_config
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.classify import classify, label_blocks
+from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused.confidence import true_heights
 from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines
 
@@ -26,7 +27,7 @@ def heights(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> 
                 is_last=a + size >= block.n_lines)
         for a in range(0, block.n_lines, size)
     )  # fmt: skip
-    found = [item.above_m for item in label_blocks(pieces, params, stages=True, threads=threads)]
+    found = [item.above_m for item in label_blocks(pieces, params, wanted=Wanted(stages=True), threads=threads)]
     assert all(one is not None for one in found)
     return np.concatenate([one for one in found if one is not None])
 
