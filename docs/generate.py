@@ -36,6 +36,7 @@ from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params, model_in
 from prc_cli.formats.writing.columns import HIGH_NOISE_CODE
+from prc_cli.methods.reasons import reason_table
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
 from prc_cli.streams.evidence.checks import CHECKS
@@ -169,6 +170,25 @@ def checks_page() -> str:
         )
         parts.append(f"## {check.name}\n\n{check.asks}\n\n{told}\n")
     return "\n".join(parts)
+
+
+def reasons_page() -> str:
+    """Return the rules that give labels, with their numbers."""
+    intro = """\
+        # Reasons
+
+        The rule that gave a shot its class, as `--set output.reason=true` writes it beside the class: uint8 extra bytes
+        `reason`, or a column. The number modulo 16 is the class inside the program, so numbers never move to another
+        class. `prc explain` and the viewer say the sentence of a shot; [Why this class?](../explain.md).
+
+        | number | class | rule | the shot is |
+        |---:|---|---|---|
+        """
+    rows = [
+        f"| {number if name not in ('voted', 'further_return') else f'{number} + class'} | {label} | `{name}` | {text} |"
+        for number, label, name, text in reason_table()
+    ]
+    return GENERATED + textwrap.dedent(intro) + "\n".join(rows) + "\n"
 
 
 def simulation_page() -> str:
@@ -463,6 +483,7 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/configuration.md": configuration_page(),
         ROOT / "docs/reference/classes.md": classes_page(),
         ROOT / "docs/reference/checks.md": checks_page(),
+        ROOT / "docs/reference/reasons.md": reasons_page(),
         ROOT / "docs/reference/simulation.md": simulation_page(),
         ROOT / "sample_configs/viewers/prc_classes.qml": qgis_style(),
         ROOT / "sample_configs/viewers/prc_classes_potree.js": potree_classes(),

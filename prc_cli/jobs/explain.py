@@ -157,7 +157,7 @@ def _limits(rule: Rule, config: RunConfig, block: ScanBlock) -> dict[str, Any]:
     found: dict[str, Any] = {}
     constants = config.classifier.method().limits(block) if rule.limits else None
     for name in rule.limits:
-        is_key = name.partition(".")[0] in RunConfig.model_fields
+        is_key = name.startswith(("prc.", "sequential_angle."))
         value = attrgetter(name)(config if is_key else constants)
         found[name] = float(f"{value:.7g}") if isinstance(value, float) or hasattr(value, "dtype") else value
     return found

@@ -173,6 +173,12 @@ def rule_of(reason: int) -> tuple[str, Rule]:
     return "unknown", Rule("no rule of this version")
 
 
+def sentences() -> dict[int, str]:
+    """Return the sentence of every reason but that of missing returns, by its number."""
+    more = {kind | label: rule.sentence for kind, rule in ((VOTED, VOTE), (FURTHER_RETURN, FURTHER)) for label in Label}
+    return {**{int(one): RULES[one].sentence for one in RULES if one}, **more}
+
+
 def reason_table() -> list[tuple[int, str, str, str]]:
     """Return number, class, name and sentence of every reason, by number; of votes and further returns once."""
     rows = [(int(one), LABEL_NAMES[one & LABEL_BITS], one.name.lower(), RULES[one].sentence) for one in RULES]

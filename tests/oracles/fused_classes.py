@@ -249,19 +249,19 @@ class _Shot:
         return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)
 
     def rule(self) -> Reason:
-        leaf = False
+        return self._noise() or self.ground() or self._thing()
+
+    def _noise(self) -> Reason | None:
         if self.near < self.thresholds.least_near:
-            leaf = self.is_leaf()
             if self.near == 0 and self.range_m <= self.thresholds.lone_m:
                 return Reason.LONELY
-            if not (leaf or (self.near > 0 and self.is_held())):
+            if not (self.is_leaf() or (self.near > 0 and self.is_held())):
                 return Reason.ISOLATED
         if self.is_spike():
             return Reason.SPIKE
-        if self.is_reflection():
-            return Reason.BELOW_GROUND
-        if ground := self.ground():
-            return ground
+        return Reason.BELOW_GROUND if self.is_reflection() else None
+
+    def _thing(self) -> Reason:
         soft = bool(self.texture < self.leaf_share())
         rough = soft and not self.is_in_wall() and not self.is_facade()
         is_car = self.is_low_with_level(rough=rough)
@@ -269,21 +269,25 @@ class _Shot:
             return Reason.BEHIND_WALL
         if is_car and self.is_lost_in_car():
             return Reason.IN_CAR
-        if self.is_standing(is_car=is_car) and self.is_thin():
-            if self.has_crown():
-                return Reason.CROWN
-            is_long = not self._is_free_across(BESIDE)
-            if not is_long and len(self.run()) >= self.thresholds.pole_shots:
-                if self.is_thick():
-                    return Reason.TRUNK
-                return Reason.POST if self.level == 0 else Reason.ARM
+        if self.is_standing(is_car=is_car) and self.is_thin() and (upright := self._upright()):
+            return upright
         if is_car:
             return Reason.LEVEL_BODY
         if rough:
             return Reason.FOLIAGE
-        if leaf:
+        if self.near < self.thresholds.least_near and self.is_leaf():
             return Reason.LEAF
         return Reason.FACADE if soft else Reason.SMOOTH
+
+    def _upright(self) -> Reason | None:
+        if self.has_crown():
+            return Reason.CROWN
+        is_long = not self._is_free_across(BESIDE)
+        if is_long or len(self.run()) < self.thresholds.pole_shots:
+            return None
+        if self.is_thick():
+            return Reason.TRUNK
+        return Reason.POST if self.level == 0 else Reason.ARM
 
 
 def fused_labels(

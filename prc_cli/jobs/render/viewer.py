@@ -42,6 +42,7 @@ from prc_cli.jobs.render.colours import (
 from prc_cli.jobs.render.options import RenderOptions, RenderResult
 from prc_cli.jobs.render.scan import Part, choose_part, of_station, open_for_pictures, turns, upright
 from prc_cli.methods.base import Wanted
+from prc_cli.methods.reasons import sentences
 
 _FLAT = 1e-3
 """Extent across a plane, as a share of that within, below which all lines are thought to lie in one plane."""
@@ -55,6 +56,7 @@ STAGES: dict[str, Values] = {
     "dense_vegetation": Values("dense vegetation", _NONE, 1.0, 1, "", words={0: "no", 1: "yes"}),
     "segment_id": Values("segment", _NONE, 1.0, 4, "", is_scale=False),
     "confidence": Values("confidence", _NONE, 1.0, 1, "%"),
+    "reason": Values("because", _NONE, 1.0, 1, "", words=sentences()),
 }  # fmt: skip
 """Values of the classifier by the names of its output columns."""
 
@@ -88,7 +90,7 @@ class _Kept:
         cells = (slice(start, high, self.step[0]), slice(None, None, self.step[1]))
         planes: dict[str, NDArray[Any] | None] = {
             "range": block.range_m, "class": classes, "record": record, "time": block.time_s,
-            "intensity": block.intensity, "xyz": block.xyz_m, "height_above_ground": item.above_m,
+            "intensity": block.intensity, "xyz": block.xyz_m, "height_above_ground": item.above_m, "reason": item.reasons,
         }  # fmt: skip
         if item.stages is not None:
             planes["surface"], planes["dense_vegetation"] = item.stages.surface, item.stages.dense_vegetation
@@ -222,7 +224,7 @@ def _labelled(
 ) -> Iterator[LabelledBlock]:
     blocks = of_station(stream, options.station)
     if classify:
-        yield from label_blocks(blocks, loaded.config.classifier, wanted=Wanted(stages=True))
+        yield from label_blocks(blocks, loaded.config.classifier, wanted=Wanted(stages=True, reasons=True))
         return
     for block in blocks:
         yield LabelledBlock(block, np.zeros(block.range_m.shape, np.uint8), np.zeros(len(block.extra), np.uint8))

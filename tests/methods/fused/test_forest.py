@@ -11,13 +11,14 @@ import pytest
 from benchmarks.ablation import changed
 from prc_cli.config import load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import LABEL_BITS, Label
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges
-from prc_cli.methods.fused.forest import find_stems, forest, heights_over_ground
+from prc_cli.methods.fused import forest as woods
+from prc_cli.methods.fused.forest import find_stems, heights_over_ground
 from prc_cli.methods.fused.plane import Plane
 from prc_cli.methods.fused.range_noise import forest_noise
-from prc_cli.methods.fused.thresholds import FOREST
+from prc_cli.methods.fused.thresholds import FOREST, Forest
 from prc_cli.simulation.settings import load_settings, open_simulation
 
 HEIGHT_M = 2.0
@@ -25,6 +26,12 @@ N_LINES = 12
 BEAM = np.deg2rad(np.arange(-150.0, 150.0, 0.1))
 PLANE = Plane.of(BEAM)
 SKY = np.cos(BEAM) < -0.5
+
+
+def forest(range_m: F32, plane: Plane, noise_m: float, limits: Forest) -> U8:
+    """Labels of a block."""
+    found: U8 = woods.forest(range_m, plane, noise_m, limits).reasons & np.uint8(LABEL_BITS)
+    return found
 
 
 def ground(slope: float = 0.0) -> F64:

@@ -263,11 +263,11 @@ def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch,
     plain = getattr(pipeline, step)
     calls: list[None] = []
 
-    def fails(*arguments: object) -> object:
+    def fails(*arguments: object, **named: object) -> object:
         calls.append(None)
         if len(calls) == 2:
             raise MemoryError(step)
-        return plain(*arguments)
+        return plain(*arguments, **named)
 
     monkeypatch.setattr(pipeline, step, fails)
     block = ScanBlock(0, np.ones((24, len(BEAM)), np.float32), beam_rad=BEAM)
