@@ -185,7 +185,7 @@ def reasons_page() -> str:
         |---:|---|---|---|
         """
     rows = [
-        f"| {number if name not in ('voted', 'further_return') else f'{number} + class'} | {label} | `{name}` | {text} |"
+        f"| {number}{' + class' if label == 'any' else ''} | {label} | `{name}` | {text} |"
         for number, label, name, text in reason_table()
     ]
     return GENERATED + textwrap.dedent(intro) + "\n".join(rows) + "\n"

@@ -90,7 +90,8 @@ class _Kept:
         cells = (slice(start, high, self.step[0]), slice(None, None, self.step[1]))
         planes: dict[str, NDArray[Any] | None] = {
             "range": block.range_m, "class": classes, "record": record, "time": block.time_s,
-            "intensity": block.intensity, "xyz": block.xyz_m, "height_above_ground": item.above_m, "reason": item.reasons,
+            "intensity": block.intensity, "xyz": block.xyz_m, "height_above_ground": item.above_m,
+            "reason": item.reasons,
         }  # fmt: skip
         if item.stages is not None:
             planes["surface"], planes["dense_vegetation"] = item.stages.surface, item.stages.dense_vegetation
