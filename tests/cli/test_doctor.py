@@ -160,10 +160,10 @@ def test_a_full_disk_is_no_fault_of_the_program(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_no_folder_for_compiled_loops_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    from prc_cli.kernels import compiling as about
+    from prc_cli.kernels import compiling
     from prc_cli.kernels.compiling import CacheState
 
-    monkeypatch.setattr(about, "cache_state", lambda: CacheState(None, 0, 0, 18))
+    monkeypatch.setattr(compiling, "cache_state", lambda: CacheState(None, 0, 0, 18))
     found = checks()["compiled loops"]
     assert (found.status, "NUMBA_CACHE_DIR" in found.hint) == ("warn", True)
 

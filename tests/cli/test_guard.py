@@ -140,7 +140,7 @@ import contextlib, sqlite3, sys, threading
 from pathlib import Path
 from prc_cli import cli
 from prc_cli.cli import guard
-from prc_cli.core import process as limits
+from prc_cli.core import process
 
 def work(arguments, debug):
     begun, ended = threading.Event(), threading.Event()
@@ -154,12 +154,12 @@ def decode(path, begun, ended):
     begun.wait()
     base = sqlite3.connect(":memory:", check_same_thread=False)
     print("works", flush=True)
-    with limits.step(path):
+    with process.step(path):
         base.execute("SELECT instr(hex(zeroblob(4000000)), hex(zeroblob(2000000)) || 1)").fetchall()
     ended.set()
 
-guard.PATIENCE_S, limits.STEP_CPU_S = 1.0, int(sys.argv.pop(1))
-guard.STEP_CPU_S = limits.STEP_CPU_S
+guard.PATIENCE_S, process.STEP_CPU_S = 1.0, int(sys.argv.pop(1))
+guard.STEP_CPU_S = process.STEP_CPU_S
 cli._run = work
 cli.main()
 """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.evaluation import confusion as splits
+from prc_cli.evaluation import confusion
 from prc_cli.evaluation.confusion import (
     UNKNOWN,
     ConfusionMatrix,
@@ -63,7 +63,7 @@ def test_blocks_without_scored_pairs_do_not_count() -> None:
 
 
 def test_too_many_groups_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splits, "MAX_BYTES", 10_000)
+    monkeypatch.setattr(confusion, "MAX_BYTES", 10_000)
     for step in (1, 10**9):
         counts = GroupedCounts(MAPPING, "split by lines")
         with pytest.raises(ConfigError, match="split by lines: more than 178 groups"):

@@ -42,7 +42,7 @@ class DenseVegetationParams(HmmParams):
 
 @stage("dense vegetation")
 def dense_vegetation(differences_deg: F32, params: DenseVegetationParams) -> Mask:
-    """Mark vegetation by the less sensitive test.
+    """Mark T', vegetation by the less sensitive test (Stamos et al. 2012, sec. 7.1).
 
     ``differences_deg`` (R, n) float32, degrees; returns (R, n) bool.
     """

@@ -72,7 +72,7 @@ class Modes:
 
 
 def mean_shift(values: F64, bandwidth: float) -> Modes:
-    """Find the modes of samples; modes closer than half a bandwidth are merged.
+    """Find the modes of samples (Comaniciu and Meer 2002); modes closer than half a bandwidth are merged.
 
     ``values`` (n,) float64.
 

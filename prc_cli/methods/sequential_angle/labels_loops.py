@@ -1,7 +1,6 @@
 """Short loops over half-lines (Stamos et al. 2012, sec. 3, 7 and 8).
 
 Their order, lines that may hold a car, high verticals, and the final classes.
-
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from prc_cli.cli import cli
-from prc_cli.core import process as limits
+from prc_cli.core import process
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
@@ -146,8 +146,8 @@ def test_a_message_that_grows_beyond_measure_is_refused(
     made.write_bag(path, [long], "lz4") if version == 1 else made.write_mcap(path, [long], "zstd")
     assert path.stat().st_size < 1 << 20
     del long, row
-    monkeypatch.setattr(limits._State, "limited", True)
-    monkeypatch.setattr(limits, "SPARE_BYTES", 20 << 20)
+    monkeypatch.setattr(process._State, "limited", True)
+    monkeypatch.setattr(process, "SPARE_BYTES", 20 << 20)
     with pytest.raises(InputError, match="takes too much memory for its size"):
         read(path)
 
