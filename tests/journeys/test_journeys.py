@@ -18,10 +18,12 @@ from typing import Any
 
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
 
 import prc_cli
+from prc_cli.methods.reasons import rule_of
 from tests.journeys.conftest import STREET, M
 from tests.journeys.shell import CLASSES, COMMAND, Shell
 
@@ -173,14 +175,15 @@ def test_9_the_papers_in_plain_numpy_have_the_same_labels(prc: Shell, preset: st
 
 
 def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
-    prc("prc classify drive.npz labels.npy -q")
-    labels = prc.labels("labels.npy")
+    prc("prc classify drive.npz labels.parquet -q --set output.reason=true")
+    table = pq.read_table(prc.here / "labels.parquet")
+    labels, reasons = table["class"].to_numpy(), table["reason"].to_numpy()
     rng = np.random.default_rng(8803)
     for code in (2, 5, 6, 7, 65):
         at = int(rng.choice(np.flatnonzero(labels == code)))
         told = json.loads(prc(f"prc explain drive.npz --at {at // M},{at % M} --json").out)
-        assert told["code"] == code
-        assert told["answers"]
+        assert (told["code"], told["reason"]) == (code, reasons[at])
+        assert told["sentence"] == rule_of(int(reasons[at]))[1].sentence
 
 
 @pytest.mark.parametrize(
