@@ -17,7 +17,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import layers_from, output_options, stream_options
+from prc_cli.cli.options import add_options, layers_from, output_options, stream_options
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import atomic_output, read_own, remove_stale
 from prc_cli.core.interrupts import raise_or_hold
@@ -121,19 +121,10 @@ _TELLING = [
 ]
 
 
-def _add(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
-    def add(command: Any) -> Any:
-        for option in reversed([option for group in groups for option in group]):
-            command = option(command)
-        return command
-
-    return add
-
-
 @click.group(cls=BatchCommand, subcommand_metavar="")
 @click.argument("archive", type=click.Path(path_type=Path), shell_complete=_complete_archive)
 @click.argument("out", type=click.Path(path_type=Path), required=False)
-@_add(_SELECTION, _WORK, _OUTPUTS, _CHECKS, _TELLING)
+@add_options(*_SELECTION, *_WORK, *_OUTPUTS, *_CHECKS, *_TELLING)
 @stream_options
 @output_options
 def batch(**options: Any) -> None:

@@ -13,10 +13,9 @@ from click.core import ParameterSource
 from rich.table import Table
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import config_from, stream_options, window_options
+from prc_cli.cli.options import Sectioned, config_from, stream_options, window_options
 from prc_cli.cli.report import console, line_progress, print_doubts, results
 from prc_cli.cli.safe import printable_lines
-from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.jobs.calibrate.calibrate import Calibration, SearchOptions

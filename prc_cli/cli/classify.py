@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import after_classify
-from prc_cli.cli.options import config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
 from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
@@ -24,7 +24,6 @@ from prc_cli.cli.report import (
     print_doubts,
 )
 from prc_cli.cli.safe import printable
-from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of

@@ -9,9 +9,8 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, input_options, output_options, window_options
+from prc_cli.cli.options import Sectioned, config_from, input_options, output_options, window_options
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_doubts
-from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file

@@ -11,11 +11,10 @@ from typing import Any
 import click
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import window_options
+from prc_cli.cli.options import Sectioned, window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
-from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
 from prc_cli.core.window import Window, parse_window

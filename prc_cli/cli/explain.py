@@ -9,9 +9,8 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.options import Sectioned, config_from, stream_options
 from prc_cli.cli.report import compiling_note, line_progress, results
-from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.explain import Explanation
 from prc_cli.jobs.explain import explain as explain_shot

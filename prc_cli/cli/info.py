@@ -13,10 +13,9 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.next_step import given_words, output_for
-from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.next_step import output_for
+from prc_cli.cli.options import Sectioned, config_from, given_words, output_options, stream_options
 from prc_cli.cli.safe import printable
-from prc_cli.cli.sections import Sectioned
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
 from prc_cli.core.findings import LABEL_CHECKS, Verdict

@@ -3,47 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from prc_cli.cli.options import given_words
 from prc_cli.core.files import suffix_of
 from prc_cli.formats.labels import KITTI_SUFFIX
 from prc_cli.formats.registry import is_cloud, is_dump, keeps_points
-
-FLAGS = {
-    "method": "--method", "preset": "--preset", "config_file": "--config", "layout_file": "--layout",
-    "points_per_line": "-M", "lines": "--lines", "columns": "--columns", "range_": "--range", "scanner": "--scanner",
-    "topic": "--topic", "metadata": "--metadata", "return_": "--return", "max_range": "--max-range",
-    "assignments": "--set", "accept_doubts": "--accept-doubt",
-    "sort_by_time": "--sort-by-time", "trust_order": "--trust-order",
-}  # fmt: skip
-"""Options of the command line by parameter, in the order in which they are offered."""
-
-
-def given_words(options: dict[str, Any], leave_out: Collection[str] = ()) -> list[str]:
-    """Return options as they were given.
-
-    Parameters
-    ----------
-    options : dict
-        Values of :func:`prc_cli.cli.options.stream_options`.
-    leave_out : collection of str
-        Flags that are said otherwise.
-
-    Examples
-    --------
-    >>> given_words({"preset": "urban", "points_per_line": 2154, "assignments": (), "trust_order": False})
-    ['--preset', 'urban', '-M', '2154']
-    """
-    words: list[str] = []
-    for name, flag in FLAGS.items():
-        value = options.get(name)
-        if not value or flag in leave_out:
-            continue
-        for one in value if isinstance(value, tuple) else (value,):
-            words += [flag] if one is True else [flag, str(one)]
-    return words
 
 
 def output_for(source: Path) -> Path:

@@ -9,9 +9,8 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
 from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_choice, print_doubts
-from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import KINDS, Thing, find_objects

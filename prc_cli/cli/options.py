@@ -1,4 +1,4 @@
-"""Options shared by several commands, and the configuration tables built from them.
+"""Options shared by several commands: one table from which flags, sections of the help, ``--set`` and next steps come.
 
 ``stream_options``  how a stream is read from an input, and with which parameters it is classified
 ``input_options``   only how a stream is read
@@ -8,10 +8,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import click
 
@@ -24,82 +25,147 @@ from prc_cli.methods.methods import METHODS
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
-_CLASSIFIER_OPTIONS = [
-    click.option("--method", type=click.Choice(METHODS),
-                 help="Classifier; default: what the preset or the configuration says, else what labels IN best."),
-    click.option("--preset", type=click.Choice(list(PRESETS)),
-                 help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
-                 "fused, fused-forest: both combined. Default: what labels IN best."),
-]  # fmt: skip
-
-_INPUT_OPTIONS = [
-    click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
-                 help="Configuration, or the name of a sample: prc config presets lists them."),
-    click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", shell_complete=complete_assignment,
-                 help="Any key, e.g. prc.support.zeta_p=0.1."),
-    click.option("--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml",
-                 help="Record layout of a raw dump or a text file."),
-    click.option("--lines", help="dimension:NAME, fixed, angle-wrap, time:HZ, elevation:DEG or rings."),
-    click.option("--columns", help="dimension:NAME, angle, time:HZ or order."),
-    click.option("--range", "range_", help="dimension:NAME, trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
-    click.option("--scanner", help="none, scanner_channel, point_source_id or user_data."),
-    click.option("--topic", help="Bags: topics to read; captures: ADDRESS:PORT. Several with commas."),
-    click.option("--metadata", metavar="FILE.json", help="Captures: metadata of an Ouster sensor."),
-    click.option("--return", "return_", help="strongest, first or last."),
-    click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line."),
-    click.option("--max-range", type=float, metavar="METRES", help="Ranges beyond are missing."),
-    click.option("--accept-doubt", "accept_doubts", multiple=True, metavar="NAME", type=click.Choice(CHECK_NAMES),
-                 help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several."),
-    click.option("--trust-order", "trust_order", is_flag=True, help="Take the order of the records as it is."),
-]  # fmt: skip
-
-_SORT_OPTION = click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first.")
-
-_WINDOW_OPTIONS = [
-    click.option("--only-lines", "window_lines", metavar="A:B", help="Take lines A to B - 1 alone, from 0."),
-    click.option("--only-time", "window_time", metavar="A:B",
-                 help="Take the lines of these times alone [s]; +A:+B = since the first one."),
-    click.option("--first", "window_first", metavar="LENGTH", help="Take the first 30s, 2min or 500lines alone."),
-]  # fmt: skip
-
-_OUTPUT_OPTIONS = [
-    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
-    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors and warnings (and --json)."),
-    click.option("-v", "--verbose", is_flag=True, help="Print every assumption and count."),
-]
+_FILE = click.Path(path_type=Path)
 
 
-def stream_options(command: CommandT) -> CommandT:
-    """Add the options for reading and classifying a stream."""
-    return live_options(_SORT_OPTION(command))
+class SharedOption(NamedTuple):
+    """An option of several commands."""
+
+    group: str
+    section: str
+    """Of the help."""
+    flag: str
+    """As next steps write it."""
+    key: str
+    """Of the configuration; empty = none, or not this value as it is."""
+    declared: tuple[str, ...]
+    attributes: dict[str, Any]
+
+    @property
+    def parameter(self) -> str:
+        """Name of its value."""
+        named = [name for name in self.declared if not name.startswith("-")]
+        return named[0] if named else max(self.declared, key=len).strip("-").replace("-", "_")
 
 
-def live_options(command: CommandT) -> CommandT:
-    """Add the options for classifying a stream as it arrives, which cannot be sorted."""
-    for option in reversed([*_CLASSIFIER_OPTIONS, *_INPUT_OPTIONS]):
-        command = option(command)
-    return command
+def _option(group: str, section: str, flag: str, *declared: str, key: str = "", **attributes: Any) -> SharedOption:
+    return SharedOption(group, section, flag, key, (flag, *declared), attributes)
 
 
-def input_options(command: CommandT) -> CommandT:
-    """Add the options for reading a stream, for commands that do not classify."""
-    for option in reversed([*_INPUT_OPTIONS, _SORT_OPTION]):
-        command = option(command)
-    return command
+SHARED = (
+    _option("method", "Method", "--method", key="method", type=click.Choice(METHODS),
+            help="Classifier; default: what the preset or the configuration says, else what labels IN best."),
+    _option("method", "Method", "--preset", type=click.Choice(list(PRESETS)),
+            help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
+            "fused, fused-forest: both combined. Default: what labels IN best."),
+    _option("input", "Method", "--config", "config_file", type=_FILE, metavar="FILE.toml",
+            help="Configuration, or the name of a sample: prc config presets lists them."),
+    _option("input", "Method", "--set", "assignments", multiple=True, metavar="KEY=VALUE",
+            shell_complete=complete_assignment, help="Any key, e.g. prc.support.zeta_p=0.1."),
+    _option("input", "Input", "--layout", "layout_file", type=_FILE, metavar="FILE.toml",
+            help="Record layout of a raw dump or a text file."),
+    _option("input", "Input", "--lines", key="input.lines",
+            help="dimension:NAME, fixed, angle-wrap, time:HZ, elevation:DEG or rings."),
+    _option("input", "Input", "--columns", key="input.columns", help="dimension:NAME, angle, time:HZ or order."),
+    _option("input", "Input", "--range", "range_", key="input.range",
+            help="dimension:NAME, trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
+    _option("input", "Input", "--scanner", key="input.scanner",
+            help="none, scanner_channel, point_source_id or user_data."),
+    _option("input", "Input", "--topic", key="input.topic",
+            help="Bags: topics to read; captures: ADDRESS:PORT. Several with commas."),
+    _option("input", "Input", "--metadata", key="input.metadata", metavar="FILE.json",
+            help="Captures: metadata of an Ouster sensor."),
+    _option("input", "Input", "--return", "return_", key="input.return", help="strongest, first or last."),
+    _option("input", "Input", "-M", "--points-per-line", "points_per_line", key="input.points_per_line",
+            type=click.IntRange(min=1), help="Shots in a scan line."),
+    _option("input", "Input", "--max-range", key="input.max_range", type=float, metavar="METRES",
+            help="Ranges beyond are missing."),
+    _option("input", "Input", "--accept-doubt", "accept_doubts", key="input.accept_doubts", multiple=True,
+            metavar="NAME", type=click.Choice(CHECK_NAMES),
+            help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several."),
+    _option("input", "Input", "--trust-order", is_flag=True, help="Take the order of the records as it is."),
+    _option("sort", "Input", "--sort-by-time", is_flag=True, help="Sort the records by time first."),
+    _option("window", "Input", "--only-lines", "window_lines", key="input.only_lines", metavar="A:B",
+            help="Take lines A to B - 1 alone, from 0."),
+    _option("window", "Input", "--only-time", "window_time", key="input.only_time", metavar="A:B",
+            help="Take the lines of these times alone [s]; +A:+B = since the first one."),
+    _option("window", "Input", "--first", "window_first", key="input.first", metavar="LENGTH",
+            help="Take the first 30s, 2min or 500lines alone."),
+    _option("output", "Run", "--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
+    _option("output", "Run", "-q", "--quiet", is_flag=True,
+            help="Print nothing but errors and warnings (and --json)."),
+    _option("output", "Run", "-v", "--verbose", is_flag=True, help="Print every assumption and count."),
+)  # fmt: skip
+
+_OWN_SECTIONS = {
+    "engine": "Method", "deep": "Input", "output": "Output", "outputs": "Output", "overwrite": "Output",
+    "segment_ids": "Output", "labels": "Output", "draft": "Output", "threads": "Run", "profile": "Run",
+}  # fmt: skip
+"""Sections of options that one command has; all others stand under "Options", before all sections."""
+_SECTIONS = {option.parameter: option.section for option in SHARED} | _OWN_SECTIONS
 
 
-def window_options(command: CommandT) -> CommandT:
-    """Add the options for reading a part of a stream, to try settings."""
-    for option in reversed(_WINDOW_OPTIONS):
-        command = option(command)
-    return command
+class Sectioned(click.Command):
+    """A command whose options are listed by what they are for."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, section by section; a command that classifies nothing keeps one list."""
+        rows: dict[str, list[tuple[str, str]]] = {name: [] for name in ("Options", "Method", "Input", "Output", "Run")}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
+            if record is not None:
+                is_help = "--help" in parameter.opts
+                rows["Run" if is_help else _SECTIONS.get(parameter.name or "", "Options")].append(record)
+        if not rows["Method"]:
+            super().format_options(ctx, formatter)
+            return
+        for name, records in rows.items():
+            if records:
+                with formatter.section(name):
+                    formatter.write_dl(records)
 
 
-def output_options(command: CommandT) -> CommandT:
-    """Add ``--json``, ``--quiet`` and ``--verbose``."""
-    for option in reversed(_OUTPUT_OPTIONS):
-        command = option(command)
-    return command
+def add_options(*options: Callable[[Any], Any]) -> Callable[[CommandT], CommandT]:
+    """Return a decorator that adds options in the order in which help shows them."""
+
+    def add(command: CommandT) -> CommandT:
+        return reduce(lambda decorated, option: option(decorated), reversed(options), command)
+
+    return add
+
+
+def _groups(*groups: str) -> Callable[[CommandT], CommandT]:
+    chosen = [option for group in groups for option in SHARED if option.group == group]
+    return add_options(*(click.option(*option.declared, **option.attributes) for option in chosen))
+
+
+live_options = _groups("method", "input")
+"""Adds the options for classifying a stream as it arrives, which cannot be sorted."""
+stream_options = _groups("method", "input", "sort")
+"""Adds the options for reading and classifying a stream."""
+input_options = _groups("input", "sort")
+"""Adds the options for reading a stream, for commands that do not classify."""
+window_options = _groups("window")
+"""Adds the options for reading a part of a stream, to try settings."""
+output_options = _groups("output")
+"""Adds ``--json``, ``--quiet`` and ``--verbose``."""
+
+
+def given_words(options: Mapping[str, Any], leave_out: Collection[str] = ()) -> list[str]:
+    """Return the options of :data:`stream_options` as they were given, to go on with; without some flags.
+
+    Examples
+    --------
+    >>> given_words({"preset": "urban", "points_per_line": 2154, "assignments": (), "trust_order": False})
+    ['--preset', 'urban', '-M', '2154']
+    """
+    words: list[str] = []
+    for option in SHARED:
+        value = options.get(option.parameter)
+        if value and option.flag not in leave_out and option.group in ("method", "input", "sort"):
+            for one in value if isinstance(value, tuple) else (value,):
+                words += [option.flag] if one is True else [option.flag, str(one)]
+    return words
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,55 +182,49 @@ class Layers:
     """Other files that were read."""
 
 
-def config_from(options: dict[str, Any]) -> LoadedConfig:
-    """Build the configuration from the values of :func:`stream_options` (given as keyword arguments)."""
+def config_from(options: Mapping[str, Any]) -> LoadedConfig:
+    """Build the configuration from the values of :data:`stream_options`."""
     layers = layers_from(options)
     loaded = load_config(layers.path, layers.preset, layers.table)
     return replace(loaded, files=(*loaded.files, *layers.files))
 
 
-def layers_from(options: dict[str, Any]) -> Layers:
-    """Read the values of :func:`stream_options` as separate layers, without merging them."""
-    sort_by_time = options.get("sort_by_time", False)
-    if sort_by_time and options["trust_order"]:
+def layers_from(options: Mapping[str, Any]) -> Layers:
+    """Read the values of :data:`stream_options` as separate layers, without merging them."""
+    sort_by_time, trust_order = options.get("sort_by_time", False), options["trust_order"]
+    if sort_by_time and trust_order:
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)
-    order = "sort-time" if sort_by_time else "trust" if options["trust_order"] else None
     table: dict[str, Any] = {}
     layout_file: Path | None = options["layout_file"]
     if layout_file is not None:
-        layout_file = or_sample(layout_file)
-        content = read_toml(layout_file)
+        content = read_toml(layout_file := or_sample(layout_file))
         table["layout"] = content.get("layout", content)
-    for assignment in options["assignments"]:
-        table = merge(table, parse_assignment(assignment))
-    given = {
-        "lines": options["lines"],
-        "columns": options["columns"],
-        "range": options["range_"],
-        "scanner": options["scanner"],
-        "topic": options["topic"],
-        "metadata": options["metadata"],
-        "return": options["return_"],
-        "points_per_line": options["points_per_line"],
-        "max_range": options["max_range"],
-        "order": order,
-        "accept_doubts": list(options["accept_doubts"]) or None,
-        "only_lines": options.get("window_lines"),
-        "only_time": options.get("window_time"),
-        "first": options.get("window_first"),
-    }
-    inputs = {key: value for key, value in given.items() if value is not None}
-    if inputs:
-        table = merge(table, {"input": inputs})
     method, preset = options.get("method"), options.get("preset")
-    if method is not None:
-        of_preset = load_config(preset=preset).config.method if preset is not None else method
-        if of_preset != method:
-            message = f"--preset {preset} is for --method {of_preset}, not {method}"
-            raise click.UsageError(message)
-        table = merge(table, {"method": method})
-    config_file: Path | None = options["config_file"]
-    if config_file is not None:
-        config_file = or_sample(config_file)
-    return Layers(config_file, preset, table, () if layout_file is None else (layout_file,))
+    if method is not None and preset is not None and (other := load_config(preset=preset).config.method) != method:
+        message = f"--preset {preset} is for --method {other}, not {method}"
+        raise click.UsageError(message)
+    keys = {option.parameter: option.key for option in SHARED if option.key}
+    table = merge(table, table_from(options["assignments"], options, keys))
+    if sort_by_time or trust_order:
+        table = merge(table, {"input": {"order": "sort-time" if sort_by_time else "trust"}})
+    path: Path | None = options["config_file"]
+    return Layers(path and or_sample(path), preset, table, () if layout_file is None else (layout_file,))
+
+
+def table_from(assignments: Iterable[str], options: Mapping[str, Any], keys: Mapping[str, str]) -> dict[str, Any]:
+    """Return the nested table of ``--set`` and of options that stand for keys; these win.
+
+    Examples
+    --------
+    >>> table_from(["input.lines=fixed"], {"points_per_line": 8, "range_": None}, {"points_per_line": "input.M"})
+    {'input': {'lines': 'fixed', 'M': 8}}
+    """
+    tables = [parse_assignment(assignment) for assignment in assignments]
+    for name, key in keys.items():
+        value = options.get(name)
+        if value is not None and value != ():
+            *outer, last = key.split(".")
+            table = {last: list(value) if isinstance(value, tuple) else value}
+            tables.append(reduce(lambda inner, part: {part: inner}, reversed(outer), table))
+    return reduce(merge, tables, {})

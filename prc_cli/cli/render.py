@@ -11,9 +11,8 @@ from typing import Any
 import click
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.options import Sectioned, config_from, stream_options
 from prc_cli.cli.report import console, line_progress
-from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import (
     COLOURS,

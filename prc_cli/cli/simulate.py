@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import output_options
+from prc_cli.cli.options import add_options, output_options, table_from
 from prc_cli.cli.report import compiling_note, console, line_progress, results
 from prc_cli.cli.safe import printable_lines
-from prc_cli.config import params_to_toml, parse_assignment
+from prc_cli.config import params_to_toml
 from prc_cli.core.classes import Label
-from prc_cli.core.config import merge
 from prc_cli.jobs.simulate import Beside, SimulationSummary, check_simulation
 from prc_cli.jobs.simulate import simulate as simulate_file
 from prc_cli.simulation.drive import load_simulator
 from prc_cli.simulation.scanners import SCANNERS
 from prc_cli.simulation.settings import KINDS, SCENES, Kind, load_settings, preset_notes
-
-CommandT = TypeVar("CommandT", bound=Callable[..., Any])
-
 
 _option = click.option
 
@@ -64,16 +59,6 @@ _PARAMETERS = [
 ]  # fmt: skip
 
 
-def _options(*groups: list[Any]) -> Callable[[CommandT], CommandT]:
-    def add(command: CommandT) -> CommandT:
-        command = output_options(command)
-        for option in reversed([option for group in groups for option in group]):
-            command = option(command)
-        return command
-
-    return add
-
-
 _SCENE_HELP: dict[Kind, str] = {
     "street": "What stands along the street; mixed changes every 120 m.",
     "forest": "What kind of forest; mixed is a managed stand of pine, spruce and birch.",
@@ -108,7 +93,8 @@ def simulate() -> None:
 
 
 @simulate.command()
-@_options(_OUTPUT, _LENGTH, _PLACE, _presets("street"), _PARAMETERS)
+@add_options(*_OUTPUT, *_LENGTH, *_PLACE, *_presets("street"), *_PARAMETERS)
+@output_options
 def street(**options: Any) -> None:
     """Simulate a drive down a street.
 
@@ -124,7 +110,8 @@ def street(**options: Any) -> None:
 
 
 @simulate.command()
-@_options(_OUTPUT, _FOREST, _LENGTH, _PLACE, _presets("forest"), _PARAMETERS)
+@add_options(*_OUTPUT, *_FOREST, *_LENGTH, *_PLACE, *_presets("forest"), *_PARAMETERS)
+@output_options
 def forest(**options: Any) -> None:
     """Simulate a walk through a forest.
 
@@ -139,7 +126,8 @@ def forest(**options: Any) -> None:
 
 
 @simulate.command("street-scan")
-@_options(_OUTPUT, _PLACE, _presets("street-scan"), _PARAMETERS)
+@add_options(*_OUTPUT, *_PLACE, *_presets("street-scan"), *_PARAMETERS)
+@output_options
 def street_scan(**options: Any) -> None:
     """Simulate a static scan of a street, upright lines from a tripod.
 
@@ -187,7 +175,7 @@ def parameters(kind: Kind, config_file: Path | None, assignments: tuple[str, ...
     \b
     Example: prc simulate parameters street --set scanner.name=profiler-1mhz > fast.toml
     """
-    options = _table({"assignments": assignments})
+    options = table_from(assignments, {}, {})
     settings = load_settings(kind, config_file, options)
     notes = preset_notes(kind, settings, config_file, options)
     click.echo(printable_lines(params_to_toml(settings, notes, comments=not bare)), nl=False)
@@ -209,27 +197,12 @@ _KEYS = {
 """What options stand for."""
 
 
-def _table(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the parameters given as options; named options win over --set."""
-    table: dict[str, Any] = {}
-    for assignment in options["assignments"]:
-        table = merge(table, parse_assignment(assignment))
-    for option, key in _KEYS.items():
-        value = options.get(option)
-        if value is not None:
-            nested: Any = value
-            for part in reversed(key.split(".")):
-                nested = {part: nested}
-            table = merge(table, nested)
-    return table
-
-
 def _run(kind: Kind, options: dict[str, Any]) -> None:
     extents = [name for name in ("length", "duration", "lines") if options.get(name) is not None]
     if len(extents) > 1:
         message = f"--{extents[0]} and --{extents[1]} contradict each other"
         raise click.UsageError(message)
-    settings = load_settings(kind, options["config_file"], _table(options))
+    settings = load_settings(kind, options["config_file"], table_from(options["assignments"], options, _KEYS))
     output, quiet = options["output"], options["quiet"]
     beside = Beside(options.get("trajectory"), options["labels"], options.get("stems"))
     check_simulation(kind, output, beside, overwrite=options["overwrite"])

@@ -10,9 +10,8 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, live_options, output_options
+from prc_cli.cli.options import Sectioned, config_from, live_options, output_options
 from prc_cli.cli.report import LOOK, compiling_note, console, print_assumptions, print_choice, print_doubts
-from prc_cli.cli.sections import Sectioned
 from prc_cli.config import MethodChoice
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding

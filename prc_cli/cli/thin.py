@@ -10,9 +10,8 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options
 from prc_cli.cli.report import line_progress, print_assumptions, results
-from prc_cli.cli.sections import Sectioned
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
 

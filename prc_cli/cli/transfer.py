@@ -13,9 +13,8 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import output_options
+from prc_cli.cli.options import Sectioned, output_options
 from prc_cli.cli.report import LineBar, console, print_assumptions
-from prc_cli.cli.sections import Sectioned
 from prc_cli.config import load_config
 from prc_cli.core.config import read_toml
 from prc_cli.core.stream import ReadTally
