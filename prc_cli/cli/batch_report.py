@@ -13,10 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from prc_cli import __version__
-from prc_cli.cli.report import console, results
+from prc_cli.cli.report import console, results, table_of
 from prc_cli.cli.safe import printable
 from prc_cli.core.findings import is_doubt
 from prc_cli.evaluation.reports import percent
@@ -329,19 +327,11 @@ def _end_words(summary: BatchSummary) -> str:
     return f"{how}{told or 'no files'} of {summary.n_found:,} in {duration(summary.seconds)}{pace}"
 
 
-def _table(title: str, *headings: str, n_words: int = 1) -> Table:
-    """Return a table whose first columns hold words, the others numbers."""
-    table = Table(title=title)
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if i < n_words else "right")
-    return table
-
-
 def _print_classes(summary: BatchSummary) -> None:
     counts = dict(summary.labels)
     returned = sum(counts.values()) - counts.get("missing", 0)
     if returned:
-        table = _table(f"classes of {count_of(len(summary.done), 'file')}", "class", "shots", "share")
+        table = table_of(f"classes of {count_of(len(summary.done), 'file')}", "class", "shots", "share")
         for name, count in counts.items():
             table.add_row(name, f"{count:,}", "" if name == "missing" else f"{count / returned:.1%}")
         console().print(table)
@@ -364,7 +354,7 @@ def _print_compared(summary: BatchSummary) -> None:
     if compared:
         pooled = scores(found.matrix)
         names = [item.name for item in pooled.classes if item.name in pooled.scored and item.n_reference]
-        table = _table("recall against the reference", "file", "records", *names, "accuracy")
+        table = table_of("recall against the reference", "file", "records", *names, "accuracy")
         shown = compared if len(compared) <= SHOWN else sorted(compared, key=lambda item: item[1].accuracy)[:SHOWN]
         for name, each in (*shown, ("all files", pooled)):
             recall = {item.name: item.recall for item in each.classes}
@@ -373,7 +363,7 @@ def _print_compared(summary: BatchSummary) -> None:
         results().print(table)
         if len(compared) > SHOWN:
             tell(f"the {SHOWN} of {len(compared)} files with the lowest accuracy; all are in summary.json")
-        table = _table("all files", "class", *CLASS_SCORES)
+        table = table_of("all files", "class", *CLASS_SCORES)
         for item in pooled.classes:
             if item.name in names:
                 table.add_row(item.name, *(percent(getattr(item, score)) for score in CLASS_SCORES))
@@ -470,7 +460,7 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
         tell(f"at work: {owner}")
     if not at_work:
         tell("no run is at work")
-    table = _table("last runs", "begun (UTC)", "shard", "version", "exit code", "counts", n_words=5)
+    table = table_of("last runs", "begun (UTC)", "shard", "version", "exit code", "counts", n_words=5)
     for run in runs[-5:]:
         ended = "at work" if run.owner in at_work else "cut off"
         code = ended if run.exit_code is None else str(run.exit_code)

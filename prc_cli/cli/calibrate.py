@@ -10,11 +10,10 @@ from typing import Any
 
 import click
 from click.core import ParameterSource
-from rich.table import Table
 
 from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import Sectioned, config_from, stream_options, window_options
-from prc_cli.cli.report import console, line_progress, print_doubts, results
+from prc_cli.cli.report import line_progress, print_doubts, print_line, results, table_of
 from prc_cli.cli.safe import printable_lines
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
@@ -158,7 +157,7 @@ def calibrate(
         _print(found)
     if not quiet:
         for path in wanted:
-            console().print(f"wrote {path}", soft_wrap=True)
+            print_line(f"wrote {path}")
     if code := print_doubts(found.doubts):
         raise SystemExit(code)
 
@@ -214,9 +213,8 @@ def _print(found: Calibration) -> None:
 
 
 def _table(title: str, header: tuple[str, ...], rows: list[Any]) -> None:
-    table = Table(title=title, show_header=any(header))
-    for heading in header:
-        table.add_column(heading)
+    table = table_of(title, *header, n_words=len(header))
+    table.show_header = any(header)
     for row in rows:
         table.add_row(*row)
     results().print(table)

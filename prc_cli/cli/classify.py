@@ -16,15 +16,14 @@ from prc_cli.cli.options import Sectioned, config_from, output_options, stream_o
 from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
-    console,
     line_progress,
-    print_assumptions,
-    print_choice,
     print_classes,
     print_doubts,
+    print_line,
+    print_notices,
+    print_taken,
 )
 from prc_cli.cli.safe import printable
-from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
 from prc_cli.jobs.classify import classify as classify_file
@@ -108,7 +107,7 @@ def classify(
     if not quiet:
         _print_summary(summary, seconds, verbose=verbose)
         for command in after_classify(source, output, options):
-            console().print(printable(command), soft_wrap=True)
+            print_line(printable(command))
     if profile is not None and not (quiet and as_json):
         print_profile(profile, summary.counts.n_shots, threads)
     if code := print_doubts(summary.doubts):
@@ -118,20 +117,12 @@ def classify(
 def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> None:
     record, counts = summary.record, summary.counts
     print_classes(summary)
-    if not verbose:
-        print_choice(next((one for one in record.assumptions if one.key == "method"), None))
-    if verbose:
-        print_assumptions(record.assumptions, record.tally)
+    print_taken(record, verbose=verbose)
     if record.tally.n_time_steps_back:
-        told = f"note: the time goes back {record.tally.n_time_steps_back:,} times: see prc info"
-        console().print(told, soft_wrap=True)
-    for notice in record.notices:
-        if not is_doubt(notice):
-            console().print(f"note: {notice}", soft_wrap=True)
+        print_line(f"note: the time goes back {record.tally.n_time_steps_back:,} times: see prc info")
+    print_notices(record.notices)
     rate = f"{counts.n_shots / seconds / 1e6 if seconds else 0.0:.2g} million shots a second"
     if counts.n_shots < FEW_SHOTS:
         rate = "too few to check the labels"
-    console().print(
-        f"{summary.output}: {counts.n_lines:,} lines of {record.points_per_line:,} shots in {seconds:.1f} s ({rate})",
-        soft_wrap=True,
-    )
+    what = f"{counts.n_lines:,} lines of {record.points_per_line:,} shots"
+    print_line(f"{summary.output}: {what} in {seconds:.1f} s ({rate})")

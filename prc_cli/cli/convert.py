@@ -10,8 +10,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import Sectioned, config_from, input_options, output_options, window_options
-from prc_cli.cli.report import console, line_progress, print_assumptions, print_doubts
-from prc_cli.core.findings import is_doubt
+from prc_cli.cli.report import NOT_KEPT, line_progress, print_assumptions, print_doubts, print_line, print_notices
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
@@ -55,12 +54,9 @@ def _print_summary(summary: ConversionSummary, seconds: float, *, verbose: bool)
     record = summary.record
     if verbose:
         print_assumptions(record.assumptions, record.tally)
-    for loss in summary.losses:
-        console().print(f"not kept: {loss}", soft_wrap=True)
-    for notice in record.notices:
-        if not notice.startswith("not kept: ") and not is_doubt(notice):
-            console().print(f"note: {notice}", soft_wrap=True)
+    print_notices([f"{NOT_KEPT}{loss}" for loss in summary.losses])
+    print_notices(notice for notice in record.notices if not notice.startswith(NOT_KEPT))
     rate = summary.n_shots / seconds / 1e6 if seconds else 0.0
     what = f"{summary.n_lines:,} lines of {record.points_per_line:,} shots" if summary.n_lines else ""
     what = what or f"{summary.n_shots:,} records"
-    console().print(f"{summary.output}: {what} in {seconds:.1f} s ({rate:.2g} million a second)", soft_wrap=True)
+    print_line(f"{summary.output}: {what} in {seconds:.1f} s ({rate:.2g} million a second)")

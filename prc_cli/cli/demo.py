@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from prc_cli.cli.report import compiling_note, console, line_progress, print_choice, print_classes
+from prc_cli.cli.report import compiling_note, line_progress, print_classes, print_line, print_taken
 from prc_cli.cli.report_evaluation import print_evaluation
 from prc_cli.config import load_config
 from prc_cli.evaluation.reports import NO_INTERVALS, as_dict, overall_line
@@ -77,17 +77,17 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
     if parts:
         _print(result.parts, tables=not json_wanted)
     for what, name in OPEN.items():
-        console().print(f"{what}: {output / name}", markup=False, soft_wrap=True)
+        print_line(f"{what}: {output / name}")
     others = f"the other scans, labels and configurations: {output / MORE}"
-    console().print(others, markup=False, soft_wrap=True)
-    console().print("your own file: prc info FILE prints the command to type", markup=False, soft_wrap=True)
+    print_line(others)
+    print_line("your own file: prc info FILE prints the command to type")
 
 
 def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
     """Print the drive as prc classify and prc evaluate would, and a line for every other part."""
     drive = parts["drive"]
     print_classes(drive.summary)
-    print_choice(next((one for one in drive.summary.record.assumptions if one.key == "method"), None))
+    print_taken(drive.summary.record, verbose=False)
     if not tables:
         return
     click.echo("\na drive along a street: labels against those of the simulator")

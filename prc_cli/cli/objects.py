@@ -10,8 +10,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
-from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_choice, print_doubts
-from prc_cli.core.findings import is_doubt
+from prc_cli.cli.report import compiling_note, line_progress, print_doubts, print_line, print_notices, print_taken
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import KINDS, Thing, find_objects
 from prc_cli.jobs.objects.write import COLUMNS, plain
@@ -67,15 +66,9 @@ def objects(
         summary = find_objects(source, output, loaded, kinds=kinds, each=show, overwrite=overwrite, progress=progress)
     head()
     if not quiet:
-        record = summary.record
-        if verbose:
-            print_assumptions(record.assumptions, record.tally)
-        else:
-            print_choice(next((one for one in record.assumptions if one.key == "method"), None))
-        for notice in record.notices:
-            if not is_doubt(notice):
-                console().print(f"note: {notice}", soft_wrap=True)
+        print_taken(summary.record, verbose=verbose)
+        print_notices(summary.record.notices)
         found = ", ".join(f"{n:,} {kind}{'s' * (n != 1)}" for kind, n in summary.n_objects.items())
-        console().print(f"{source.name}: {found} in {summary.counts.n_lines:,} lines", soft_wrap=True)
+        print_line(f"{source.name}: {found} in {summary.counts.n_lines:,} lines")
     if code := print_doubts(summary.doubts):
         raise SystemExit(code)

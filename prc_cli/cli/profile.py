@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from rich.table import Table
-
-from prc_cli.cli.report import console
+from prc_cli.cli.report import console, table_of
 from prc_cli.core.profile import Profile, StageTime, peak_memory
 
 REST = "all else"
@@ -52,9 +50,8 @@ def profile_of(profile: Profile, n_shots: int, threads: int) -> dict[str, Any]:
 def print_profile(profile: Profile, n_shots: int, threads: int) -> None:
     """Print a profile, the most expensive stage first."""
     shown = profile_of(profile, n_shots, threads)
-    table = Table(title="where the time went")
-    for heading in ("stage", "wall s", "CPU s", "of CPU", "M/s of a core"):
-        table.add_column(heading, justify="left" if heading == "stage" else "right", no_wrap=True)
+    headings = ("stage", "wall s", "CPU s", "of CPU", "M/s of a core")
+    table = table_of("where the time went", *headings, no_wrap=True)
     for row in shown["stages"]:
         wall = "" if row["name"] == REST else f"{row['wall_s']:.3f}"
         rate = "" if row["mshots_per_cpu_s"] is None else f"{row['mshots_per_cpu_s']:.3g}"

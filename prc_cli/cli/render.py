@@ -12,7 +12,7 @@ import click
 
 from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import Sectioned, config_from, stream_options
-from prc_cli.cli.report import console, line_progress
+from prc_cli.cli.report import line_progress, print_line
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import (
     COLOURS,
@@ -128,11 +128,11 @@ def render(
     if as_json:
         click.echo(json.dumps(_as_dict(result), indent=2))
     if not quiet:
-        console().print(result.drawn, soft_wrap=True)
+        print_line(result.drawn)
         for note in result.notes:
-            console().print(f"note: {note}", soft_wrap=True)
+            print_line(f"note: {note}")
         for path in result.files:
-            console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
+            print_line(f"{path} ({path.stat().st_size:,} bytes)")
 
 
 _AS_GIVEN = (

@@ -17,13 +17,17 @@ from rich.text import Text
 
 from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.findings import is_doubt
 
 if TYPE_CHECKING:
     from prc_cli.core.findings import Finding
     from prc_cli.core.stream import Assumption, ReadTally
+    from prc_cli.formats.writing.record import RunRecord
     from prc_cli.jobs.classify import Progress, RunSummary
 
 
+NOT_KEPT = "not kept: "
+"""Begins a notice of what the output cannot hold."""
 LOOK = 4
 """Exit code of a run that is done, but must be looked at."""
 
@@ -116,11 +120,22 @@ def print_doubts(doubts: Iterable[Finding]) -> int:
     return code
 
 
+def table_of(title: str, *headings: str, n_words: int = 1, **column: Any) -> Table:
+    """Return a table whose first columns hold words, the others numbers."""
+    table = Table(title=title)
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if i < n_words else "right", **column)
+    return table
+
+
+def print_line(text: str) -> None:
+    """Print a line on stderr, however long."""
+    console().print(text, soft_wrap=True)
+
+
 def print_classes(summary: RunSummary) -> None:
     """Print the number of records by class."""
-    table = Table(title=f"{summary.record.input.name}: classes")
-    for heading in ("class", "code", "shots", "share"):
-        table.add_column(heading, justify="left" if heading == "class" else "right")
+    table = table_of(f"{summary.record.input.name}: classes", "class", "code", "shots", "share")
     codes = ClassCodes.model_validate(summary.record.config["classes"])
     counts = summary.counts.labels.tolist()
     returned = sum(counts) - counts[Label.MISSING]
@@ -134,15 +149,28 @@ def print_classes(summary: RunSummary) -> None:
 def print_choice(choice: Assumption | None) -> None:
     """Print which method was chosen and why, where none was named."""
     if choice is not None:
-        console().print(f"method: {choice.value}: {choice.why}", soft_wrap=True)
+        print_line(f"method: {choice.value}: {choice.why}")
+
+
+def print_taken(record: RunRecord, *, verbose: bool) -> None:
+    """Print all that was taken for granted, or only which method."""
+    if verbose:
+        print_assumptions(record.assumptions, record.tally)
+    else:
+        print_choice(next((one for one in record.assumptions if one.key == "method"), None))
+
+
+def print_notices(notices: Iterable[str]) -> None:
+    """Print what a run notes; its doubts are printed as warnings."""
+    for notice in notices:
+        if not is_doubt(notice):
+            print_line(notice if notice.startswith(NOT_KEPT) else f"note: {notice}")
 
 
 def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:
     """Print the assumptions and the counts of the reader."""
     if assumptions:
-        table = Table(title="taken for granted")
-        for heading in ("key", "value", "why"):
-            table.add_column(heading)
+        table = table_of("taken for granted", "key", "value", "why", n_words=3)
         for item in assumptions:
             table.add_row(item.key, item.value, item.why)
         console().print(table)

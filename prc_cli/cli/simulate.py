@@ -11,7 +11,7 @@ import click
 from rich.table import Table
 
 from prc_cli.cli.options import add_options, output_options, table_from
-from prc_cli.cli.report import compiling_note, console, line_progress, results
+from prc_cli.cli.report import compiling_note, console, line_progress, print_line, print_notices, results, table_of
 from prc_cli.cli.safe import printable_lines
 from prc_cli.config import params_to_toml
 from prc_cli.core.classes import Label
@@ -230,18 +230,15 @@ def _print_summary(summary: SimulationSummary, seconds: float, *, verbose: bool)
     counts, record = summary.counts, summary.record
     total = int(counts.labels.sum())
     if verbose:
-        table = Table(title="reference")
-        for heading in ("class", "shots", "share"):
-            table.add_column(heading, justify="left" if heading == "class" else "right")
+        table = table_of("reference", "class", "shots", "share")
         for label in Label:
             if counts.labels[label]:
                 share = f"{counts.labels[label] / total:.1%}"
                 table.add_row(label.name.lower(), f"{counts.labels[label]:,}", share)
         console().print(table)
-    for notice in record.notices:
-        console().print(notice if notice.startswith("not kept: ") else f"note: {notice}", soft_wrap=True)
+    print_notices(record.notices)
     for path in summary.files:
-        console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
+        print_line(f"{path} ({path.stat().st_size:,} bytes)")
     rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
     what = f"{counts.n_lines:,} lines of {record.points_per_line:,} shots"
-    console().print(f"{what} in {seconds:.1f} s ({rate:.2g} million a second)", soft_wrap=True)
+    print_line(f"{what} in {seconds:.1f} s ({rate:.2g} million a second)")

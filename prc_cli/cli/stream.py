@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import Sectioned, config_from, live_options, output_options
-from prc_cli.cli.report import LOOK, compiling_note, console, print_assumptions, print_choice, print_doubts
+from prc_cli.cli.report import LOOK, compiling_note, print_assumptions, print_choice, print_doubts, print_line
 from prc_cli.config import MethodChoice
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding
@@ -82,7 +82,7 @@ def stream(
     elif not quiet:
         if verbose:
             print_assumptions(summary.info.assumptions, summary.counts.tally)
-        console().print(_sentence(summary.rate, line_hz), soft_wrap=True)
+        print_line(_sentence(summary.rate, line_hz))
     if summary.doubts:
         raise SystemExit(LOOK)
 
@@ -115,7 +115,7 @@ class _Reporter:
         if self._as_json:
             click.echo(json.dumps(_as_dict(rate, self._line_hz), sort_keys=True), err=True)
         else:
-            console().print(_sentence(rate, self._line_hz), soft_wrap=True)
+            print_line(_sentence(rate, self._line_hz))
 
 
 def _sentence(rate: Rate, line_hz: float | None) -> str:

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
 from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options
-from prc_cli.cli.report import line_progress, print_assumptions, results
+from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, print_notices, results, table_of
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
 
@@ -73,12 +72,8 @@ def thin(
 
 
 def _print_summary(summary: ThinningSummary, seconds: float, *, verbose: bool, as_json: bool) -> None:
-    from prc_cli.cli.report import console
-
-    table = Table(title=f"{summary.record.input.name}: returns kept")
-    table.add_column("class")
-    for heading in ("code", "input", "kept", "dropped", "bytes saved"):
-        table.add_column(heading, justify="right")
+    headings = ("class", "code", "input", "kept", "dropped", "bytes saved")
+    table = table_of(f"{summary.record.input.name}: returns kept", *headings)
     for item in summary.classes:
         figures = (item.n_input, item.n_kept, item.n_dropped, item.n_bytes)
         table.add_row(item.name, str(item.code), *(f"{figure:,}" for figure in figures))
@@ -86,8 +81,7 @@ def _print_summary(summary: ThinningSummary, seconds: float, *, verbose: bool, a
     record = summary.record
     if verbose:
         print_assumptions(record.assumptions, record.tally)
-    for notice in record.notices:
-        console().print(notice if notice.startswith("not kept: ") else f"note: {notice}", soft_wrap=True)
+    print_notices(record.notices)
     share = f" ({summary.bytes_output / summary.bytes_input:.1%})" if summary.bytes_input else ""
     sizes = f"{summary.bytes_input:,} bytes to {summary.bytes_output:,}{share}"
-    console().print(f"{summary.output}: {sizes} in {seconds:.1f} s", soft_wrap=True)
+    print_line(f"{summary.output}: {sizes} in {seconds:.1f} s")
