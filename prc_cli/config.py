@@ -37,7 +37,7 @@ class _Input(Params):
     method: Literal["auto"] | MethodName = Field(
         "auto",
         description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), fused (our own "
-        "combination of both), or auto: the method whose table is given, else what labels the input best",
+        "combination of both), rings (spinning scanners), or auto: the method whose table is given, else what labels the input best",
     )
     input: InputConfig = Field(default_factory=InputConfig, description="how the stream is read from the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
@@ -99,7 +99,7 @@ class RunConfig(MethodTables, _Input):
         return table
 
 
-CHOSEN_FROM: tuple[MethodName, ...] = ("prc", "fused")
+CHOSEN_FROM: tuple[MethodName, ...] = ("prc", "fused", "rings")
 """Methods that an input may decide on."""
 
 
@@ -112,11 +112,11 @@ def tables_given(table: Mapping[str, Any]) -> list[MethodName]:
     return [method for method in METHODS if table_of(method) in table]
 
 
-PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-scan-published")
+PRESETS = ("urban", "forest", "fused", "fused-forest", "rings", "street-scan", "street-scan-published")
 """Names of the presets; each is a file of the sample configurations (:func:`preset_file`)."""
 
 
-ChosenPreset = Literal["urban", "fused", "fused-forest"]
+ChosenPreset = Literal["urban", "fused", "fused-forest", "rings"]
 """Presets that an input may decide on."""
 
 
@@ -133,7 +133,7 @@ class MethodChoice:
     @property
     def method(self) -> MethodName:
         """Its method."""
-        return "prc" if self.preset == "urban" else "fused"
+        return {"urban": "prc", "rings": "rings"}.get(self.preset, "fused")  # type: ignore[return-value]
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -53,6 +53,7 @@ class Reason(IntEnum):
     RANGE_ALONE = 9 << 4 | Label.NOISE
     FAR_BELOW = 10 << 4 | Label.NOISE
     ALONE = 11 << 4 | Label.NOISE
+    FLAKE = 12 << 4 | Label.NOISE
     MOST_SMOOTH = 1 << 4 | Label.GROUND
     GROUND_COLUMN = 2 << 4 | Label.GROUND
     GROUND_HEIGHT = 3 << 4 | Label.GROUND
@@ -61,9 +62,11 @@ class Reason(IntEnum):
     LOW = 6 << 4 | Label.GROUND
     SOIL = 7 << 4 | Label.GROUND
     FLAT = 8 << 4 | Label.GROUND
+    SURFACE = 9 << 4 | Label.GROUND
     OTHER_SEGMENT = 1 << 4 | Label.BUILDING
     SMOOTH = 2 << 4 | Label.BUILDING
     FACADE = 3 << 4 | Label.BUILDING
+    THIN_SMOOTH = 4 << 4 | Label.BUILDING
     NON_SMOOTH = 1 << 4 | Label.VEGETATION
     TO_AND_FRO = 2 << 4 | Label.VEGETATION
     LEAF = 3 << 4 | Label.VEGETATION
@@ -72,12 +75,16 @@ class Reason(IntEnum):
     TRUNK = 6 << 4 | Label.VEGETATION
     PLANT = 7 << 4 | Label.VEGETATION
     ABOVE_TOP = 8 << 4 | Label.VEGETATION
+    ROUGH_PLACE = 9 << 4 | Label.VEGETATION
+    LOW_PLANT = 10 << 4 | Label.VEGETATION
     SMOOTH_COLUMN = 1 << 4 | Label.STEM
     ON_STEM = 2 << 4 | Label.STEM
     BESIDE_STEM = 3 << 4 | Label.STEM
     BETWEEN_DIVIDERS = 1 << 4 | Label.CAR
     LEVEL_BODY = 2 << 4 | Label.CAR
     PROFILE = 3 << 4 | Label.CAR
+    CAR_BOX = 4 << 4 | Label.CAR
+    LARGE_BOX = 5 << 4 | Label.CAR
     CURB_REGION = 1 << 4 | Label.CURB
     CURB_FACE = 2 << 4 | Label.CURB
     VERTICAL = 1 << 4 | Label.VERTICAL
@@ -85,6 +92,7 @@ class Reason(IntEnum):
     POST = 1 << 4 | Label.POLE
     ARM = 2 << 4 | Label.POLE
     BOX = 3 << 4 | Label.POLE
+    THIN_PLACE = 4 << 4 | Label.POLE
 
 
 FURTHER_RETURN, VOTED = 14 << 4, 15 << 4

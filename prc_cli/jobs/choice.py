@@ -17,6 +17,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats import open_source
 from prc_cli.kernels import Engine
+from prc_cli.methods.rings.pipeline import WIDEST_FAN_RAD, is_fan
 from prc_cli.streams.beam_finder import ANGLES
 from prc_cli.streams.beams import BeamStream, with_beams
 from prc_cli.streams.evidence.place import Place, place_of_blocks
@@ -63,6 +64,10 @@ def choice_by_request(config: RunConfig, *, engine: Engine = "compiled") -> Meth
     return None
 
 
+CHOSEN_FAN = MethodChoice("rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do")
+"""The choice for a spinning scanner."""
+
+
 def choice_by_place(place: Place, known: str = "the angles of the beams are known") -> MethodChoice:
     """Return the choice for an input whose beam directions are known."""
     if place.kind == "forest":
@@ -91,6 +96,9 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
                 pass
         is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
+        beam_rad = next(iter(directed.blocks())).beam_rad
+        if beam_rad is not None and is_fan(beam_rad):
+            return CHOSEN_FAN, directed
         return choice_by_place(place_of_blocks(directed.blocks()), *known), directed
     except (InputError, ConfigError) as refusal:
         return MethodChoice("urban", f"{refusal.problem}; {_BETTER}", refusal.problem), stream

@@ -41,6 +41,17 @@ from prc_cli.methods.prc.surfaces_loops import dilate as dilate
 from prc_cli.methods.prc.surfaces_loops import draw_columns as draw_columns
 from prc_cli.methods.prc.surfaces_loops import draw_components as draw_components
 from prc_cli.methods.prc.surfaces_loops import select_components as select_components
+from prc_cli.methods.rings.cells_loops import fill_cells as fill_cells
+from prc_cli.methods.rings.cells_loops import join_cells as join_cells
+from prc_cli.methods.rings.cells_loops import lonely_shots as lonely_shots
+from prc_cli.methods.rings.cells_loops import low_plants as low_plants
+from prc_cli.methods.rings.cells_loops import mark_shots as mark_shots
+from prc_cli.methods.rings.cells_loops import measure_cells as measure_cells
+from prc_cli.methods.rings.ground_loops import bin_places as bin_places
+from prc_cli.methods.rings.ground_loops import heights_above as heights_above
+from prc_cli.methods.rings.ground_loops import lowest_heights as lowest_heights
+from prc_cli.methods.rings.ground_loops import smooth_surface as smooth_surface
+from prc_cli.methods.rings.ground_loops import walk_outwards as walk_outwards
 from prc_cli.methods.sequential_angle.angles_loops import angle_differences as angle_differences
 from prc_cli.methods.sequential_angle.angles_loops import line_angles as line_angles
 from prc_cli.methods.sequential_angle.angles_loops import signed_angles as signed_angles

@@ -12,9 +12,10 @@ from pydantic import Field
 from prc_cli.core.config import Params
 from prc_cli.methods.fused.pipeline import FusedParams
 from prc_cli.methods.prc.pipeline import PrcParams
+from prc_cli.methods.rings.pipeline import RingsParams
 from prc_cli.methods.sequential_angle.pipeline import SequentialAngleParams
 
-MethodName: TypeAlias = Literal["prc", "sequential-angle", "fused"]
+MethodName: TypeAlias = Literal["prc", "sequential-angle", "fused", "rings"]
 METHODS: tuple[MethodName, ...] = get_args(MethodName)
 """Names of the methods; a method's table in the configuration has underscores for hyphens."""
 
@@ -27,6 +28,7 @@ class MethodTables(Params):
         default_factory=SequentialAngleParams, description="sequential-angle (Stamos et al. 2012)"
     )
     fused: FusedParams = Field(default_factory=FusedParams, description="fused")
+    rings: RingsParams = Field(default_factory=RingsParams, description="rings of spinning scanners")
 
 
 def table_of(method: MethodName) -> str:

@@ -128,6 +128,31 @@ RULES: dict[Reason, Rule] = {
     Reason.BESIDE_STEM: Rule("beside a stem, and as far", ("classes.beside_m",)),
     Reason.ABOVE_TOP: Rule("on a stem, but above the height where stems end", ("classes.top_m",)),
     Reason.PLANT: Rule("above the ground, on no stem, with shots around as far", ("classes.near_m",)),
+    # rings
+    Reason.FLAKE: Rule(
+        "hardly any shot around is as far, and none as bright: snow, rain or dust",
+        ("lonely.near_m", "lonely.most", "lonely.bright"),
+    ),
+    Reason.SURFACE: Rule("at the surface that the lowest returns around lie on", ("soil.soil_m", "ground.step_m")),
+    Reason.THIN_SMOOTH: Rule(
+        "what stands there is thin, smooth, upright and without gaps in height",
+        ("leaves.thick", "leaves.smooth", "leaves.upright", "leaves.filled"),
+    ),
+    Reason.ROUGH_PLACE: Rule(
+        "what stands there is rough, thick, or has gaps in height", ("leaves.thick", "leaves.smooth", "leaves.filled")
+    ),
+    Reason.LOW_PLANT: Rule("low, in a rough place or above a smooth one", ("soil.smooth", "soil.rough", "soil.high")),
+    Reason.CAR_BOX: Rule(
+        "of a body of a car's size that stands alone, and rings pass over it",
+        ("cars.body_m", "cars.most_m", "cars.wide_m", "cars.seen_m"),
+    ),
+    Reason.LARGE_BOX: Rule(
+        "of a smooth body of a lorry's size that stands alone, and rings pass over it",
+        ("lorries.body_m", "lorries.most_m", "lorries.wide_m", "lorries.seen_m"),
+    ),
+    Reason.THIN_PLACE: Rule(
+        "what stands there is thin to all sides, high and alone", ("poles.thin_m", "poles.least_m")
+    ),
 }
 VOTE = Rule("most shots around are of this class", ("votes.half_width_m", "votes.near_m"))
 FURTHER = Rule("a further return: the class of a shot around that is as far, or what remains without one")

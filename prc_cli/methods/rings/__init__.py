@@ -1,0 +1,1 @@
+"""Labels of spinning scanners with rings; docs/rings.md gives the method."""

@@ -1,0 +1,333 @@
+"""Loops of the method for rings over what stands on the ground: shots beside each other, and columns of space."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int32, int64, kernel, record, uint8
+from prc_cli.methods.rings.thresholds import CellThresholds, LonelyThresholds, MarkThresholds, SoilThresholds
+
+SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
+"""Bits of a mark: on the line through two shots of its ring; such two exist; on an upright, on a level surface."""
+LINES, RINGS = 3, 2
+"""Shots this far away are around a shot."""
+N_SUMS = 9
+"""Sums of a cell: shots, x, y, xx, xy, yy, smooth ones, asked ones, upright ones."""
+N_MEASURES = 7
+"""Measures of a cell; see :func:`measure_cells`."""
+TOP_LEVEL = 61
+
+
+@helper
+def _beside(place: F32, line: int, way: int, i: int, most: int) -> int:
+    """Return the line of the nearest shot of a ring at or beyond a line, one more at most; -1 = none."""
+    for q in (line, line + way):
+        if 0 <= q < most and place[q, i] == place[q, i]:
+            return q
+    return -1
+
+
+@helper
+def _is_smooth(before: F32, own: F32, after: F32, most_m: float, tolerance_m: float) -> int:
+    """Return SMOOTH and ASKED for a shot between two; no bit where these are too far apart."""
+    cx, cy, cz = float(after[0]) - before[0], float(after[1]) - before[1], float(after[2]) - before[2]
+    square = cx * cx + cy * cy + cz * cz
+    if square > most_m * most_m or square == 0.0:
+        return ASKED
+    dx, dy, dz = float(own[0]) - before[0], float(own[1]) - before[1], float(own[2]) - before[2]
+    along = (dx * cx + dy * cy + dz * cz) / square
+    ex, ey, ez = dx - along * cx, dy - along * cy, dz - along * cz
+    near = ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m
+    return SMOOTH | ASKED if near else ASKED
+
+
+@kernel(
+    uint8[:, ::1](
+        float32[:, :, ::1], float32[:, ::1], float32[:, ::1], float64, float64, float64, record(MarkThresholds)
+    )
+)
+def mark_shots(
+    xyz_m: F32, place: F32, above_m: F32, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
+) -> U8:
+    """Mark shots by what their ring shows and, higher than the foot of things, their line, (lines, M) uint8.
+
+    ``xyz_m`` (lines, M, 3) float32, metres; ``place, above_m`` (lines, M) float32; ``step_rad`` is the angle between
+    lines; ``root`` the number of bins of ``place`` per square root of a metre.
+    """
+    n_lines, m = place.shape
+    marks = np.zeros((n_lines, m), np.uint8)
+    for line in range(n_lines):
+        for i in range(m):
+            if place[line, i] != place[line, i]:
+                continue
+            far = float(place[line, i]) / root
+            far *= far
+            step = max(far, 0.5) * step_rad
+            k = min(max(int(thresholds.base_m / step + 0.5), 1), thresholds.most_lines)
+            one, two = _beside(place, line - k, -1, i, n_lines), _beside(place, line + k, 1, i, n_lines)
+            if one >= 0 and two >= 0:
+                most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
+                tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
+                marks[line, i] |= np.uint8(
+                    _is_smooth(xyz_m[one, i], xyz_m[line, i], xyz_m[two, i], most_m, tolerance_m)
+                )
+            elif line - k >= 0 and line + k < n_lines:
+                marks[line, i] |= np.uint8(ASKED)
+            if not above_m[line, i] > foot_m:
+                continue
+            for q in range(i + 1, min(i + 3, m)):
+                if place[line, q] != place[line, q]:
+                    continue
+                other = float(place[line, q]) / root
+                rise, apart = abs(float(xyz_m[line, q, 2]) - xyz_m[line, i, 2]), abs(other * other - far)
+                mark = 0
+                if apart < thresholds.upright * rise + thresholds.upright_m:
+                    mark = UPRIGHT
+                elif rise < thresholds.level * apart:
+                    mark = LEVEL
+                marks[line, i] |= np.uint8(mark)
+                marks[line, q] |= np.uint8(mark)
+                break
+    return marks
+
+
+@kernel(boolean[:, ::1](float32[:, ::1], float32[:, ::1], boolean, record(LonelyThresholds)))
+def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyThresholds) -> Mask:
+    """Mark shots near the scanner that hardly any shot around is as far as, and that no surface around explains.
+
+    ``range_m`` (lines, M) float32, metres; ``intensity`` the same, or (1, 1) where ``is_lit`` is false.
+    """
+    n_lines, m = range_m.shape
+    found = np.zeros((n_lines, m), np.bool_)
+    most = thresholds.most if is_lit else thresholds.unlit
+    for line in range(n_lines):
+        for i in range(m):
+            own = float(range_m[line, i])
+            if not own < thresholds.reach_m:
+                continue
+            limit = thresholds.near_m + thresholds.near_per_m * own
+            near = alike = 0
+            for q in range(max(i - RINGS, 0), min(i + RINGS + 1, m)):
+                for p in range(max(line - LINES, 0), min(line + LINES + 1, n_lines)):
+                    near += abs(float(range_m[p, q]) - own) < limit
+                if near > most + 1:
+                    break
+            if near > most + 1:  # itself among them
+                continue
+            if is_lit:
+                light = float(intensity[line, i])
+                for q in range(max(i - RINGS, 0), min(i + RINGS + 1, m)):
+                    for p in range(max(line - LINES, 0), min(line + LINES + 1, n_lines)):
+                        other = float(intensity[p, q])
+                        is_beside = abs(float(range_m[p, q]) - own) < thresholds.beside_m
+                        alike += is_beside and abs(other - light) <= thresholds.alike * max(other, light)
+            found[line, i] = alike <= thresholds.bright
+    return found
+
+
+@kernel(
+    Tuple((int32[:, ::1], int32[:, ::1], int32[:, ::1], float64[:, ::1], int64[::1]))(
+        float32[:, :, ::1], float32[:, ::1], uint8[:, ::1], boolean[:, ::1], record(CellThresholds)
+    )
+)
+def fill_cells(
+    xyz_m: F32, above_m: F32, marks: U8, leave_out: Mask, thresholds: CellThresholds
+) -> tuple[I32, I32, I32, F64, I64]:
+    """Sum up what stands in every column of space.
+
+    ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M) uint8; ``leave_out``
+    (lines, M) bool; returns the grid, (n, n) int32 with the number of the cell, -1 = nothing stands there; ``cell``
+    (lines, M) int32, -1 = none; where cells lie in the grid, (cells, 2) int32; sums (cells, N_SUMS) float64; levels
+    with shots, (cells,) int64, one bit each.
+    """
+    n_lines, m = above_m.shape
+    size, n = thresholds.cell_m, int(2.0 * thresholds.half_m / thresholds.cell_m)
+    grid, cell = np.full((n, n), -1, np.int32), np.full((n_lines, m), -1, np.int32)
+    k = 0
+    for line in range(n_lines):
+        for i in range(m):
+            if not above_m[line, i] > thresholds.foot_m or leave_out[line, i]:
+                continue
+            p = math.floor((xyz_m[line, i, 0] + thresholds.half_m) / size)
+            q = math.floor((xyz_m[line, i, 1] + thresholds.half_m) / size)
+            if p < 2 or q < 2 or p >= n - 2 or q >= n - 2:
+                continue
+            if grid[p, q] < 0:
+                grid[p, q] = k
+                k += 1
+            cell[line, i] = grid[p, q]
+    where, sums, levels = np.empty((k, 2), np.int32), np.zeros((k, N_SUMS)), np.zeros(k, np.int64)
+    for line in range(n_lines):
+        for i in range(m):
+            own = cell[line, i]
+            if own < 0:
+                continue
+            p = math.floor((xyz_m[line, i, 0] + thresholds.half_m) / size)
+            q = math.floor((xyz_m[line, i, 1] + thresholds.half_m) / size)
+            where[own, 0], where[own, 1] = p, q
+            x = xyz_m[line, i, 0] + thresholds.half_m - (p + 0.5) * size
+            y = xyz_m[line, i, 1] + thresholds.half_m - (q + 0.5) * size
+            mark, row = int(marks[line, i]), sums[own]
+            row[0] += 1.0
+            row[1] += x
+            row[2] += y
+            row[3] += x * x
+            row[4] += x * y
+            row[5] += y * y
+            row[6] += mark & SMOOTH
+            row[7] += (mark & ASKED) >> 1
+            row[8] += (mark & UPRIGHT) >> 2
+            levels[own] |= 1 << min(int(above_m[line, i] / thresholds.storey_m), TOP_LEVEL)
+    for line in range(n_lines):
+        for i in range(m):
+            if not above_m[line, i] > thresholds.hem_m or above_m[line, i] > thresholds.foot_m or leave_out[line, i]:
+                continue
+            p = math.floor((xyz_m[line, i, 0] + thresholds.half_m) / size)
+            q = math.floor((xyz_m[line, i, 1] + thresholds.half_m) / size)
+            if p >= 0 and q >= 0 and p < n and q < n:
+                cell[line, i] = grid[p, q]
+    return grid, cell, where, sums, levels
+
+
+@kernel(float64[:, ::1](int32[:, ::1], int32[:, ::1], float64[:, ::1], int64[::1], float64))
+def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, cell_m: float) -> F64:
+    """Measure every cell with those around.
+
+    ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``sums`` (cells, N_SUMS) float64; ``levels`` (cells,) int64;
+    returns (cells, N_MEASURES) float64: of 3 x 3 cells how thick and how long what stands there is (standard
+    deviations, [m]) and its share of upright shots; of 5 x 5 its share of smooth shots, the number of levels with
+    shots, the highest level, and the number of cells with shots.
+    """
+    found = np.zeros((len(where), N_MEASURES))
+    for c in range(len(where)):
+        n = x = y = xx = xy = yy = upright = smooth = asked = 0.0
+        every, cells = np.int64(0), 0
+        for dp in range(-2, 3):
+            for dq in range(-2, 3):
+                other = grid[where[c, 0] + dp, where[c, 1] + dq]
+                if other < 0:
+                    continue
+                cells += 1
+                row = sums[other]
+                smooth += row[6]
+                asked += row[7]
+                every |= levels[other]
+                if abs(dp) == 2 or abs(dq) == 2:
+                    continue
+                ox, oy = dp * cell_m, dq * cell_m
+                n += row[0]
+                x += row[1] + row[0] * ox
+                y += row[2] + row[0] * oy
+                xx += row[3] + 2.0 * ox * row[1] + row[0] * ox * ox
+                xy += row[4] + ox * row[2] + oy * row[1] + row[0] * ox * oy
+                yy += row[5] + 2.0 * oy * row[2] + row[0] * oy * oy
+                upright += row[8]
+        x, y = x / n, y / n
+        xx, xy, yy = xx / n - x * x, xy / n - x * y, yy / n - y * y
+        half, away = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+        top = 0
+        for level in range(TOP_LEVEL + 1):
+            if every >> level & 1:
+                found[c, 4] += 1.0
+                top = level
+        found[c, 0], found[c, 1] = math.sqrt(max(half - away, 0.0)), math.sqrt(max(half + away, 0.0))
+        found[c, 2], found[c, 3] = upright / n, smooth / max(asked, 1.0)
+        found[c, 5], found[c, 6] = top + 1.0, float(cells)
+    return found
+
+
+@helper
+def _root(parent: I32, c: int) -> int:
+    while parent[c] != c:
+        parent[c] = parent[parent[c]]
+        c = parent[c]
+    return c
+
+
+@kernel(int32[::1](int32[:, ::1], int32[:, ::1], boolean[::1]))
+def join_cells(grid: I32, where: I32, use: Mask) -> I32:
+    """Return the body that every cell is of, the number of its first cell, (cells,) int32; -1 where it is not of use.
+
+    ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``use`` (cells,) bool.
+    """
+    parent = np.arange(len(where)).astype(np.int32)
+    for c in range(len(where)):
+        if not use[c]:
+            continue
+        for dp in range(-1, 2):
+            for dq in range(-1, 2):
+                other = grid[where[c, 0] + dp, where[c, 1] + dq]
+                if other < 0 or not use[other]:
+                    continue
+                one, two = _root(parent, c), _root(parent, int(other))
+                parent[max(one, two)] = min(one, two)
+    body = np.full(len(where), -1, np.int32)
+    for c in range(len(where)):
+        if use[c]:
+            body[c] = _root(parent, c)
+    return body
+
+
+@helper
+def _is_low(above_m: float, x: float, y: float, thresholds: SoilThresholds) -> bool:
+    inside = abs(x) < thresholds.half_m - thresholds.cell_m and abs(y) < thresholds.half_m - thresholds.cell_m
+    return bool(inside and above_m > thresholds.below_m and above_m <= thresholds.foot_m)
+
+
+@kernel(boolean[:, ::1](float32[:, :, ::1], float32[:, ::1], uint8[:, ::1], record(SoilThresholds)))
+def low_plants(xyz_m: F32, above_m: F32, marks: U8, thresholds: SoilThresholds) -> Mask:
+    """Mark the plants among low shots, (lines, M) bool: rough places, and what is high above smooth ones.
+
+    ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M) uint8.
+    """
+    n_lines, m = above_m.shape
+    n = int(2.0 * thresholds.half_m / thresholds.cell_m)
+    # shots, smooth ones, heights, their squares
+    sums = np.zeros((n, n, 4))
+    for line in range(n_lines):
+        for i in range(m):
+            x, y, above = float(xyz_m[line, i, 0]), float(xyz_m[line, i, 1]), float(above_m[line, i])
+            if not _is_low(above, x, y, thresholds) or not marks[line, i] & ASKED:
+                continue
+            row = sums[
+                int((x + thresholds.half_m) / thresholds.cell_m), int((y + thresholds.half_m) / thresholds.cell_m)
+            ]
+            row[0] += 1.0
+            row[1] += float(marks[line, i] & SMOOTH)
+            row[2] += above
+            row[3] += above * above
+    # the part of the score that all shots of a cell have; NaN = too few shots
+    score = np.full((n, n), np.nan)
+    for p in range(1, n - 1):
+        for q in range(1, n - 1):
+            if sums[p, q, 0] == 0.0:
+                continue
+            total = smooth = height = square = 0.0
+            for dp in range(-1, 2):
+                for dq in range(-1, 2):
+                    row = sums[p + dp, q + dq]
+                    total += row[0]
+                    smooth += row[1]
+                    height += row[2]
+                    square += row[3]
+            if total >= thresholds.shots:
+                mean = height / total
+                rough = min(math.sqrt(max(square / total - mean * mean, 0.0)), thresholds.most_rough_m)
+                score[p, q] = thresholds.bias + thresholds.smooth * smooth / total + thresholds.rough * rough
+    found = np.zeros((n_lines, m), np.bool_)
+    for line in range(n_lines):
+        for i in range(m):
+            x, y, above = float(xyz_m[line, i, 0]), float(xyz_m[line, i, 1]), float(above_m[line, i])
+            own = np.nan
+            if _is_low(above, x, y, thresholds):
+                p = int((x + thresholds.half_m) / thresholds.cell_m)
+                own = score[p, int((y + thresholds.half_m) / thresholds.cell_m)]
+            if own == own:
+                high = max(above, thresholds.least_high_m)
+                found[line, i] = own + thresholds.high * high + thresholds.far * math.sqrt(x * x + y * y) > 0.0
+            else:
+                found[line, i] = above > thresholds.soil_m
+    return found

@@ -1,0 +1,163 @@
+"""The ground around a spinning scanner: a smooth surface that the lowest returns lie on.
+
+Cells are sectors of azimuth by bins of distance, as in Patchwork++ (Lee et al. 2022). A plane through the lowest
+heights near the scanner gives its height, its lean, and whether it hangs upside down. From there the surface is
+followed outwards, smoothed, and corrected by the shots near it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli import kernels
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, F64
+from prc_cli.methods.rings.thresholds import BINS_PER_ROOT_M, N_BINS, GroundThresholds
+
+USUAL_STEP_RAD = math.radians(0.2)
+"""Angle between lines where nothing tells it [rad]: ten turns a second of most scanners."""
+WHOLE_TURN = 0.97
+"""Share of a turn from which on the last sector of a block is beside the first."""
+NEAR_M = 25.0
+"""The plane is fitted up to this distance [m]."""
+HIGHEST_M, LOWEST_M, BIN_M = -0.3, -6.0, 0.1
+"""Heights of the ground below a scanner, and the width of a bin of them [m]."""
+TRIMS_M = (0.6, 0.4, 0.3, 0.2, 0.2)
+"""Heights this near to the plane fit the next one [m]."""
+FEWEST = 20
+"""Lowest heights that make a plane."""
+UPSIDE_DOWN = 1.5
+"""A scanner hangs upside down where so many times more heights agree with a plane above than with one below."""
+ROUNDS, CORRECTIONS = 40, 2
+"""Rounds of smoothing, and how often the surface is corrected."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundPlane:
+    """A plane through the lowest heights near the scanner."""
+
+    slope_x: float = 0.0
+    slope_y: float = 0.0
+    height_m: float = 0.0
+    """Height at the scanner: minus the scanner's height above the ground [m]."""
+    up: float = 1.0
+    """-1 where the scanner hangs upside down."""
+    n_cells: int = 0
+    """Cells that agree; 0 = nothing is known."""
+
+    def at(self, x_m: F64, y_m: F64) -> F64:
+        """Return heights, of the shape of ``x_m`` [m]."""
+        heights: F64 = self.slope_x * x_m + self.slope_y * y_m + self.height_m
+        return heights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Polar:
+    """The shots of a block in sectors of azimuth and bins of distance."""
+
+    xyz_m: F32
+    place: F32
+    """(lines, M) float32, bin of distance of every shot, and the place in it; NaN = missing."""
+    azimuth_rad: F64
+    """(lines,) float64, of every line, without jumps."""
+    step_rad: float
+    """Angle between lines [rad]."""
+    sector_lines: int
+    is_round: bool
+    """Whether the lines are a whole turn."""
+
+    @classmethod
+    def of(cls, xyz_m: F32, thresholds: GroundThresholds) -> Polar:
+        """Return the places of shots, (lines, M, 3) float32 [m]."""
+        place, heading = kernels.bin_places(xyz_m, BINS_PER_ROOT_M)
+        azimuth = _without_gaps(np.arctan2(heading[:, 1], heading[:, 0]), heading.any(axis=1))
+        steps = np.abs(np.diff(azimuth))
+        step = float(np.median(steps)) if len(steps) else 0.0
+        step = step if step > 0 else USUAL_STEP_RAD
+        is_round = len(place) * step > WHOLE_TURN * 2 * math.pi
+        return cls(xyz_m, place, azimuth, step, max(round(thresholds.sector_rad / step), 1), is_round)
+
+    @property
+    def middle_m(self) -> F64:
+        """Distance of the middle of every bin, (bins,) float64 [m]."""
+        middle: F64 = ((np.arange(N_BINS) + 0.5) / BINS_PER_ROOT_M) ** 2
+        return middle
+
+    def centres(self) -> tuple[F64, F64]:
+        """Return where the cells lie, twice (sectors, bins) float64 [m]."""
+        n_lines = len(self.place)
+        lines = np.arange(0, n_lines, self.sector_lines) + self.sector_lines // 2
+        azimuth = self.azimuth_rad[np.minimum(lines, n_lines - 1), None]
+        return np.cos(azimuth) * self.middle_m, np.sin(azimuth) * self.middle_m
+
+    def lowest(self, up: float, thresholds: GroundThresholds) -> F32:
+        """Return the lowest heights, (sectors, bins) float32 [m]."""
+        low: F32 = kernels.lowest_heights(self.xyz_m, self.place, up, self.sector_lines, N_BINS, thresholds.pair_m)
+        return low
+
+
+def _without_gaps(azimuth: F64, known: NDArray[np.bool_]) -> F64:
+    """Return azimuths without jumps, and between those of other lines where a line has no return."""
+    if not known.any():
+        return np.zeros(len(azimuth))
+    lines = np.arange(len(azimuth))
+    whole: F64 = np.interp(lines, lines[known], np.unwrap(azimuth[known]))
+    return whole
+
+
+@stage("plane")
+def find_plane(polar: Polar, known: GroundPlane, thresholds: GroundThresholds) -> GroundPlane:
+    """Return the plane of a block's ground, or that of the blocks before where it shows too little of it."""
+    ups = (known.up,) if known.n_cells else (1.0, -1.0)
+    found = [_fit_plane(polar, up, thresholds) for up in ups]
+    best = found[0]
+    if len(found) > 1 and found[1].n_cells > max(UPSIDE_DOWN * best.n_cells, FEWEST):
+        best = found[1]
+    return best if best.n_cells >= FEWEST or not known.n_cells else known
+
+
+def _fit_plane(polar: Polar, up: float, thresholds: GroundThresholds) -> GroundPlane:
+    """Fit a plane to the lowest heights near the scanner, beginning at the height that most of them have."""
+    low = polar.lowest(up, thresholds)
+    x_m, y_m = polar.centres()
+    use = np.isfinite(low) & (polar.middle_m < NEAR_M)
+    heights = low[use].astype(np.float64)
+    counts, edges = np.histogram(heights, bins=np.arange(LOWEST_M, HIGHEST_M + BIN_M, BIN_M))
+    around = np.convolve(counts, np.ones(3, np.int64), "same")
+    plane = np.array([0.0, 0.0, float(edges[int(np.argmax(around))]) + BIN_M / 2])
+    places = np.stack([x_m[use], y_m[use], np.ones(len(heights))], axis=1)
+    for trim_m in TRIMS_M:
+        near = np.abs(places @ plane - heights) < trim_m
+        if np.count_nonzero(near) < FEWEST:
+            return GroundPlane(0.0, 0.0, float(plane[2]), up, 0)
+        plane = np.linalg.lstsq(places[near], heights[near], rcond=None)[0]
+    n_cells = int(np.count_nonzero(np.abs(places @ plane - heights) < thresholds.plane_m))
+    return GroundPlane(float(plane[0]), float(plane[1]), float(plane[2]), up, n_cells)
+
+
+@stage("ground")
+def above_ground(polar: Polar, plane: GroundPlane, thresholds: GroundThresholds) -> F32:
+    """Return the height of every shot above the ground, (lines, M) float32 [m]; NaN = missing."""
+    base = plane.at(*polar.centres())
+    low = (polar.lowest(plane.up, thresholds) - base).astype(np.float32)
+    start, seen = kernels.walk_outwards(low, polar.middle_m, thresholds)
+    weight = seen.astype(np.float64)
+    surface = kernels.smooth_surface(start, weight, start, thresholds.stiff, ROUNDS, polar.is_round)
+    for _ in range(CORRECTIONS):
+        _, total, number = _heights(polar, plane, base + surface, thresholds)
+        with np.errstate(invalid="ignore"):
+            better = np.where(number > 0, total / np.maximum(number, 1.0), 0.0) + surface
+        weight = np.where(number >= thresholds.shots, np.minimum(number / thresholds.shots, thresholds.most), 0.0)
+        surface = kernels.smooth_surface(better, weight, surface, thresholds.stiff, ROUNDS, polar.is_round)
+    return _heights(polar, plane, base + surface, thresholds)[0]
+
+
+def _heights(polar: Polar, plane: GroundPlane, surface_m: F64, thresholds: GroundThresholds) -> tuple[F32, F64, F64]:
+    found: tuple[F32, F64, F64] = kernels.heights_above(
+        polar.xyz_m, polar.place, plane.up, surface_m, polar.sector_lines, BINS_PER_ROOT_M, thresholds
+    )
+    return found

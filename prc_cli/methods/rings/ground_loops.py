@@ -1,0 +1,186 @@
+"""Loops of the method for rings that find the ground: a surface of sectors of azimuth by bins of distance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64
+from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int64, kernel, record
+from prc_cli.methods.rings.thresholds import GroundThresholds
+
+_FAR = 1e9
+_SIDES = np.array([-1, 0, 1])
+_SHARES = np.array([1.0, 2.0, 1.0])
+"""Weights of the sectors beside a sector, and of itself."""
+
+
+@kernel(Tuple((float32[:, ::1], float64[:, ::1]))(float32[:, :, ::1], float64))
+def bin_places(xyz_m: F32, bins_per_root_m: float) -> tuple[F32, F64]:
+    """Return in which bin of distance every shot is and where in it, and how every line looks around.
+
+    ``xyz_m`` (lines, M, 3) float32, metres; returns (lines, M) float32, NaN = missing, and the sums of the horizontal
+    directions of a line, (lines, 2) float64.
+    """
+    n_lines, m = xyz_m.shape[0], xyz_m.shape[1]
+    place, heading = np.empty((n_lines, m), np.float32), np.zeros((n_lines, 2))
+    for line in range(n_lines):
+        for i in range(m):
+            x, y = float(xyz_m[line, i, 0]), float(xyz_m[line, i, 1])
+            distance = math.sqrt(x * x + y * y)
+            place[line, i] = np.float32(math.sqrt(distance) * bins_per_root_m)
+            if distance > 0.0:
+                heading[line, 0] += x / distance
+                heading[line, 1] += y / distance
+    return place, heading
+
+
+@kernel(float32[:, ::1](float32[:, :, ::1], float32[:, ::1], float64, int64, int64, float64))
+def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32:
+    """Return the lowest height of every cell that another shot of it confirms, (sectors, bins) float32; NaN = none.
+
+    ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``up`` is -1 where z points down.
+    """
+    n_lines, m = place.shape
+    n_sectors = (n_lines + sector_lines - 1) // sector_lines
+    three = np.full((n_sectors, n_bins, 3), _FAR)
+    for line in range(n_lines):
+        for i in range(m):
+            if not place[line, i] < n_bins:
+                continue
+            low, z = three[line // sector_lines, int(place[line, i])], up * float(xyz_m[line, i, 2])
+            if z < low[0]:
+                low[0], low[1], low[2] = z, low[0], low[1]
+            elif z < low[1]:
+                low[1], low[2] = z, low[1]
+            elif z < low[2]:
+                low[2] = z
+    found = np.full((n_sectors, n_bins), np.nan, np.float32)
+    for s in range(n_sectors):
+        for b in range(n_bins):
+            low = three[s, b]
+            if low[1] == _FAR:
+                if low[0] < _FAR:
+                    found[s, b] = np.float32(low[0])
+            elif low[1] - low[0] < pair_m:
+                found[s, b] = np.float32(0.5 * (low[0] + low[1]))
+            elif low[2] - low[1] < pair_m:
+                found[s, b] = np.float32(0.5 * (low[1] + low[2]))
+    return found
+
+
+@kernel(Tuple((float64[:, ::1], boolean[:, ::1]))(float32[:, ::1], float64[::1], record(GroundThresholds)))
+def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, np.ndarray]:
+    """Follow the ground from cell to cell away from the scanner, in all sectors at once.
+
+    A height is ground where it is near what the sector and those beside it let expect. ``off_m`` (sectors, bins)
+    float32, lowest heights above a plane [m]; ``middle_m`` (bins,) float64; returns heights above it, (sectors, bins)
+    float64, and whether they were seen, bool.
+    """
+    n_sectors, n_bins = off_m.shape
+    height, seen = np.empty((n_sectors, n_bins)), np.zeros((n_sectors, n_bins), np.bool_)
+    last, at, slope = np.zeros(n_sectors), np.full(n_sectors, middle_m[0]), np.zeros(n_sectors)
+    for b in range(n_bins):
+        for s in range(n_sectors):
+            total = weight = 0.0
+            for k in range(3):
+                q = (s + _SIDES[k]) % n_sectors
+                gap = middle_m[b] - at[q]
+                share = _SHARES[k] / (1.0 + 0.2 * gap)
+                total += share * (last[q] + slope[q] * min(gap, thresholds.far_m))
+                weight += share
+            height[s, b] = total / weight
+        for s in range(n_sectors):
+            if off_m[s, b] != off_m[s, b]:
+                continue
+            gap, above = middle_m[b] - at[s], float(off_m[s, b]) - height[s, b]
+            reach = min(gap, thresholds.gap_m)
+            if above > thresholds.step_m + thresholds.rise * reach:
+                continue
+            if above < -thresholds.step_m - thresholds.fall * reach:
+                continue
+            height[s, b], seen[s, b] = float(off_m[s, b]), True
+            if gap > 0:
+                steep = min(max((height[s, b] - last[s]) / gap, -thresholds.slope), thresholds.slope)
+                share = min(gap / (gap + thresholds.follow_m), thresholds.follow)
+                slope[s] += share * (steep - slope[s])
+            last[s], at[s] = height[s, b], middle_m[b]
+    return height, seen
+
+
+@kernel(float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64, int64, boolean))
+def smooth_surface(height_m: F64, weight: F64, start_m: F64, stiff: float, rounds: int, is_round: bool) -> F64:
+    """Return the surface between the heights of cells and those of the cells around, (sectors, bins) float64.
+
+    ``height_m, weight, start_m`` (sectors, bins) float64; ``is_round``: the last sector is beside the first.
+    """
+    n_sectors, n_bins = height_m.shape
+    found = start_m.copy()
+    for _ in range(rounds):
+        for s in range(n_sectors):
+            for b in range(n_bins):
+                total, sum_of = weight[s, b] * height_m[s, b], weight[s, b]
+                if b > 0:
+                    total += stiff * found[s, b - 1]
+                    sum_of += stiff
+                if b + 1 < n_bins:
+                    total += stiff * found[s, b + 1]
+                    sum_of += stiff
+                if s > 0 or is_round:
+                    total += stiff * found[(s - 1) % n_sectors, b]
+                    sum_of += stiff
+                if s + 1 < n_sectors or is_round:
+                    total += stiff * found[(s + 1) % n_sectors, b]
+                    sum_of += stiff
+                if sum_of > 0:
+                    found[s, b] = total / sum_of
+    return found
+
+
+@helper
+def _between(low: float, high: float, share: float) -> float:
+    return low + share * (high - low)
+
+
+@kernel(
+    Tuple((float32[:, ::1], float64[:, ::1], float64[:, ::1]))(
+        float32[:, :, ::1], float32[:, ::1], float64, float64[:, ::1], int64, float64, record(GroundThresholds)
+    )
+)
+def heights_above(
+    xyz_m: F32, place: F32, up: float, surface_m: F64, sector_lines: int, root: float, thresholds: GroundThresholds
+) -> tuple[F32, F64, F64]:
+    """Return the height of every shot above a surface, and by cell sum and number of those near it.
+
+    ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``surface_m`` (sectors, bins) float64;
+    ``root`` is the number of bins per square root of a metre; returns (lines, M) float32, NaN = missing, and twice
+    (sectors, bins) float64.
+    """
+    n_lines, m = place.shape
+    n_sectors, n_bins = surface_m.shape
+    above = np.empty((n_lines, m), np.float32)
+    total, number = np.zeros((n_sectors, n_bins)), np.zeros((n_sectors, n_bins))
+    row = np.empty(n_bins)
+    for line in range(n_lines):
+        # the surface in this line, between the middles of two sectors
+        along = (line + 0.5) / sector_lines - 0.5
+        first = math.floor(along)
+        low, high = max(int(first), 0), min(int(first) + 1, n_sectors - 1)
+        for b in range(n_bins):
+            row[b] = _between(surface_m[low, b], surface_m[high, b], along - first)
+        own = line // sector_lines
+        for i in range(m):
+            if place[line, i] != place[line, i]:
+                above[line, i] = np.float32(np.nan)
+                continue
+            at = min(max(float(place[line, i]) - 0.5, 0.0), n_bins - 1.001)
+            b = int(at)
+            off = up * float(xyz_m[line, i, 2]) - _between(row[b], row[b + 1], at - b)
+            above[line, i] = np.float32(off)
+            distance = float(place[line, i]) / root
+            if abs(off) < thresholds.near_m + thresholds.near_per_m * distance * distance:
+                b = min(int(place[line, i]), n_bins - 1)
+                total[own, b] += off
+                number[own, b] += 1.0
+    return above, total, number

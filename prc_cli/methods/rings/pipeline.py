@@ -1,0 +1,176 @@
+"""The method for rings: its stages in order, and the state between blocks.
+
+A block is labelled by itself, up to the plane of the ground, which a block that shows too little of it takes from the
+blocks before. docs/rings.md gives the stages and the reasons.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from prc_cli.core.classes import LABEL_BITS, Label
+from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.types import F32, F64, U8
+from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of, check_block
+from prc_cli.methods.returns import label_extra_returns
+from prc_cli.methods.rings.classes import (
+    Cells,
+    fill_cells,
+    label_cells,
+    label_shots,
+    lonely_shots,
+    low_plants,
+    mark_shots,
+)
+from prc_cli.methods.rings.ground import USUAL_STEP_RAD, GroundPlane, Polar, above_ground, find_plane
+from prc_cli.methods.rings.thresholds import Limits
+
+WIDEST_FAN_RAD = math.radians(60)
+"""Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
+more."""
+EXTRA_RETURN_M = 0.3
+"""Further returns take the label of a shot around that is this near in range [m]."""
+LIMITS = Limits()
+MEASURES = (
+    "thickness of what is around, seen from above [m]", "its length [m]", "its upright share", "its smooth share",
+    "levels of 0.25 m with shots", "the highest of them", "cells of 0.5 m with shots, of 25",
+)  # fmt: skip
+"""Names of the measures of cells."""
+LABELS = frozenset({Label.MISSING, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.CAR, Label.POLE})
+
+
+def is_fan(beam_rad: F64) -> bool:
+    """Return whether beams, (M,) float64 [rad], are a fan of rings.
+
+    >>> is_fan(np.deg2rad([65.0, 90.0, 92.0])), is_fan(np.deg2rad([-90.0, 0.0, 90.0]))
+    (True, False)
+    """
+    return len(beam_rad) > 0 and bool(np.ptp(beam_rad) < WIDEST_FAN_RAD)
+
+
+class RingsParams(MethodParams):
+    """Parameters of the method for rings (``[rings]``); its limits are constants, in thresholds.py."""
+
+    lines_per_block: int = Field(1024, ge=1, le=100_000, description="scan lines that are labelled together")
+
+    def method(self) -> Rings:
+        """Return the method with these parameters."""
+        return Rings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RingsState:
+    """State handed to the next block."""
+
+    plane: GroundPlane
+    """The ground so far."""
+
+
+PLANE = Part[GroundPlane]("plane")
+
+
+@dataclass(frozen=True, slots=True)
+class Rings(Classifier[F64, RingsState]):
+    """The method for rings; its constants per scanner are the beam directions."""
+
+    params: RingsParams
+
+    @property
+    def needs(self) -> Needs:
+        """Blocks with beam angles; nothing of the lines after a block."""
+        return Needs(frozenset({"rings"}), self.params.lines_per_block, 1)
+
+    @property
+    def usual(self) -> UsualLabels:
+        """Little noise, ground below the scanner, and things farther than a room is wide."""
+        return UsualLabels(0.3, 0.6, ground_share=0.1, reach_m=6.0)
+
+    @property
+    def gives(self) -> frozenset[Label]:
+        """Surfaces, curbs and stems are not told."""
+        return LABELS
+
+    def scanner(self, first: ScanBlock) -> F64:
+        """Return the beam directions."""
+        return beams_of(first)
+
+    def initial_state(self, scanner: F64) -> RingsState:
+        """Return the state before the first block: no ground."""
+        return RingsState(GroundPlane())
+
+    def label(self, block: ScanBlock, scanner: F64, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+        """Label a block, and its further returns by neighbouring shots of similar range."""
+        k, key = self.params.lines_per_block, "rings.lines_per_block"
+        check_block(block.range_m, block.next_m, len(scanner), k, columns=", one column a ring", key=key)
+        polar = Polar.of(coordinates_of(block, scanner), LIMITS.ground)
+        plane = turn.hand_on(PLANE, lambda known: (found := find_plane(polar, known, LIMITS.ground), found))
+        above_m = above_ground(polar, plane, LIMITS.ground)
+        marks = mark_shots(polar, above_m, LIMITS)
+        lonely = lonely_shots(block.range_m, block.intensity, LIMITS)
+        cells = fill_cells(polar, above_m, marks, lonely, LIMITS.cells)
+        cell_rules = label_cells(cells, sight_over(cells, scanner, plane), LIMITS)
+        plants = low_plants(polar, above_m, marks, LIMITS)
+        reasons = label_shots(above_m, marks, lonely, plants, cells, cell_rules, LIMITS)
+        labels = reasons & np.uint8(LABEL_BITS)
+        further = block.extra
+        extra = label_extra_returns(
+            block.range_m, labels, further.line, further.column, further.range_m, EXTRA_RETURN_M, EXTRA_RETURN_M
+        )
+        if plane.up < 0 and block.beam_rad is not None:
+            block = replace(block, beam_rad=upside_down(block.beam_rad))
+        labelled = LabelledBlock(block, labels, extra, reasons=reasons if wanted.reasons else None)
+        if wanted.stages:
+            labelled = replace(labelled, above_m=above_m)
+        if wanted.measures:
+            labelled = replace(labelled, measures=measures_of(above_m, marks, cells))
+        return (labelled,)
+
+    def limits(self, block: ScanBlock) -> Limits:
+        """Return the limits."""
+        return LIMITS
+
+
+def coordinates_of(block: ScanBlock, beam_rad: F64) -> F32:
+    """Return the coordinates of a block's shots, (lines, M, 3) float32 [m]; NaN = missing.
+
+    Where it has none, lines are taken to lie :data:`USUAL_STEP_RAD` apart.
+    """
+    if block.xyz_m is not None:
+        return np.ascontiguousarray(block.xyz_m)
+    azimuth = USUAL_STEP_RAD * (block.first_line + np.arange(block.n_lines))[:, None]
+    across, height = block.range_m * np.abs(np.sin(beam_rad)), -block.range_m * np.cos(beam_rad)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1).astype(np.float32)
+
+
+def upside_down(beam_rad: F64) -> F64:
+    """Return beams from straight down where z points down, (M,) float64 [rad].
+
+    >>> np.rad2deg(upside_down(np.deg2rad([80.0, -95.0]))).round(6).tolist()
+    [100.0, -85.0]
+    """
+    return np.copysign(np.pi - np.abs(beam_rad), beam_rad)
+
+
+def sight_over(cells: Cells, beam_rad: F64, plane: GroundPlane) -> F64:
+    """Return how high above the ground the highest ring looks at the place of every cell, (cells,) float64 [m]."""
+    place = (cells.where + 0.5) * LIMITS.cells.cell_m - LIMITS.cells.half_m
+    rise = np.max(-plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3))
+    sight: F64 = np.hypot(place[:, 0], place[:, 1]) * rise - plane.height_m
+    return sight
+
+
+def measures_of(above_m: F32, marks: U8, cells: Cells) -> dict[str, NDArray[Any]]:
+    """Return what was measured of every shot of a block, by names with their units."""
+    return {
+        "height above the ground [m]": above_m,
+        "smooth along its ring": (marks & 1).astype(np.bool_),
+        "on an upright surface": (marks & 4).astype(np.bool_),
+        **{name: cells.of_shots(cells.measures[:, k]) for k, name in enumerate(MEASURES)},
+    }
