@@ -77,7 +77,8 @@ def label_cells(cells: Cells, sight_m: F64, limits: Limits) -> U8:
     """
     rules = np.where(is_foliage(cells, limits), Reason.ROUGH_PLACE, Reason.THIN_SMOOTH).astype(np.uint8)
     rules[_is_pole(cells, limits)] = Reason.THIN_PLACE
-    for box, reason in ((limits.lorries, Reason.LARGE_BOX), (limits.cars, Reason.CAR_BOX)):
+    boxes = ((limits.lorries, Reason.LARGE_BOX), (limits.vans, Reason.CAR_BOX), (limits.cars, Reason.CAR_BOX))
+    for box, reason in boxes:
         rules[_is_in_box(cells, sight_m, box, limits.cells)] = reason
     return rules
 
@@ -122,7 +123,8 @@ def _is_in_box(cells: Cells, sight_m: F64, box: BoxThresholds, thresholds: CellT
     smooth = sums[:, 6] / np.maximum(sums[:, 7], 1.0)
     is_box = (n >= box.shots) & (top >= box.least_top_m) & (top <= box.most_top_m) & (sight - top >= box.seen_m)
     is_box &= (length >= box.least_m) & (length <= box.most_m) & (length >= box.squat * top)
-    is_box &= (width >= box.narrow_m) & (width <= box.wide_m) & (smooth >= box.smooth)
+    is_box &= sums[:, 8] >= box.upright * n
+    is_box &= (width >= box.narrow_m) & (width <= box.wide_m) & (smooth >= box.smooth) & (smooth <= box.most_smooth)
     found[is_low] = is_box[of_body]
     return found
 

@@ -138,9 +138,9 @@ class BoxThresholds(NamedTuple):
     body_m: float = 2.25
     """Cells whose body reaches higher are no part of it [m]."""
     least_top_m: float = 0.8
-    most_top_m: float = 2.1
+    most_top_m: float = 1.75
     """Height of its top [m]."""
-    seen_m: float = 0.4
+    seen_m: float = 0.3
     """Rings pass over its top by this, at least [m]."""
     least_m: float = 1.0
     most_m: float = 7.5
@@ -148,8 +148,11 @@ class BoxThresholds(NamedTuple):
     narrow_m: float = 0.45
     wide_m: float = 2.7
     """Its width [m]."""
-    smooth: float = 0.07
-    """Least share of smooth shots."""
+    smooth: float = 0.05
+    most_smooth: float = 1.0
+    """Share of its smooth shots."""
+    upright: float = 0.1
+    """Least share of shots on upright surfaces."""
     shots: int = 8
     """Fewest shots."""
     squat: float = 0.6
@@ -208,9 +211,10 @@ class Limits(NamedTuple):
     cells: CellThresholds = CellThresholds()
     leaves: LeafThresholds = LeafThresholds()
     cars: BoxThresholds = BoxThresholds()
+    vans: BoxThresholds = BoxThresholds(least_top_m=1.75, most_top_m=2.3, smooth=0.27, most_smooth=0.64, upright=0.4)
     lorries: BoxThresholds = BoxThresholds(
-        body_m=3.75, least_top_m=1.5, most_top_m=3.6, least_m=2.0, most_m=14.0, narrow_m=0.8, wide_m=3.2, smooth=0.25,
-        shots=30,
+        body_m=3.75, least_top_m=2.3, most_top_m=3.6, seen_m=-0.35, least_m=2.5, most_m=12.0, narrow_m=0.45, wide_m=3.2,
+        smooth=0.3, most_smooth=0.64, upright=0.4, shots=30,
     )  # fmt: skip
     poles: PoleThresholds = PoleThresholds()
     soil: SoilThresholds = SoilThresholds()
