@@ -37,7 +37,8 @@ class _Input(Params):
     method: Literal["auto"] | MethodName = Field(
         "auto",
         description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), fused (our own "
-        "combination of both), rings (spinning scanners), or auto: the method whose table is given, else what labels the input best",
+        "combination of both), rings (spinning scanners), or auto: the method whose table is given, else what labels "
+        "the input best",
     )
     input: InputConfig = Field(default_factory=InputConfig, description="how the stream is read from the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")

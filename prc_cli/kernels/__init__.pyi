@@ -46,6 +46,7 @@ from prc_cli.methods.rings.cells_loops import join_cells as join_cells
 from prc_cli.methods.rings.cells_loops import lonely_shots as lonely_shots
 from prc_cli.methods.rings.cells_loops import low_plants as low_plants
 from prc_cli.methods.rings.cells_loops import mark_shots as mark_shots
+from prc_cli.methods.rings.cells_loops import mean_around as mean_around
 from prc_cli.methods.rings.cells_loops import measure_cells as measure_cells
 from prc_cli.methods.rings.ground_loops import bin_places as bin_places
 from prc_cli.methods.rings.ground_loops import heights_above as heights_above

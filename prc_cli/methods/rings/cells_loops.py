@@ -16,7 +16,7 @@ LINES, RINGS = 3, 2
 """Shots this far away are around a shot."""
 N_SUMS = 9
 """Sums of a cell: shots, x, y, xx, xy, yy, smooth ones, asked ones, upright ones."""
-N_MEASURES = 7
+N_MEASURES = 8
 """Measures of a cell; see :func:`measure_cells`."""
 TOP_LEVEL = 61
 
@@ -192,16 +192,32 @@ def fill_cells(
     return grid, cell, where, sums, levels
 
 
-@kernel(float64[:, ::1](int32[:, ::1], int32[:, ::1], float64[:, ::1], int64[::1], float64))
-def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, cell_m: float) -> F64:
+@helper
+def _body_top(levels: int, gap: int) -> int:
+    """Return the first level above what stands on the ground without a gap of more levels; 0 = it hangs."""
+    top = misses = 0
+    for level in range(TOP_LEVEL + 1):
+        if levels >> level & 1:
+            top, misses = level + 1, 0
+        else:
+            misses += 1
+            if misses > gap:
+                break
+    return top
+
+
+@kernel(float64[:, ::1](int32[:, ::1], int32[:, ::1], float64[:, ::1], int64[::1], record(CellThresholds)))
+def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, thresholds: CellThresholds) -> F64:
     """Measure every cell with those around.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``sums`` (cells, N_SUMS) float64; ``levels`` (cells,) int64;
     returns (cells, N_MEASURES) float64: of 3 x 3 cells how thick and how long what stands there is (standard
     deviations, [m]) and its share of upright shots; of 5 x 5 its share of smooth shots, the number of levels with
-    shots, the highest level, and the number of cells with shots.
+    shots, the highest level, and the number of cells with shots; of the cell itself the first level above what stands
+    on the ground without a gap, 0 = it hangs.
     """
-    found = np.zeros((len(where), N_MEASURES))
+    found, cell_m = np.zeros((len(where), N_MEASURES)), thresholds.cell_m
+    gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
     for c in range(len(where)):
         n = x = y = xx = xy = yy = upright = smooth = asked = 0.0
         every, cells = np.int64(0), 0
@@ -236,6 +252,26 @@ def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, cell_m: float) 
         found[c, 0], found[c, 1] = math.sqrt(max(half - away, 0.0)), math.sqrt(max(half + away, 0.0))
         found[c, 2], found[c, 3] = upright / n, smooth / max(asked, 1.0)
         found[c, 5], found[c, 6] = top + 1.0, float(cells)
+        found[c, 7] = float(_body_top(levels[c], gap))
+    return found
+
+
+@kernel(float64[::1](int32[:, ::1], int32[:, ::1], float64[::1], float64[::1]))
+def mean_around(grid: I32, where: I32, values: F64, weight: F64) -> F64:
+    """Return the weighted means of values of the 5 x 5 cells around every cell, (cells,) float64.
+
+    ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``values, weight`` (cells,) float64.
+    """
+    found = np.empty(len(where))
+    for c in range(len(where)):
+        total = sum_of = 0.0
+        for dp in range(-2, 3):
+            for dq in range(-2, 3):
+                other = grid[where[c, 0] + dp, where[c, 1] + dq]
+                if other >= 0:
+                    total += weight[other] * values[other]
+                    sum_of += weight[other]
+        found[c] = total / sum_of
     return found
 
 

@@ -16,8 +16,8 @@ from prc_cli.methods.rings.thresholds import BINS_PER_ROOT_M, BoxThresholds, Cel
 
 UNIFORM = 12.0**0.5
 """Length of what is evenly spread, in its standard deviations."""
-SMOOTH, ASKED = 1, 2
-"""Bits of marks, as in :mod:`cells_loops`."""
+SMOOTH, N_LEVELS = 1, 63
+"""As in :mod:`cells_loops`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Cells:
     levels: I64
     """(cells,) int64, levels of height with shots, one bit each."""
     measures: F64
-    """(cells, 7) float64; see :func:`cells_loops.measure_cells`."""
+    """(cells, 8) float64; see :func:`cells_loops.measure_cells`."""
 
     def of_shots(self, values: F64) -> F32:
         """Return values of the cells, (cells,) float64, by shot; NaN where it is in none."""
@@ -65,7 +65,7 @@ def lonely_shots(range_m: F32, intensity: F32 | None, limits: Limits) -> Mask:
 def fill_cells(polar: Polar, above_m: F32, marks: U8, lonely: Mask, thresholds: CellThresholds) -> Cells:
     """Sum up and measure what stands in every column of space."""
     grid, of_shot, where, sums, levels = kernels.fill_cells(polar.xyz_m, above_m, marks, lonely, thresholds)
-    measures = kernels.measure_cells(grid, where, sums, levels, thresholds.cell_m)
+    measures = kernels.measure_cells(grid, where, sums, levels, thresholds)
     return Cells(grid, of_shot, where, sums, levels, measures)
 
 
@@ -77,20 +77,23 @@ def label_cells(cells: Cells, sight_m: F64, limits: Limits) -> U8:
     """
     rules = np.where(is_foliage(cells, limits), Reason.ROUGH_PLACE, Reason.THIN_SMOOTH).astype(np.uint8)
     rules[_is_pole(cells, limits)] = Reason.THIN_PLACE
-    boxes = ((limits.lorries, Reason.LARGE_BOX), (limits.vans, Reason.CAR_BOX), (limits.cars, Reason.CAR_BOX))
-    for box, reason in boxes:
-        rules[_is_in_box(cells, sight_m, box, limits.cells)] = reason
+    large = Bodies.of(cells, limits.lorries.body_m, sight_m, limits.cells)
+    small = Bodies.of(cells, limits.cars.body_m, sight_m, limits.cells)
+    rules[large.are(limits.lorries, limits.cells.storey_m)] = Reason.LARGE_BOX
+    for box in (limits.vans, limits.cars):
+        rules[small.are(box, limits.cells.storey_m)] = Reason.CAR_BOX
     return rules
 
 
 def is_foliage(cells: Cells, limits: Limits) -> Mask:
     """Return which cells hold foliage rather than walls, (cells,) bool."""
-    thick, _, upright, smooth, n_levels, top, _ = cells.measures.T
+    thick, _, upright, smooth, n_levels, top, _, _ = cells.measures.T
     own = limits.leaves
     score = own.bias + own.smooth * smooth + own.thick * np.minimum(thick, own.most_thick_m) + own.upright * upright
     score = score + own.filled * n_levels / np.maximum(top, 1.0)
     score = score + own.top * np.minimum(top * limits.cells.storey_m, own.most_top_m)
-    foliage: Mask = score > 0
+    surest = np.clip(score, -own.surest, own.surest)
+    foliage: Mask = kernels.mean_around(cells.grid, cells.where, surest, np.sqrt(cells.sums[:, 0])) > 0
     return foliage
 
 
@@ -102,31 +105,57 @@ def _is_pole(cells: Cells, limits: Limits) -> Mask:
     return found & (cells.sums[:, 0] >= own.shots)
 
 
-def _is_in_box(cells: Cells, sight_m: F64, box: BoxThresholds, thresholds: CellThresholds) -> Mask:
-    """Return which cells are part of a body of a vehicle's size whose top is seen."""
-    body_m = body_tops(cells.levels, round(box.gap_m / thresholds.storey_m)) * thresholds.storey_m
-    is_low = (body_m > 0) & (body_m <= box.body_m)
-    body = kernels.join_cells(cells.grid, cells.where, is_low)
-    found = np.zeros(len(body), np.bool_)
-    if not is_low.any():
+@dataclass(frozen=True, slots=True, eq=False)
+class Bodies:
+    """What stands in cells that touch, up to a height."""
+
+    is_low: Mask
+    """(cells,) bool, whether a cell is part of one."""
+    of_cell: NDArray[np.intp]
+    """(low cells,) number of the body."""
+    shots: F64
+    """(bodies,) float64, number of shots; the others likewise."""
+    length_m: F64
+    width_m: F64
+    smooth: F64
+    upright: F64
+    counts: F64
+    """(bodies, levels) float64, shots by the height of their cell, added up from the ground."""
+    sight_m: F64
+    """Height up to which rings look at it [m]."""
+
+    @classmethod
+    def of(cls, cells: Cells, body_m: float, sight_m: F64, thresholds: CellThresholds) -> Bodies:
+        """Join the cells whose bodies are not higher than a limit [m]."""
+        levels = cells.measures[:, 7].astype(np.int64)
+        is_low = (levels > 0) & (levels * thresholds.storey_m <= body_m)
+        first, of_cell = np.unique(kernels.join_cells(cells.grid, cells.where, is_low)[is_low], return_inverse=True)
+        sums = _sums_of(cells, is_low, of_cell, len(first), thresholds.cell_m)
+        n = sums[:, 0]
+        x, y = sums[:, 1] / n, sums[:, 2] / n
+        xx, xy, yy = sums[:, 3] / n - x * x, sums[:, 4] / n - x * y, sums[:, 5] / n - y * y
+        half, away = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+        length, width = (UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0))
+        at = of_cell * N_LEVELS + levels[is_low]
+        counts = np.bincount(at, cells.sums[is_low, 0], len(first) * N_LEVELS).reshape(-1, N_LEVELS)
+        sight = np.full(len(first), np.inf)
+        np.minimum.at(sight, of_cell, sight_m[is_low])
+        smooth, upright = sums[:, 6] / np.maximum(sums[:, 7], 1.0), sums[:, 8] / n
+        return cls(is_low, of_cell, n, length, width, smooth, upright, np.cumsum(counts, axis=1), sight)
+
+    def are(self, box: BoxThresholds, storey_m: float) -> Mask:
+        """Return which cells are part of a body of a vehicle's size whose top is seen, (cells,) bool."""
+        top = np.argmax(self.counts >= box.most_share * self.shots[:, None], axis=1) * storey_m
+        is_box = (self.shots >= box.shots) & (self.sight_m - top >= box.seen_m)
+        for value, least, most in (
+            (top, box.least_top_m, box.most_top_m), (self.length_m, box.least_m, box.most_m),
+            (self.width_m, box.narrow_m, box.wide_m), (self.smooth, box.smooth, box.most_smooth),
+            (self.upright, box.upright, 1.0), (self.length_m, box.squat * top, np.inf),
+        ):  # fmt: skip
+            is_box &= (value >= least) & (value <= most)
+        found = np.zeros(len(self.is_low), np.bool_)
+        found[self.is_low] = is_box[self.of_cell]
         return found
-    first, of_body = np.unique(body[is_low], return_inverse=True)
-    sums = _sums_of(cells, is_low, of_body, len(first), thresholds.cell_m)
-    n = sums[:, 0]
-    x, y = sums[:, 1] / n, sums[:, 2] / n
-    xx, xy, yy = sums[:, 3] / n - x * x, sums[:, 4] / n - x * y, sums[:, 5] / n - y * y
-    half, away = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    length, width = (UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0))
-    top, sight = np.zeros(len(first)), np.full(len(first), np.inf)
-    np.maximum.at(top, of_body, body_m[is_low])
-    np.minimum.at(sight, of_body, sight_m[is_low])
-    smooth = sums[:, 6] / np.maximum(sums[:, 7], 1.0)
-    is_box = (n >= box.shots) & (top >= box.least_top_m) & (top <= box.most_top_m) & (sight - top >= box.seen_m)
-    is_box &= (length >= box.least_m) & (length <= box.most_m) & (length >= box.squat * top)
-    is_box &= sums[:, 8] >= box.upright * n
-    is_box &= (width >= box.narrow_m) & (width <= box.wide_m) & (smooth >= box.smooth) & (smooth <= box.most_smooth)
-    found[is_low] = is_box[of_body]
-    return found
 
 
 def _sums_of(cells: Cells, use: Mask, of_body: NDArray[np.intp], n_bodies: int, cell_m: float) -> F64:
@@ -139,22 +168,6 @@ def _sums_of(cells: Cells, use: Mask, of_body: NDArray[np.intp], n_bodies: int, 
     moved[:, 4] += place[:, 0] * y + place[:, 1] * x + n * place[:, 0] * place[:, 1]
     moved[:, 5] += 2 * place[:, 1] * y + n * place[:, 1] ** 2
     return np.stack([np.bincount(of_body, column, n_bodies) for column in moved.T], axis=1)
-
-
-def body_tops(levels: I64, gap: int) -> I64:
-    """Return the first level above what stands on the ground without a gap, (cells,) int64; 0 = it hangs.
-
-    A car, and above a gap of eight levels a crown:
-
-    >>> body_tops(np.array([0b11_00000000_11110, 0b1000000]), 3).tolist()
-    [5, 0]
-    """
-    top, misses = np.zeros(len(levels), np.int64), np.zeros(len(levels), np.int64)
-    for level in range(62):
-        there = (levels >> level & 1).astype(np.bool_)
-        misses = np.where(there & (misses <= gap), 0, misses + 1)
-        top = np.where(misses == 0, level + 1, top)
-    return top
 
 
 @stage("soil")

@@ -32,7 +32,7 @@ FEWEST = 20
 """Lowest heights that make a plane."""
 UPSIDE_DOWN = 1.5
 """A scanner hangs upside down where so many times more heights agree with a plane above than with one below."""
-ROUNDS, CORRECTIONS = 40, 2
+ROUNDS, CORRECTIONS = 12, 2
 """Rounds of smoothing, and how often the surface is corrected."""
 
 
@@ -74,7 +74,7 @@ class Polar:
     def of(cls, xyz_m: F32, thresholds: GroundThresholds) -> Polar:
         """Return the places of shots, (lines, M, 3) float32 [m]."""
         place, heading = kernels.bin_places(xyz_m, BINS_PER_ROOT_M)
-        azimuth = _without_gaps(np.arctan2(heading[:, 1], heading[:, 0]), heading.any(axis=1))
+        azimuth = _without_gaps(np.arctan2(heading[:, 1], heading[:, 0]), np.asarray(heading.any(axis=1)))
         steps = np.abs(np.diff(azimuth))
         step = float(np.median(steps)) if len(steps) else 0.0
         step = step if step > 0 else USUAL_STEP_RAD
@@ -84,8 +84,8 @@ class Polar:
     @property
     def middle_m(self) -> F64:
         """Distance of the middle of every bin, (bins,) float64 [m]."""
-        middle: F64 = ((np.arange(N_BINS) + 0.5) / BINS_PER_ROOT_M) ** 2
-        return middle
+        root: F64 = (np.arange(N_BINS, dtype=np.float64) + 0.5) / BINS_PER_ROOT_M
+        return root * root
 
     def centres(self) -> tuple[F64, F64]:
         """Return where the cells lie, twice (sectors, bins) float64 [m]."""
@@ -93,11 +93,6 @@ class Polar:
         lines = np.arange(0, n_lines, self.sector_lines) + self.sector_lines // 2
         azimuth = self.azimuth_rad[np.minimum(lines, n_lines - 1), None]
         return np.cos(azimuth) * self.middle_m, np.sin(azimuth) * self.middle_m
-
-    def lowest(self, up: float, thresholds: GroundThresholds) -> F32:
-        """Return the lowest heights, (sectors, bins) float32 [m]."""
-        low: F32 = kernels.lowest_heights(self.xyz_m, self.place, up, self.sector_lines, N_BINS, thresholds.pair_m)
-        return low
 
 
 def _without_gaps(azimuth: F64, known: NDArray[np.bool_]) -> F64:
@@ -109,51 +104,59 @@ def _without_gaps(azimuth: F64, known: NDArray[np.bool_]) -> F64:
     return whole
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Lowest:
+    """The lowest heights of the cells, and a plane through them."""
+
+    height_m: F32
+    """(sectors, bins) float32; NaN = none [m]."""
+    plane: GroundPlane
+
+    @classmethod
+    def of(cls, polar: Polar, up: float, thresholds: GroundThresholds) -> Lowest:
+        """Fit a plane to the lowest heights near the scanner, beginning at the height that most of them have."""
+        low: F32 = kernels.lowest_heights(polar.xyz_m, polar.place, up, polar.sector_lines, N_BINS, thresholds.pair_m)
+        x_m, y_m = polar.centres()
+        use = np.isfinite(low) & (polar.middle_m < NEAR_M)
+        heights = low[use].astype(np.float64)
+        counts, edges = np.histogram(heights, bins=np.arange(LOWEST_M, HIGHEST_M + BIN_M, BIN_M))
+        around = np.convolve(counts, np.ones(3, np.int64), "same")
+        plane = np.array([0.0, 0.0, float(edges[int(np.argmax(around))]) + BIN_M / 2])
+        places = np.stack([x_m[use], y_m[use], np.ones(len(heights))], axis=1)
+        for trim_m in TRIMS_M:
+            near = np.abs(places @ plane - heights) < trim_m
+            if np.count_nonzero(near) < FEWEST:
+                return cls(low, GroundPlane(0.0, 0.0, float(plane[2]), up, 0))
+            plane = np.linalg.lstsq(places[near], heights[near], rcond=None)[0]
+        n_cells = int(np.count_nonzero(np.abs(places @ plane - heights) < thresholds.plane_m))
+        return cls(low, GroundPlane(float(plane[0]), float(plane[1]), float(plane[2]), up, n_cells))
+
+
 @stage("plane")
-def find_plane(polar: Polar, known: GroundPlane, thresholds: GroundThresholds) -> GroundPlane:
-    """Return the plane of a block's ground, or that of the blocks before where it shows too little of it."""
-    ups = (known.up,) if known.n_cells else (1.0, -1.0)
-    found = [_fit_plane(polar, up, thresholds) for up in ups]
-    best = found[0]
-    if len(found) > 1 and found[1].n_cells > max(UPSIDE_DOWN * best.n_cells, FEWEST):
-        best = found[1]
-    return best if best.n_cells >= FEWEST or not known.n_cells else known
-
-
-def _fit_plane(polar: Polar, up: float, thresholds: GroundThresholds) -> GroundPlane:
-    """Fit a plane to the lowest heights near the scanner, beginning at the height that most of them have."""
-    low = polar.lowest(up, thresholds)
-    x_m, y_m = polar.centres()
-    use = np.isfinite(low) & (polar.middle_m < NEAR_M)
-    heights = low[use].astype(np.float64)
-    counts, edges = np.histogram(heights, bins=np.arange(LOWEST_M, HIGHEST_M + BIN_M, BIN_M))
-    around = np.convolve(counts, np.ones(3, np.int64), "same")
-    plane = np.array([0.0, 0.0, float(edges[int(np.argmax(around))]) + BIN_M / 2])
-    places = np.stack([x_m[use], y_m[use], np.ones(len(heights))], axis=1)
-    for trim_m in TRIMS_M:
-        near = np.abs(places @ plane - heights) < trim_m
-        if np.count_nonzero(near) < FEWEST:
-            return GroundPlane(0.0, 0.0, float(plane[2]), up, 0)
-        plane = np.linalg.lstsq(places[near], heights[near], rcond=None)[0]
-    n_cells = int(np.count_nonzero(np.abs(places @ plane - heights) < thresholds.plane_m))
-    return GroundPlane(float(plane[0]), float(plane[1]), float(plane[2]), up, n_cells)
+def find_plane(polar: Polar, known: GroundPlane, thresholds: GroundThresholds) -> Lowest:
+    """Return the lowest heights and their plane; of the blocks before where the block shows too little of it."""
+    found = Lowest.of(polar, known.up, thresholds)
+    if not known.n_cells:
+        other = Lowest.of(polar, -1.0, thresholds)
+        if other.plane.n_cells > max(UPSIDE_DOWN * found.plane.n_cells, FEWEST):
+            found = other
+    if found.plane.n_cells < FEWEST and known.n_cells:
+        return Lowest(found.height_m, known)
+    return found
 
 
 @stage("ground")
-def above_ground(polar: Polar, plane: GroundPlane, thresholds: GroundThresholds) -> F32:
+def above_ground(polar: Polar, low: Lowest, thresholds: GroundThresholds) -> F32:
     """Return the height of every shot above the ground, (lines, M) float32 [m]; NaN = missing."""
-    base = plane.at(*polar.centres())
-    low = (polar.lowest(plane.up, thresholds) - base).astype(np.float32)
-    start, seen = kernels.walk_outwards(low, polar.middle_m, thresholds)
-    weight = seen.astype(np.float64)
-    surface = kernels.smooth_surface(start, weight, start, thresholds.stiff, ROUNDS, polar.is_round)
+    base = low.plane.at(*polar.centres())
+    start, seen = kernels.walk_outwards((low.height_m - base).astype(np.float32), polar.middle_m, thresholds)
+    surface = kernels.smooth_surface(start, seen.astype(np.float64), start, thresholds.stiff, ROUNDS, polar.is_round)
     for _ in range(CORRECTIONS):
-        _, total, number = _heights(polar, plane, base + surface, thresholds)
-        with np.errstate(invalid="ignore"):
-            better = np.where(number > 0, total / np.maximum(number, 1.0), 0.0) + surface
+        _, total, number = _heights(polar, low.plane, base + surface, thresholds)
+        better = surface + np.where(number > 0, total / np.maximum(number, 1.0), 0.0)
         weight = np.where(number >= thresholds.shots, np.minimum(number / thresholds.shots, thresholds.most), 0.0)
         surface = kernels.smooth_surface(better, weight, surface, thresholds.stiff, ROUNDS, polar.is_round)
-    return _heights(polar, plane, base + surface, thresholds)[0]
+    return _heights(polar, low.plane, base + surface, thresholds)[0]
 
 
 def _heights(polar: Polar, plane: GroundPlane, surface_m: F64, thresholds: GroundThresholds) -> tuple[F32, F64, F64]:

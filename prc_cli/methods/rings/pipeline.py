@@ -30,14 +30,13 @@ from prc_cli.methods.rings.classes import (
     mark_shots,
 )
 from prc_cli.methods.rings.ground import USUAL_STEP_RAD, GroundPlane, Polar, above_ground, find_plane
-from prc_cli.methods.rings.thresholds import Limits
+from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
 
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
 more."""
 EXTRA_RETURN_M = 0.3
 """Further returns take the label of a shot around that is this near in range [m]."""
-LIMITS = Limits()
 MEASURES = (
     "thickness of what is around, seen from above [m]", "its length [m]", "its upright share", "its smooth share",
     "levels of 0.25 m with shots", "the highest of them", "cells of 0.5 m with shots, of 25",
@@ -109,15 +108,16 @@ class Rings(Classifier[F64, RingsState]):
         """Label a block, and its further returns by neighbouring shots of similar range."""
         k, key = self.params.lines_per_block, "rings.lines_per_block"
         check_block(block.range_m, block.next_m, len(scanner), k, columns=", one column a ring", key=key)
-        polar = Polar.of(coordinates_of(block, scanner), LIMITS.ground)
-        plane = turn.hand_on(PLANE, lambda known: (found := find_plane(polar, known, LIMITS.ground), found))
-        above_m = above_ground(polar, plane, LIMITS.ground)
-        marks = mark_shots(polar, above_m, LIMITS)
-        lonely = lonely_shots(block.range_m, block.intensity, LIMITS)
-        cells = fill_cells(polar, above_m, marks, lonely, LIMITS.cells)
-        cell_rules = label_cells(cells, sight_over(cells, scanner, plane), LIMITS)
-        plants = low_plants(polar, above_m, marks, LIMITS)
-        reasons = label_shots(above_m, marks, lonely, plants, cells, cell_rules, LIMITS)
+        limits = limits_of(scanner)
+        polar = Polar.of(coordinates_of(block, scanner), limits.ground)
+        low = turn.hand_on(PLANE, lambda known: (found := find_plane(polar, known, limits.ground), found.plane))
+        plane, above_m = low.plane, above_ground(polar, low, limits.ground)
+        marks = mark_shots(polar, above_m, limits)
+        lonely = lonely_shots(block.range_m, block.intensity, limits)
+        cells = fill_cells(polar, above_m, marks, lonely, limits.cells)
+        cell_rules = label_cells(cells, sight_over(cells, scanner, plane, limits), limits)
+        plants = low_plants(polar, above_m, marks, limits)
+        reasons = label_shots(above_m, marks, lonely, plants, cells, cell_rules, limits)
         labels = reasons & np.uint8(LABEL_BITS)
         further = block.extra
         extra = label_extra_returns(
@@ -133,8 +133,13 @@ class Rings(Classifier[F64, RingsState]):
         return (labelled,)
 
     def limits(self, block: ScanBlock) -> Limits:
-        """Return the limits."""
-        return LIMITS
+        """Return the limits that a block is labelled by."""
+        return limits_of(self.scanner(block))
+
+
+def limits_of(beam_rad: F64) -> Limits:
+    """Return the limits for a scanner with these beams, (M,) float64 [rad]."""
+    return MANY if len(beam_rad) >= MANY_RINGS else FEW
 
 
 def coordinates_of(block: ScanBlock, beam_rad: F64) -> F32:
@@ -158,9 +163,9 @@ def upside_down(beam_rad: F64) -> F64:
     return np.copysign(np.pi - np.abs(beam_rad), beam_rad)
 
 
-def sight_over(cells: Cells, beam_rad: F64, plane: GroundPlane) -> F64:
+def sight_over(cells: Cells, beam_rad: F64, plane: GroundPlane, limits: Limits) -> F64:
     """Return how high above the ground the highest ring looks at the place of every cell, (cells,) float64 [m]."""
-    place = (cells.where + 0.5) * LIMITS.cells.cell_m - LIMITS.cells.half_m
+    place = (cells.where + 0.5) * limits.cells.cell_m - limits.cells.half_m
     rise = np.max(-plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3))
     sight: F64 = np.hypot(place[:, 0], place[:, 1]) * rise - plane.height_m
     return sight

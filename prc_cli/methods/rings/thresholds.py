@@ -106,6 +106,8 @@ class CellThresholds(NamedTuple):
     """What stands in a cell is higher than this above the ground [m]."""
     hem_m: float = 0.12
     """Shots higher than this are of what stands in their cell [m]."""
+    gap_m: float = 0.75
+    """What hangs over a cell with a wider gap beneath is not of what stands there [m]."""
     storey_m: float = 0.25
     """Height of a level of a cell [m]; it has 62."""
 
@@ -113,7 +115,7 @@ class CellThresholds(NamedTuple):
 class LeafThresholds(NamedTuple):
     """Foliage and walls, by a linear score of the cells around; it is foliage above zero."""
 
-    bias: float = 10.1
+    bias: float = 10.5
     smooth: float = -5.9
     """Of the share of smooth shots, in 5 x 5 cells."""
     thick: float = 13.0
@@ -128,18 +130,20 @@ class LeafThresholds(NamedTuple):
     """Of the highest shot in 5 x 5 cells [1/m] ..."""
     most_top_m: float = 8.0
     """... up to here [m]."""
+    surest: float = 4.0
+    """Scores beyond count as this, in the mean of 5 x 5 cells that decides."""
 
 
 class BoxThresholds(NamedTuple):
     """A vehicle: a body of its size that stands alone, and whose top is seen."""
 
-    gap_m: float = 0.75
-    """What hangs over a cell with a gap like this beneath is not of what stands there [m]."""
     body_m: float = 2.25
     """Cells whose body reaches higher are no part of it [m]."""
     least_top_m: float = 0.8
-    most_top_m: float = 1.75
+    most_top_m: float = 1.5
     """Height of its top [m]."""
+    most_share: float = 0.9
+    """So many of its shots are in cells up to its top."""
     seen_m: float = 0.3
     """Rings pass over its top by this, at least [m]."""
     least_m: float = 1.0
@@ -187,14 +191,14 @@ class SoilThresholds(NamedTuple):
     """With fewer shots, and farther away, what is higher than ... [m]"""
     soil_m: float = 0.12
     """... this is a plant."""
-    bias: float = -0.2
+    bias: float = -1.2
     smooth: float = -6.6
     """Of the share of smooth shots."""
     rough: float = 59.0
     """Of the standard deviation of heights [1/m] ..."""
     most_rough_m: float = 0.15
     """... up to here [m]."""
-    high: float = 22.0
+    high: float = 30.0
     """Of the height above the ground [1/m] ..."""
     least_high_m: float = -0.1
     """... from here on [m]."""
@@ -211,10 +215,18 @@ class Limits(NamedTuple):
     cells: CellThresholds = CellThresholds()
     leaves: LeafThresholds = LeafThresholds()
     cars: BoxThresholds = BoxThresholds()
-    vans: BoxThresholds = BoxThresholds(least_top_m=1.75, most_top_m=2.3, smooth=0.27, most_smooth=0.64, upright=0.4)
+    vans: BoxThresholds = BoxThresholds(least_top_m=1.5, most_top_m=2.3, smooth=0.27, most_smooth=0.64, upright=0.4)
     lorries: BoxThresholds = BoxThresholds(
         body_m=3.75, least_top_m=2.3, most_top_m=3.6, seen_m=-0.35, least_m=2.5, most_m=12.0, narrow_m=0.45, wide_m=3.2,
         smooth=0.3, most_smooth=0.64, upright=0.4, shots=30,
     )  # fmt: skip
     poles: PoleThresholds = PoleThresholds()
     soil: SoilThresholds = SoilThresholds()
+
+
+MANY_RINGS = 48
+"""Scanners with fewer rings have few."""
+MANY = Limits()
+"""Limits for 64 rings and more."""
+FEW = Limits(soil=SoilThresholds(bias=2.0, rough=20.0))
+"""Limits for 16 to 40 rings: the shots of a place are of one or two rings, whose heights differ less."""
