@@ -25,7 +25,7 @@ from benchmarks.contest_judge import judge, judge_things
 from benchmarks.contest_methods import label
 from prc_cli.config import load_config
 from prc_cli.methods.fused import pipeline
-from prc_cli.methods.fused.thresholds import FOREST, NEVER, NO_BINS, RINGS, STREET, Forest, Limits
+from prc_cli.methods.fused.thresholds import FOREST, NEVER, NO_BINS, STREET, Forest, Limits
 
 LEAST_THINGS = 200
 """Fewest cars, poles or curbs of the reference, in shots, to score them."""
@@ -98,9 +98,6 @@ def scans(*, held_out: bool) -> Iterator[tuple[str, Scan]]:
         yield "forests", data.simulated(replace(spec, seed=spec.seed + more))
     for strip in (2, 3) if held_out else (1,):
         yield "Oakland", data.oakland(strip)
-    for kind in ("kitti", "nuscenes"):
-        for scan in data.views(kind, int(held_out)):
-            yield f"{kind} views", scan
 
 
 def f1_of(scan: Scan) -> dict[str, float]:
@@ -118,16 +115,13 @@ def main() -> None:
     held_out = "held-out" in sys.argv[1:]
     rows: dict[str, dict[str, list[dict[str, float]]]] = {}
     for group, scan in scans(held_out=held_out):
-        steps = {} if held_out else FOREST_STEPS if group == "forests" else {**STREET_STEPS, "rings": {}}
+        steps = {} if held_out else FOREST_STEPS if group == "forests" else STREET_STEPS
         for name in ("all steps", *steps):
             with ExitStack() as patches:
-                if name == "rings":
-                    patches.enter_context(mock.patch.object(pipeline, "RINGS", STREET))
-                elif name in FOREST_STEPS:
+                if name in FOREST_STEPS:
                     patches.enter_context(mock.patch.object(pipeline, "FOREST", changed(FOREST, **steps[name])))
                 elif name in STREET_STEPS:
-                    for title, limits in (("STREET", STREET), ("RINGS", RINGS)):
-                        patches.enter_context(mock.patch.object(pipeline, title, changed(limits, **steps[name])))
+                    patches.enter_context(mock.patch.object(pipeline, "STREET", changed(STREET, **steps[name])))
                 rows.setdefault(name, {}).setdefault(group, []).append(f1_of(scan))
     whole = rows["all steps"]
     if held_out:

@@ -57,7 +57,7 @@ SHARED = (
             help="Classifier; default: what the preset or the configuration says, else what labels IN best."),
     _option("method", "Method", "--preset", type=click.Choice(list(PRESETS)),
             help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
-            "fused, fused-forest: both combined. Default: what labels IN best."),
+            "fused, fused-forest: both combined; rings: spinning scanners. Default: what labels IN best."),
     _option("input", "Method", "--config", "config_file", type=_FILE, metavar="FILE.toml",
             help="Configuration, or the name of a sample: prc config presets lists them."),
     _option("input", "Method", "--set", "assignments", multiple=True, metavar="KEY=VALUE",

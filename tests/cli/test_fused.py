@@ -14,9 +14,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
-from prc_cli.methods.fused import pipeline
 from prc_cli.methods.fused.pipeline import FusedParams
-from prc_cli.methods.fused.thresholds import RINGS, STREET
 from tests import patience
 from tests.cli.test_commands import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -136,34 +134,6 @@ def labels(image: F32, beam: F64, params: FusedParams) -> U8:
     """Label one scanner alone."""
     block = ScanBlock(0, image, beam_rad=beam, is_last=True)
     return np.concatenate([item.labels for item in label_blocks(iter([block]), params)])
-
-
-@pytest.mark.data
-def test_the_kitti_frame_is_labelled_by_rings(
-    prc: Prc, real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = Path(__file__).resolve().parents[2] / "sample_configs" / "kitti_frame.toml"
-    reference = np.fromfile(real_data / "kitti" / "000000.label", np.uint32) & 0xFFFF
-    lookup = ClassCodes().lookup()
-    kinds = {Label.GROUND: (40, 44, 48, 49, 60, 72), Label.BUILDING: (50, 51, 52), Label.VEGETATION: (70, 71)}
-    judged = np.isin(reference, [code for codes in kinds.values() for code in codes])
-    f1 = {}
-    for name, limits in (("rings", RINGS), ("profiler", STREET._replace(spaced=None, interlace_rad=np.inf))):
-        monkeypatch.setattr(pipeline, "RINGS", limits)
-        output = tmp_path / f"{name}.npy"
-        frame = real_data / "kitti" / "000000.bin"
-        result = prc("classify", frame, output, "--config", config, "--preset", "fused")
-        assert result.code in (0, 4), result.err
-        labels = np.load(output)
-        for label, codes in kinds.items():
-            mine, truth = (labels == lookup[label]) & judged, np.isin(reference, codes) & judged
-            f1[name, label] = 2 * (mine & truth).sum() / (mine.sum() + truth.sum())
-    assert f1["rings", Label.GROUND] > max(0.96, f1["profiler", Label.GROUND] + 0.005)
-    assert f1["rings", Label.BUILDING] > max(0.78, f1["profiler", Label.BUILDING] + 0.05)
-    assert f1["rings", Label.VEGETATION] > max(0.79, f1["profiler", Label.VEGETATION] + 0.2)
-    cars, found = np.isin(reference, (10, 20, 252)), np.load(tmp_path / "rings.npy") == lookup[Label.CAR]
-    assert found[cars].mean() > 0.5
-    assert cars[found].mean() > 0.95
 
 
 @pytest.mark.data

@@ -19,7 +19,8 @@ ALLOWED = ("prc_cli.core", "prc_cli.reference", "tests.oracles", "numpy", "scipy
 
 
 THRESHOLDS = tuple(
-    f"prc_cli.{room}.thresholds." for room in ("methods.fused", "methods.sequential_angle", "simulation")
+    f"prc_cli.{room}.thresholds."
+    for room in ("methods.fused", "methods.rings", "methods.sequential_angle", "simulation")
 )
 
 

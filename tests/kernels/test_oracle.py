@@ -30,6 +30,7 @@ from tests.kernels import (
     cases_fused,
     cases_ground,
     cases_lines,
+    cases_rings,
     cases_simulation,
     cases_stems,
 )
@@ -159,6 +160,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     **cases_casting.CASES,
     **cases_fused.CASES,
     **cases_lines.CASES,
+    **cases_rings.CASES,
     **cases_simulation.CASES,
     **cases_stems.CASES,
 }

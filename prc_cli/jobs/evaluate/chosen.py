@@ -13,7 +13,7 @@ from prc_cli.formats.writing.record import LARGEST_RECORD, PROGRAM, record_path
 DEFAULT_MAPPING = "prc"
 """Where no run record says otherwise."""
 
-MAPPINGS = {"sequential-angle": "street_scan", "fused": "street"}
+MAPPINGS = {"sequential-angle": "street_scan", "fused": "street", "rings": "street"}
 """Preset by method; forests have the classes of PRC, whatever the method."""
 KITTI_MAPPINGS = {"street_scan": "street_scan_kitti", "street": "street_kitti", DEFAULT_MAPPING: "semantic_kitti"}
 """The same for labels of SemanticKITTI."""

@@ -69,7 +69,6 @@ from prc_cli.methods.fused.plane import (
     WIDE_LINES,
     Plane,
     ScanPlane,
-    is_fan,
 )
 from prc_cli.methods.fused.range_noise import Noise, NoiseAlong, SensorParams, forest_noise
 from prc_cli.methods.fused.spacing import (
@@ -81,7 +80,7 @@ from prc_cli.methods.fused.spacing import (
     strides_of,
 )
 from prc_cli.methods.fused.strips import Standing, stand
-from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET, Forest, Limits, in_room
+from prc_cli.methods.fused.thresholds import FOREST, STREET, Forest, Limits, in_room
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.035
@@ -193,7 +192,7 @@ class FusedScanner:
 
         ``beam_rad`` (M,) float64.
         """
-        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), RINGS if is_fan(beam_rad) else STREET)
+        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), STREET)
 
     @property
     def points_per_line(self) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +19,6 @@ WIDE_LINES = 2
 VOTE_LINES = 1
 """Lines before and after a block whose labels take part in the vote."""
 _TURN = 2 * np.pi
-WIDEST_FAN_RAD = math.radians(60)
-"""Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
-more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,15 +81,6 @@ class ScanPlane:
             np.ascontiguousarray(outwards[positive]),
             np.ascontiguousarray(outwards[~positive]),
         )
-
-
-def is_fan(beam_rad: F64) -> bool:
-    """Return whether beams, (M,) float64 [rad], are a fan of rings.
-
-    >>> is_fan(np.deg2rad([65.0, 90.0, 92.0])), is_fan(np.deg2rad([-90.0, 0.0, 90.0]))
-    (True, False)
-    """
-    return len(beam_rad) > 0 and bool(np.ptp(beam_rad) < WIDEST_FAN_RAD)
 
 
 @stage("scan plane")

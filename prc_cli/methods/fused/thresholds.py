@@ -1,7 +1,7 @@
 """All limits of the fused classifier, by name: what the loops, their slow twins and ``prc explain`` read.
 
 The loops of the street compute in float32, those of the forest in float64, and their limits are of that type.
-:data:`STREET` and :data:`RINGS` hold those of profilers and spinning scanners; docs/fused.md says what each is worth.
+docs/fused.md says what each is worth.
 """
 
 from __future__ import annotations
@@ -383,27 +383,6 @@ class Limits(NamedTuple):
 
 STREET = Limits()
 """Profilers: shots lie close together, and lines see one place after the other."""
-RINGS = STREET._replace(
-    walk=STREET.walk._replace(memory_lines=f32(1), step_m=f32(0.1), gap_slope=f32(0.05)),
-    smoothness=Smoothness(noise_sigmas=1.5, per_step=0.0),
-    interlace_rad=math.inf,
-    spaced=None,
-    walls=STREET.walls._replace(height_m=f32(0.5)),
-    flanks=None,
-    foliage=Foliage(at_depth=False),
-    decision=STREET.decision._replace(
-        storey_m=f32(0), leaf_share=f32(0.7), leaf_share_before_wall=f32(0.1), car_bins=f32(NO_BINS),
-        car_bins_rough=f32(NO_BINS),
-    ),
-    curbs=None,
-    roofs=STREET.roofs._replace(smooth=f32(0.3), share=f32(0.3)),
-    roof_step_rad=0.0,
-)  # fmt: skip
-"""Fans of rings: rings lie decimetres apart, every line looks another way, and a wall is seen only as high as the
-highest ring. The next line looks at other ground, far rings are metres apart on it. Walls are straight however far
-rings are apart, hedges look smooth with so few shots, and between rings there is always a gap beneath. What looks like
-a curb follows a ring that leans by .1 degrees. More lies between rings than between lines: a shot unlike those of other
-rings need be no leaf, and other columns are apart on purpose."""
 
 
 def in_room(limits: Limits) -> Limits:

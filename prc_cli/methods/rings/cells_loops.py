@@ -129,19 +129,19 @@ def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyT
 
 
 @kernel(
-    Tuple((int32[:, ::1], int32[:, ::1], int32[:, ::1], float64[:, ::1], int64[::1]))(
+    Tuple((int64[::1], float64[:, ::1], int32[:, ::1], int32[:, ::1], int32[:, ::1]))(
         float32[:, :, ::1], float32[:, ::1], uint8[:, ::1], boolean[:, ::1], record(CellThresholds)
     )
 )
 def fill_cells(
     xyz_m: F32, above_m: F32, marks: U8, leave_out: Mask, thresholds: CellThresholds
-) -> tuple[I32, I32, I32, F64, I64]:
+) -> tuple[I64, F64, I32, I32, I32]:
     """Sum up what stands in every column of space.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M) uint8; ``leave_out``
-    (lines, M) bool; returns the grid, (n, n) int32 with the number of the cell, -1 = nothing stands there; ``cell``
-    (lines, M) int32, -1 = none; where cells lie in the grid, (cells, 2) int32; sums (cells, N_SUMS) float64; levels
-    with shots, (cells,) int64, one bit each.
+    (lines, M) bool; returns levels with shots, (cells,) int64, one bit each; sums (cells, N_SUMS) float64; where cells
+    lie in the grid, (cells, 2) int32; the grid, (n, n) int32 with the number of the cell, -1 = nothing stands there;
+    the cell of every shot, (lines, M) int32, -1 = none.
     """
     n_lines, m = above_m.shape
     size, n = thresholds.cell_m, int(2.0 * thresholds.half_m / thresholds.cell_m)
@@ -189,7 +189,7 @@ def fill_cells(
             q = math.floor((xyz_m[line, i, 1] + thresholds.half_m) / size)
             if p >= 0 and q >= 0 and p < n and q < n:
                 cell[line, i] = grid[p, q]
-    return grid, cell, where, sums, levels
+    return levels, sums, where, grid, cell
 
 
 @helper

@@ -64,7 +64,7 @@ def lonely_shots(range_m: F32, intensity: F32 | None, limits: Limits) -> Mask:
 @stage("cells")
 def fill_cells(polar: Polar, above_m: F32, marks: U8, lonely: Mask, thresholds: CellThresholds) -> Cells:
     """Sum up and measure what stands in every column of space."""
-    grid, of_shot, where, sums, levels = kernels.fill_cells(polar.xyz_m, above_m, marks, lonely, thresholds)
+    levels, sums, where, grid, of_shot = kernels.fill_cells(polar.xyz_m, above_m, marks, lonely, thresholds)
     measures = kernels.measure_cells(grid, where, sums, levels, thresholds)
     return Cells(grid, of_shot, where, sums, levels, measures)
 

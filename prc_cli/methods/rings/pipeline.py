@@ -35,6 +35,9 @@ from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
 more."""
+STEEPEST_RAD = math.radians(40)
+"""Angle of the lowest ring from straight down, at least; strips from the air are narrow, and look straight down."""
+FEWEST_RINGS = 4
 EXTRA_RETURN_M = 0.3
 """Further returns take the label of a shot around that is this near in range [m]."""
 MEASURES = (
@@ -48,10 +51,12 @@ LABELS = frozenset({Label.MISSING, Label.NOISE, Label.GROUND, Label.BUILDING, La
 def is_fan(beam_rad: F64) -> bool:
     """Return whether beams, (M,) float64 [rad], are a fan of rings.
 
-    >>> is_fan(np.deg2rad([65.0, 90.0, 92.0])), is_fan(np.deg2rad([-90.0, 0.0, 90.0]))
-    (True, False)
+    >>> is_fan(np.deg2rad([65.0, 80, 90, 92])), is_fan(np.deg2rad([-90.0, -30, 30, 90])), is_fan(np.deg2rad([1.0] * 9))
+    (True, False, False)
     """
-    return len(beam_rad) > 0 and bool(np.ptp(beam_rad) < WIDEST_FAN_RAD)
+    if len(beam_rad) < FEWEST_RINGS:
+        return False
+    return bool(np.ptp(beam_rad) < WIDEST_FAN_RAD and np.abs(beam_rad).min() > STEEPEST_RAD)
 
 
 class RingsParams(MethodParams):

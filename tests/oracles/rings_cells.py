@@ -1,0 +1,205 @@
+"""Slow twins of the loops over what stands on the ground around a spinning scanner."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.methods.rings.thresholds import CellThresholds, LonelyThresholds, MarkThresholds, SoilThresholds
+
+SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
+
+
+def _points(xyz_m: F32, mask: Mask) -> Iterator[tuple[tuple[int, int], tuple[float, float, float]]]:
+    for line, i in np.argwhere(mask).tolist():
+        x, y, z = xyz_m[line, i].astype(np.float64).tolist()
+        yield (line, i), (x, y, z)
+
+
+def mark_shots(
+    xyz_m: F32, place: F32, above_m: F32, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
+) -> U8:
+    marks, (n_lines, m) = np.zeros(place.shape, np.uint8), place.shape
+    there = ~np.isnan(place)
+    for (line, i), (x, y, z) in _points(xyz_m, there):
+        far = float(place[line, i]) / root
+        far *= far
+        step = max(far, 0.5) * step_rad
+        k = min(max(int(thresholds.base_m / step + 0.5), 1), thresholds.most_lines)
+        sides = [
+            next((q for q in (line + way * k, line + way * (k + 1)) if 0 <= q < n_lines and there[q, i]), None)
+            for way in (-1, 1)
+        ]
+        if None not in sides:
+            marks[line, i] |= ASKED
+            before, after = (xyz_m[q, i].astype(np.float64) for q in sides)
+            cx, cy, cz = after - before
+            square = cx * cx + cy * cy + cz * cz
+            most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
+            if 0 < square <= most_m * most_m:
+                dx, dy, dz = np.array([x, y, z]) - before
+                along = (dx * cx + dy * cy + dz * cz) / square
+                ex, ey, ez = dx - along * cx, dy - along * cy, dz - along * cz
+                tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
+                if ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m:
+                    marks[line, i] |= SMOOTH
+        elif line - k >= 0 and line + k < n_lines:
+            marks[line, i] |= ASKED
+        higher = [q for q in (i + 1, i + 2) if q < m and there[line, q]][:1]
+        for q in higher if above_m[line, i] > foot_m else ():
+            other = float(place[line, q]) / root
+            rise, apart = abs(float(xyz_m[line, q, 2]) - z), abs(other * other - far)
+            if apart < thresholds.upright * rise + thresholds.upright_m:
+                marks[line, [i, q]] |= UPRIGHT
+            elif rise < thresholds.level * apart:
+                marks[line, [i, q]] |= LEVEL
+    return marks
+
+
+def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyThresholds) -> Mask:
+    found = np.zeros(range_m.shape, np.bool_)
+    with np.errstate(invalid="ignore"):
+        near_scanner = range_m.astype(np.float64) < thresholds.reach_m
+    for line, i in np.argwhere(near_scanner).tolist():
+        around = slice(max(line - 3, 0), line + 4), slice(max(i - 2, 0), i + 3)
+        own, ranges = float(range_m[line, i]), range_m[around].astype(np.float64)
+        away = np.abs(ranges - own)
+        n_near = np.count_nonzero(away < thresholds.near_m + thresholds.near_per_m * own)
+        n_alike = 0
+        if is_lit:
+            light, lights = float(intensity[line, i]), intensity[around].astype(np.float64)
+            limit = thresholds.alike * np.maximum(lights, light)
+            n_alike = np.count_nonzero((away < thresholds.beside_m) & (np.abs(lights - light) <= limit))
+        most = thresholds.most if is_lit else thresholds.unlit
+        found[line, i] = n_near <= most + 1 and n_alike <= thresholds.bright
+    return found
+
+
+def fill_cells(
+    xyz_m: F32, above_m: F32, marks: U8, leave_out: Mask, thresholds: CellThresholds
+) -> tuple[I64, F64, I32, I32, I32]:
+    size, half, n = thresholds.cell_m, thresholds.half_m, int(2.0 * thresholds.half_m / thresholds.cell_m)
+    grid, cell = np.full((n, n), -1, np.int32), np.full(above_m.shape, -1, np.int32)
+    sums: list[NDArray[np.float64]] = []
+    levels: list[int] = []
+    where: list[tuple[int, int]] = []
+    above = above_m.astype(np.float64)
+    stands = (above > thresholds.foot_m) & ~leave_out
+
+    def place(x: float, y: float) -> tuple[int, int]:
+        return math.floor((x + half) / size), math.floor((y + half) / size)
+
+    for at, (x, y, _) in _points(xyz_m, stands):
+        p, q = place(x, y)
+        if not (2 <= p < n - 2 and 2 <= q < n - 2):
+            continue
+        if grid[p, q] < 0:
+            grid[p, q] = len(where)
+            where.append((p, q))
+            sums.append(np.zeros(9))
+            levels.append(0)
+        own = cell[at] = grid[p, q]
+        x, y = x + half - (p + 0.5) * size, y + half - (q + 0.5) * size
+        bits = [bool(marks[at] & bit) for bit in (SMOOTH, ASKED, UPRIGHT)]
+        sums[own] += [1, x, y, x * x, x * y, y * y, *bits]
+        levels[own] |= 1 << min(int(above[at] / thresholds.storey_m), 61)
+    for at, (x, y, _) in _points(xyz_m, (above > thresholds.hem_m) & (above <= thresholds.foot_m) & ~leave_out):
+        p, q = place(x, y)
+        if 0 <= p < n and 0 <= q < n:
+            cell[at] = grid[p, q]
+    total, places = np.array(sums).reshape(len(where), 9), np.array(where, np.int32).reshape(len(where), 2)
+    return np.array(levels, np.int64), total, places, grid, cell
+
+
+def _around(grid: I32, where: I32, c: int, reach: int) -> Iterator[tuple[int, int, int]]:
+    """Yield how far cells are away and which they are."""
+    for dp in range(-reach, reach + 1):
+        for dq in range(-reach, reach + 1):
+            other = int(grid[where[c, 0] + dp, where[c, 1] + dq])
+            if other >= 0:
+                yield dp, dq, other
+
+
+def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, thresholds: CellThresholds) -> F64:
+    found = np.zeros((len(where), 8))
+    gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
+    for c in range(len(where)):
+        n = x = y = xx = xy = yy = upright = 0.0
+        for dp, dq, other in _around(grid, where, c, 1):
+            shots, sx, sy, sxx, sxy, syy, _, _, n_upright = sums[other]
+            ox, oy = dp * thresholds.cell_m, dq * thresholds.cell_m
+            n, upright = n + shots, upright + n_upright
+            x, y = x + (sx + shots * ox), y + (sy + shots * oy)
+            xx += sxx + 2.0 * ox * sx + shots * ox * ox
+            xy += sxy + ox * sy + oy * sx + shots * ox * oy
+            yy += syy + 2.0 * oy * sy + shots * oy * oy
+        x, y = x / n, y / n
+        xx, xy, yy = xx / n - x * x, xy / n - x * y, yy / n - y * y
+        half, away = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+        wide = [other for _, _, other in _around(grid, where, c, 2)]
+        smooth, asked = (sum(sums[other, k] for other in wide) for k in (6, 7))
+        seen = [k for k in range(62) if any(int(levels[other]) >> k & 1 for other in wide)]
+        own = [k for k in range(62) if int(levels[c]) >> k & 1]
+        body = 0
+        for k in own:
+            if k - body > gap:
+                break
+            body = k + 1
+        found[c] = (
+            math.sqrt(max(half - away, 0.0)), math.sqrt(max(half + away, 0.0)), upright / n, smooth / max(asked, 1.0),
+            len(seen), seen[-1] + 1 if seen else 1, len(wide), body,
+        )  # fmt: skip
+    return found
+
+
+def mean_around(grid: I32, where: I32, values: F64, weight: F64) -> F64:
+    found = np.empty(len(where))
+    for c in range(len(where)):
+        total = sum_of = 0.0
+        for _, _, other in _around(grid, where, c, 2):
+            total, sum_of = total + weight[other] * values[other], sum_of + weight[other]
+        found[c] = total / sum_of
+    return found
+
+
+def join_cells(grid: I32, where: I32, use: Mask) -> I32:
+    body = np.where(use, np.arange(len(where)), -1)
+    while True:
+        before = body.copy()
+        for c in np.flatnonzero(use):
+            body[c] = min(body[other] for _, _, other in _around(grid, where, c, 1) if use[other])
+        if (before == body).all():
+            return body.astype(np.int32)
+
+
+def low_plants(xyz_m: F32, above_m: F32, marks: U8, thresholds: SoilThresholds) -> Mask:
+    size, half = thresholds.cell_m, thresholds.half_m
+    above = above_m.astype(np.float64)
+    found = above > thresholds.soil_m
+    cells: dict[tuple[int, int], list[float]] = {}
+    low = []
+    for at, (x, y, _) in _points(xyz_m, (above > thresholds.below_m) & (above <= thresholds.foot_m)):
+        if not (abs(x) < half - size and abs(y) < half - size):
+            continue
+        cell = int((x + half) / size), int((y + half) / size)
+        low.append((at, cell, math.sqrt(x * x + y * y)))
+        if marks[at] & ASKED:
+            row = cells.setdefault(cell, [0.0] * 4)
+            values = 1.0, float(marks[at] & SMOOTH), above[at], above[at] * above[at]
+            cells[cell] = [one + other for one, other in zip(row, values, strict=True)]
+    for at, (p, q), far in low:
+        if (p, q) not in cells:
+            continue
+        near = [cells[p + dp, q + dq] for dp in (-1, 0, 1) for dq in (-1, 0, 1) if (p + dp, q + dq) in cells]
+        n, smooth, height, square = (sum(column) for column in zip(*near, strict=True))
+        if n < thresholds.shots:
+            continue
+        mean = height / n
+        rough = min(math.sqrt(max(square / n - mean * mean, 0.0)), thresholds.most_rough_m)
+        score = thresholds.bias + thresholds.smooth * smooth / n + thresholds.rough * rough
+        found[at] = score + thresholds.high * max(above[at], thresholds.least_high_m) + thresholds.far * far > 0.0
+    return found

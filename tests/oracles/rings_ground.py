@@ -1,0 +1,103 @@
+"""Slow twins of the loops that find the ground around a spinning scanner."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, F64
+from prc_cli.methods.rings.thresholds import GroundThresholds
+
+
+def bin_places(xyz_m: F32, bins_per_root_m: float) -> tuple[F32, F64]:
+    x, y = xyz_m[..., 0].astype(np.float64), xyz_m[..., 1].astype(np.float64)
+    distance = np.sqrt(x * x + y * y)
+    heading = np.zeros((len(xyz_m), 2))
+    for line, i in np.argwhere(distance > 0):
+        heading[line] += x[line, i] / distance[line, i], y[line, i] / distance[line, i]
+    return (np.sqrt(distance) * bins_per_root_m).astype(np.float32), heading
+
+
+def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32:
+    sector = np.arange(len(place))[:, None] // sector_lines + np.zeros(place.shape, np.int64)
+    found = np.full((-(-len(place) // sector_lines), n_bins), np.nan, np.float32)
+    for s, b in np.ndindex(*found.shape):
+        is_own = (sector == s) & (place >= b) & (place < b + 1)
+        low = sorted(up * float(z) for z in xyz_m[..., 2][is_own])[:3]
+        pairs = [0.5 * (one + other) for one, other in pairwise(low) if other - one < pair_m]
+        if pairs or len(low) == 1:
+            found[s, b] = pairs[0] if pairs else low[0]
+    return found
+
+
+def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, NDArray[np.bool_]]:
+    n_sectors, n_bins = off_m.shape
+    height, seen = np.empty(off_m.shape), np.zeros(off_m.shape, np.bool_)
+    at = [(0.0, float(middle_m[0]), 0.0)] * n_sectors  # last height, where, slope
+    for b in range(n_bins):
+        before = list(at)
+        for s in range(n_sectors):
+            expected = weight = 0.0
+            for beside, share in ((-1, 1.0), (0, 2.0), (1, 1.0)):
+                last, where, slope = before[(s + beside) % n_sectors]
+                gap = middle_m[b] - where
+                own = share / (1.0 + 0.2 * gap)
+                expected += own * (last + slope * min(gap, thresholds.far_m))
+                weight += own
+            expected /= weight
+            height[s, b] = expected
+            last, where, slope = at[s]
+            own_m, gap = float(off_m[s, b]), middle_m[b] - where
+            reach = min(gap, thresholds.gap_m)
+            high, deep = thresholds.step_m + thresholds.rise * reach, -thresholds.step_m - thresholds.fall * reach
+            if not deep <= own_m - expected <= high:
+                continue
+            height[s, b], seen[s, b] = own_m, True
+            if gap > 0:
+                steep = min(max((own_m - last) / gap, -thresholds.slope), thresholds.slope)
+                slope += min(gap / (gap + thresholds.follow_m), thresholds.follow) * (steep - slope)
+            at[s] = own_m, float(middle_m[b]), slope
+    return height, seen
+
+
+def smooth_surface(height_m: F64, weight: F64, start_m: F64, stiff: float, rounds: int, is_round: bool) -> F64:
+    found, (n_sectors, n_bins) = start_m.copy(), start_m.shape
+    for _ in range(rounds):
+        for s, b in np.ndindex(n_sectors, n_bins):
+            around = [(s, b + way) for way in (-1, 1) if 0 <= b + way < n_bins]
+            around += [((s + way) % n_sectors, b) for way in (-1, 1) if is_round or 0 <= s + way < n_sectors]
+            total, sum_of = weight[s, b] * height_m[s, b], weight[s, b]
+            for other in around:
+                total, sum_of = total + stiff * found[other], sum_of + stiff
+            if sum_of > 0:
+                found[s, b] = total / sum_of
+    return found
+
+
+def heights_above(
+    xyz_m: F32, place: F32, up: float, surface_m: F64, sector_lines: int, root: float, thresholds: GroundThresholds
+) -> tuple[F32, F64, F64]:
+    n_sectors, n_bins = surface_m.shape
+    above = np.full(place.shape, np.nan, np.float32)
+    total, number = np.zeros(surface_m.shape), np.zeros(surface_m.shape)
+
+    def between(low: float, high: float, share: float) -> float:
+        return low + share * (high - low)
+
+    for line, i in np.argwhere(~np.isnan(place)):
+        along = (line + 0.5) / sector_lines - 0.5
+        first = math.floor(along)
+        low, high = surface_m[max(first, 0)], surface_m[min(first + 1, n_sectors - 1)]
+        at = min(max(float(place[line, i]) - 0.5, 0.0), n_bins - 1.001)
+        b = int(at)
+        near, far = (between(low[k], high[k], along - first) for k in (b, b + 1))
+        off = up * float(xyz_m[line, i, 2]) - between(near, far, at - b)
+        above[line, i] = off
+        distance = float(place[line, i]) / root
+        if abs(off) < thresholds.near_m + thresholds.near_per_m * distance * distance:
+            cell = line // sector_lines, min(int(place[line, i]), n_bins - 1)
+            total[cell], number[cell] = total[cell] + off, number[cell] + 1
+    return above, total, number
