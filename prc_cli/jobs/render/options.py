@@ -179,7 +179,11 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     >>> choose_steps("prc", RenderOptions())
     ('range', 'classes')
     """
-    own = {"sequential-angle": (*SEQUENTIAL_STEPS, "classes"), "fused": ("classes", "confidence"), "rings": ("classes",)}
+    own = {
+        "sequential-angle": (*SEQUENTIAL_STEPS, "classes"),
+        "fused": ("classes", "confidence"),
+        "rings": ("classes",),
+    }
     # label files hold no intermediate images
     steps = ("classes",) if options.labels is not None else own.get(method, (*PRC_STEPS, "classes"))
     of_reference = () if options.reference is None else REFERENCE_STEPS

@@ -1,0 +1,288 @@
+"""Labels of spinning scanners on real labelled frames, beside Patchwork++ where it is installed.
+
+    python -m benchmarks.rings [NAME ...] > docs/rings_figures.md     # frames whose names begin so; all by default
+
+Every frame is a file of its own, read by ``prc_cli.classify`` with nothing told. Ground is judged in three ways: with
+vegetation left out, with vegetation lower than 1.3 m below the scanner as ground (both as in the papers on Patchwork),
+and with vegetation as a class of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.contest_data import DATA, view_paths
+from prc_cli import ClassCodes, DoubtWarning, Label, classify
+from prc_cli.core.types import F32, I64, U8, Mask
+
+IGNORED, OTHER = 255, 1
+"""Reference codes of what is not judged, and of classes that no figure is of: people, cycles, signs."""
+GROUND, BUILDING, VEGETATION, CAR, POLE, NOISE = (
+    ClassCodes().code(one)
+    for one in (Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.CAR, Label.POLE, Label.NOISE)
+)
+CLASSES = {
+    "kitti_views": {
+        0: IGNORED, 1: CAR, 4: CAR, 5: CAR, 9: GROUND, 10: GROUND, 11: GROUND, 12: GROUND, 17: GROUND, 13: BUILDING,
+        14: BUILDING, 15: VEGETATION, 16: VEGETATION, 18: POLE, 19: POLE,
+    },
+    "nuscenes": {
+        10: IGNORED, 0: GROUND, 1: GROUND, 2: BUILDING, 3: POLE, 4: VEGETATION, 7: CAR, 8: CAR, 9: CAR,
+    },
+    "kitti": {
+        0: IGNORED, 1: IGNORED, 40: GROUND, 44: GROUND, 48: GROUND, 49: GROUND, 60: GROUND, 72: GROUND, 50: BUILDING,
+        51: BUILDING, 52: BUILDING, 70: VEGETATION, 71: VEGETATION, 10: CAR, 13: CAR, 16: CAR, 18: CAR, 20: CAR,
+        252: CAR, 257: CAR, 258: CAR, 259: CAR, 80: POLE, 81: POLE,
+    },
+}  # fmt: skip
+"""Classes by codes of the data sets; lorries and buses are cars, fences buildings, trunks vegetation."""
+LOW_M = -1.3
+"""Vegetation lower than this is ground in the second way [m]."""
+SCANNER_M = {"kitti": 1.73, "nuscenes": 1.84, "vlp32": 1.8, "av2_up": 1.97, "av2_down": 1.86}
+"""Height of the scanners above the ground, which Patchwork++ is told [m]."""
+REGULAR_VEHICLE = 19
+"""Argoverse 2: boxes of cars; those of lorries and buses are other things here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A file, and the class of every record."""
+
+    name: str
+    group: str
+    path: Path
+    xyz_m: F32
+    """(n, 3) float32, relative to the scanner, z up [m]; NaN = missing."""
+    codes: U8
+    """(n,) uint8, in the order of the file; IGNORED = not judged."""
+    is_tuned: bool
+    """Whether limits were chosen on it."""
+
+
+def frames(folder: Path) -> Iterator[Frame]:
+    """Write the files of all frames to a folder; even views chose limits, and the first of two others."""
+    for kind in ("kitti", "nuscenes", "vlp32"):
+        for path in view_paths(kind):
+            yield _view(path, kind, folder)
+    reference = np.fromfile(DATA / "kitti" / "000000.label", np.uint32).astype(np.int64) & 0xFFFF
+    frame = np.fromfile(DATA / "kitti" / "000000.bin", np.float32).reshape(-1, 4)[:, :3]
+    yield Frame("kitti_000000", "kitti", DATA / "kitti" / "000000.bin", frame, _coded(reference, "kitti"), False)
+    for name in ("000010", "000030"):
+        yield _snow(name, folder)
+    yield from _argoverse(folder)
+
+
+def _coded(codes: I64, kind: str) -> U8:
+    table = np.full(int(codes.max()) + 1, OTHER, np.uint8)
+    for code, label in CLASSES[kind].items():
+        table[code : code + 1] = label
+    return table[codes]
+
+
+def _view(path: Path, kind: str, folder: Path) -> Frame:
+    """Write a range view as lines of rings, from low to high."""
+    with np.load(path) as arrays:
+        ranges, xyz, codes = arrays["range_m"], arrays["xyz"].astype(np.float32), arrays["label"].astype(np.int64)
+    xyz[np.isnan(ranges)] = np.nan
+    elevation = _medians(np.rad2deg(np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1]))))
+    order = np.argsort(elevation)[: np.count_nonzero(np.isfinite(elevation))]
+    ranges, xyz, codes = (np.ascontiguousarray(np.swapaxes(each[order], 0, 1)) for each in (ranges, xyz, codes))
+    file = folder / path.name
+    np.savez(file, range_m=ranges, xyz=xyz, zenith_deg=90.0 - elevation[order])
+    group = f"{kind}_views" if kind == "kitti" else kind
+    reference = _coded(codes.ravel(), "kitti_views" if kind == "kitti" else "nuscenes")
+    is_tuned = int(path.stem.rsplit("_", 1)[1]) % 2 == 0
+    return Frame(path.stem, group, file, xyz.reshape(-1, 3), reference, is_tuned)
+
+
+def _medians(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # rings without a return
+        return np.asarray(np.nanmedian(values, axis=1))
+
+
+def _snow(name: str, folder: Path) -> Frame:
+    """Write a frame with snow as lines of equal azimuth."""
+    stored = np.fromfile(DATA / "snow" / f"{name}.bin", np.float32).reshape(64, -1, 4)
+    labels = np.fromfile(DATA / "snow" / f"{name}.label", np.uint32).reshape(64, -1)
+    n_lines = stored.shape[1]
+    image, codes = np.full((n_lines, 64, 4), np.nan, np.float32), np.full((n_lines, 64), IGNORED, np.uint8)
+    ring, at = np.nonzero((stored != -1).any(axis=-1))
+    shots = stored[ring, at]
+    azimuth = np.pi - np.arctan2(shots[:, 1], shots[:, 0])
+    line = (azimuth / (2 * np.pi) * n_lines).astype(np.int64) % n_lines
+    image[line, ring], codes[line, ring] = shots, np.where(labels[ring, at] == 1, NOISE, OTHER)
+    seen = np.isfinite(image[..., 0]).any(axis=0)
+    xyz = np.ascontiguousarray(image[:, seen][:, ::-1, :3])
+    ranges = np.sqrt((xyz**2).sum(axis=-1))
+    file = folder / f"snow_{name}.npz"
+    np.savez(file, range_m=ranges, xyz=xyz, intensity=image[:, seen][:, ::-1, 3])
+    return Frame(f"snow_{name}", "snow", file, xyz.reshape(-1, 3), codes[:, seen][:, ::-1].ravel(), name == "000010")
+
+
+def _argoverse(folder: Path) -> Iterator[Frame]:
+    """Write the two scanners of a sweep as PLY, each in its own frame: the lower one hangs upside down."""
+    feather = import_module("pyarrow.feather")
+    rotation = import_module("scipy.spatial.transform").Rotation
+    home = DATA / "av2"
+    sweep = feather.read_table(home / "315966265259836000.feather")
+    truth = feather.read_table(home / "315966265259836000_labels.feather")
+    poses = {one["sensor_name"]: one for one in feather.read_table(home / "egovehicle_SE3_sensor.feather").to_pylist()}
+    is_ground, box = (truth[name].to_numpy(zero_copy_only=False) for name in ("is_ground", "box_class"))
+    vehicle_m = np.stack([sweep[axis].to_numpy().astype(np.float64) for axis in "xyz"], axis=1)
+    laser = sweep["laser_number"].to_numpy()
+    for k, name in enumerate(("up", "down")):
+        pose, own = poses[f"{name}_lidar"], laser // 32 == k
+        turn = rotation.from_quat([pose[key] for key in ("qx", "qy", "qz", "qw")])
+        xyz = turn.inv().apply(vehicle_m[own] - [pose[key] for key in ("tx_m", "ty_m", "tz_m")]).astype(np.float32)
+        kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f8")]
+        rows = np.zeros(len(xyz), kinds)
+        rows["x"], rows["y"], rows["z"] = xyz.T
+        rows["intensity"], rows["ring"] = sweep["intensity"].to_numpy()[own], laser[own] % 32
+        rows["time"] = sweep["offset_ns"].to_numpy()[own] * 1e-9
+        file = folder / f"av2_{name}.ply"
+        types = {"<f4": "float", "<u2": "ushort", "<f8": "double"}
+        head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+        head += [f"property {types[kind]} {field}" for field, kind in kinds]
+        file.write_bytes("\n".join([*head, "end_header", ""]).encode() + rows.tobytes())
+        codes = np.where(is_ground[own], GROUND, np.where(box[own] == REGULAR_VEHICLE, CAR, OTHER)).astype(np.uint8)
+        xyz = xyz * np.array([1, 1, 1 if name == "up" else -1], np.float32)
+        yield Frame(f"av2_{name}", f"av2_{name}", file, xyz, codes, name == "up")
+
+
+def label(frame: Frame) -> tuple[U8, str]:
+    """Return the codes of a frame's records, and what was doubted."""
+    output = frame.path if frame.path.parent != DATA / "kitti" else Path(tempfile.gettempdir()) / frame.path.name
+    output = output.with_suffix(".labels.npy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        summary = classify(frame.path, output, overwrite=True)
+    doubts = [one.check for one in summary.findings if one.verdict.name != "FINE"]
+    codes = np.load(output).ravel().astype(np.uint8)
+    return codes, ", ".join(doubts)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Let what a library prints as it begins go to stderr."""
+    sys.stdout.flush()
+    before = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        os.dup2(before, 1)
+        os.close(before)
+
+
+def patchwork(frame: Frame) -> Mask | None:
+    """Return the ground of Patchwork++, None where it is not installed."""
+    try:
+        module = import_module("pypatchworkpp")
+    except ImportError:
+        return None
+    params = module.Parameters()
+    params.verbose, params.sensor_height = False, SCANNER_M[frame.group.removesuffix("_views")]
+    with quiet():
+        filtered = module.patchworkpp(params)
+    there = np.flatnonzero(np.isfinite(frame.xyz_m[:, 0]))
+    points = np.column_stack([frame.xyz_m[there], np.zeros(len(there), np.float32)])
+    filtered.estimateGround(np.ascontiguousarray(points, dtype=np.float32))
+    found = np.zeros(len(frame.xyz_m), np.bool_)
+    found[there[np.asarray(filtered.getGroundIndices(), np.int64)]] = True
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How well one class was found."""
+
+    precision: float
+    recall: float
+
+    @classmethod
+    def of(cls, found: Mask, reference: Mask) -> Score:
+        """Compare two masks."""
+        both = int(np.count_nonzero(found & reference))
+        return cls(both / max(np.count_nonzero(found), 1), both / max(np.count_nonzero(reference), 1))
+
+    @property
+    def f1(self) -> float:
+        """F1."""
+        return 2 * self.precision * self.recall / max(self.precision + self.recall, 1e-9)
+
+
+def ground_scores(frame: Frame, is_ground: Mask) -> dict[str, Score]:
+    """Judge the ground in the ways that the data set allows."""
+    reference, there = frame.codes, np.isfinite(frame.xyz_m[:, 0]) & (frame.codes != IGNORED)
+    own = there & (reference != VEGETATION)
+    found = {"ground": Score.of(is_ground[own], reference[own] == GROUND)}
+    if frame.group.startswith("kitti"):
+        is_low = (reference == VEGETATION) & (frame.xyz_m[:, 2] < LOW_M)
+        found["ground, low plants too"] = Score.of(is_ground[there], ((reference == GROUND) | is_low)[there])
+    if not frame.group.startswith("av2"):
+        found["ground, plants apart"] = Score.of(is_ground[there], reference[there] == GROUND)
+    return found
+
+
+def scores(frame: Frame, codes: U8) -> dict[str, Score]:
+    """Judge all classes of a frame."""
+    there = np.isfinite(frame.xyz_m[:, 0]) & (frame.codes != IGNORED)
+    if frame.group == "snow":
+        return {"snow": Score.of(codes[there] == NOISE, frame.codes[there] == NOISE)}
+    found = ground_scores(frame, codes == GROUND)
+    kinds = {"building": BUILDING, "vegetation": VEGETATION, "car": CAR, "pole": POLE}
+    for name, code in kinds.items():
+        if np.count_nonzero(frame.codes == code) and not frame.group.startswith("av2"):
+            found[name] = Score.of(codes[there] == code, frame.codes[there] == code)
+    return found
+
+
+def main() -> None:
+    """Print the table of all frames, and the means of those that chose limits and those that did not."""
+    wanted = tuple(sys.argv[1:])
+    means: dict[tuple[str, bool], list[tuple[dict[str, Score], dict[str, Score]]]] = {}
+    print("<!-- written by python -m benchmarks.rings; do not edit -->\n\n# Figures of rings\n")
+    print("F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the scanner's height.\n")
+    print("| frame | limits chosen on it | class | prc | Patchwork++ | doubts |\n|---|---|---|---:|---:|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        for frame in frames(Path(folder)):
+            if wanted and not frame.name.startswith(wanted):
+                continue
+            codes, doubts = label(frame)
+            own, mask = scores(frame, codes), None if frame.group == "snow" else patchwork(frame)
+            other = {} if mask is None else ground_scores(frame, mask)
+            means.setdefault((frame.group, frame.is_tuned), []).append((own, other))
+            for name, score in own.items():
+                beside = _cell(other[name]) if name in other else ""
+                chosen = "yes" if frame.is_tuned else "no"
+                print(f"| {frame.name} | {chosen} | {name} | {_cell(score)} | {beside} | {doubts} |", flush=True)
+    print("\n## Means of F1\n\n| frames | limits chosen on them | class | prc | Patchwork++ |\n|---|---|---|---:|---:|")
+    for (group, is_tuned), found in means.items():
+        for name in found[0][0]:
+            mine, theirs = (
+                [f"{np.mean([each[k][name].f1 for each in found if name in each[k]]):.3f}"]
+                if name in found[0][k]
+                else [""]
+                for k in (0, 1)
+            )
+            print(f"| {group} ({len(found)}) | {'yes' if is_tuned else 'no'} | {name} | {mine[0]} | {theirs[0]} |")
+
+
+def _cell(score: Score) -> str:
+    return f"{score.f1:.3f} ({score.precision:.3f}, {score.recall:.3f})"
+
+
+if __name__ == "__main__":
+    main()

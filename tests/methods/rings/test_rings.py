@@ -1,0 +1,207 @@
+"""The method for rings on a made scene: ground, a wall, a hedge, a car and a pole around a scanner of 32 rings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli import classify_ranges, load_config
+from prc_cli.core.classes import LABEL_BITS, Label, Reason
+from prc_cli.core.stream import ExtraReturns, ScanBlock
+from prc_cli.core.types import F32, F64, U8, Mask
+from prc_cli.jobs.choice import CHOSEN_FAN
+from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.base import Wanted
+from prc_cli.methods.rings.pipeline import RingsParams, is_fan, upside_down
+from tests.cli.test_commands import Prc
+
+N_LINES, N_RINGS, HEIGHT_M = 1800, 32, 1.8
+ELEVATION = np.deg2rad(np.linspace(-25.0, 10.0, N_RINGS))
+BEAM: F64 = np.pi / 2 + ELEVATION
+AZIMUTH: F64 = 2 * np.pi * np.arange(N_LINES) / N_LINES
+PARAMS = RingsParams()
+
+
+def scene(seed: int = 1) -> tuple[F32, F32, U8]:
+    """Ranges, coordinates and the body of every shot: 1 ground, 2 wall, 3 hedge, 4 car, 5 pole."""
+    random = np.random.default_rng(seed)
+    x, y, z = (
+        np.cos(ELEVATION) * np.cos(AZIMUTH)[:, None], np.cos(ELEVATION) * np.sin(AZIMUTH)[:, None],
+        np.sin(ELEVATION) + 0 * AZIMUTH[:, None],
+    )  # fmt: skip
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ranges = np.where(z < 0, -HEIGHT_M / z, np.inf)
+        body = np.where(ranges < 80, 1, 0).astype(np.uint8)
+        for kind, distance in (
+            (2, _box(x, y, z, (-30, 30), (12, 13), (0, 7))),
+            (3, _box(x, y, z, (-30, 30), (-9, -8), (0, 2.5)) + random.exponential(0.35, x.shape)),
+            (4, _box(x, y, z, (5, 9.2), (3, 4.7), (0.2, 0.9))),
+            (4, _box(x, y, z, (5.8, 8.2), (3.1, 4.6), (0.9, 1.45))),
+            (5, _box(x, y, z, (7.9, 8.1), (-4.1, -3.9), (0, 5))),
+        ):
+            nearer = distance < ranges
+            body[nearer], ranges[nearer] = kind, distance[nearer]
+    ranges = np.where(body > 0, ranges + random.normal(0, 0.01, ranges.shape), np.nan)
+    xyz = ranges[..., None] * np.stack([x, y, z], axis=-1)
+    return ranges.astype(np.float32), xyz.astype(np.float32), body
+
+
+def _box(x: F64, y: F64, z: F64, *sides: tuple[float, float]) -> F64:
+    """Distance of an upright box, sides in metres, heights above the ground."""
+    near, far = np.full(x.shape, 0.0), np.full(x.shape, np.inf)
+    for way, (low, high) in zip((x, y, z), (*sides[:2], tuple(h - HEIGHT_M for h in sides[2])), strict=True):
+        one, two = low / way, high / way
+        near, far = np.maximum(near, np.minimum(one, two)), np.minimum(far, np.maximum(one, two))
+    return np.where(near < far, near, np.inf)
+
+
+def labelled(ranges: F32, xyz: F32, *, chunk: int = 300, threads: int = 1, beam: F64 = BEAM) -> U8:
+    blocks = (
+        ScanBlock(a, ranges[a : a + chunk], xyz_m=xyz[a : a + chunk], beam_rad=beam, is_last=a + chunk >= len(ranges))
+        for a in range(0, len(ranges), chunk)
+    )
+    return np.concatenate([item.labels for item in label_blocks(blocks, PARAMS, threads=threads)])
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[F32, F32, U8]:
+    return scene()
+
+
+@pytest.fixture(scope="module")
+def labels(made: tuple[F32, F32, U8]) -> U8:
+    return labelled(*made[:2])
+
+
+@pytest.mark.parametrize(
+    ("body", "label", "recall", "precision"),
+    [
+        (1, Label.GROUND, 0.97, 0.97),
+        (2, Label.BUILDING, 0.95, 0.9),
+        (3, Label.VEGETATION, 0.85, 0.9),
+        (4, Label.CAR, 0.85, 0.95),
+        (5, Label.POLE, 0.85, 0.9),
+    ],
+)
+def test_bodies_have_their_class(
+    made: tuple[F32, F32, U8], labels: U8, body: int, label: Label, recall: float, precision: float
+) -> None:
+    true, found = made[2] == body, labels == label
+    assert (true & found).sum() / true.sum() > recall
+    assert (true & found).sum() / found.sum() > precision
+    assert ((labels == Label.MISSING) == (made[2] == 0)).all()
+
+
+@pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 3), (1024, 2), (1800, 3)])
+def test_labels_depend_neither_on_chunks_nor_on_threads(
+    made: tuple[F32, F32, U8], labels: U8, chunk: int, threads: int
+) -> None:
+    np.testing.assert_array_equal(labelled(*made[:2], chunk=chunk, threads=threads), labels)
+
+
+def test_a_scanner_may_hang_upside_down(made: tuple[F32, F32, U8], labels: U8) -> None:
+    """Its lowest ring is the highest then; what is written of its beams says where down is."""
+    ranges, xyz, _ = made
+    turned = xyz * np.array([1, -1, -1], np.float32)
+    found = labelled(ranges, turned, beam=upside_down(BEAM))
+    assert (found == labels).mean() > 0.999
+
+
+def test_a_short_block_takes_the_ground_of_those_before(made: tuple[F32, F32, U8], labels: U8) -> None:
+    ranges, xyz = (np.concatenate([each, each[:12]]) for each in made[:2])
+    found = labelled(ranges[: 1024 + 12], xyz[: 1024 + 12])
+    np.testing.assert_array_equal(found[:1024], labels[:1024])
+    assert (found[1024:] == Label.GROUND).mean() > 0.3
+
+
+def snowy(made: tuple[F32, F32, U8]) -> tuple[F32, F32, F32, Mask]:
+    """Put flakes before things; they are brighter."""
+    ranges, xyz, body = made
+    random = np.random.default_rng(3)
+    flake = (random.random(ranges.shape) < 0.02) & (body > 0)
+    near = np.minimum(random.exponential(4.0, ranges.shape) + 1.0, 0.7 * np.nan_to_num(ranges, nan=1.0))
+    light = np.where(flake, 60.0, 10.0).astype(np.float32)
+    new = np.where(flake, near, ranges).astype(np.float32)
+    return new, (xyz * (new / ranges)[..., None]).astype(np.float32), light, flake
+
+
+@pytest.mark.parametrize("is_lit", [True, False])
+def test_snow_is_noise(made: tuple[F32, F32, U8], is_lit: bool) -> None:
+    ranges, xyz, light, flake = snowy(made)
+    block = ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=light if is_lit else None)
+    found = np.concatenate([item.labels for item in label_blocks(iter([block]), PARAMS)]) == Label.NOISE
+    assert (found & flake).sum() / flake.sum() > (0.85 if is_lit else 0.7)
+    assert (found & flake).sum() / found.sum() > (0.9 if is_lit else 0.8)
+
+
+def test_reasons_measures_and_further_returns(made: tuple[F32, F32, U8]) -> None:
+    ranges, xyz, _ = made
+    line, column = (np.array([n], np.int32) for n in (100, 3))
+    extra = ExtraReturns(line, column, ranges[100, 3:4] + np.float32(0.1), np.array([7]))
+    block = ScanBlock(0, ranges[:1024], xyz_m=xyz[:1024], beam_rad=BEAM, is_last=True, extra=extra)
+    wanted = Wanted(reasons=True, stages=True, measures=True)
+    (item,) = label_blocks(iter([block]), PARAMS, wanted=wanted)
+    assert item.reasons is not None
+    assert item.above_m is not None
+    np.testing.assert_array_equal(item.reasons & LABEL_BITS, item.labels)
+    rules = {int(one) for one in Reason}
+    assert set(np.unique(item.reasons).tolist()) <= rules
+    assert item.extra_labels.tolist() == [item.labels[100, 3]]
+    assert all(values.shape == ranges[:1024].shape for values in item.measures.values())
+    assert np.nanmax(np.abs(item.above_m[item.labels == Label.GROUND])) < 0.5
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (3, 16), (40, 16)])
+@pytest.mark.parametrize("value", [np.nan, 5.0, 300.0])
+def test_small_and_dull_images_are_labelled(shape: tuple[int, int], value: float) -> None:
+    beam = np.deg2rad(np.linspace(70, 100, shape[1]))
+    found = classify_ranges(np.full(shape, value), load_config(preset="rings"), beam_rad=beam).labels
+    assert ((found == 0) == np.isnan(value)).all()
+
+
+@pytest.mark.parametrize(
+    ("first_deg", "last_deg", "n", "expected"),
+    [
+        (65, 92, 64, True), (67.5, 112.5, 16, True), (64.9, 125.0, 64, False), (0, 180, 64, False),
+        (-150, 150, 64, False), (-20, 20, 64, False), (90, 90, 1, False),
+    ],
+)  # fmt: skip
+def test_narrow_level_beams_are_a_fan(first_deg: float, last_deg: float, n: int, expected: bool) -> None:
+    assert is_fan(np.deg2rad(np.linspace(first_deg, last_deg, n))) is expected
+
+
+def test_rings_are_chosen_without_a_name(made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path) -> None:
+    ranges, xyz, _ = made
+    np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz, zenith_deg=180.0 - np.rad2deg(BEAM))
+    result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy")
+    assert result.code == 0, result.err
+    assert f"method: rings (--preset rings): {CHOSEN_FAN.why}" in result.err
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+@pytest.mark.data
+def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    """A frame of SemanticKITTI that chose no limit, and one with its z axis turned down."""
+    frame = real_data / "kitti" / "000000.bin"
+    reference = np.fromfile(frame.with_suffix(".label"), np.uint32) & 0xFFFF
+    output = tmp_path / "labels.npy"
+    result = prc("classify", frame, output)
+    assert result.code == 0, result.err
+    codes = np.load(output)
+    known = reference > 1
+    for code, names, least in ((2, (40, 44, 48, 49, 60, 72), 0.97), (6, (50, 51, 52), 0.84), (5, (70, 71), 0.82),
+                               (65, (10, 13, 16, 18, 20, 252), 0.75)):  # fmt: skip
+        true, found = np.isin(reference, names), (codes == code) & known
+        assert 2 * (true & found).sum() / (true.sum() + found.sum()) > least, code
+    shots = np.fromfile(frame, np.float32).reshape(-1, 4)
+    shots[:, 1:3] *= -1
+    shots.tofile(tmp_path / "turned.bin")
+    result = prc("classify", tmp_path / "turned.bin", output, "--overwrite")
+    assert result.code == 0, result.err
+    assert (np.load(output) == codes).mean() > 0.99
