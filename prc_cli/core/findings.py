@@ -18,10 +18,10 @@ CHECK_NAMES = (
     "ranges", "rounding", "missing-code", "shot-order", "line-length", "columns-along", "line-order", "standing",
     "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers", "dropouts",
     "range-noise", "units", "angle-step", "down", "method", "ground-below", "ground-lean", "below-ground",
-    "noise-share", "indoors", "classes-along",
+    "noise-share", "indoors", "few-rings", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
-LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along")
+LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "few-rings", "classes-along")
 """Checks that need the labels; methods that know no angles answer only some of them."""
 ORDER_CHECKS = ("shot-order", "line-order", "times")
 """Checks that ``--trust-order`` accepts."""

@@ -174,6 +174,8 @@ class UsualLabels:
     """Ground has vanished where its share is below this part of what three quarters of the stream do not exceed."""
     reach_m: float = 0.0
     """Some of what is not noise is farther than this [m]."""
+    columns: int = 0
+    """With fewer columns classes are told less well."""
 
 
 class Classifier(Protocol[ScannerT, StateT_co]):

@@ -15,6 +15,7 @@ from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused.thresholds import FOREST, STREET
 from prc_cli.methods.reasons import FURTHER, RULES, VOTE, reason_table
+from prc_cli.methods.rings.thresholds import MANY
 from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 
 SELDOM = {Reason.FAR_BELOW, Reason.ABOVE_TOP, Reason.BEYOND_REACH, Reason.UNDECIDED, Reason.PROFILE, Reason.CURB_REGION}
@@ -24,7 +25,7 @@ SELDOM = {Reason.FAR_BELOW, Reason.ABOVE_TOP, Reason.BEYOND_REACH, Reason.UNDECI
 def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
     assert set(RULES) == set(Reason)
     assert len({rule.sentence for rule in RULES.values()}) == len(RULES)
-    config, constants = RunConfig(), (STREET, FOREST)
+    config, constants = RunConfig(), (STREET, FOREST, MANY)
     for rule in (*RULES.values(), VOTE, FURTHER):
         for name in rule.limits:
             if name.startswith(("prc.", "sequential_angle.")):
@@ -69,6 +70,12 @@ _FOREST = {
     Reason.FAR_BELOW, Reason.ALONE, Reason.SOIL, Reason.FLAT, Reason.ON_STEM, Reason.BESIDE_STEM, Reason.ABOVE_TOP,
     Reason.PLANT,
 }  # fmt: skip
-_FUSED = {one for one in list(Reason)[list(Reason).index(Reason.LONELY) :] if "prc." not in str(RULES[one].limits)} - {
-    one for one in Reason if "sequential_angle" in str(RULES[one].limits)
-}
+_RINGS = {
+    Reason.FLAKE, Reason.SURFACE, Reason.THIN_SMOOTH, Reason.ROUGH_PLACE, Reason.LOW_PLANT, Reason.CAR_BOX,
+    Reason.LARGE_BOX, Reason.THIN_PLACE,
+}  # fmt: skip
+_FUSED = (
+    {one for one in list(Reason)[list(Reason).index(Reason.LONELY) :] if "prc." not in str(RULES[one].limits)}
+    - {one for one in Reason if "sequential_angle" in str(RULES[one].limits)}
+    - _RINGS
+)

@@ -94,7 +94,7 @@ class Rings(Classifier[F64, RingsState]):
     @property
     def usual(self) -> UsualLabels:
         """Little noise, ground below the scanner, and things farther than a room is wide."""
-        return UsualLabels(0.3, 0.6, ground_share=0.1, reach_m=6.0)
+        return UsualLabels(0.3, 0.6, ground_share=0.1, reach_m=6.0, columns=MANY_RINGS)
 
     @property
     def gives(self) -> frozenset[Label]:

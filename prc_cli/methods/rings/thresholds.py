@@ -228,5 +228,6 @@ MANY_RINGS = 48
 """Scanners with fewer rings have few."""
 MANY = Limits()
 """Limits for 64 rings and more."""
-FEW = Limits(soil=SoilThresholds(bias=2.0, rough=20.0))
-"""Limits for 16 to 40 rings: the shots of a place are of one or two rings, whose heights differ less."""
+FEW = Limits(soil=SoilThresholds(bias=2.0, rough=20.0), cars=BoxThresholds(smooth=0.04, narrow_m=0.38))
+"""Limits for 16 to 40 rings: the shots of a place are of one or two rings, whose heights differ less, and of a car they
+see less."""
