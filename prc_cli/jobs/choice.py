@@ -8,19 +8,20 @@ streets or for forests as its first lines look; else PRC, which needs no angles,
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import ScanStream
+from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats import open_source
 from prc_cli.kernels import Engine
 from prc_cli.methods.rings.pipeline import WIDEST_FAN_RAD, is_fan
 from prc_cli.streams.beam_finder import ANGLES
 from prc_cli.streams.beams import BeamStream, with_beams
-from prc_cli.streams.evidence.place import Place, place_of_blocks
+from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rules import trusting
 
@@ -64,12 +65,13 @@ def choice_by_request(config: RunConfig, *, engine: Engine = "compiled") -> Meth
     return None
 
 
-CHOSEN_FAN = MethodChoice("rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do")
-"""The choice for a spinning scanner."""
-
-
-def choice_by_place(place: Place, known: str = "the angles of the beams are known") -> MethodChoice:
+def choice_by_beams(
+    first: ScanBlock, blocks: Iterator[ScanBlock], known: str = "the angles of the beams are known"
+) -> MethodChoice:
     """Return the choice for an input whose beam directions are known."""
+    if first.beam_rad is not None and is_fan(first.beam_rad):
+        return MethodChoice("rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do")
+    place = place_of_blocks(blocks)
     if place.kind == "forest":
         return MethodChoice("fused-forest", f"{known}, and the place looks like a forest: {place.why}")
     if place.kind == "street":
@@ -96,10 +98,7 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
                 pass
         is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
-        beam_rad = next(iter(directed.blocks())).beam_rad
-        if beam_rad is not None and is_fan(beam_rad):
-            return CHOSEN_FAN, directed
-        return choice_by_place(place_of_blocks(directed.blocks()), *known), directed
+        return choice_by_beams(next(iter(directed.blocks())), directed.blocks(), *known), directed
     except (InputError, ConfigError) as refusal:
         return MethodChoice("urban", f"{refusal.problem}; {_BETTER}", refusal.problem), stream
 

@@ -42,14 +42,12 @@ from prc_cli.formats.writing.record import (
     fingerprint,
     record_path,
 )
-from prc_cli.jobs.choice import CHOSEN_FAN, choice_by_place, choice_by_request, choose, decided_by
+from prc_cli.jobs.choice import choice_by_beams, choice_by_request, choose, decided_by
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.methods.base import LABELS_ALONE, MethodParams, UsualLabels, Wanted
-from prc_cli.methods.rings.pipeline import is_fan
 from prc_cli.methods.run import run_blocks
-from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.open import open_input
@@ -547,10 +545,7 @@ def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> tuple[Loade
     if config.is_decided:
         return loaded, block
     choice = choice_by_request(config, engine=engine)
-    if choice is None:
-        is_rings = block.beam_rad is not None and is_fan(block.beam_rad)
-        choice = CHOSEN_FAN if is_rings else choice_by_place(place_of_blocks(iter([block])))
-    return decided_by(choice, loaded), block
+    return decided_by(choice or choice_by_beams(block, iter([block])), loaded), block
 
 
 def _input_findings(block: ScanBlock, loaded: LoadedConfig) -> tuple[Finding, ...]:

@@ -450,8 +450,8 @@ RESULT_CHECKS: tuple[Check, ...] = (
         "few-rings",
         "Has a spinning scanner rings enough for cars and walls?",
         "rings: doubtful below 48",
-        "On frames that chose no limit F1 of cars is 0.7 with 64 rings, and below 0.5 with 32, where lorries stand close "
-        "by or a car is seen by two rings; far walls are seen by one",
+        "On frames that chose no limit F1 of cars is above 0.7 with 64 rings, and below 0.5 with 32: a car is seen by "
+        "few of them, a far wall by one",
         "Rings that are all far from the ground.",
     ),
     Check(

@@ -11,7 +11,6 @@ from prc_cli import classify_ranges, load_config
 from prc_cli.core.classes import LABEL_BITS, Label, Reason
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
-from prc_cli.jobs.choice import CHOSEN_FAN
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.rings.pipeline import RingsParams, is_fan, upside_down
@@ -176,8 +175,9 @@ def test_rings_are_chosen_without_a_name(made: tuple[F32, F32, U8], prc: Prc, tm
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz, zenith_deg=180.0 - np.rad2deg(BEAM))
     result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy")
-    assert result.code == 0, result.err
-    assert f"method: rings (--preset rings): {CHOSEN_FAN.why}" in result.err
+    assert result.code == 4, result.err
+    assert "method: rings (--preset rings): the beams lie within 60 deg, as rings do" in result.err
+    assert "few-rings: 32 rings, expected at least 48" in result.err
 
 
 @pytest.fixture

@@ -61,7 +61,7 @@ def doubted(found: dict[str, Finding]) -> set[str]:
 
 def test_a_street_is_fine_in_all_checks() -> None:
     found = asked(*street())
-    assert set(found) == NAMES
+    assert set(found) == NAMES - {"few-rings"}
     assert doubted(found) == set()
 
 
