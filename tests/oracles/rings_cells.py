@@ -42,10 +42,9 @@ def mark_shots(
             most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
             if 0 < square <= most_m * most_m:
                 dx, dy, dz = np.array([x, y, z]) - before
-                along = (dx * cx + dy * cy + dz * cz) / square
-                ex, ey, ez = dx - along * cx, dy - along * cy, dz - along * cz
+                ex, ey, ez = dy * cz - dz * cy, dz * cx - dx * cz, dx * cy - dy * cx
                 tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
-                if ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m:
+                if ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m * square:
                     marks[line, i] |= SMOOTH
         elif line - k >= 0 and line + k < n_lines:
             marks[line, i] |= ASKED

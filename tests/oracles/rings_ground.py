@@ -17,7 +17,7 @@ def bin_places(xyz_m: F32, bins_per_root_m: float) -> tuple[F32, F64]:
     distance = np.sqrt(x * x + y * y)
     heading = np.zeros((len(xyz_m), 2))
     for line, i in np.argwhere(distance > 0):
-        heading[line] += x[line, i] / distance[line, i], y[line, i] / distance[line, i]
+        heading[line] += x[line, i], y[line, i]
     return (np.sqrt(distance) * bins_per_root_m).astype(np.float32), heading
 
 

@@ -38,9 +38,8 @@ def _is_smooth(before: F32, own: F32, after: F32, most_m: float, tolerance_m: fl
     if square > most_m * most_m or square == 0.0:
         return ASKED
     dx, dy, dz = float(own[0]) - before[0], float(own[1]) - before[1], float(own[2]) - before[2]
-    along = (dx * cx + dy * cy + dz * cz) / square
-    ex, ey, ez = dx - along * cx, dy - along * cy, dz - along * cz
-    near = ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m
+    ex, ey, ez = dy * cz - dz * cy, dz * cx - dx * cz, dx * cy - dy * cx
+    near = ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m * square
     return SMOOTH | ASKED if near else ASKED
 
 
@@ -110,7 +109,11 @@ def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyT
                 continue
             limit = thresholds.near_m + thresholds.near_per_m * own
             near = alike = 0
-            for q in range(max(i - RINGS, 0), min(i + RINGS + 1, m)):
+            for k in range(2 * RINGS + 1):
+                # its own ring first: most shots have enough beside them there
+                q = i + (k + 1) // 2 * (1 - 2 * (k % 2))
+                if q < 0 or q >= m:
+                    continue
                 for p in range(max(line - LINES, 0), min(line + LINES + 1, n_lines)):
                     near += abs(float(range_m[p, q]) - own) < limit
                 if near > most + 1:

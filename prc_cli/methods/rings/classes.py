@@ -129,16 +129,19 @@ class Bodies:
         """Join the cells whose bodies are not higher than a limit [m]."""
         levels = cells.measures[:, 7].astype(np.int64)
         is_low = (levels > 0) & (levels * thresholds.storey_m <= body_m)
-        first, of_cell = np.unique(kernels.join_cells(cells.grid, cells.where, is_low)[is_low], return_inverse=True)
-        sums = _sums_of(cells, is_low, of_cell, len(first), thresholds.cell_m)
+        body = kernels.join_cells(cells.grid, cells.where, is_low)
+        # bodies have the number of their first cell
+        number = np.cumsum(body == np.arange(len(body))) - 1
+        of_cell, n_bodies = number[body[is_low]], int(number[-1]) + 1 if len(number) else 0
+        sums = _sums_of(cells, is_low, of_cell, n_bodies, thresholds.cell_m)
         n = sums[:, 0]
         x, y = sums[:, 1] / n, sums[:, 2] / n
         xx, xy, yy = sums[:, 3] / n - x * x, sums[:, 4] / n - x * y, sums[:, 5] / n - y * y
         half, away = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
         length, width = (UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0))
         at = of_cell * N_LEVELS + levels[is_low]
-        counts = np.bincount(at, cells.sums[is_low, 0], len(first) * N_LEVELS).reshape(-1, N_LEVELS)
-        sight = np.full(len(first), np.inf)
+        counts = np.bincount(at, cells.sums[is_low, 0], n_bodies * N_LEVELS).reshape(-1, N_LEVELS)
+        sight = np.full(n_bodies, np.inf)
         np.minimum.at(sight, of_cell, sight_m[is_low])
         smooth, upright = sums[:, 6] / np.maximum(sums[:, 7], 1.0), sums[:, 8] / n
         return cls(is_low, of_cell, n, length, width, smooth, upright, np.cumsum(counts, axis=1), sight)
@@ -182,11 +185,14 @@ def label_shots(
     above_m: F32, marks: U8, lonely: Mask, plants: Mask, cells: Cells, cell_rules: U8, limits: Limits
 ) -> U8:
     """Return the rule that gives every shot its label, (lines, M) uint8."""
-    rules = np.where(marks & SMOOTH, Reason.THIN_SMOOTH, Reason.ROUGH_PLACE).astype(np.uint8)
-    is_low = above_m <= limits.soil.foot_m
-    rules[is_low] = np.where(plants[is_low], Reason.LOW_PLANT, Reason.SURFACE)
-    has_cell = (cells.of_shot >= 0) & (~is_low | plants)
-    rules[has_cell] = cell_rules[cells.of_shot[has_cell]]
-    rules[lonely & (above_m > limits.cells.hem_m)] = Reason.FLAKE
-    rules[np.isnan(above_m)] = Reason.MISSING
-    return rules
+    has_cell = cells.of_shot >= 0
+    of_cell = np.append(cell_rules, np.uint8(0))[cells.of_shot]
+    surface, plant, thin, rough, flake = (
+        np.uint8(one)
+        for one in (Reason.SURFACE, Reason.LOW_PLANT, Reason.THIN_SMOOTH, Reason.ROUGH_PLACE, Reason.FLAKE)
+    )
+    high = np.where(has_cell, of_cell, np.where(marks & SMOOTH, thin, rough))
+    low = np.where(plants, np.where(has_cell, of_cell, plant), surface)
+    rules = np.where(above_m <= limits.soil.foot_m, low, high)
+    rules = np.where(lonely & (above_m > limits.cells.hem_m), flake, rules)
+    return np.where(np.isnan(above_m), np.uint8(Reason.MISSING), rules)

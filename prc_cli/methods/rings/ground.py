@@ -26,13 +26,15 @@ NEAR_M = 25.0
 """The plane is fitted up to this distance [m]."""
 HIGHEST_M, LOWEST_M, BIN_M = -0.3, -6.0, 0.1
 """Heights of the ground below a scanner, and the width of a bin of them [m]."""
-TRIMS_M = (0.6, 0.4, 0.3, 0.2, 0.2)
+TRIMS_M = (0.6, 0.35, 0.2, 0.2)
 """Heights this near to the plane fit the next one [m]."""
+EASE = 1e-6
+"""Added to the squares of places, so that those on one line have a plane, too [m2]."""
 FEWEST = 20
 """Lowest heights that make a plane."""
 UPSIDE_DOWN = 1.5
 """A scanner hangs upside down where so many times more heights agree with a plane above than with one below."""
-ROUNDS, CORRECTIONS = 12, 2
+ROUNDS, CORRECTIONS = 8, 2
 """Rounds of smoothing, and how often the surface is corrected."""
 
 
@@ -127,7 +129,8 @@ class Lowest:
             near = np.abs(places @ plane - heights) < trim_m
             if np.count_nonzero(near) < FEWEST:
                 return cls(low, GroundPlane(0.0, 0.0, float(plane[2]), up, 0))
-            plane = np.linalg.lstsq(places[near], heights[near], rcond=None)[0]
+            own = places[near]
+            plane = np.linalg.solve(own.T @ own + EASE * np.eye(3), own.T @ heights[near])
         n_cells = int(np.count_nonzero(np.abs(places @ plane - heights) < thresholds.plane_m))
         return cls(low, GroundPlane(float(plane[0]), float(plane[1]), float(plane[2]), up, n_cells))
 

@@ -20,8 +20,8 @@ _SHARES = np.array([1.0, 2.0, 1.0])
 def bin_places(xyz_m: F32, bins_per_root_m: float) -> tuple[F32, F64]:
     """Return in which bin of distance every shot is and where in it, and how every line looks around.
 
-    ``xyz_m`` (lines, M, 3) float32, metres; returns (lines, M) float32, NaN = missing, and the sums of the horizontal
-    directions of a line, (lines, 2) float64.
+    ``xyz_m`` (lines, M, 3) float32, metres; returns (lines, M) float32, NaN = missing, and the sums of x and y of a
+    line, (lines, 2) float64.
     """
     n_lines, m = xyz_m.shape[0], xyz_m.shape[1]
     place, heading = np.empty((n_lines, m), np.float32), np.zeros((n_lines, 2))
@@ -31,8 +31,8 @@ def bin_places(xyz_m: F32, bins_per_root_m: float) -> tuple[F32, F64]:
             distance = math.sqrt(x * x + y * y)
             place[line, i] = np.float32(math.sqrt(distance) * bins_per_root_m)
             if distance > 0.0:
-                heading[line, 0] += x / distance
-                heading[line, 1] += y / distance
+                heading[line, 0] += x
+                heading[line, 1] += y
     return place, heading
 
 
