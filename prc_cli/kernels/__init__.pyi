@@ -48,7 +48,6 @@ from prc_cli.methods.rings.cells_loops import low_plants as low_plants
 from prc_cli.methods.rings.cells_loops import mark_shots as mark_shots
 from prc_cli.methods.rings.cells_loops import mean_around as mean_around
 from prc_cli.methods.rings.cells_loops import measure_cells as measure_cells
-from prc_cli.methods.rings.ground_loops import bin_places as bin_places
 from prc_cli.methods.rings.ground_loops import heights_above as heights_above
 from prc_cli.methods.rings.ground_loops import lowest_heights as lowest_heights
 from prc_cli.methods.rings.ground_loops import smooth_surface as smooth_surface

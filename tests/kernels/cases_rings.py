@@ -10,7 +10,6 @@ from numpy.random import Generator
 
 from prc_cli.core.types import F32
 from prc_cli.methods.rings import cells_loops as cells
-from prc_cli.methods.rings import ground_loops as ground
 from prc_cli.methods.rings.thresholds import (
     CellThresholds,
     GroundThresholds,
@@ -43,15 +42,11 @@ def scene(rng: Generator) -> F32:
 
 def placed(rng: Generator) -> tuple[F32, F32]:
     xyz = scene(rng)
-    return xyz, ground.bin_places(xyz, ROOT)[0]
+    return xyz, np.sqrt(np.hypot(xyz[..., 0], xyz[..., 1])) * np.float32(ROOT)
 
 
 def above(xyz: F32, rng: Generator) -> F32:
     return (xyz[..., 2] + rng.choice([1.5, 1.25, 2.0])).astype(np.float32)
-
-
-def place_case(rng: Generator) -> tuple[Any, ...]:
-    return scene(rng), ROOT
 
 
 def lowest_case(rng: Generator) -> tuple[Any, ...]:
@@ -125,7 +120,6 @@ def plant_case(rng: Generator) -> tuple[Any, ...]:
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
-    "bin_places": place_case,
     "lowest_heights": lowest_case,
     "walk_outwards": walk_case,
     "smooth_surface": smooth_case,

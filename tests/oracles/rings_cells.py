@@ -105,7 +105,7 @@ def fill_cells(
         x, y = x + half - (p + 0.5) * size, y + half - (q + 0.5) * size
         bits = [bool(marks[at] & bit) for bit in (SMOOTH, ASKED, UPRIGHT)]
         sums[own] += [1, x, y, x * x, x * y, y * y, *bits]
-        levels[own] |= 1 << min(int(above[at] / thresholds.storey_m), 61)
+        levels[own] |= 1 << int(min(above[at] / thresholds.storey_m, 61.0))
     for at, (x, y, _) in _points(xyz_m, (above > thresholds.hem_m) & (above <= thresholds.foot_m) & ~leave_out):
         p, q = place(x, y)
         if 0 <= p < n and 0 <= q < n:

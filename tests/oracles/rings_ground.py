@@ -6,19 +6,9 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32, F64, Mask
 from prc_cli.methods.rings.thresholds import GroundThresholds
-
-
-def bin_places(xyz_m: F32, bins_per_root_m: float) -> tuple[F32, F64]:
-    x, y = xyz_m[..., 0].astype(np.float64), xyz_m[..., 1].astype(np.float64)
-    distance = np.sqrt(x * x + y * y)
-    heading = np.zeros((len(xyz_m), 2))
-    for line, i in np.argwhere(distance > 0):
-        heading[line] += x[line, i], y[line, i]
-    return (np.sqrt(distance) * bins_per_root_m).astype(np.float32), heading
 
 
 def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32:
@@ -33,7 +23,7 @@ def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins:
     return found
 
 
-def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, NDArray[np.bool_]]:
+def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, Mask]:
     n_sectors, n_bins = off_m.shape
     height, seen = np.empty(off_m.shape), np.zeros(off_m.shape, np.bool_)
     at = [(0.0, float(middle_m[0]), 0.0)] * n_sectors  # last height, where, slope
@@ -97,7 +87,8 @@ def heights_above(
         off = up * float(xyz_m[line, i, 2]) - between(near, far, at - b)
         above[line, i] = off
         distance = float(place[line, i]) / root
-        if abs(off) < thresholds.near_m + thresholds.near_per_m * distance * distance:
-            cell = line // sector_lines, min(int(place[line, i]), n_bins - 1)
+        limit = thresholds.near_m + thresholds.near_per_m * distance * distance
+        if place[line, i] < n_bins and abs(off) < limit:
+            cell = line // sector_lines, int(place[line, i])
             total[cell], number[cell] = total[cell] + off, number[cell] + 1
     return above, total, number

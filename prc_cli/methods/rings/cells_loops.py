@@ -183,7 +183,7 @@ def fill_cells(
             row[6] += mark & SMOOTH
             row[7] += (mark & ASKED) >> 1
             row[8] += (mark & UPRIGHT) >> 2
-            levels[own] |= 1 << min(int(above_m[line, i] / thresholds.storey_m), TOP_LEVEL)
+            levels[own] |= 1 << int(min(above_m[line, i] / thresholds.storey_m, float(TOP_LEVEL)))
     for line in range(n_lines):
         for i in range(m):
             if not above_m[line, i] > thresholds.hem_m or above_m[line, i] > thresholds.foot_m or leave_out[line, i]:

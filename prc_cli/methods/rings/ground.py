@@ -75,8 +75,11 @@ class Polar:
     @classmethod
     def of(cls, xyz_m: F32, thresholds: GroundThresholds) -> Polar:
         """Return the places of shots, (lines, M, 3) float32 [m]."""
-        place, heading = kernels.bin_places(xyz_m, BINS_PER_ROOT_M)
-        azimuth = _without_gaps(np.arctan2(heading[:, 1], heading[:, 0]), np.asarray(heading.any(axis=1)))
+        x, y = xyz_m[..., 0], xyz_m[..., 1]
+        place = np.sqrt(np.sqrt(x * x + y * y)) * np.float32(BINS_PER_ROOT_M)
+        # a line looks where its shots lie
+        along_x, along_y = (np.nansum(axis, axis=1, dtype=np.float64) for axis in (x, y))
+        azimuth = _without_gaps(np.arctan2(along_y, along_x), np.asarray(np.isfinite(place).any(axis=1)))
         steps = np.abs(np.diff(azimuth))
         step = float(np.median(steps)) if len(steps) else 0.0
         step = step if step > 0 else USUAL_STEP_RAD

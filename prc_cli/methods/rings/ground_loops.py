@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32, F64, Mask
 from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int64, kernel, record
 from prc_cli.methods.rings.thresholds import GroundThresholds
 
@@ -14,26 +14,6 @@ _FAR = 1e9
 _SIDES = np.array([-1, 0, 1])
 _SHARES = np.array([1.0, 2.0, 1.0])
 """Weights of the sectors beside a sector, and of itself."""
-
-
-@kernel(Tuple((float32[:, ::1], float64[:, ::1]))(float32[:, :, ::1], float64))
-def bin_places(xyz_m: F32, bins_per_root_m: float) -> tuple[F32, F64]:
-    """Return in which bin of distance every shot is and where in it, and how every line looks around.
-
-    ``xyz_m`` (lines, M, 3) float32, metres; returns (lines, M) float32, NaN = missing, and the sums of x and y of a
-    line, (lines, 2) float64.
-    """
-    n_lines, m = xyz_m.shape[0], xyz_m.shape[1]
-    place, heading = np.empty((n_lines, m), np.float32), np.zeros((n_lines, 2))
-    for line in range(n_lines):
-        for i in range(m):
-            x, y = float(xyz_m[line, i, 0]), float(xyz_m[line, i, 1])
-            distance = math.sqrt(x * x + y * y)
-            place[line, i] = np.float32(math.sqrt(distance) * bins_per_root_m)
-            if distance > 0.0:
-                heading[line, 0] += x
-                heading[line, 1] += y
-    return place, heading
 
 
 @kernel(float32[:, ::1](float32[:, :, ::1], float32[:, ::1], float64, int64, int64, float64))
@@ -71,7 +51,7 @@ def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins:
 
 
 @kernel(Tuple((float64[:, ::1], boolean[:, ::1]))(float32[:, ::1], float64[::1], record(GroundThresholds)))
-def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, np.ndarray]:
+def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, Mask]:
     """Follow the ground from cell to cell away from the scanner, in all sectors at once.
 
     A height is ground where it is near what the sector and those beside it let expect. ``off_m`` (sectors, bins)
@@ -179,8 +159,9 @@ def heights_above(
             off = up * float(xyz_m[line, i, 2]) - _between(row[b], row[b + 1], at - b)
             above[line, i] = np.float32(off)
             distance = float(place[line, i]) / root
-            if abs(off) < thresholds.near_m + thresholds.near_per_m * distance * distance:
-                b = min(int(place[line, i]), n_bins - 1)
+            limit = thresholds.near_m + thresholds.near_per_m * distance * distance
+            if place[line, i] < n_bins and abs(off) < limit:
+                b = int(place[line, i])
                 total[own, b] += off
                 number[own, b] += 1.0
     return above, total, number
