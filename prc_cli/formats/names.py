@@ -15,11 +15,11 @@ NAMES: dict[str, tuple[str, ...]] = {
     "scan_line": ("scan_line", "scanline", "line"),
     "column": ("column", "col"),
     "angle": ("angle", "scan_angle", "theta", "zenith", "azimuth"),
-    "time": ("gps_time", "gpstime", "time", "timestamp", "t"),
+    "time": ("gps_time", "gpstime", "time", "timestamp", "t", "offset_ns"),
     "intensity": ("intensity", "amplitude"),
     "return_number": ("return_number", "num_echo"),
     "number_of_returns": ("number_of_returns", "num_returns", "nb_of_echo"),
-    "ring": ("ring", "laser_id"),
+    "ring": ("ring", "laser_id", "laser_number"),
 }
 """Names of the standard dimensions, the first one present is used: in any case, with or without ``scalar_`` before and
 a unit behind (``range_m``, ``angle_gon``, ``time [us]``)."""

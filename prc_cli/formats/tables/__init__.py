@@ -1,4 +1,4 @@
-"""Tables: arrays and Parquet read by column, CSV and Parquet written with one row per cell."""
+"""Tables: arrays, Parquet and Feather read by column, CSV and Parquet written with one row per cell."""
 
 from prc_cli.formats.registry import Format
 
@@ -13,4 +13,5 @@ FORMATS = (
         codes=(".parquet",),
         open_codes="prc_cli.formats.labels:open_parquet_codes",
     ),
+    Format(name="Feather", scans=(".feather",), records="prc_cli.formats.tables.read:FeatherTable"),
 )

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.facts import SourceFacts
+from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import suffix_of
 from prc_cli.core.process import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.names import usual_names
-from prc_cli.formats.options import LayoutField, decode
+from prc_cli.formats.options import Layout, LayoutField, decode
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.registry import by_suffix
 
@@ -117,14 +117,12 @@ class ParquetTable:
 
     def __init__(self, path: Path) -> None:
         import pyarrow as pa
-        from pyarrow import parquet
 
         self._path = path
         try:
-            with parquet.ParquetFile(path) as file:
-                schema, self.n_records = file.schema_arrow, int(file.metadata.num_rows)
+            schema, self.n_records = self._measure()
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _damaged(path, error) from error
+            raise _damaged(self, error) from error
         numbers = [
             name
             for name, kind in zip(schema.names, schema.types, strict=True)
@@ -150,13 +148,52 @@ class ParquetTable:
         stored = tuple(dict.fromkeys(self._columns[name] for name in names))
         first = 0
         try:
-            for batch in read_batches(self._path, stored):
+            for batch in self._batches(stored):
                 read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
                 values = {name: _decoded(read[self._columns[name]], self._units.get(name)) for name in names}
                 yield RecordChunk(first, values, batch.num_rows)
                 first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _damaged(self._path, error) from error
+            raise _damaged(self, error) from error
+
+    def _measure(self) -> tuple[pa.Schema, int]:
+        """Return the columns and the number of rows."""
+        from pyarrow import parquet
+
+        with parquet.ParquetFile(self._path) as file:
+            return file.schema_arrow, int(file.metadata.num_rows)
+
+    def _batches(self, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
+        return read_batches(self._path, columns)
+
+
+class FeatherTable(ParquetTable):
+    """Reader of the numeric columns of a Feather file (Arrow IPC), such as a sweep of rings, as records.
+
+    Points with a ring, and x, y, z from the scanner, or from what ``input.range`` says, are frames of rings.
+    """
+
+    format = "Feather"
+    """Reader name."""
+
+    def __init__(self, path: Path, layout: Layout | None = None) -> None:
+        super().__init__(path)
+        if {"ring", *AXES} <= set(self.dimensions):
+            why = "the points have a ring, and x, y, z"
+            self.facts = SourceFacts(rules=(KnownRule("lines", "rings", why),))
+
+    def _measure(self) -> tuple[pa.Schema, int]:
+        with self._open() as file:
+            return file.schema, sum(file.get_batch(k).num_rows for k in range(file.num_record_batches))
+
+    def _batches(self, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
+        with self._open() as file:
+            yield from bounded(self._path, (file.get_batch(k).select(columns) for k in range(file.num_record_batches)))
+
+    def _open(self) -> pa.RecordBatchFileReader:
+        import pyarrow as pa
+
+        return pa.ipc.open_file(pa.memory_map(str(self._path)))
 
 
 _Place = TypeVar("_Place")
@@ -194,6 +231,6 @@ def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:
         raise ConfigError(source.path, f"no dimension {unknown[0]!r} in the file", f"it has: {known or 'none'}")
 
 
-def _damaged(path: Path, error: Exception) -> InputError:
+def _damaged(source: ParquetTable, error: Exception) -> InputError:
     text = " ".join(str(error).split())[:160]
-    return InputError(str(path), f"no whole Parquet file ({text})", "copy it from the archive again")
+    return InputError(source.path, f"no whole {source.format} file ({text})", "copy it from the archive again")

@@ -205,3 +205,19 @@ def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     result = prc("classify", tmp_path / "turned.bin", output, "--overwrite")
     assert result.code == 0, result.err
     assert (np.load(output) == codes).mean() > 0.99
+
+
+@pytest.mark.data
+def test_a_sweep_of_two_scanners_in_a_feather_file(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    """One hangs upside down; the file is in the frame of the vehicle."""
+    feather = pytest.importorskip("pyarrow.feather")
+    sweep, output = real_data / "av2" / "315966265259836000.feather", tmp_path / "labels.npy"
+    result = prc("classify", sweep, output, "--range", "origin:1.35,0,1.585")
+    assert result.code == 0, result.err
+    found = np.load(output).ravel() == 2
+    ground = feather.read_table(sweep.with_name(f"{sweep.stem}_labels.feather"))["is_ground"].to_numpy()
+    laser = feather.read_table(sweep)["laser_number"].to_numpy()
+    for scanner in (laser < 32, laser >= 32):
+        both = (found & ground)[scanner].sum()
+        assert both / found[scanner].sum() > 0.95
+        assert both / ground[scanner].sum() > 0.9
