@@ -122,7 +122,7 @@ class ParquetTable:
         try:
             schema, self.n_records = self._measure()
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _damaged(self, error) from error
+            raise _damaged(self._path, error, self.format) from error
         numbers = [
             name
             for name, kind in zip(schema.names, schema.types, strict=True)
@@ -154,7 +154,7 @@ class ParquetTable:
                 yield RecordChunk(first, values, batch.num_rows)
                 first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _damaged(self, error) from error
+            raise _damaged(self._path, error, self.format) from error
 
     def _measure(self) -> tuple[pa.Schema, int]:
         """Return the columns and the number of rows."""
@@ -231,6 +231,6 @@ def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:
         raise ConfigError(source.path, f"no dimension {unknown[0]!r} in the file", f"it has: {known or 'none'}")
 
 
-def _damaged(source: ParquetTable, error: Exception) -> InputError:
+def _damaged(path: Path, error: Exception, form: str = "Parquet") -> InputError:
     text = " ".join(str(error).split())[:160]
-    return InputError(source.path, f"no whole {source.format} file ({text})", "copy it from the archive again")
+    return InputError(str(path), f"no whole {form} file ({text})", "copy it from the archive again")
