@@ -118,7 +118,7 @@ def test_presets_are_listed_one_a_line() -> None:
     head, *rows = table.splitlines()
     assert head.split() == ["preset", "changed", "what", "for"]
     assert [row.split()[0] for row in rows] == list(PRESETS)
-    assert [int(row.split()[1]) for row in rows] == [1, 6, 1, 2, 1, 56]
+    assert [int(row.split()[1]) for row in rows] == [1, 6, 1, 2, 1, 1, 56]
     assert all(len(row) <= 150 and row.endswith(".") for row in rows)
     others = {path.name for path in FILES} - {preset_file(name).name for name in PRESETS}
     assert {row.split()[0] for row in samples.splitlines()[1:]} == others
