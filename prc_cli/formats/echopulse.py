@@ -21,8 +21,8 @@ from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64
 from prc_cli.formats.options import LayoutField, decode
-from prc_cli.formats.records import RecordChunk, standard_first
-from prc_cli.formats.text.dialect import shorten, to_number
+from prc_cli.formats.records import RecordChunk, shorten, standard_first
+from prc_cli.formats.text.dialect import to_number
 
 COUNT = "n_echo"
 """Array with the number of returns of every shot."""

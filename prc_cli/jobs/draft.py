@@ -14,6 +14,7 @@ from prc_cli.formats import open_source
 from prc_cli.formats.clouds.source import CloudSource
 from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
 from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.records import STANDARD_NAMES
 from prc_cli.formats.registry import is_dump
 from prc_cli.formats.text.read import TextSource
 from prc_cli.jobs.info import Inspection, inspect
@@ -105,8 +106,15 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
     if isinstance(source, TextSource):
         return _text_lines(source)
     if isinstance(source, CloudSource):
-        own = source.own_names
-        rows = [f"    {{ name = {_quoted(name)}, source = {_quoted(one)}{unit} }}," for name, one, unit in own]
+        rows = [
+            _field_line(
+                {"name": name, "source": one.name}
+                | ({"unit": one.item.unit} if one.item.unit else {})
+                | ({"offset": one.item.offset} if one.item.offset else {})
+            )
+            for name, one in source.columns.items()
+            if name in (*STANDARD_NAMES, "ring")
+        ]
         return ["", "[layout]", "fields = [", *rows, "]"], None
     return [], None
 
@@ -144,7 +152,7 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
     told = source.describe()
     first = next(iter(source.chunks(source.dimensions)), None)
     columns = {} if first is None else {name: np.asarray(values[:_ROWS]) for name, values in first.values.items()}
-    known = source.known_columns
+    known = [(name, int(one.key), one.item.unit) for name, one in source.columns.items() if name in STANDARD_NAMES]
     taken = {name for name, *_ in known}
     shown = {name: values for name, values in columns.items() if name not in taken}
     fields: list[dict[str, object]] = [
@@ -153,7 +161,7 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
     for column, name in guess_names(shown).items():
         if name in taken:
             continue
-        guessed: dict[str, object] = {"name": name, "source": source.column_of(column)}
+        guessed: dict[str, object] = {"name": name, "source": int(source.columns[column].key)}
         if name == "range":
             scale, missing = range_scale(shown[column])
             whole = bool(np.all(shown[column][np.isfinite(shown[column])] % 1 == 0))

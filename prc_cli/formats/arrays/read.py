@@ -198,6 +198,8 @@ class ArrayStream:
         return ScanBlock(
             first, ranges, record, time_s=time_s, xyz_m=xyz, intensity=intensity, angle_rad=self._angle_rad, tally=tally
         )
+
+
 def _check_rules(path: Path, config: InputConfig) -> None:
     """Refuse options that do not apply to a range image, which holds its lines, columns and ranges."""
     refuse_rules(

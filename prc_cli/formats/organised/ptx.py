@@ -34,7 +34,8 @@ from prc_cli.formats.organised.scans import (
     to_float32,
 )
 from prc_cli.formats.ranges import clean_ranges
-from prc_cli.formats.text.dialect import shorten, to_number
+from prc_cli.formats.records import shorten
+from prc_cli.formats.text.dialect import to_number
 from prc_cli.formats.text.lines import MAX_LINE_BYTES, too_long
 
 TEXT_BYTES = 4 << 20

@@ -41,16 +41,21 @@ class _Readable(Protocol):
     def read(self, n: int, /) -> bytes: ...
 
 
-def iter_lines(path: Path, block_bytes: int = BLOCK_BYTES) -> Iterator[Lines]:
-    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines."""
-    line, rest, at_start, n_bytes = 1, b"", True, 0
+def iter_lines(
+    path: Path, block_bytes: int = BLOCK_BYTES, *, span: tuple[int, int] | None = None, line: int = 1
+) -> Iterator[Lines]:
+    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines.
+
+    ``span``: only these bytes of it, of which the first is in this ``line``.
+    """
+    rest, at_start, n_bytes = b"", span is None, 0
     with _open(path) as handle:
         most = max(LEAST_BYTES, MAX_RATIO * path.stat().st_size) if path.suffix.lower() in _CODECS else None
-        while True:
-            found = _read(path, handle, block_bytes, line)
-            if not found:
-                break
+        if span is not None:
+            cast("BinaryIO", handle).seek(span[0])
+        while found := _read(path, handle, block_bytes if span is None else min(block_bytes, span[1] - span[0]), line):
             n_bytes += len(found)
+            span = None if span is None else (span[0] + len(found), span[1])
             if most is not None and n_bytes > most:
                 problem = f"unpacks to more than {n_bytes >> 20} MiB, over {MAX_RATIO} times its size"
                 raise InputError(str(path), problem, "unpack it first if it is what it should be")
