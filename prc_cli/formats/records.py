@@ -147,16 +147,13 @@ class FieldSource:
         """By dimension, standard names first."""
         self.body = body
         self.n_records = body.n_records
+        self.facts = SourceFacts()
+        """What the file says of itself beside its records."""
 
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver, standard names first."""
         return tuple(self.columns)
-
-    @property
-    def facts(self) -> SourceFacts:
-        """What the file says of itself beside its records."""
-        return SourceFacts()
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named fields in bounded memory, in the order of the file."""

@@ -29,7 +29,7 @@ def lines_of(data: bytes) -> list[bytes]:
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("read", [1, 3, 7, 100])
 def test_skipping_lines_equals_reading_them(monkeypatch: pytest.MonkeyPatch, seed: int, read: int) -> None:
-    monkeypatch.setattr(ptx, "TEXT_BYTES", read)
+    monkeypatch.setattr(ptx, "BLOCK_BYTES", read)
     rng = np.random.default_rng(seed)
     data = b"\n".join(b"x" * n for n in rng.integers(0, 6, 9).tolist()) + (b"" if seed % 3 else b"\n")
     every = lines_of(data)

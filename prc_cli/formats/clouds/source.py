@@ -131,17 +131,12 @@ class CloudSource(FieldSource):
             )
             rules += [rule for rule in rings if rule.key not in {one.key for one in head.rules}]
         rules += angle_rules(found["angle"].name if "angle" in found else None)
-        self._facts = SourceFacts(
+        self.facts = SourceFacts(
             points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
             rules=tuple(rules),
             notes=tuple(notes),
             describe=lambda: dict(head.described),
         )
-
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the file."""
-        return self._facts
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named properties in bounded memory, in the order of the file."""

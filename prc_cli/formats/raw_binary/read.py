@@ -82,6 +82,7 @@ class RawBinarySource(FieldSource):
         n_records = _count(path, layout.header_bytes, dtype.itemsize)
         body = BinaryBody(path, dtype, layout.header_bytes, n_records, chunk_records)
         super().__init__(path, FORMAT, layout_columns(layout), body)
+        self.facts = SourceFacts(describe=self.describe, align_chunks=self.align_chunks)
 
     def align_chunks(self, n_records: int) -> None:
         """Decode a multiple of this many records at a time, where the limits allow.
@@ -90,11 +91,6 @@ class RawBinarySource(FieldSource):
         """
         n_at_once = self.body.n_at_once
         self.body.chunk_records = max(1, n_at_once // n_records) * min(n_records, n_at_once)
-
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the file."""
-        return SourceFacts(describe=self.describe, align_chunks=self.align_chunks)
 
     def describe(self) -> dict[str, Any]:
         """Return the layout as plain values for JSON, for ``prc info``."""

@@ -223,13 +223,8 @@ class TextSource(FieldSource):
         hint = f"; is {self.text.delimiter!r} the delimiter?" if n == 1 else ""
         columns = find_columns(where, names, layout, tuple(map(str, range(n))), hint)
         super().__init__(path, "text", columns, TextBody(path, self.text, block_bytes))
-
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the file."""
-        angle = self.columns.get("angle")
-        rules = angle_rules(None if angle is None else angle.name)
-        return SourceFacts(notes=self.notes, rules=rules, describe=self.describe)
+        rules = angle_rules(columns["angle"].name if "angle" in columns else None)
+        self.facts = SourceFacts(notes=self.notes, rules=rules, describe=self.describe)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import I64
 from prc_cli.formats.organised import e57_read as read
-from prc_cli.formats.organised.e57_file import CARTESIAN, SPHERICAL
-from prc_cli.formats.organised.e57_read import E57Stream
+from prc_cli.formats.organised.e57_read import CARTESIAN, SPHERICAL, E57Stream
 from prc_cli.formats.organised.scans import Pose, ScanShape, in_turn
 
 
