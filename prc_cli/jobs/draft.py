@@ -109,8 +109,7 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
         rows = [
             _field_line(
                 {"name": name, "source": one.name}
-                | ({"unit": one.item.unit} if one.item.unit else {})
-                | ({"offset": one.item.offset} if one.item.offset else {})
+                | one.item.model_dump(include={"unit", "offset"}, exclude_defaults=True)
             )
             for name, one in source.columns.items()
             if name in (*STANDARD_NAMES, "ring")
@@ -124,22 +123,17 @@ def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
     if found is None:
         problem = "nothing repeats in its bytes, expected records of one size"
         raise InputError(str(path), problem, "write the layout by hand: docs, Input formats, Raw binary")
-    rows, fields = [], []
-    for field in found.fields:
-        values: dict[str, object] = {"name": field.name, "type": field.kind}
-        if field.scale != 1.0:
-            values["scale"] = field.scale
-        if field.missing is not None:
-            values["missing"] = field.missing
-        fields.append(values)
-        rows.append(_field_line(values))
+    rows = [
+        _field_line(
+            {"name": field.name, "type": field.type}
+            | field.model_dump(include={"scale", "missing"}, exclude_defaults=True)
+        )
+        for field in found.fields
+    ]
     lines = [
         "", "[layout]", f"header_bytes = {found.header_bytes}", f'endian = "{found.endian}"', "fields = [", *rows, "]",
     ]  # fmt: skip
-    layout = Layout.model_validate(
-        {"header_bytes": found.header_bytes, "endian": found.endian, "fields": tuple(fields)}
-    )
-    return lines, layout
+    return lines, found
 
 
 def _field_line(values: dict[str, object]) -> str:
