@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -75,13 +74,8 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         is_empty = next(iter_lines(path, HEAD_BYTES), None) is None
         problem = "the file is empty" if is_empty else "only comments and blank lines"
         raise InputError(str(path), f"{problem}, expected a record a row", "copy it from the archive again")
-    skipped = None
-    if (
-        path.suffix.lower() == ".pts"
-        and len(rows) > 1
-        and rows[0][1].strip().isdecimal()
-        and len(rows[1][1].split()) > 1
-    ):
+    skipped, is_pts = None, path.suffix.lower() == ".pts" and len(rows) > 1
+    if is_pts and rows[0][1].strip().isdecimal() and len(rows[1][1].split()) > 1:
         # Leica's files begin with the number of points
         skipped, rows = rows[0][0], rows[1:]
     is_found = layout is None or not {"delimiter", "fields"} & layout.model_fields_set
@@ -108,8 +102,10 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
 
 def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
     """Return number and text of the first rows, comments and blank lines left out."""
-    decoded = []
-    for number, line in islice(_rows(path, draft), SNIFFED_ROWS):
+    decoded: list[tuple[int, str]] = []
+    blocks = (enumerate(block.data.split(b"\n"), block.first) for block in iter_lines(path, HEAD_BYTES))
+    rows = ((number, line) for block in blocks for number, line in block if draft.is_row(line))
+    for number, line in islice(rows, SNIFFED_ROWS):
         try:
             decoded.append((number, line.decode("utf-8").rstrip("\r")))
         except UnicodeDecodeError as error:
@@ -119,14 +115,6 @@ def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
                 raise InputError(f"{path}: line {number}", problem, _RECODE) from error
             decoded.append((number, line.decode("latin-1").rstrip("\r")))
     return decoded
-
-
-def _rows(path: Path, draft: TextFormat) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of the lines that are neither blank nor comments."""
-    for block in iter_lines(path, HEAD_BYTES):
-        for number, line in enumerate(block.data.split(b"\n"), block.first):
-            if draft.is_row(line):
-                yield number, line
 
 
 _RECODE = "convert it: iconv -f ISO-8859-1 -t UTF-8 IN > OUT"
