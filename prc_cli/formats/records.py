@@ -164,9 +164,13 @@ class FieldSource:
 
     def decoded(self, first: int, stored: Stored, names: tuple[str, ...], n: int) -> RecordChunk:
         """Return stored values as dimensions."""
-        return RecordChunk(
-            first, {name: decode(stored[self.columns[name].key], self.columns[name].item) for name in names}, n
-        )
+        keys = [self.columns[name].key for name in names]
+        values = {}
+        for name, key in zip(names, keys, strict=True):
+            # values are decoded in place where no other dimension needs them
+            column = stored[key].copy() if keys.count(key) > 1 else stored[key]
+            values[name] = decode(column, self.columns[name].item)
+        return RecordChunk(first, values, n)
 
 
 @dataclass(frozen=True)

@@ -207,6 +207,15 @@ def test_a_layout_with_numbers_for_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["1"], [9, 9])
 
 
+def test_two_fields_of_one_column(tmp_path: Path) -> None:
+    fields = (LayoutField(name="range", source=0, scale=0.5), LayoutField(name="raw", source=0, missing=2))
+    path = write(tmp_path, "2,1\n,1\n8,1\n")
+    for asked in (("range", "raw"), ("raw", "range")):
+        found = read(TextSource(path, Layout(fields=fields)), *asked)
+        np.testing.assert_array_equal(found["range"], [1, NAN, 4])
+        np.testing.assert_array_equal(found["raw"], [NAN, NAN, 8])
+
+
 def test_a_layout_with_names_for_columns(tmp_path: Path) -> None:
     fields = (LayoutField(name="range", source="Dist", scale=0.01), LayoutField(name="scan_line"))
     source = TextSource(write(tmp_path, "LINE,dist,range\n3,250,1\n"), Layout(fields=fields))
