@@ -146,7 +146,7 @@ def _find_source(where: str, names: Sequence[str], item: LayoutField, position: 
     if isinstance(source, int):
         if not 0 <= source < len(names):
             problem = f"no column {source} for field {item.name!r}, expected 0 to {len(names) - 1}"
-            raise InputError(where, problem, f"give its number from 0, or its name{hint}")
+            raise InputError(where, problem, f"the file has {len(names)} columns{hint}")
         return source
     name = item.name if source is None else source
     plain = [one.lower().removeprefix("scalar_") for one in names]
