@@ -274,7 +274,7 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
     """Return the coordinate frame: as configured, or the default one if an SBET is written."""
     asked = None if isinstance(settings, StationSettings) else settings.frame
     if asked is not None:
-        return Frame(**asked.model_dump())
+        return asked
     is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in SBET_SUFFIXES
     return Frame() if is_sbet else WORLD
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.sensor import Measured, goes_behind, scan
 from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
 from prc_cli.simulation.upright import static_labels
-from prc_cli.simulation.world import Bodies
+from prc_cli.simulation.world import Bodies, BodiesNear
 
 LINES_AT_ONCE = 64
 """Lines that are simulated together, always the same ones, so that nothing depends on the blocks that are asked for."""
@@ -33,9 +32,6 @@ INTENSITY_SCALE = np.float32(4096.0)
 
 KERNELS_OF_SIMULATOR = frozenset({"simulation"})
 """Modules of the compiled loops."""
-
-BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]
-"""Bodies around x, y within a radius [m] at a time [s]."""
 
 
 @dataclass(frozen=True, slots=True)

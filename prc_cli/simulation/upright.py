@@ -26,15 +26,9 @@ _LABELS: dict[Material, Label] = {
 }
 """Materials whose label does not ask how they lie and is not the one of :data:`PROPERTIES`."""
 _ASKED = (
-    Material.WALL,
-    Material.GLASS,
-    Material.DOOR,
-    Material.BALCONY,
-    Material.ROOF,
-    Material.FENCE,
-    Material.POLE,
+    Material.WALL, Material.GLASS, Material.DOOR, Material.BALCONY, Material.ROOF, Material.FENCE, Material.POLE,
     Material.SIGN,
-)
+)  # fmt: skip
 """Materials that are VERTICAL or HORIZONTAL."""
 
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F64, I32, I64, Mask
+from prc_cli.core.types import F64, I32, Mask
 from prc_cli.simulation.thresholds import CastBodies
 
 U64: TypeAlias = NDArray[np.uint64]
@@ -26,7 +26,6 @@ def cast_shots(
     t_min: F64,
     first_shot: int,
     bodies: CastBodies,
-    order: I64,
     quantiles: F64,
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; see :func:`prc_cli.simulation.casting_loops.cast_shots`."""

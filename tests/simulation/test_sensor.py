@@ -340,9 +340,9 @@ def test_panes_mirror_by_their_number_whatever_else_is_in_sight() -> None:
 
 
 def test_no_lines_and_no_bodies_give_nothing() -> None:
-    found = scan(hits(0.0, -1, lines=0), Bodies.none(), CW, 0, SEED)
+    found = scan(hits(0.0, -1, lines=0), Bodies.join([]), CW, 0, SEED)
     assert found.range_m.shape == (0, 100)
-    found = scan(hits(0.0, -1, lines=2), Bodies.none(), CW, 0, SEED)
+    found = scan(hits(0.0, -1, lines=2), Bodies.join([]), CW, 0, SEED)
     assert np.isnan(found.range_m).all()
 
 
