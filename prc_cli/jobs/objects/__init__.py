@@ -33,8 +33,7 @@ from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record, usual_labels
 from prc_cli.jobs.convert import check_unchanged, open_items
-from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing
-from prc_cli.jobs.objects.runs import runs_of
+from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing, runs_of
 from prc_cli.jobs.objects.write import check_suffix, open_things
 from prc_cli.jobs.progress import advance
 from prc_cli.methods.base import Wanted
@@ -248,7 +247,7 @@ class _Run:
             raise InputError(str(self._source), "no beam angles, expected those of every column", "see prc info")
         grower = self._growers.setdefault(block.scanner, Grower(block.scanner, self._rules))
         runs = runs_of(labelled, tuple(self._rules), item.registered_m)
-        for line, of_line in groupby(runs, attrgetter("line")):
+        for line, of_line in groupby(runs, attrgetter("last_line")):
             yield from grower.add(of_line, line)
         yield from grower.add((), block.first_line + block.n_lines)
 
