@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.config import LoadedConfig, MethodChoice
+from prc_cli.core.brief import finite
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
@@ -117,7 +118,7 @@ class Inspection:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
-        table: dict[str, Any] = _plain(asdict(self))
+        table: dict[str, Any] = finite(asdict(self))
         table["contents"] = None if self.contents is None else self.contents.as_dict()
         table["classifiable"] = not self.problem
         table["doubts"] = [one.check for one in self.doubts]
@@ -474,13 +475,3 @@ def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
         return open_grid(_UnitRanges(source), inputs.model_copy(update={"range": "dimension:range"}))
     except (InputError, ConfigError):
         return None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

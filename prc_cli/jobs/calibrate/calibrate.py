@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ from prc_cli.jobs.calibrate.search import (
     axes_of,
     check_objective,
     confusion,
-    objective_value,
+    figure,
+    figures,
     split_groups,
     with_values,
 )
@@ -107,24 +109,12 @@ class Calibration(Brief):
             "sensor": self.sensor.as_dict(),
             "curves": self.curves.as_dict(1.0, 1.0),
             "supported_share": _share(self.curves, support.zeta_p, support.zeta_s),
-            "advice": [
-                {"key": item.key, "before": item.before, "value": item.value, "reason": item.reason}
-                for item in self.advice
-            ],
+            "advice": [asdict(item) for item in self.advice],
             "notes": list(self.notes),
             "doubts": [doubt.as_dict() for doubt in self.doubts],
         }
-        if (found := self.search) is not None:
-            table["search"] = {
-                "objective": found.objective,
-                "values": found.values,
-                "n_trials": found.n_trials,
-                "n_training_shots": found.n_training_shots,
-                "n_held_out_shots": found.n_held_out_shots,
-                "n_training_groups": found.n_training_groups,
-                "n_held_out_groups": found.n_held_out_groups,
-                "judged": [item.as_dict(found.objective) for item in found.judged],
-            }
+        if self.search is not None:
+            table["search"] = asdict(self.search)
         return table
 
 
@@ -181,9 +171,8 @@ def calibrate(
         mapping, codes = prepared
         n_records = stream.info.n_records or n_records
         training, held_out = _groups(stream, run, (codes, mapping), search, lines, n_records, progress)
-        found = _search(run, advice, mapping, (training, held_out), search, tried)
-        advice = _found_advice(advice, found, run)
-        notes = (*notes, *_blind(found), *_doubts(found))
+        found, doubted = _search(run, advice, mapping, (training, held_out), search, tried)
+        advice, notes = _found_advice(advice, found, run), (*notes, *doubted)
     values = {item.key: item.value for item in advice}
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(loaded.config, values), sources=sources)
@@ -271,7 +260,7 @@ def _groups(
                     block, record=None, time_s=None, intensity=None, extra=type(block.extra).none(), next_m=None,
                     first_line=0, scanner=0, is_last=True,
                 )  # fmt: skip
-                groups.append(Group((light,), (truth,)))
+                groups.append(Group(light, truth))
             at += 1
         del classes
     return tuple(groups[i] for i in training), tuple(groups[i] for i in held_out)
@@ -303,36 +292,34 @@ def _search(
     groups: tuple[tuple[Group, ...], tuple[Group, ...]],
     search: SearchOptions,
     tried: Tried | None,
-) -> SearchResult:
+) -> tuple[SearchResult, tuple[str, ...]]:
+    """Search, and judge what was found; also return what the user has to know of it."""
     training, held_out = groups
     for name, side in (("training", training), ("held-out", held_out)):
-        if not any((truth >= 0).any() for group in side for truth in group.reference):
+        if not any((group.reference >= 0).any() for group in side):
             problem = f"no {name} line has a class that is scored"
             raise InputError(str(search.reference), problem, "choose another --seed or --training-share")
     implied = {item.key: item.value for item in advice}
     axes = axes_of(config, search.keep)
     kept = with_values(config, {key: implied[key] for key in search.keep if key in implied})
-    m = training[0].blocks[0].points_per_line
+    m = training[0].block.points_per_line
     configured = {axis.key: _configured(config, axis.key, m) for axis in axes}
     start = {key: float(implied.get(key, value)) for key, value in configured.items()}
     searcher = Searcher(kept, mapping, training, search.objective, max(2, search.budget), axes, tried)
     values = searcher.run((configured, start))
-    judged = []
-    for name, these in (("configured", {}), ("from the sensor", implied), ("search", {**implied, **values})):
-        other = with_values(config, these)
-        sides = [scores(confusion(side, other, mapping)) for side in groups]
-        judged.append(Judged(name, *sides))
-    return SearchResult(
-        objective=search.objective,
-        values=values,
-        n_trials=searcher.n_trials,
-        n_training_shots=sum(group.n_shots for group in training),
-        n_held_out_shots=sum(group.n_shots for group in held_out),
-        n_training_groups=len(training),
-        n_held_out_groups=len(held_out),
-        judged=tuple(judged),
-        history=tuple(searcher.history),
-    )
+    tables = {"configured": {}, "from the sensor": implied, "search": {**implied, **values}}
+    judged, has_noise = [], False
+    for name, these in tables.items():
+        sides = [scores(confusion(side, with_values(config, these), mapping)) for side in groups]
+        has_noise = has_noise or any(one.name == "noise" and one.n_reference for one in sides[0].classes)
+        judged.append(Judged(name, *(figures(side, search.objective) for side in sides)))
+    notes = (*_blind(values, has_noise=has_noise), *_doubts(judged, search.objective))
+    n_training, n_held_out = (sum(group.block.range_m.size for group in side) for side in groups)
+    result = SearchResult(
+        search.objective, values, searcher.n_trials, n_training, n_held_out, len(training), len(held_out),
+        tuple(judged),
+    )  # fmt: skip
+    return result, notes
 
 
 def _configured(config: RunConfig, key: str, points_per_line: int) -> float:
@@ -373,23 +360,22 @@ def _notes(sensor: SensorEstimate) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _blind(found: SearchResult) -> tuple[str, ...]:
+def _blind(values: Iterable[str], *, has_noise: bool) -> tuple[str, ...]:
     """Warn that wide thresholds are not penalised if the reference has no noise class."""
-    counts = {item.name: item.n_reference for item in found.judged[0].training.classes}
-    if any(key.startswith("prc.support.") for key in found.values) and not counts.get("noise", 0):
-        return (
-            "the reference holds no noise, so nothing speaks against wide thresholds: where noise matters, "
-            "keep those of the sensor with --keep prc.support.zeta_p --keep prc.support.zeta_s",
-        )
-    return ()
+    if has_noise or not any(key.startswith("prc.support.") for key in values):
+        return ()
+    return (
+        "the reference holds no noise, so nothing speaks against wide thresholds: where noise matters, "
+        "keep those of the sensor with --keep prc.support.zeta_p --keep prc.support.zeta_s",
+    )
 
 
-def _doubts(found: SearchResult) -> tuple[str, ...]:
+def _doubts(judged: Sequence[Judged], objective: str) -> tuple[str, ...]:
     """Warn if the result of the search is worse on held-out lines than its start."""
-    value = {item.name: objective_value(item.held_out, found.objective) for item in found.judged}
+    value = {item.name: figure(item.held_out, objective) for item in judged}
     return tuple(
         f"on the held-out lines the values {'as configured' if name == 'configured' else name} reach "
-        f"{found.objective} {value[name]:.3f}, those of the search {value['search']:.3f}: the training lines are too "
+        f"{objective} {value[name]:.3f}, those of the search {value['search']:.3f}: the training lines are too "
         "few or too unlike them"
         for name in list(value)[:-1]
         if value[name] > value["search"]
