@@ -19,8 +19,8 @@ from prc_cli.cli.safe import printable_lines
 from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
-from prc_cli.jobs.calibrate.calibrate import Calibration, SearchOptions
-from prc_cli.jobs.calibrate.calibrate import calibrate as calibrate_file
+from prc_cli.jobs.calibrate import Calibration, SearchOptions
+from prc_cli.jobs.calibrate import calibrate as calibrate_file
 from prc_cli.jobs.calibrate.reports import (
     CURVE_HEADER,
     advice_rows,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from prc_cli.core.pages import render_page
-from prc_cli.core.types import F64, I64, U8
+from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import bounds, fullest_azimuth
 from prc_cli.imaging.pictures import colour_map, range_limits, value_limits
 from prc_cli.imaging.sheet import Key, Panel, draw_panel
@@ -199,19 +199,7 @@ def _plane(each: Values, limits: tuple[float, float] | None) -> tuple[dict[str, 
 
 
 def pack(whole: NDArray[np.uint32], n_bytes: int) -> str:
-    """Return integers below 256 ** n_bytes, (n,) uint32, as text; :func:`unpack` turns it back.
-
-    >>> unpack(pack(np.array([5, 70_000, 0], np.uint32), 3), 3).tolist()
-    [5, 70000, 0]
-    """
+    """Return integers below 256 ** n_bytes, (n,) uint32, as text."""
     steps = np.diff(whole, prepend=np.uint32(0)).astype("<u4")
     planes = steps.view(np.uint8).reshape(-1, 4).T[:n_bytes]
     return base64.b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)).decode("ascii")
-
-
-def unpack(text: str, n_bytes: int) -> I64:
-    """Return the integers of :func:`pack`, (n,) int64, as the page decodes them."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(n_bytes, -1).astype(np.int64)
-    steps = sum(planes[k] << (8 * k) for k in range(n_bytes))
-    found: I64 = np.cumsum(steps) % 256**n_bytes
-    return found

@@ -15,7 +15,7 @@ from prc_cli.core.brief import finite
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
-from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
+from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, Verdict, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32, F64
 from prc_cli.formats import LAS_SUFFIXES, open_source
@@ -69,7 +69,7 @@ class StreamFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Inspection:
+class Inspection(Doubted):
     """Everything ``prc info`` prints of one file."""
 
     path: str
@@ -104,11 +104,6 @@ class Inspection:
     """What the records hold; None where the file is no list of records."""
     missing: tuple[str, ...] = ()
     """Every option of the command line that is still needed, with what was measured."""
-
-    @property
-    def doubts(self) -> tuple[Finding, ...]:
-        """Findings that the user has to look at."""
-        return doubts(self.findings)
 
     @property
     def not_asked(self) -> tuple[str, ...]:
@@ -187,21 +182,22 @@ def _inspect_records(
         )
         if "range" in source.dimensions:
             inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(first_ranges(source)))
-        if not inspection.mend and _lacks_lines(source, loaded.config.input):
+        inputs = loaded.config.input
+        is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
+        # only the times can say where lines and columns are
+        if not inspection.mend and is_asked and only_times_tell(source) and inputs.points_per_line is None:
             inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection
     found = _describe(path, source, stream, order, refusal, judged=judged)
     found = _with_other_rates(found, source, loaded.config.input)
-    if found.problem or not judged or found.facts is None or not _is_odd(found.facts.tally):
+    if found.problem or not judged or found.facts is None:
         return found
+    tally = found.facts.tally
+    if not (tally.n_time_steps_back or tally.n_unplaced or tally.n_collisions):
+        return found
+    # its order was trusted: under its own rules it may be refused
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
-
-
-def _lacks_lines(source: RecordSource, inputs: InputConfig) -> bool:
-    """Tell whether only the times can say where lines and columns are."""
-    is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
-    return is_asked and only_times_tell(source) and inputs.points_per_line is None
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
@@ -286,11 +282,6 @@ def _with_estimate(path: Path, loaded: LoadedConfig, refused: Inspection, period
         return refused
     option = f"-M {estimate}"
     return replace(refused, hint=f"give {option}: the ranges repeat after so many shots", mend=option)
-
-
-def _is_odd(tally: ReadTally) -> bool:
-    """Tell whether an input that was read with its order trusted may be refused where it is not."""
-    return bool(tally.n_time_steps_back or tally.n_unplaced or tally.n_collisions)
 
 
 def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:

@@ -1,4 +1,4 @@
-"""The loop that finds the nearest surface of every shot of a simulated scan.
+"""The loops that aim the shots of a simulated scan, and find the nearest surface of every shot.
 
 The shots of a line lie nearly in one plane, and their angle within it rises or falls with the column. Hence bodies are
 first intersected with the plane of the line; the intersection covers a window of columns. How far the shots stray from
@@ -711,9 +711,41 @@ def cast_shots(
                         rays, start, stop, velocity[b], ready[b], shape[b], b, leaves, quantiles, near, near_body
                     )
         for i in range(n_columns):
-            b = np.int64(near_body[i])
+            b = int(near_body[i])
             facing[line, i] = 0.0
             if b >= 0:
                 leaves = (number[b], 0.5 * density[b], shot + i)
                 facing[line, i] = _facing(rays, i, velocity[b], ready[b], shape[b], leaves, near[i])
     return t, body, facing
+
+
+@kernel("Tuple((float64[:, :, ::1], float64[:, :, ::1]))(float64[:, :, ::1], float64[:, :, :, ::1], float64[:, ::1])")
+def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
+    """Place and turn every shot of every line, straight between the poses around it.
+
+    ``position`` (lines, k + 1, 3) float64, metres; ``turn`` (lines, k + 1, 3, 3) float64; ``columns`` (M, 3) float64;
+    returns ``origin`` (lines, M, 3) float64, ``direction`` (lines, M, 3) float64.
+    """
+    n_lines, n_knots = position.shape[0], position.shape[1] - 1
+    m = columns.shape[0]
+    origin = np.empty((n_lines, m, 3))
+    direction = np.empty((n_lines, m, 3))
+    for line in range(n_lines):
+        for column in range(m):
+            place = column * n_knots / m
+            k = int(place)
+            late = place - k
+            x, y, z = columns[column, 0], columns[column, 1], columns[column, 2]
+            square = 0.0
+            for i in range(3):
+                before = position[line, k, i]
+                origin[line, column, i] = before + late * (position[line, k + 1, i] - before)
+                here = turn[line, k, i, 0] * x + turn[line, k, i, 1] * y + turn[line, k, i, 2] * z
+                after = turn[line, k + 1, i, 0] * x + turn[line, k + 1, i, 1] * y + turn[line, k + 1, i, 2] * z
+                along = here + late * (after - here)
+                direction[line, column, i] = along
+                square += along * along
+            length = np.sqrt(square)
+            for i in range(3):
+                direction[line, column, i] /= length
+    return origin, direction

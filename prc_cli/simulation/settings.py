@@ -24,7 +24,7 @@ from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.street.params import CHARACTERS, VARIED, StreetSceneParams
+from prc_cli.simulation.street.plan import CHARACTERS, VARIED, StreetSceneParams
 from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.trajectory import MOTIONS, Frame, MotionParams, Station, Trajectory
 

@@ -17,7 +17,7 @@ from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.evaluation.scores import gate_value, scores
-from prc_cli.jobs.calibrate.calibrate import SearchOptions, calibrate
+from prc_cli.jobs.calibrate import SearchOptions, calibrate
 from prc_cli.jobs.calibrate.curves import CurveCounter, Curves, thresholds
 from prc_cli.jobs.calibrate.implied import Advice
 from prc_cli.jobs.calibrate.reports import (

@@ -11,7 +11,7 @@ from prc_cli.core.types import F64
 
 
 def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
-    """Place and turn every shot; see :func:`prc_cli.simulation.shots_loops.aim_shots`."""
+    """Place and turn every shot; see :func:`prc_cli.simulation.casting_loops.aim_shots`."""
     n_lines, n_knots, m = len(position), position.shape[1] - 1, len(columns)
     origin, direction = np.empty((n_lines, m, 3)), np.empty((n_lines, m, 3))
     for line, column in np.ndindex(n_lines, m):

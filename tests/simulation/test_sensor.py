@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -27,8 +27,7 @@ CW = SCANNERS["photon-80"].changed(
 PULSED = CW.changed(principle="pulsed", ambiguity_m=0.0, pulse_m=0.45, max_returns=4, min_range_m=0.3)
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     t: F64
     body: I32
     facing: F64

@@ -162,7 +162,7 @@ def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | N
     )
     start = np.flatnonzero(is_new)
     stop = np.append(start[1:], len(at))
-    placed = np.isfinite(xyz).all(axis=1)
+    placed = np.asarray(np.isfinite(xyz).all(axis=1))
     total = np.add.reduceat(
         np.column_stack([side, range_m, beam, placed.astype(np.float64), np.where(placed[:, None], xyz, 0.0), sure]),
         start,

@@ -10,10 +10,9 @@ import numpy as np
 from prc_cli.core.types import F64
 from prc_cli.simulation.street.houses import build_houses
 from prc_cli.simulation.street.movers import Movers
-from prc_cli.simulation.street.params import StreetSceneParams
 from prc_cli.simulation.street.pieces import build_kerbs, kerbsides
 from prc_cli.simulation.street.pile import Pile, outlines
-from prc_cli.simulation.street.plan import PIECE_M, Purpose, generator, plan_of
+from prc_cli.simulation.street.plan import PIECE_M, Purpose, StreetSceneParams, generator, plan_of
 from prc_cli.simulation.street.road import LANE_M, Centreline, Ground
 from prc_cli.simulation.world import Bodies
 
