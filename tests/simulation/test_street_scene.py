@@ -7,9 +7,9 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.simulation.casting import cast
-from prc_cli.simulation.street import StreetScene, StreetSceneParams
 from prc_cli.simulation.street.movers import TIME_STEP_S
-from prc_cli.simulation.street.plan import CHARACTERS, ROAD_HALF_M, VARIED, plan_of
+from prc_cli.simulation.street.plan import CHARACTERS, ROAD_HALF_M, VARIED, StreetSceneParams, plan_of
+from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.world import Bodies, Material, Shape
 
 GROUND = [Material.ASPHALT, Material.SIDEWALK, Material.CURB, Material.GRASS, Material.SOIL]

@@ -1,7 +1,7 @@
 """Calibration: estimates the sensor's properties from a stream, and derives parameters from them.
 
-:mod:`.curves` counts support and background at all thresholds, :mod:`.sensor` measures noise and steps, :mod:`.implied`
-turns both into parameters, :mod:`.search` tries parameters against a reference in a second pass.
+:mod:`.sensor` measures noise and steps, :mod:`.implied` counts support and background at all thresholds and turns both
+into parameters, :mod:`.search` tries parameters against a reference in a second pass.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from prc_cli.evaluation.confusion import refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.scores import scores
 from prc_cli.formats.labels import CodeSource, open_codes
-from prc_cli.jobs.calibrate.curves import CurveCounter, Curves
-from prc_cli.jobs.calibrate.implied import Advice, imply
+from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply
 from prc_cli.jobs.calibrate.search import (
     MEAN_F1,
     Group,
@@ -106,7 +105,7 @@ class Calibration(Doubted):
             "path": self.path,
             "sensor": self.sensor.as_dict(),
             "curves": self.curves.as_dict(1.0, 1.0),
-            "supported_share": _share(self.curves, support.zeta_p, support.zeta_s),
+            "supported_share": self.curves.share(support.zeta_p, support.zeta_s),
             "advice": [asdict(item) for item in self.advice],
             "notes": list(self.notes),
             "doubts": [doubt.as_dict() for doubt in self.doubts],
@@ -378,13 +377,6 @@ def _doubts(judged: Sequence[Judged], objective: str) -> tuple[str, ...]:
         for name in list(value)[:-1]
         if value[name] > value["search"]
     )
-
-
-def _share(curves: Curves, zeta_p: float, zeta_s: float) -> float | None:
-    try:
-        return curves.share(zeta_p, zeta_s)
-    except KeyError:
-        return None
 
 
 __all__ = ["Calibration", "SearchOptions", "calibrate"]
