@@ -20,7 +20,7 @@ CHARACTERS: tuple[Character, ...] = ("residential", "terraces", "suburb", "boule
 class StreetSceneParams(Params):
     """A street of any length and the objects along it."""
 
-    character: Literal["mixed"] | Character = Field(
+    character: Literal["mixed", "residential", "terraces", "suburb", "boulevard"] = Field(
         "mixed", description="what the street is like; mixed = it changes along its length"
     )
     curves: float = Field(1.0, ge=0, le=1.5, description="factor on the curves; 0 = a straight street")
