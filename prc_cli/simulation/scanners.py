@@ -130,6 +130,10 @@ class Scanner(Params):
         """Return when the first shot of every line is made, (n_lines,) float64 [s]."""
         return np.arange(first_line, first_line + n_lines, dtype=np.float64) / self.line_hz
 
+    def changed(self, **values: Any) -> Scanner:
+        """Return the scanner with other values for some keys."""
+        return Scanner(**{**self.model_dump(), **values})
+
 
 _FARO_NOISE: dict[str, Any] = {
     "principle": "cw", "ambiguity_m": 153.49, "noise_m": 0.0003, "noise_per_m": 0.00003, "min_range_m": 0.6,

@@ -22,7 +22,7 @@ def test_profilers_have_the_published_rates(name: str, line_hz: float, points: i
 
 def test_dead_angle_of_the_focus_points_down_and_the_sky_lies_amid_the_line() -> None:
     """Lehtola et al. (2019, III and IV-C): 55 degrees downward, M = 4270 shots of 5040 steps a turn."""
-    scanner = SCANNERS["focus3d-120"].model_copy(update={"slant_deg": 0.0})
+    scanner = SCANNERS["focus3d-120"].changed(slant_deg=0.0)
     angle = np.rad2deg(scanner.angle_rad())
     assert angle[0] == pytest.approx(55.0 / 2.0, abs=0.05)
     assert 360.0 - angle[-1] == pytest.approx(55.0 / 2.0, abs=0.05)
@@ -62,11 +62,11 @@ def test_directions_are_unit_vectors_and_shots_fit_into_the_line(name: str) -> N
 
 def test_mount_turns_the_plane() -> None:
     """Heading by 90 degrees: left becomes back; roll by 10 degrees: what was down is 10 degrees to the left."""
-    scanner = SCANNERS["photon-80"].model_copy(update={"slant_deg": 0.0})
+    scanner = SCANNERS["photon-80"].changed(slant_deg=0.0)
     angle = scanner.angle_rad()
-    turned = scanner.model_copy(update={"heading_deg": 90.0}).directions()
+    turned = scanner.changed(heading_deg=90.0).directions()
     np.testing.assert_allclose(turned[:, 0], -np.sin(angle), atol=1e-12)
-    rolled = scanner.model_copy(update={"roll_deg": 10.0}).directions()
+    rolled = scanner.changed(roll_deg=10.0).directions()
     np.testing.assert_allclose(rolled[:, 1], np.sin(angle + np.deg2rad(10.0)), atol=1e-12)
 
 
@@ -83,7 +83,7 @@ def test_mount_turns_the_plane() -> None:
 )
 def test_senseless_values_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
-        SCANNERS["photon-80"].model_copy(update=dict(**values))
+        SCANNERS["photon-80"].changed(**values)
 
 
 def test_every_key_has_a_description_and_plain_bounds() -> None:
