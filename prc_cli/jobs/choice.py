@@ -79,9 +79,10 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         if first is None:
             return MethodChoice("urban", "the input has no lines"), stream
         directed = with_beams(stream, config.input)
-        if isinstance(directed, BeamStream) and any(found.is_made_up for found in directed.known.values()):
+        beams = directed.known.values() if isinstance(directed, BeamStream) else ()
+        if any(found.is_made_up for found in beams):
             return MethodChoice("urban", "no line has two returns"), stream
-        if (cosine := least_cosine(directed)) < LEAST_COSINE:
+        if (cosine := min((found.cos_tilt for found in beams), default=1.0)) < LEAST_COSINE:
             lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
             lacks = f"{lean}, which fused does not stand; look at the unit of the ranges"
             return MethodChoice("urban", lacks, lacks), stream
@@ -96,10 +97,18 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         return MethodChoice("urban", f"{refusal.problem}; {_BETTER}", refusal.problem), stream
 
 
-def least_cosine(stream: ScanStream) -> float:
-    """Return the least cosine of the lean of the scan planes from the vertical that were found."""
-    known = stream.known.values() if isinstance(stream, BeamStream) else ()
-    return min((found.cos_tilt for found in known), default=1.0)
+def decide_stream(
+    stream: ScanStream, loaded: LoadedConfig, *, engine: Engine = "compiled"
+) -> tuple[LoadedConfig, ScanStream]:
+    """Return a configuration that names a method, and the stream with the beam directions that the method needs."""
+    if not loaded.config.is_decided:
+        choice = choice_by_request(loaded.config, engine=engine)
+        if choice is None:
+            choice, stream = choose(stream, loaded.config)
+        loaded = decided_by(choice, loaded)
+    if loaded.config.needs_beams and not isinstance(stream, BeamStream):
+        stream = with_beams(stream, loaded.config.input)
+    return loaded, stream
 
 
 def decide(path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False) -> LoadedConfig:

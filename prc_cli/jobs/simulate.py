@@ -178,7 +178,6 @@ def _write(
         down_rad=scan.info.down_rad,
         crs=frame.crs,
     )
-    n_further = 0
     with open_stream_writer(output, shape) as writer:
 
         def put(found: SimulatedBlock) -> None:
@@ -191,13 +190,12 @@ def _write(
             for found in scan.simulated():
                 queue.put(found)
                 counts = counts.add(found.labelled)
-                n_further += len(found.labelled.extra_labels)
                 if progress is not None:
                     progress(found.labelled.block.n_lines)
         record = _record(simulation, counts)
         told = list(writer.losses)
-        if n_further and "returns" not in form.holds:
-            told.append(f"not kept: {n_further} further returns: a range image has one range a cell")
+        if counts.n_extra and "returns" not in form.holds:
+            told.append(f"not kept: {counts.n_extra} further returns: a range image has one range a cell")
         if form.is_dump:
             told.append(f"read it with --config {output.name}.toml")
         if shape.registered and frame.crs:
@@ -274,7 +272,7 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
     """Return the coordinate frame: as configured, or the default one if an SBET is written."""
     asked = None if isinstance(settings, StationSettings) else settings.frame
     if asked is not None:
-        return Frame(**asked.model_dump())
+        return asked
     is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in SBET_SUFFIXES
     return Frame() if is_sbet else WORLD
 

@@ -65,7 +65,7 @@ from prc_cli.methods.sequential_angle.labels_loops import first_triggers as firs
 from prc_cli.methods.sequential_angle.labels_loops import mark_beyond as mark_beyond
 from prc_cli.methods.sequential_angle.labels_loops import mark_cars as mark_cars
 from prc_cli.methods.sequential_angle.markov_loops import hmm_cusum as hmm_cusum
+from prc_cli.simulation.casting_loops import aim_shots as aim_shots
 from prc_cli.simulation.casting_loops import cast_shots as cast_shots
 from prc_cli.simulation.sensor_loops import goes_behind as goes_behind
 from prc_cli.simulation.sensor_loops import sense as sense
-from prc_cli.simulation.shots_loops import aim_shots as aim_shots
