@@ -17,7 +17,7 @@ from prc_cli.simulation.casting import Hits, cast
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.sensor import Measured, goes_behind, scan
 from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
-from prc_cli.simulation.world import PROPERTIES, Bodies, BodiesNear, Material, Shape
+from prc_cli.simulation.world import PROPERTIES, Bodies, BodiesNear, Material, Shape, hashed
 
 LINES_AT_ONCE = 64
 """Lines that are simulated together, always the same ones, so that nothing depends on the blocks that are asked for."""
@@ -63,8 +63,15 @@ class SimulatedScan:
     threads: int = 1
     with_xyz: bool = False
     with_world: bool = False
+    flake_m: float = 0.0
+    """Mean way of a beam from one flake of snow, or drop, to the next [m]; 0 = clear air."""
     relabel: Callable[[F64], U8] | None = None
     """Reference labels by place, (n, 3) [m] to (n,), instead of those of what was hit; needs ``with_world``."""
+
+    @property
+    def lines_at_once(self) -> int:
+        """Lines that are simulated together: a turn of a spinning scanner, else :data:`LINES_AT_ONCE`."""
+        return self.scanner.lines_per_turn if self.scanner.spins else LINES_AT_ONCE
 
     @property
     def info(self) -> StreamInfo:
@@ -78,8 +85,8 @@ class SimulatedScan:
             n_lines=self.n_lines,
             angle_rad=scanner.angle_rad(),
             line_hz=scanner.line_hz,
-            down_rad=0.0 if scanner.is_static else -float(np.deg2rad(scanner.roll_deg)),
-            cos_tilt=1.0 if scanner.is_static else float(np.cos(np.deg2rad(scanner.slant_deg))),
+            down_rad=0.0 if scanner.turns else -float(np.deg2rad(scanner.roll_deg)),
+            cos_tilt=1.0 if scanner.turns else float(np.cos(np.deg2rad(scanner.slant_deg))),
             assumptions=(Assumption("seed", str(self.seed), "the same seed gives the same scan"),),
         )
 
@@ -99,12 +106,12 @@ class SimulatedScan:
     def simulated(self) -> Iterator[SimulatedBlock]:
         """Simulate from the start, with reference labels and registered coordinates."""
         load_simulator()
-        return ordered(self._lines, range(0, self.n_lines, LINES_AT_ONCE), threads=self.threads)
+        return ordered(self._lines, range(0, self.n_lines, self.lines_at_once), threads=self.threads)
 
     def _lines(self, first: int) -> SimulatedBlock:
-        """Simulate the lines from a multiple of :data:`LINES_AT_ONCE` on."""
+        """Simulate the lines from a multiple of :attr:`lines_at_once` on."""
         scanner, m = self.scanner, self.scanner.points_per_line
-        n_lines = min(LINES_AT_ONCE, self.n_lines - first)
+        n_lines = min(self.lines_at_once, self.n_lines - first)
         shots = aim(self.platform, scanner, first, n_lines)
         start, end = shots.origin[0, 0], shots.origin[-1, -1]
         middle, travelled = (start + end) / 2.0, float(np.hypot(*(end - start)[:2]))
@@ -122,7 +129,7 @@ class SimulatedScan:
             xyz_m=_relative(scanner, first, ranges) if self.with_xyz else None,
             intensity=_counts(found.intensity, ranges),
             angle_rad=angle_rad,
-            beam_rad=angle_rad if scanner.is_static else None,
+            beam_rad=angle_rad if scanner.turns else None,
             extra=extra,
             is_last=first + n_lines == self.n_lines,
         )
@@ -146,6 +153,8 @@ class SimulatedScan:
             start_m = np.where(beyond, hits.t + BEHIND_M, np.inf)
             behind = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m))
         found = scan(hits, bodies, scanner, first, self.seed, behind)
+        if self.flake_m:
+            found = in_snow(found, self.flake_m, first, self.seed)
         return _as_static(found, bodies, shots, hits, behind) if scanner.is_static else found
 
     def _in_sight(self, hits: Hits) -> Hits:
@@ -192,6 +201,29 @@ def _as_static(found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind
     )
 
 
+FLAKE_SEEN_M = 9.0
+"""A flake is answered with a chance that falls by e over this distance [m]."""
+FLAKE_POWER = 0.02
+"""Power of a flake's echo at 10 m, over that of a white wall; it falls with the square of the range."""
+
+
+def in_snow(found: Measured, flake_m: float, first_line: int, seed: int) -> Measured:
+    """Return what is measured where flakes, or drops, lie in the way of the beams; their returns are noise."""
+    n_lines, m = found.range_m.shape
+    shot = (first_line * m + np.arange(n_lines * m, dtype=np.int64)).reshape(n_lines, m)
+    way = -flake_m * np.log1p(-hashed(seed, 40, shot))
+    seen = hashed(seed, 41, shot) < np.exp(-way / FLAKE_SEEN_M)
+    hit = seen & (way > NEAREST_FLAKE_M) & ~(way >= found.range_m)
+    range_m, label, intensity = found.range_m.copy(), found.label.copy(), found.intensity.copy()
+    range_m[hit] = way[hit]
+    label[hit] = Label.NOISE
+    intensity[hit] = FLAKE_POWER * (10.0 / way[hit]) ** 2 * (0.5 + hashed(seed, 42, shot[hit]))
+    return replace(found, range_m=range_m, label=label, intensity=intensity)
+
+
+NEAREST_FLAKE_M = 1.0
+
+
 def _counts(power: F32, range_m: F32) -> F32:
     """Return intensities as scanners store them, whole numbers from 0 to 65535; NaN where there is no return."""
     counts = np.minimum(np.rint(INTENSITY_SCALE * np.sqrt(power)), 65535.0)
@@ -203,10 +235,10 @@ def _counts(power: F32, range_m: F32) -> F32:
 def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
     """Return the coordinates of returns relative to the scanner, x forward, y left, z up, (lines, M, 3) float32 [m].
 
-    Of a static scanner x points where the head's azimuth is 0.
+    Where the head turns, x points where its azimuth is 0.
     """
     columns = scanner.directions()
-    if not scanner.is_static:
+    if not scanner.turns:
         found: F32 = (range_m[..., None] * columns).astype(np.float32)
         return found
     azimuth = np.deg2rad(

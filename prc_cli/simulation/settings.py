@@ -65,6 +65,9 @@ class MovingSettings(SimulationSettings):
     scanner: Scanner = Field(SCANNERS["photon-80"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["car"], description="how the platform moves")
     frame: Frame | None = Field(None, description=_FRAME)
+    flake_m: float = Field(
+        0.0, ge=0, le=1e6, description="mean way of a beam from flake to flake of snow, or drop of rain [m]; 0 = none"
+    )
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
@@ -273,6 +276,7 @@ def open_simulation(
         threads=default_threads() if threads is None else threads,
         with_xyz=(kind == "street-scan") if with_xyz is None else with_xyz,
         with_world=with_world,
+        flake_m=getattr(chosen, "flake_m", 0.0),
         relabel=relabel,
     )
     return Simulation(kind, chosen, scene, scan)

@@ -274,12 +274,12 @@ def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> 
     """
     m = scanner.points_per_line
     line_s = scanner.shot_s * m
-    n_knots = 1 if scanner.is_static else max(int(np.ceil(line_s / _KNOT_S)), 1)
+    n_knots = 1 if scanner.turns else max(int(np.ceil(line_s / _KNOT_S)), 1)
     start_s = scanner.line_time_s(first_line, n_lines)
     knot_s = start_s[:, None] + np.arange(n_knots + 1) * (line_s / n_knots)
     pose = platform.pose(knot_s.ravel())
     turn = pose.turn().reshape(n_lines, n_knots + 1, 3, 3)
-    if scanner.is_static:
+    if scanner.turns:
         line = np.arange(first_line, first_line + n_lines)
         azimuth = np.deg2rad(scanner.first_azimuth_deg + scanner.azimuth_step_deg * line)
         zero = np.zeros(n_lines)
