@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.formats.bags.cursor import Cursor, ShortMessageError
+from prc_cli.formats.bags.messages import Cursor, ShortMessageError
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE, lines_per_block
 from prc_cli.formats.ranges import choose_returns, clean_ranges
@@ -68,7 +68,7 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         intensity = cursor.array("f4")
     else:
         ranges, n_echoes = _echoes(cursor)
-        intensity, n_of = _echoes(cursor, n_echoes)
+        intensity, n_of = _echoes(cursor)
         if not np.array_equal(n_of, n_echoes):
             intensity = np.empty(0, np.float32)
     m = len(ranges) if n_echoes is None else len(n_echoes)
@@ -81,18 +81,18 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges.copy(), intensity.copy(), n_echoes)
 
 
-def _echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
-    """Read a list of lists, whose lengths may be known; return them in a row, and their lengths."""
+def _echoes(cursor: Cursor) -> tuple[F32, I64]:
+    """Read a list of lists; return their values in a row, and their lengths."""
     n = cursor.number("I")
     if n > len(cursor.data) // 4:
         message = f"says it holds {n} beams, which it is too short for"
         raise ShortMessageError(message)
-    words = cursor.rest("u4")
-    counts = likely if likely is not None and len(likely) == n else _lengths(words, n)
-    starts = np.cumsum(counts + 1) - counts - 1
-    if likely is counts and n and (starts[-1] + counts[-1] >= len(words) or not np.array_equal(words[starts], counts)):
-        counts = _lengths(words, n)
-        starts = np.cumsum(counts + 1) - counts - 1
+    words = cursor.rest("u4")[: n * (1 + MAX_ECHOES)]
+    starts = _starts(words, n)
+    counts = words[starts[starts < len(words)]].astype(np.int64)
+    if len(counts) < n or (n and (counts.max() > MAX_ECHOES or starts[-1] + counts[-1] >= len(words))):
+        message = f"holds {counts.max(initial=0)} echoes of a beam, expected at most {MAX_ECHOES}, and no more than there are"
+        raise ShortMessageError(message)
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
     is_value[starts] = False
     cursor.at += 4 * len(is_value)
@@ -100,21 +100,22 @@ def _echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
     return values, counts
 
 
-def _lengths(words: NDArray[np.uint32], n: int) -> I64:
-    """Return the lengths of lists that follow each other, each behind its length.
+def _starts(words: NDArray[np.uint32], n: int) -> I64:
+    """Return where lists begin that follow each other, each behind its length; the number of words beyond the end.
 
-    >>> _lengths(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
-    [2, 0, 1]
+    The way to the next list is followed for all words at once, then twice as far, and so on.
+
+    >>> _starts(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
+    [0, 3, 4]
     """
-    counts, at, listed = [], 0, words[: n * (1 + MAX_ECHOES)].tolist()
-    for _ in range(n):
-        count = listed[at] if at < len(listed) else 0
-        at += 1 + count
-        if count > MAX_ECHOES or at > len(listed):
-            message = f"holds {count} echoes of a beam, expected at most {MAX_ECHOES}, and no more than there are"
-            raise ShortMessageError(message)
-        counts.append(count)
-    return np.array(counts, np.int64)
+    end = len(words)
+    after = np.arange(1, end + 1) + np.minimum(words, MAX_ECHOES + 1)
+    after = np.append(np.minimum(after, end), end)
+    starts: I64 = np.zeros(min(n, 1), np.int64)
+    while len(starts) < n:
+        starts = np.append(starts, after[starts])
+        after = after[after]
+    return starts[:n]
 
 
 class LaserLines:
@@ -123,6 +124,7 @@ class LaserLines:
     def __init__(self, where: str, scanner: int, first: LaserScan, config: InputConfig) -> None:
         self._where, self._scanner, self._config = where, scanner, config
         self.points_per_line = first.points_per_line
+        self.has_returns = first.n_echoes is not None
         self._first = (first.angle_min_rad, first.angle_step_rad)
         column = np.arange(self.points_per_line, dtype=np.float64)
         self.angle_rad: F64 = first.angle_min_rad + first.angle_step_rad * column
@@ -154,6 +156,10 @@ class LaserLines:
             yield self._block()
             self._n_lines += len(self._waiting)
             self._waiting = []
+
+    def lost(self) -> str:
+        """Return what is lacking: nothing, a scan that was not recorded leaves no gap."""
+        return ""
 
     def _block(self) -> ScanBlock:
         scans = [scan for scan, _ in self._waiting]

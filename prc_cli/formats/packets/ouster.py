@@ -19,7 +19,7 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.packets.columns import Columns, choose_of_two
+from prc_cli.formats.packets.columns import Columns, choose
 
 MAX_METADATA = 1 << 20
 """Longest metadata file [bytes]."""
@@ -157,7 +157,8 @@ class OusterDecoder:
 
     def __init__(self, where: str, metadata: Metadata, rule: str) -> None:
         self._where, self._meta, self._rule = where, metadata, rule
-        m = metadata.n_pixels
+        m = self.points_per_line = metadata.n_pixels
+        self.name = f"Ouster {metadata.name}, {metadata.profile}"
         form = _PROFILES[metadata.profile]
         legacy = metadata.profile == "LEGACY"
         self.n_returns = 2 if metadata.profile.endswith("_DUAL") else 1
@@ -185,13 +186,8 @@ class OusterDecoder:
         self._turns = 0
         self._first_line: int | None = None
 
-    @property
-    def name(self) -> str:
-        """Maker and model."""
-        return f"Ouster {self._meta.name}, {self._meta.profile}"
-
     def decode(self, packets: U8, host_s: F64, first_record: I64) -> Columns:
-        """Decode packets, (n, size) uint8; see :meth:`prc_cli.formats.packets.velodyne.VelodyneDecoder.decode`."""
+        """Decode packets of one size, (n, size) uint8."""
         m, r = self._meta.n_pixels, self.n_returns
         table = np.ascontiguousarray(packets).view(self._packet)[:, 0]
         columns = table["columns"]
@@ -209,15 +205,11 @@ class OusterDecoder:
         pixels = np.ascontiguousarray(columns["pixels"].reshape(-1, m, columns["pixels"].shape[-1])[is_good])
         ranges, lights = _pixels(pixels[:, self._order], self._meta.profile)
         time_s = np.repeat(columns["time"].ravel()[is_good, None] * 1e-9, m, axis=1)
-        number = number[is_good]
-        if r == 1:
-            return Columns(line, ranges[0], record[..., 0], time_s, self._place(ranges[0], number), lights[0])
-        swap = choose_of_two(ranges[0], ranges[1], (lights[0], lights[1]), self._rule)
-        own, other = np.where(swap, ranges[1], ranges[0]), np.where(swap, ranges[0], ranges[1])
+        chosen = choose(np.stack(ranges, axis=-1), np.stack(lights, axis=-1), record, self._rule)
+        xyz = self._place(chosen.range_m, number[is_good])
         return Columns(
-            line, own, np.where(swap, record[..., 1], record[..., 0]), time_s, self._place(own, number),
-            np.where(swap, lights[1], lights[0]), other, np.where(swap, record[..., 0], record[..., 1]),
-        )  # fmt: skip
+            line, chosen.range_m, chosen.record, time_s, xyz, chosen.intensity, chosen.further_m, chosen.further_record
+        )
 
     def _lines(self, frame: I64, within: I64) -> I64:
         """Return the number of every column since the first."""

@@ -134,7 +134,7 @@ def test_blocks_do_not_depend_on_their_size(tmp_path: Path, monkeypatch: pytest.
     path = made.write_pcap(tmp_path / "a.pcap", frames)
     path.with_suffix(".json").write_text(json.dumps(table))
     _, whole = read(path)
-    monkeypatch.setattr("prc_cli.formats.packets.scanners.BATCH_SHOTS", 128)
+    monkeypatch.setattr("prc_cli.formats.packets.read.BATCH_SHOTS", 128)
     monkeypatch.setattr(columns_module, "CHUNK_SHOTS", 40)
     stream, parts = read(path)
     same(whole, parts)
