@@ -35,14 +35,14 @@ class LaserScan:
     angle_step_rad: float
     shot_s: float
     """Time between beams [s]."""
-    range_min_m: float
-    range_max_m: float
     range_m: F32
-    """(echoes,) float32, echoes of the beams one after the other [m]."""
+    """(echoes,) float32, echoes of the beams one after the other [m]; NaN = none."""
     intensity: F32
     """(echoes,) float32, or empty."""
     n_echoes: I64 | None
     """(M,) int64, echoes of every beam; None = one each."""
+    n_beyond: int
+    """Echoes out of the scanner's own range."""
 
     @property
     def points_per_line(self) -> int:
@@ -78,7 +78,13 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     if len(intensity) != len(ranges):
         intensity = np.empty(0, np.float32)
     # copies: the message may be much longer than what is kept of it
-    return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges.copy(), intensity.copy(), n_echoes)
+    ranges, intensity = ranges.astype(np.float32), intensity.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        # a scanner says by inf, or by its own reach, that nothing came back
+        is_beyond = np.isfinite(ranges) & ((ranges < low) | (ranges >= high))
+    ranges[is_beyond | np.isinf(ranges)] = np.nan
+    n_beyond = int(np.count_nonzero(is_beyond))
+    return LaserScan(stamp_s, frame, first, step, shot_s, ranges, intensity, n_echoes, n_beyond)
 
 
 def _echoes(cursor: Cursor) -> tuple[F32, I64]:
@@ -91,7 +97,9 @@ def _echoes(cursor: Cursor) -> tuple[F32, I64]:
     starts = _starts(words, n)
     counts = words[starts[starts < len(words)]].astype(np.int64)
     if len(counts) < n or (n and (counts.max() > MAX_ECHOES or starts[-1] + counts[-1] >= len(words))):
-        message = f"holds {counts.max(initial=0)} echoes of a beam, expected at most {MAX_ECHOES}, and no more than there are"
+        message = (
+            f"holds {counts.max(initial=0)} echoes of a beam, expected at most {MAX_ECHOES}, and no more than there are"
+        )
         raise ShortMessageError(message)
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
     is_value[starts] = False
@@ -103,11 +111,15 @@ def _echoes(cursor: Cursor) -> tuple[F32, I64]:
 def _starts(words: NDArray[np.uint32], n: int) -> I64:
     """Return where lists begin that follow each other, each behind its length; the number of words beyond the end.
 
-    The way to the next list is followed for all words at once, then twice as far, and so on.
+    Words that are as small as a length are lengths, where the lists then follow each other. Else, as for values of zero,
+    the way to the next list is followed for all words at once, then twice as far, and so on.
 
     >>> _starts(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
     [0, 3, 4]
     """
+    likely = np.flatnonzero(words <= MAX_ECHOES)[:n]
+    if len(likely) == n and n and likely[0] == 0 and (np.diff(likely) == words[likely[:-1]] + np.uint32(1)).all():
+        return likely
     end = len(words)
     after = np.arange(1, end + 1) + np.minimum(words, MAX_ECHOES + 1)
     after = np.append(np.minimum(after, end), end)
@@ -165,77 +177,60 @@ class LaserLines:
         scans = [scan for scan, _ in self._waiting]
         m = self.points_per_line
         first = np.array([record for _, record in self._waiting], np.int64)
-        bounds = np.array([(scan.range_min_m, scan.range_max_m) for scan in scans])
-        ranges, intensity, record, extra, n_extra = self._one_each(scans, first)
-        with np.errstate(invalid="ignore"):
-            beyond: Mask = (ranges < bounds[:, :1]) | (ranges >= bounds[:, 1:])
-        finite = np.isfinite(ranges)
-        ranges[beyond & finite] = np.nan
-        # inf is how a scanner says that nothing came back
-        ranges[np.isinf(ranges)] = np.nan
+        ranges, intensity, record, extra = (self._echoes if self.has_returns else self._single)(scans, first)
         cleaned, tally = clean_ranges(ranges, self._config.min_range, self._config.max_range)
         if intensity is not None:
             intensity[np.isnan(cleaned)] = np.nan
-        stamps = np.array([scan.stamp_s for scan in scans])
-        steps = np.array([scan.shot_s for scan in scans])
+        stamps, steps = (np.array([getattr(scan, name) for scan in scans])[:, None] for name in ("stamp_s", "shot_s"))
+        counted = ReadTally(
+            n_records=sum(scan.n_records for scan in scans),
+            n_beyond=sum(scan.n_beyond for scan in scans),
+            n_extra_returns=len(extra),
+        )
         return ScanBlock(
             first_line=self._n_lines,
             range_m=cleaned,
             record=record,
             scanner=self._scanner,
-            time_s=stamps[:, None] + steps[:, None] * np.arange(m),
+            time_s=stamps + steps * np.arange(m),
             intensity=intensity,
             angle_rad=self.angle_rad,
             extra=extra,
-            tally=tally
-            + ReadTally(
-                n_records=sum(scan.n_records for scan in scans),
-                n_beyond=int(np.count_nonzero(beyond & finite)),
-                n_extra_returns=n_extra,
-            ),
+            tally=tally + counted,
         )
 
-    def _one_each(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns, int]:
+    def _single(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns]:
+        """Return range, intensity and record of every cell, and no further echoes."""
+        lit = np.stack([scan.intensity for scan in scans]) if all(len(scan.intensity) for scan in scans) else None
+        ranges = np.stack([scan.range_m for scan in scans])
+        return ranges, lit, first[:, None] + np.arange(self.points_per_line), ExtraReturns.none()
+
+    def _echoes(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns]:
         """Return range, intensity and record of every cell, and the further echoes."""
         n, m = len(scans), self.points_per_line
-        lit = all(len(scan.intensity) for scan in scans)
-        if all(scan.n_echoes is None for scan in scans):
-            ranges = np.stack([scan.range_m for scan in scans]).astype(np.float32)
-            intensity = np.stack([scan.intensity for scan in scans]).astype(np.float32) if lit else None
-            return ranges, intensity, first[:, None] + np.arange(m), ExtraReturns.none(), 0
-        counts = np.concatenate([_counts(scan) for scan in scans])
+        counts = np.concatenate([scan.n_echoes for scan in scans if scan.n_echoes is not None])
         held = np.maximum(counts, 1)
-        starts = np.cumsum(held) - held
-        flat = _spread(np.concatenate([scan.range_m for scan in scans]), counts, held)
-        value = _spread(np.concatenate([scan.intensity for scan in scans]), counts, held) if lit else None
-        record = np.concatenate(
-            [at + np.arange(scan.n_records) for at, scan in zip(first, scans, strict=True)], dtype=np.int64
-        )
-        cell = np.repeat(np.arange(n * m), held)
-        low = np.repeat([scan.range_min_m for scan in scans], [scan.n_records for scan in scans])
-        high = np.repeat([scan.range_max_m for scan in scans], [scan.n_records for scan in scans])
-        with np.errstate(invalid="ignore"):
-            usable = np.isfinite(flat) & (flat >= low) & (flat < high) & (flat > 0)
-        flat[~usable] = np.nan
-        begins: Mask = np.zeros(len(flat), np.bool_)
-        begins[starts] = True
-        stands = choose_returns(begins, flat, value, None, self._config.return_)
+        begins: Mask = np.zeros(int(held.sum()), np.bool_)
+        begins[np.cumsum(held) - held] = True
+        # a beam without an echo holds a place
+        is_echo = np.repeat(counts > 0, held)
+
+        def spread(values: list[F32]) -> F32:
+            spread: F32 = np.full(len(begins), np.nan, np.float32)
+            spread[is_echo] = np.concatenate(values)
+            return spread
+
+        flat = spread([scan.range_m for scan in scans])
+        flat[flat <= 0] = np.nan
+        lit = None
+        if all(len(scan.intensity) or not len(scan.range_m) for scan in scans):
+            lit = spread([scan.intensity for scan in scans])
+        stands = choose_returns(begins, flat, lit, None, self._config.return_)
+        n_of = np.array([scan.n_records for scan in scans])
+        record = np.arange(len(flat)) + np.repeat(first - (np.cumsum(n_of) - n_of), n_of)
+        others = np.flatnonzero(~stands & ~np.isnan(flat))
+        cell = (np.cumsum(begins) - 1)[others]
+        extra = ExtraReturns((cell // m).astype(np.int32), (cell % m).astype(np.int32), flat[others], record[others])
         own = np.flatnonzero(stands)
-        others = np.flatnonzero(usable & ~stands)
-        extra = ExtraReturns(
-            (cell[others] // m).astype(np.int32), (cell[others] % m).astype(np.int32), flat[others], record[others]
-        )
-        shape = (n, m)
-        intensity = None if value is None else value[own].reshape(shape)
-        return flat[own].reshape(shape), intensity, record[own].reshape(shape), extra, len(others)
-
-
-def _counts(scan: LaserScan) -> I64:
-    return np.ones(len(scan.range_m), np.int64) if scan.n_echoes is None else scan.n_echoes
-
-
-def _spread(values: F32, counts: I64, held: I64) -> F32:
-    """Return values with a NaN for every beam without an echo."""
-    spread: F32 = np.full(int(held.sum()), np.nan, np.float32)
-    spread[np.repeat(counts > 0, held)] = values
-    return spread
+        intensity = None if lit is None else lit[own].reshape(n, m)
+        return flat[own].reshape(n, m), intensity, record[own].reshape(n, m), extra

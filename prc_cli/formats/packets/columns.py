@@ -166,7 +166,9 @@ class ColumnLines:
         if lacking <= 0:
             return self._held
         return [
-            np.concatenate([one, np.full((lacking, *one.shape[1:]), -1 if one.dtype.kind == "i" else np.nan, one.dtype)])
+            np.concatenate(
+                [one, np.full((lacking, *one.shape[1:]), -1 if one.dtype.kind == "i" else np.nan, one.dtype)]
+            )
             for one in self._held
         ]
 
