@@ -89,11 +89,17 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
             # a later scanner may be refused only when it is reached
             for _ in directed.blocks():
                 pass
+        elif isinstance(directed, BeamStream) and stream.info.facts.scanners:
+            for _ in directed.blocks():
+                if len(directed.known) + len(directed.late) >= len(stream.info.facts.scanners):
+                    break
         is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
         return choice_by_place(place_of_blocks(directed.blocks()), *known), directed
     except (InputError, ConfigError) as refusal:
-        return MethodChoice("urban", f"{refusal.problem}; {_BETTER}", refusal.problem), stream
+        scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
+        lacks = f"{scanner}: {refusal.problem}" if scanner in stream.info.facts.scanners else refusal.problem
+        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks), stream
 
 
 def least_cosine(stream: ScanStream) -> float:

@@ -21,9 +21,8 @@ from prc_cli.formats.packets.spinning import KNOWN, NEEDED, describe
 MAX_SCANNERS = 256
 """Most scanners of a bag."""
 LASERS = (LASER, ECHOES)
-GROUPS = (PACKED, LASERS, (CLOUD,))
-"""Types of messages that hold scans, best first; those of the best group that a bag has are read by default."""
-READABLE = tuple(kind for group in GROUPS for kind in group)
+READABLE = (*PACKED, *LASERS, CLOUD)
+"""Types of messages that hold scans."""
 
 
 class BagStream:
@@ -34,6 +33,7 @@ class BagStream:
         self._path, self._config = path, config
         self._bag = Bag(path)
         self._firsts = self._first_messages()
+        self._frames = self._readable()
         self._chosen = self._choose()
         self._notes: list[str] = []
         self._numbers = _Numbers()
@@ -46,7 +46,7 @@ class BagStream:
         """What is known before reading, and afterwards also what was found while reading."""
         counts = self._bag.counts
         names = ", ".join(topic.name for topic in self._chosen)
-        others = [topic.name for topic in counts if topic not in self._chosen and self._can(topic)]
+        others = [topic.name for topic in counts if topic not in self._chosen and topic in self._frames]
         why = "the bag has no other scans" if not others else f"other scans: {', '.join(others[:10])} (input.topic)"
         if self._config.topic is not None:
             why = "input.topic names it"
@@ -68,6 +68,7 @@ class BagStream:
             facts=SourceFacts(
                 has_line_times=not lasers,
                 has_returns=self._has_returns,
+                scanners=tuple(self._numbers.of) if len(self._numbers.of) > 1 else (),
                 notes=tuple(notes),
                 describe=self._describe,
             ),
@@ -88,16 +89,19 @@ class BagStream:
                 break
         return found
 
-    def _can(self, topic: Topic) -> bool:
-        """Whether a topic holds scans: of clouds, only those with ring and time."""
-        first = self._firsts.get(topic)
-        if first is None or topic.kind != CLOUD:
-            return first is not None
-        try:
-            parse_cloud(first.data, is_cdr=topic.is_cdr)
-        except ShortMessageError:
-            return False
-        return True
+    def _readable(self) -> dict[Topic, str]:
+        """Return the topics that hold scans, of clouds only those with ring and time, and the frames of their firsts."""
+        frames = dict.fromkeys(self._firsts, "")
+        for topic, first in self._firsts.items():
+            try:
+                if topic.kind == CLOUD:
+                    frames[topic] = parse_cloud(first.data, is_cdr=topic.is_cdr).frame
+                elif topic.kind in LASERS:
+                    frames[topic] = parse_laser(first.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES).frame
+            except ShortMessageError:
+                if topic.kind == CLOUD:
+                    del frames[topic]
+        return frames
 
     def _choose(self) -> tuple[Topic, ...]:
         """Return the topics to read."""
@@ -114,10 +118,12 @@ class BagStream:
                     raise ConfigError("input.topic", problem, f"the bag has: {shown}")
                 chosen.append(topic)
             return tuple(chosen)
-        for group in GROUPS:
-            chosen = [topic for topic in topics.values() if topic.kind in group and self._can(topic)]
-            if chosen:
-                return tuple(sorted(chosen, key=lambda topic: topic.name))
+        # drivers publish clouds of packets, and laser scans of clouds, in the frame of the scanner
+        clouds = {frame for topic, frame in self._frames.items() if topic.kind == CLOUD}
+        packed = [topic for topic in self._frames if topic.kind in PACKED]
+        others = [one for one, frame in self._frames.items() if one.kind == CLOUD or frame not in clouds]
+        if packed or others:
+            return tuple(sorted(packed or others, key=lambda topic: topic.name))
         ended = f" ({self._bag.problem})" if self._bag.problem else ""
         problem = f"no topic with scans{ended}, expected {', '.join(READABLE)}; it has: {shown}"
         raise InputError(str(self._path), problem, "record the scanner's own topic")

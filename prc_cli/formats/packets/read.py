@@ -162,6 +162,7 @@ class PacketStream:
             facts=SourceFacts(
                 has_line_times=True,
                 has_returns=self._has_returns,
+                scanners=tuple(self._scanners) if len(self._scanners) > 1 else (),
                 notes=(*self._notes(), *self._lost),
                 describe=self._describe,
             ),
