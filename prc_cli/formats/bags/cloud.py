@@ -252,7 +252,7 @@ class _Points(NamedTuple):
 
     def and_then(self, other: _Points) -> _Points:
         """Return these points and others behind them."""
-        return _Points(*(np.concatenate(pair) for pair in zip(self, other, strict=True))) if len(self.ring) else other
+        return _Points(*(np.concatenate([a, b]) for a, b in zip(self, other, strict=True)))
 
 
 class CloudLines:

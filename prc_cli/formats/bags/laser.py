@@ -111,8 +111,8 @@ def _echoes(cursor: Cursor) -> tuple[F32, I64]:
 def _starts(words: NDArray[np.uint32], n: int) -> I64:
     """Return where lists begin that follow each other, each behind its length; the number of words beyond the end.
 
-    Words that are as small as a length are lengths, where the lists then follow each other. Else, as for values of zero,
-    the way to the next list is followed for all words at once, then twice as far, and so on.
+    Words that are as small as a length are lengths, where the lists then follow each other. Else, as for values of
+    zero, the way to the next list is followed for all words at once, then twice as far, and so on.
 
     >>> _starts(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
     [0, 3, 4]

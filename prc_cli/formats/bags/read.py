@@ -90,7 +90,7 @@ class BagStream:
         return found
 
     def _readable(self) -> dict[Topic, str]:
-        """Return the topics that hold scans, of clouds only those with ring and time, and the frames of their firsts."""
+        """Return the topics that hold scans, with their frames; of clouds only those with ring and time."""
         frames = dict.fromkeys(self._firsts, "")
         for topic, first in self._firsts.items():
             try:

@@ -181,7 +181,8 @@ class PacketStream:
 
     def _describe(self) -> dict[str, str]:
         told = {
-            f"scanner {one.number}": f"{key}, {one.name}, {one.n:,} packets from {one.start_s:.3f} s to {one.end_s:.3f} s"
+            f"scanner {one.number}": f"{key}, {one.name}, {one.n:,} packets "
+            f"from {one.start_s:.3f} s to {one.end_s:.3f} s"
             for key, one in self._scanners.items()
         }
         return {**told, "not read": self._shown_others(8) or "nothing"}

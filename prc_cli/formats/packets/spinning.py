@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
-from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.packets.columns import MAX_SHIFT, Columns, PacketClock, choose, place
 
 _TURN = 36000
@@ -33,17 +32,16 @@ _RETURNS = {**dict.fromkeys((0x39, 0x3A, 0x3B, 0x3C, 0x3E), 2), 0x3D: 3}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
-    """What a scanner sends; lasers in the order of its packets."""
+    """What a scanner sends; arrays are (M,) float64, lasers in the order of its packets."""
 
     name: str
     packet: np.dtype[np.void]
     """Fields ``blocks`` (``azimuth``, ``shots``), ``stamp``, ``mode``, ``kind``, and ``date`` where there is one."""
     elevation_deg: F64
-    """(M,) float64."""
     azimuth_deg: F64
-    """(M,) float64, how far a laser looks ahead of the azimuth of its block."""
+    """How far a laser looks ahead of the azimuth of its block."""
     fired_us: F64
-    """(M,) float64, from the first laser of a column."""
+    """From the first laser of a column."""
     column_us: float
     """From column to column."""
     stamp_us: float = 0.0
@@ -57,8 +55,8 @@ class Model:
     """Unit of distances; 0 = ``kind`` holds it in millimetres."""
     least: int = 1
     """Least distance that is one, in its unit."""
-    added_m: ArrayLike = 0.0
-    """(M,) float64, what is added to every distance [m]."""
+    added_m: float | F64 = 0.0
+    """What is added to every distance."""
     clock_s: float = 3600.0
     """Period of its clock."""
     has_mode: bool = True
@@ -79,18 +77,16 @@ _VELODYNE = np.dtype(
 
 
 class _Firing(NamedTuple):
-    """How a Velodyne fires."""
+    """How a Velodyne fires: lasers in slots, some at once, with slots of rest behind the first half."""
 
     name: str
     calibration: str
     column_us: float
     slot_us: float
     at_once: int = 1
-    """Lasers of a slot."""
     banks: int = 1
     firings: int = 1
     pauses: int = 0
-    """Slots of rest behind the first half of the lasers."""
 
 
 _FIRINGS = {
@@ -107,24 +103,26 @@ _FOUR_US = {"S2": (48.0, 6.0, (0.0, 1.26, 2.46, 3.66)), "S3": (57.6, 7.2, (0.0, 
 _MAX_CALIBRATION = 1 << 20
 
 
-def _is_hdl64(packet: bytes) -> bool:
-    """Whether upper and lower block take turns; the last bytes of such a packet are a status."""
-    return packet[100:102] == b"\xff\xdd" and packet[200:202] == b"\xff\xee"
-
-
 def _velodyne(where: str, packet: bytes, calibration: Path | None) -> Model:
-    if _is_hdl64(packet):
+    # the blocks of an HDL-64E take turns; its last bytes are a status
+    if packet[100:102] == b"\xff\xdd" and packet[200:202] == b"\xff\xee":
         return _hdl64(where, calibration)
     if packet[1205] not in _FIRINGS:
-        problem = f"found packets of {describe(packet)}, expected {KNOWN}"
-        raise InputError(where, problem, NEEDED)
+        raise InputError(where, f"found packets of {describe(packet)}, expected {KNOWN}", NEEDED)
     firing = _FIRINGS[packet[1205]]
-    elevation, azimuth, unit_m = _bundled(where, firing.calibration)
-    slot = np.arange(len(elevation)) // firing.at_once
-    fired = (slot + firing.pauses * (slot >= (slot[-1] + 1) // 2)) * firing.slot_us
+    library, yaml = _libraries(where)
+    bundled = library.Calibration.default_calibs[library.Model.__members__[firing.calibration]]
+    table = yaml.safe_load(bundled.to_string())
+    up, turned = (
+        # stored as float32: the calibrations have three decimals at most
+        np.rad2deg([one[key] for one in table["lasers"]]).round(3)
+        for key in ("vert_correction", "rot_correction")
+    )
+    slot = np.arange(len(up)) // firing.at_once
     return Model(
-        name=f"Velodyne {firing.name}", packet=_VELODYNE, elevation_deg=elevation, azimuth_deg=azimuth, fired_us=fired,
-        column_us=firing.column_us, banks=firing.banks, firings=firing.firings, unit_m=unit_m,
+        name=f"Velodyne {firing.name}", packet=_VELODYNE, elevation_deg=up, azimuth_deg=0.0 - turned,
+        fired_us=(slot + firing.pauses * (2 * slot > slot[-1])) * firing.slot_us, column_us=firing.column_us,
+        banks=firing.banks, firings=firing.firings, unit_m=round(table["distance_resolution"], 4),
     )  # fmt: skip
 
 
@@ -139,19 +137,6 @@ def _libraries(where: str) -> tuple[Any, Any]:
     return velodyne_decoder, yaml
 
 
-def _bundled(where: str, name: str) -> tuple[F64, F64, float]:
-    """Return elevation and azimuth of all lasers [deg], and the unit of distances [m], of a bundled calibration."""
-    library, yaml = _libraries(where)
-    found = library.Calibration.default_calibs[library.Model.__members__[name]]
-    table = yaml.safe_load(found.to_string())
-    up, turned = (
-        # stored as float32: the calibrations have three decimals at most
-        np.rad2deg([one[key] for one in table["lasers"]]).round(3)
-        for key in ("vert_correction", "rot_correction")
-    )
-    return up, 0.0 - turned, round(table["distance_resolution"], 4)
-
-
 def _hdl64(where: str, calibration: Path | None) -> Model:
     """Return an HDL-64E with the calibration of its unit."""
     hint = "give --metadata FILE.yml; velodyne_decoder.hdl64e reads it from a capture of a minute"
@@ -161,12 +146,9 @@ def _hdl64(where: str, calibration: Path | None) -> Model:
     try:
         table = yaml.safe_load(read_small(calibration, _MAX_CALIBRATION))
         lasers = sorted(table["lasers"], key=lambda one: int(one["laser_id"]))
-        up, turned, added = (
-            np.array([float(one.get(key, 0.0)) for one in lasers])
-            for key in ("vert_correction", "rot_correction", "dist_correction")
-        )
-        model = str(table.get("status", {}).get("Model", "S2"))
-        unit_m = float(table.get("distance_resolution", 0.002))
+        keys = ("vert_correction", "rot_correction", "dist_correction")
+        up, turned, added = np.array([[float(one.get(key, 0.0)) for one in lasers] for key in keys])
+        model, unit_m = str(table.get("status", {}).get("Model", "S2")), float(table.get("distance_resolution", 0.002))
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, yaml.YAMLError):
         raise InputError(str(calibration), "found no calibration of lasers", hint) from None
     if len(up) != 64 or not (np.abs([up, turned, added]) < 10).all() or not 0 < unit_m < 0.1 or model not in _FOUR_US:
@@ -174,9 +156,9 @@ def _hdl64(where: str, calibration: Path | None) -> Model:
     column_us, four_us, within = _FOUR_US[model]
     laser = np.arange(64) % 32
     return Model(
-        name=f"Velodyne HDL-64E {model}", packet=_VELODYNE, elevation_deg=np.rad2deg(up), azimuth_deg=-np.rad2deg(turned),
-        fired_us=laser // 4 * four_us + np.array(within)[laser % 4], column_us=column_us, banks=2, unit_m=unit_m,
-        added_m=added, has_mode=False,
+        name=f"Velodyne HDL-64E {model}", packet=_VELODYNE, elevation_deg=np.rad2deg(up),
+        azimuth_deg=-np.rad2deg(turned), fired_us=laser // 4 * four_us + np.array(within)[laser % 4],
+        column_us=column_us, banks=2, unit_m=unit_m, added_m=added, has_mode=False,
     )  # fmt: skip
 
 
@@ -233,13 +215,6 @@ def _layout(packet: bytes) -> _Layout | None:
     return None
 
 
-@cache
-def _angles() -> dict[str, dict[str, list[float]]]:
-    """Return elevation, azimuth and time of firing of all lasers by model."""
-    table: dict[str, dict[str, list[float]]] = json.loads(Path(__file__).with_name("hesai.json").read_text("utf-8"))
-    return table
-
-
 def _hesai(layout: _Layout, size: int) -> Model:
     flag = 0 if layout.head else 2
     block = np.dtype(
@@ -261,7 +236,8 @@ def _hesai(layout: _Layout, size: int) -> Model:
             "itemsize": size,
         }
     )
-    lasers = {name: np.array(values) for name, values in _angles()[layout.name].items()}
+    table = json.loads(Path(__file__).with_name("hesai.json").read_text("utf-8"))[layout.name]
+    lasers: dict[str, Any] = {name: np.array(values) for name, values in table.items()}
     return Model(
         name=f"Hesai {layout.name}", packet=packet, column_us=layout.column_us, stamp_us=layout.stamp_us,
         stamps_last=layout.stamps_last, unit_m=layout.unit_m, least=4, clock_s=86_400.0, **lasers,
@@ -307,7 +283,7 @@ class SpinningDecoder:
         self._model = model = _velodyne(where, first, calibration) if layout is None else _hesai(layout, len(first))
         table = np.frombuffer(first, model.packet)[0]
         self._mode, self._kind = int(table["mode"]), int(table["kind"])
-        self.name = model.name
+        self.name, self._fields = model.name, model.packet.names or ()
         self.n_returns = _RETURNS.get(self._mode, 1) if model.has_mode else 1
         if self.n_returns > 2:
             problem = f"found three returns a shot (mode {self._mode:#04x}), expected one or two"
@@ -340,7 +316,7 @@ class SpinningDecoder:
         azimuth, gap = self._azimuths(blocks["azimuth"][:, :: model.banks * self.n_returns].astype(np.int64))
         distance = self._by_column(blocks["shots"]["distance"])
         metres = distance.astype(np.float32) * np.float32(model.unit_m or self._kind * 1e-3)
-        metres += np.broadcast_to(np.float32(model.added_m), m)[order, None]
+        metres += np.broadcast_to(model.added_m, m).astype(np.float32)[order, None]
         metres[distance < model.least] = np.nan
         if self.n_returns == 2:
             # a shot of one return holds it twice
@@ -355,9 +331,8 @@ class SpinningDecoder:
             model.firings * model.column_us
         )
         turned = azimuth[:, :, None, None] + gap[:, :, None, None] * turn + model.azimuth_deg[order] * 100.0
-        xyz = place(
-            chosen.range_m, np.deg2rad(turned.reshape(-1, m) / 100.0), np.deg2rad(model.elevation_deg[order])
-        )  # fmt: skip
+        turned = np.deg2rad(turned.reshape(-1, m) / 100.0)
+        xyz = place(chosen.range_m, turned, np.deg2rad(model.elevation_deg[order]))
         return Columns(
             line, chosen.range_m, chosen.record, time_s, xyz, chosen.intensity, chosen.further_m, chosen.further_record
         )
@@ -367,7 +342,7 @@ class SpinningDecoder:
         changed = (table["mode"] != self._mode) | (table["kind"] != self._kind)
         if self._model.has_mode and changed.any():
             bad = table[int(np.argmax(changed))]
-            what = "model" if self._model.unit_m and "date" not in (table.dtype.names or ()) else "unit of distances"
+            what = "unit of distances" if "date" in self._fields else "model"
             problem = (
                 f"found {what} {bad['kind']:#04x} and return mode {bad['mode']:#04x} after {self._kind:#04x} and "
                 f"{self._mode:#04x}, expected one of each"
@@ -398,7 +373,7 @@ class SpinningDecoder:
         """Return number and times of every column, (columns,) and (columns, M) [s]."""
         model = self._model
         stamp_s = table["stamp"] * 1e-6
-        if "date" in (table.dtype.names or ()):
+        if "date" in self._fields:
             stamp_s = table["date"][:, 3:6] @ np.array([3600.0, 60.0, 1.0]) + stamp_s
         line, time_s = self._clock.columns(stamp_s, host_s, self.n_columns)
         before_us = (self.n_columns - 1) * model.column_us if model.stamps_last else 0.0
