@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.formats.bags.messages import Cursor, ShortMessageError
+from prc_cli.formats.bags.messages import Cursor, expect
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets.columns import MAX_EMPTY, MAX_SHIFT, SPARE_CELLS, ColumnLines, Columns, choose
 
@@ -72,73 +72,61 @@ def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     height, width, n_fields = (cursor.number("I") for _ in range(3))
-    if n_fields > _MAX_FIELDS:
-        message = f"says that a point has {n_fields} fields, expected at most {_MAX_FIELDS}"
-        raise ShortMessageError(message)
-    fields: dict[str, tuple[int, int]] = {}
+    expect(n_fields <= _MAX_FIELDS, f"says that a point has {n_fields} fields, expected at most {_MAX_FIELDS}")
+    fields = {}
     for _ in range(n_fields):
-        name = cursor.text()
-        offset, kind, _ = cursor.number("I"), cursor.number("B"), cursor.number("I")
+        name, offset, kind, _ = cursor.text(), cursor.number("I"), cursor.number("B"), cursor.number("I")
         fields[name] = (offset, kind)
-    is_big = bool(cursor.number("B"))
+    order = ">" if cursor.number("B") else "<"
     step, row_step = cursor.number("I"), cursor.number("I")
     raw = cursor.array("u1")
-    if height > 1 and row_step < width * step:
-        message = f"says that {width} points of {step} bytes are a row of {row_step}"
-        raise ShortMessageError(message)
-    row_step = max(row_step, width * step)
-    if height and row_step * (height - 1) + width * step > len(raw):
-        message = f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes"
-        raise ShortMessageError(message)
-    names = _find_fields(fields, step)
-    kinds = {name: (">" if is_big else "<") + _TYPES[fields[name][1]] for name in names if name}
-    offsets = [fields[name][0] for name in kinds]
-    if any(at + np.dtype(kind).itemsize > step for at, kind in zip(offsets, kinds.values(), strict=True)):
-        message = f"has fields beyond the {step} bytes of a point"
-        raise ShortMessageError(message)
-    point = np.dtype({"names": list(kinds), "formats": list(kinds.values()), "offsets": offsets, "itemsize": step})
-    shape = (height, width * step) if width else (0, step)
-    # rows may be longer than their points; their bounds are checked above
-    rows = np.lib.stride_tricks.as_strided(raw, shape, (row_step, 1), writeable=False)
-    table = np.frombuffer(rows.tobytes(), point)
-    return _cloud(frame, stamp_s, table, names)
+    n_row = width * step
+    expect(height <= 1 or row_step >= n_row, f"says that {width} points of {step} bytes are a row of {row_step}")
+    row_step = max(row_step, n_row)
+    is_whole = not height or row_step * (height - 1) + n_row <= len(raw)
+    expect(is_whole, f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes")
+    # rows may be longer than their points
+    rows = np.lib.stride_tricks.as_strided(raw, (height, n_row) if n_row else (0, step), (row_step, 1), writeable=False)
+    return _decoded(frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)))
 
 
-def _find_fields(fields: dict[str, tuple[int, int]], step: int) -> tuple[str, str, str, str, str, str]:
-    """Return the names of x, y, z, ring, time and intensity (empty: none)."""
-    ring, time, light = (next((name for name in names if name in fields), "") for names in (RINGS, TIMES, LIGHTS))
-    lacking = [name for name in "xyz" if name not in fields]
-    lacking += [what for what, name in (("ring", ring), ("time", time)) if not name]
-    if lacking or not step:
-        message = f"has points without {', '.join(lacking) or 'bytes'} (fields: {', '.join(fields)[:200]})"
-        raise ShortMessageError(message)
-    if any(fields[name][1] not in _TYPES for name in ("x", "y", "z", ring, time, light) if name):
-        message = "has fields of a type that is not there"
-        raise ShortMessageError(message)
-    return "x", "y", "z", ring, time, light
+def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
+    """Return the type of a point, with what is read of it: x, y, z, ring, time, light (missing where there is none)."""
+    names = {"x": ("x",), "y": ("y",), "z": ("z",), "ring": RINGS, "time": TIMES, "light": LIGHTS}
+    held = {part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()}
+    lacking = [part for part, found in held.items() if not found and part != "light"]
+    has_all = bool(step) and not lacking
+    expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {', '.join(fields)[:200]})")
+    parts = {part: found[0] for part, found in held.items() if found}
+    expect(all(kind in _TYPES for _, kind in parts.values()), "has fields of a type that is not there")
+    kinds = [np.dtype(order + _TYPES[kind]) for _, kind in parts.values()]
+    offsets = [offset for offset, _ in parts.values()]
+    inside = all(at + kind.itemsize <= step for at, kind in zip(offsets, kinds, strict=True))
+    expect(inside, f"has fields beyond the {step} bytes of a point")
+    return np.dtype({"names": list(parts), "formats": kinds, "offsets": offsets, "itemsize": step})
 
 
-def _cloud(frame: str, stamp_s: float, table: NDArray[np.void], names: tuple[str, str, str, str, str, str]) -> Cloud:
-    *axes, ring, time, light = names
+def _decoded(frame: str, stamp_s: float, table: NDArray[np.void]) -> Cloud:
     xyz: F32 = np.empty((len(table), 3), np.float32)
     with np.errstate(all="ignore"):
-        for axis, name in enumerate(axes):
+        for axis, name in enumerate("xyz"):
             xyz[:, axis] = table[name]
         squares = xyz.astype(np.float64) ** 2
         ranges: F32 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]).astype(np.float32)
         is_missing = ~(np.isfinite(ranges) & (ranges > 0))
         if is_missing.any():
             xyz[is_missing], ranges[is_missing] = np.nan, np.nan
-        times = table[time].astype(np.float64)
-        if table.dtype[time].kind in "iu":
+        times = table["time"].astype(np.float64)
+        if table.dtype["time"].kind in "iu":
             times *= 1e-9
         is_absolute = bool(np.nanmax(np.abs(times), initial=0.0) > _ABSOLUTE_S)
         times = times if is_absolute else times + stamp_s
-        stored = table[ring]
+        stored = table["ring"]
         if stored.dtype.kind == "f":
             stored = np.where(np.isfinite(stored), stored, -1).clip(-1, 1 << 20)
         rings: I64 = stored.astype(np.int64).clip(-1, 1 << 20)
-        lit = table[light].astype(np.float32) if light else np.full(len(table), np.nan, np.float32)
+        has_light = "light" in (table.dtype.names or ())
+        lit = table["light"].astype(np.float32) if has_light else np.full(len(table), np.nan, np.float32)
     return Cloud(frame, rings, times, xyz, ranges, lit)
 
 
@@ -194,8 +182,11 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
     period = _usual(steps[(np.diff(own) == 0) & (steps > _LEAST_PERIOD_S)])
     if not period or not float(time_s.max()) - start < _MOST_COLUMNS * period:
         return None
-    period = _refined(own, at, period)
-    present, first = np.unique(own, return_index=True)
+    present, first, counts = np.unique(own, return_index=True, return_counts=True)
+    # exact from the first to the last shot of the ring with the most points
+    fullest = slice(first[counts.argmax()], first[counts.argmax()] + counts.max())
+    n_steps = int(np.rint(np.diff(at[fullest]) / period).sum())
+    period = float(np.ptp(at[fullest])) / n_steps if n_steps else period
     turned = np.exp(1j * _TURN * ((at - start) / period))
     of_ring = np.angle(np.add.reduceat(turned, first)) / _TURN % 1.0
     # the lasers begin to fire after the longest pause
@@ -225,15 +216,6 @@ def _unique_times(after_s: F64) -> tuple[F64, I64]:
 def _usual(steps: F64) -> float:
     """Return the usual one of the short steps; 0 without any."""
     return float(np.median(steps[steps < 1.5 * float(np.percentile(steps, 10))])) if len(steps) else 0.0
-
-
-def _refined(ring: I64, at: F64, period: float) -> float:
-    """Return the period from the first to the last shots of the ring with the most points."""
-    _, first, counts = np.unique(ring, return_index=True, return_counts=True)
-    best = int(counts.argmax())
-    own = at[first[best] : first[best] + counts[best]]
-    n = int(np.rint(np.diff(own) / period).sum())
-    return float(own[-1] - own[0]) / n if n else period
 
 
 class _Points(NamedTuple):
@@ -355,16 +337,14 @@ class CloudLines:
             np.stack(pick(values, fill), axis=-1)
             for values, fill in ((points.range_m, np.nan), (points.intensity, np.nan), (points.record, -1))
         )
-        chosen = choose(ranges, lights, records, self._config.return_)
-        own = chosen.record == records[..., 0]
+        range_m, light, record, further = choose(ranges, lights, records, self._config.return_)
+        own = record == records[..., 0]
         time_s, xyz = (
             each[0] if len(each) == 1 else np.where(own.reshape(n, m, *(1,) * (each[0].ndim - 2)), each[0], each[1])
             for each in (pick(points.time_s, np.nan), pick(points.xyz_m, np.nan))
         )
-        return Columns(
-            base + np.arange(n), chosen.range_m, chosen.record, np.where(np.isnan(time_s), fired, time_s), xyz,
-            chosen.intensity, chosen.further_m, chosen.further_record,
-        )  # fmt: skip
+        time_s = np.where(np.isnan(time_s), fired, time_s)
+        return Columns(base + np.arange(n), range_m, record, time_s, xyz, light, *further)
 
 
 def _geometry(ring: I64, timing: Timing, xyz_m: F32, m: int) -> tuple[I64, I64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.formats.bags.messages import Cursor, ShortMessageError
+from prc_cli.formats.bags.messages import Cursor, expect
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE, lines_per_block
 from prc_cli.formats.ranges import choose_returns, clean_ranges
@@ -60,9 +60,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     first, _, step, shot_s, _, low, high = cursor.numbers("f", 7)
-    if not math.isfinite(first + step + shot_s) or step == 0:
-        message = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}, expected finite numbers"
-        raise ShortMessageError(message)
+    found = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}"
+    expect(math.isfinite(first + step + shot_s) and step != 0, f"{found}, expected finite numbers")
     if not is_multi:
         ranges, n_echoes = cursor.array("f4"), None
         intensity = cursor.array("f4")
@@ -72,9 +71,7 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         if not np.array_equal(n_of, n_echoes):
             intensity = np.empty(0, np.float32)
     m = len(ranges) if n_echoes is None else len(n_echoes)
-    if not 1 <= m <= MAX_POINTS_PER_LINE:
-        message = f"holds {m} ranges, expected 1 to {MAX_POINTS_PER_LINE}"
-        raise ShortMessageError(message)
+    expect(1 <= m <= MAX_POINTS_PER_LINE, f"holds {m} ranges, expected 1 to {MAX_POINTS_PER_LINE}")
     if len(intensity) != len(ranges):
         intensity = np.empty(0, np.float32)
     # copies: the message may be much longer than what is kept of it
@@ -90,17 +87,13 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
 def _echoes(cursor: Cursor) -> tuple[F32, I64]:
     """Read a list of lists; return their values in a row, and their lengths."""
     n = cursor.number("I")
-    if n > len(cursor.data) // 4:
-        message = f"says it holds {n} beams, which it is too short for"
-        raise ShortMessageError(message)
+    expect(n <= len(cursor.data) // 4, f"says it holds {n} beams, which it is too short for")
     words = cursor.rest("u4")[: n * (1 + MAX_ECHOES)]
     starts = _starts(words, n)
     counts = words[starts[starts < len(words)]].astype(np.int64)
-    if len(counts) < n or (n and (counts.max() > MAX_ECHOES or starts[-1] + counts[-1] >= len(words))):
-        message = (
-            f"holds {counts.max(initial=0)} echoes of a beam, expected at most {MAX_ECHOES}, and no more than there are"
-        )
-        raise ShortMessageError(message)
+    found, most = f"holds {counts.max(initial=0)} echoes of a beam", f"at most {MAX_ECHOES}, and no more than there are"
+    is_whole = len(counts) == n and (not n or starts[-1] + counts[-1] < len(words))
+    expect(is_whole and counts.max(initial=0) <= MAX_ECHOES, f"{found}, expected {most}")
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
     is_value[starts] = False
     cursor.at += 4 * len(is_value)
@@ -146,18 +139,17 @@ class LaserLines:
 
     def add(self, scan: LaserScan, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield a block when there is enough for one."""
-        number = self._n_lines + len(self._waiting)
-        if scan.points_per_line != self.points_per_line:
-            problem = f"found {scan.points_per_line} ranges, expected {self.points_per_line} as in the first message"
-            raise InputError(f"{self._where}: message {number}", problem, "record every set-up in a bag of its own")
-        found = (scan.angle_min_rad, scan.angle_step_rad)
-        start, step = self._first
-        if not (abs(found[0] - start) <= _NEAR * abs(step) and abs(found[1] - step) <= _SAME * abs(step)):
-            problem = (
-                f"found angle_min {found[0]:g} and angle_increment {found[1]:g}, expected {self._first[0]:g} and "
-                f"{self._first[1]:g} as in the first message"
-            )
-            raise InputError(f"{self._where}: message {number}", problem, "record every set-up in a bag of its own")
+        m, (start, step) = self.points_per_line, self._first
+        near = abs(scan.angle_min_rad - start) <= _NEAR * abs(step)
+        near &= abs(scan.angle_step_rad - step) <= _SAME * abs(step)
+        if scan.points_per_line != m or not near:
+            found, wanted = f"{scan.points_per_line} ranges", str(m)
+            if scan.points_per_line == m:
+                found = f"angle_min {scan.angle_min_rad:g} and angle_increment {scan.angle_step_rad:g}"
+                wanted = f"{start:g} and {step:g}"
+            where = f"{self._where}: message {self._n_lines + len(self._waiting)}"
+            problem = f"found {found}, expected {wanted} as in the first message"
+            raise InputError(where, problem, "record every set-up in a bag of its own")
         self._waiting.append((scan, first_record))
         if len(self._waiting) == self._enough:
             yield from self.finish()

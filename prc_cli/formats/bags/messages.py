@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -11,6 +11,12 @@ from numpy.typing import DTypeLike, NDArray
 
 class ShortMessageError(ValueError):
     """A message ends before its fields do, or its lengths are wrong; the text says how."""
+
+
+def expect(is_so: bool, otherwise: str) -> None:
+    """Refuse a message with a text where something is not so."""
+    if not is_so:
+        raise ShortMessageError(otherwise)
 
 
 class Cursor:
@@ -25,9 +31,8 @@ class Cursor:
         self.at = self._start = 4 if is_cdr else 0
         self.order: Literal["<", ">"] = "<"
         if is_cdr:
-            if len(data) < 4 or data[0] != 0 or data[1] > 1:
-                message = f"begins with {data[:4].hex() or 'nothing'}, expected the four bytes of CDR"
-                raise ShortMessageError(message)
+            known = len(data) >= 4 and data[0] == 0 and data[1] <= 1
+            expect(known, f"begins with {data[:4].hex() or 'nothing'}, expected the four bytes of CDR")
             self.order = "<" if data[1] else ">"
 
     def _align(self, size: int) -> None:
@@ -37,9 +42,7 @@ class Cursor:
     def _need(self, n: int) -> int:
         """Return the position and move ``n`` bytes on."""
         start = self.at
-        if n > len(self.data) - start:
-            message = f"ends after {len(self.data)} bytes, expected {start + n} or more"
-            raise ShortMessageError(message)
+        expect(n <= len(self.data) - start, f"ends after {len(self.data)} bytes, expected {start + n} or more")
         self.at += n
         return start
 
@@ -94,32 +97,22 @@ _LEAST = {VELODYNE: 1214, PANDAR: 1512, NEBULA: 12}
 """Least bytes of a packet in a message."""
 
 
-class PacketOf(NamedTuple):
-    """A packet of a message."""
-
-    time_s: float
-    """When it was received [s]."""
-    data: bytes
-
-
-def parse_packets(kind: str, data: bytes, time_s: float, *, is_cdr: bool) -> tuple[str, list[PacketOf]]:
-    """Return the frame of a message and its packets."""
+def parse_packets(kind: str, data: bytes, time_s: float, *, is_cdr: bool) -> tuple[str, list[tuple[float, bytes]]]:
+    """Return the frame of a message, and its packets with the time when they were received [s]."""
     cursor = Cursor(data, is_cdr=is_cdr)
     if kind in OUSTER:
-        return "", [PacketOf(time_s, cursor.array("u1").tobytes())]
+        return "", [(time_s, cursor.array("u1").tobytes())]
     _, frame = cursor.header()
     n = cursor.number("I")
-    if n > len(data) // _LEAST[kind]:
-        message = f"says it holds {n} packets, which it is too short for"
-        raise ShortMessageError(message)
+    expect(n <= len(data) // _LEAST[kind], f"says it holds {n} packets, which it is too short for")
     packets = []
     for _ in range(n):
         stamp_s = cursor.stamp()
         if kind == VELODYNE:
-            packets.append(PacketOf(stamp_s, cursor.array("u1", 1206).tobytes()))
+            packets.append((stamp_s, cursor.array("u1", 1206).tobytes()))
         elif kind == NEBULA:
-            packets.append(PacketOf(stamp_s, cursor.array("u1").tobytes()))
+            packets.append((stamp_s, cursor.array("u1").tobytes()))
         else:
             held = cursor.array("u1", 1500)
-            packets.append(PacketOf(stamp_s, held[: cursor.number("I")].tobytes()))
+            packets.append((stamp_s, held[: cursor.number("I")].tobytes()))
     return frame, packets

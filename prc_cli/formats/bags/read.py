@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
@@ -36,7 +36,8 @@ class BagStream:
         self._frames = self._readable()
         self._chosen = self._choose()
         self._notes: list[str] = []
-        self._numbers = _Numbers()
+        self._numbers: dict[str, int] = {}
+        """Numbers of scanners, in the order they are met."""
         self._has_returns = False
         self._widest = self._look()
         check_width(path, self._widest, config)
@@ -51,8 +52,8 @@ class BagStream:
         if self._config.topic is not None:
             why = "input.topic names it"
         assumed = [Assumption("input.topic", names, why)]
-        if len(self._numbers.of) > 1:
-            shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.of.items())
+        if len(self._numbers) > 1:
+            shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.items())
             assumed.append(Assumption("input.scanner", "one a topic and frame", shown[:500]))
         notes = list(self._notes)
         if self._bag.problem:
@@ -68,7 +69,7 @@ class BagStream:
             facts=SourceFacts(
                 has_line_times=not lasers,
                 has_returns=self._has_returns,
-                scanners=tuple(self._numbers.of) if len(self._numbers.of) > 1 else (),
+                scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
                 notes=tuple(notes),
                 describe=self._describe,
             ),
@@ -136,8 +137,8 @@ class BagStream:
                 reader = self._reader(topic)
                 for _ in reader.add(self._firsts[topic], 0):
                     pass
-                widest = max([widest, *(lines.points_per_line for lines in reader.lines)])
-                self._has_returns = self._has_returns or any(lines.has_returns for lines in reader.lines)
+                widest = max([widest, *(lines.points_per_line for lines in reader.frames.values())])
+                self._has_returns = self._has_returns or any(lines.has_returns for lines in reader.frames.values())
                 why = reader.nothing()
         if not widest:
             names = ", ".join(topic.name for topic in self._chosen)
@@ -160,54 +161,22 @@ class BagStream:
         self._notes = [note for reader in readers.values() for note in reader.notes()]
 
 
-class _Numbers:
-    """Numbers of scanners, in the order they are met."""
-
-    def __init__(self) -> None:
-        self.of: dict[str, int] = {}
-
-    def number(self, name: str) -> int:
-        """Return the number of a scanner; a new one if it is new."""
-        if name not in self.of and len(self.of) == MAX_SCANNERS:
-            problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
-            raise InputError(name, problem, "name the topics: --topic NAME")
-        return self.of.setdefault(name, len(self.of))
-
-
-class _Lines(Protocol):
-    """Gathers what one scanner sent into blocks."""
-
-    points_per_line: int
-    has_returns: bool
-    """Whether shots may have several returns."""
-
-    def finish(self) -> Iterator[ScanBlock]:
-        """Yield what waits."""
-
-    def lost(self) -> str:
-        """Return a sentence on what is lacking, empty if all is there."""
-
-
-_L = TypeVar("_L", bound=_Lines)
+_L = TypeVar("_L", CloudLines, LaserLines, PacketLines)
 
 
 class _TopicReader:
     """Turns the messages of a topic into blocks; every frame of it is a scanner."""
 
-    def __init__(self, path: Path, topic: Topic, numbers: _Numbers, config: InputConfig) -> None:
+    def __init__(self, path: Path, topic: Topic, numbers: dict[str, int], config: InputConfig) -> None:
         self._where, self._topic = f"{path}: {topic.name}", topic
         self._numbers, self._config = numbers, config
         self._metadata = find_metadata(None, config) if topic.kind in PACKED else None
-        self._frames: dict[str, Any] = {}
+        self.frames: dict[str, Any] = {}
+        """What gathers the scans of every frame into blocks."""
         self._n = self._n_other = 0
         self._other = ""
         self.n_taken = 0
         """Records of the last message."""
-
-    @property
-    def lines(self) -> list[_Lines]:
-        """What the scanners of the topic gather."""
-        return list(self._frames.values())
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield blocks as there is enough for one."""
@@ -230,10 +199,13 @@ class _TopicReader:
 
     def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
         """Return what gathers the scans of a frame."""
-        if frame not in self._frames:
-            number = self._numbers.number(self._name(frame))
-            self._frames[frame] = gather(self._where, number, *first, self._config)
-        lines: _L = self._frames[frame]
+        if frame not in self.frames:
+            name, n = self._name(frame), len(self._numbers)
+            if name not in self._numbers and n == MAX_SCANNERS:
+                problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
+                raise InputError(name, problem, "name the topics: --topic NAME")
+            self.frames[frame] = gather(self._where, self._numbers.setdefault(name, n), *first, self._config)
+        lines: _L = self.frames[frame]
         return lines
 
     def _name(self, frame: str) -> str:
@@ -255,12 +227,12 @@ class _TopicReader:
 
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
-        for lines in self._frames.values():
+        for lines in self.frames.values():
             yield from lines.finish()
 
     def notes(self) -> list[str]:
         """Return sentences on what was unusual."""
-        found = [f"{self._name(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lost())]
+        found = [f"{self._name(frame)}: {lost}" for frame, lines in self.frames.items() if (lost := lines.lost())]
         if self._n_other:
             found.append(f"{self._topic.name}: {self._n_other:,} packets of another kind left out ({self._other})")
         return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,26 +255,20 @@ def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
     return xyz
 
 
-class Chosen(NamedTuple):
-    """The return that stands for every shot, and the other one; as in :class:`Columns`."""
-
-    range_m: F32
-    intensity: F32
-    record: I64
-    further_m: F32 | None
-    further_record: I64 | None
+_Further: TypeAlias = tuple[F32 | None, I64 | None]
 
 
-def choose(range_m: F32, light: F32, record: I64, rule: str) -> Chosen:
-    """Choose the return that stands for every shot; all arrays are (n, M, returns), returns at most two."""
+def choose(range_m: F32, light: F32, record: I64, rule: str) -> tuple[F32, F32, I64, _Further]:
+    """Return range, light and record of the return that stands for every shot, range and record of the other one.
+
+    All arrays are (n, M, returns); returns are at most two.
+    """
     own, lit, at = range_m[..., 0], light[..., 0], record[..., 0]
     if range_m.shape[-1] == 1:
-        return Chosen(own, lit, at, None, None)
+        return own, lit, at, (None, None)
     other, other_lit, other_at = range_m[..., 1], light[..., 1], record[..., 1]
     with np.errstate(invalid="ignore"):
         wins = {"strongest": other_lit > lit, "first": other < own, "last": other > own}[rule]
     swap = np.isfinite(other) & (wins | np.isnan(own))
-    return Chosen(
-        np.where(swap, other, own), np.where(swap, other_lit, lit), np.where(swap, other_at, at),
-        np.where(swap, own, other), np.where(swap, at, other_at),
-    )  # fmt: skip
+    further = np.where(swap, own, other), np.where(swap, at, other_at)
+    return np.where(swap, other, own), np.where(swap, other_lit, lit), np.where(swap, other_at, at), further

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
-from prc_cli.core.types import F64, I64, U8
+from prc_cli.core.types import U8
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import check_rules, check_width
 from prc_cli.formats.packets.capture import CaptureCount, Datagram, read_datagrams
-from prc_cli.formats.packets.columns import ColumnLines, Columns
+from prc_cli.formats.packets.columns import ColumnLines
 from prc_cli.formats.packets.ouster import Metadata, OusterDecoder, read_metadata
 from prc_cli.formats.packets.spinning import KNOWN, NEEDED, SpinningDecoder, describe, is_hesai, is_spinning
 
@@ -27,24 +27,7 @@ MAX_SCANNERS = 256
 _USUAL_OUSTER = 7502
 
 
-class Decoder(Protocol):
-    """Decodes the packets of one scanner; its state is what goes from packet to packet."""
-
-    name: str
-    """Maker and model."""
-    points_per_line: int
-    n_columns: int
-    """Columns of a packet."""
-    n_records: int
-    """Records of a packet."""
-    n_returns: int
-
-    @property
-    def shift(self) -> I64:
-        """(M,) int64, columns by which a ring looks ahead; known when packets were decoded."""
-
-    def decode(self, packets: U8, host_s: F64, first_record: I64) -> Columns:
-        """Decode packets of one size, (n, size) uint8."""
+Decoder: TypeAlias = SpinningDecoder | OusterDecoder
 
 
 def is_scan(packet: bytes, metadata: Metadata | None) -> bool:

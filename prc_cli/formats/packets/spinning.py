@@ -324,7 +324,7 @@ class SpinningDecoder:
         light = self._by_column(blocks["shots"]["light"]).astype(np.float32)
         within = np.arange(self.n_records).reshape(self.n_columns, m, self.n_returns)
         record = (first_record[:, None, None, None] + within).reshape(-1, m, self.n_returns)
-        chosen = choose(metres, light, record, self._rule)
+        range_m, lit, record, further = choose(metres, light, record, self._rule)
         line, time_s = self._times(table, host_s)
         # how far the head has turned when a laser fires, as a share of the way to the next block
         turn = (np.arange(model.firings)[:, None] * model.column_us + model.fired_us[order]) / (
@@ -332,10 +332,8 @@ class SpinningDecoder:
         )
         turned = azimuth[:, :, None, None] + gap[:, :, None, None] * turn + model.azimuth_deg[order] * 100.0
         turned = np.deg2rad(turned.reshape(-1, m) / 100.0)
-        xyz = place(chosen.range_m, turned, np.deg2rad(model.elevation_deg[order]))
-        return Columns(
-            line, chosen.range_m, chosen.record, time_s, xyz, chosen.intensity, chosen.further_m, chosen.further_record
-        )
+        xyz = place(range_m, turned, np.deg2rad(model.elevation_deg[order]))
+        return Columns(line, range_m, record, time_s, xyz, lit, *further)
 
     def _check(self, table: NDArray[np.void]) -> None:
         """Refuse a set-up that changes."""
