@@ -232,10 +232,6 @@ class _Points(NamedTuple):
         """Return some of the points."""
         return _Points(*(values[where] for values in self))
 
-    def and_then(self, other: _Points) -> _Points:
-        """Return these points and others behind them."""
-        return _Points(*(np.concatenate([a, b]) for a, b in zip(self, other, strict=True)))
-
 
 class CloudLines:
     """Gathers messages of one scanner into blocks."""
@@ -276,7 +272,8 @@ class CloudLines:
             raise InputError(self._where, problem, "record every set-up in a bag of its own")
         n_new, n_rest = len(points.ring), 0 if self._rest is None else len(self._rest.ring)
         self._lines.count_not_fired(cloud.n_records - n_new)
-        points = points if self._rest is None else self._rest.and_then(points)
+        if self._rest is not None:
+            points = _Points(*(np.concatenate([a, b]) for a, b in zip(self._rest, points, strict=True)))
         if not len(points.ring):
             return
         timing = self._timing.again(points.ring, points.time_s, n_rest) or find_columns(points.ring, points.time_s)
@@ -322,29 +319,25 @@ class CloudLines:
         again = first[cell] != point
         second[cell[again][::-1]] = point[again][::-1]
         self._lines.count_not_fired(int(np.count_nonzero(again)) - int(np.count_nonzero(second >= 0)))
-        returns = (first, second) if again.any() else (first,)
+        returns = [first, second] if again.any() else [first]
+        cells = np.stack(returns, axis=-1).reshape(n, m, -1)
 
-        def pick(values: NDArray[Any], fill: float) -> list[NDArray[Any]]:
-            picked = [values[each] for each in returns]
-            for each, found in zip(returns, picked, strict=True):
-                found[each < 0] = fill
-            return [found.reshape(n, m, *values.shape[1:]) for found in picked]
+        def pick(values: NDArray[Any], which: NDArray[np.intp], fill: float) -> NDArray[Any]:
+            found: NDArray[Any] = values[which]
+            found[which < 0] = fill
+            return found
 
+        ranges, lights = pick(points.range_m, cells, np.nan), pick(points.intensity, cells, np.nan)
+        range_m, light, own, (further_m, other) = choose(ranges, lights, cells, self._config.return_)
         late: F64 = np.zeros(m)
         late[self._place[: len(timing.late_s)]] = timing.late_s[:m]
+        time_s = pick(points.time_s, own, np.nan)
         fired = timing.start_s + np.arange(n)[:, None] * timing.period_s + late
-        ranges, lights, records = (
-            np.stack(pick(values, fill), axis=-1)
-            for values, fill in ((points.range_m, np.nan), (points.intensity, np.nan), (points.record, -1))
-        )
-        range_m, light, record, further = choose(ranges, lights, records, self._config.return_)
-        own = record == records[..., 0]
-        time_s, xyz = (
-            each[0] if len(each) == 1 else np.where(own.reshape(n, m, *(1,) * (each[0].ndim - 2)), each[0], each[1])
-            for each in (pick(points.time_s, np.nan), pick(points.xyz_m, np.nan))
-        )
-        time_s = np.where(np.isnan(time_s), fired, time_s)
-        return Columns(base + np.arange(n), range_m, record, time_s, xyz, light, *further)
+        return Columns(
+            base + np.arange(n), range_m, pick(points.record, own, -1), np.where(np.isnan(time_s), fired, time_s),
+            pick(points.xyz_m, own, np.nan), light, further_m,
+            None if other is None else pick(points.record, other, -1),
+        )  # fmt: skip
 
 
 def _geometry(ring: I64, timing: Timing, xyz_m: F32, m: int) -> tuple[I64, I64]:

@@ -23,6 +23,7 @@ from prc_cli.formats.bags.containers import Bag
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from tests.formats.bags import recordings as made
+from tests.formats.bags.test_cloud import drive, messages
 from tests.fuzz.crafted import endless_column, endless_rows
 from tests.runner import runner
 
@@ -116,6 +117,31 @@ def test_a_range_at_the_reach_is_no_return(tmp_path: Path) -> None:
     one = [made.Sent("/scan", "sensor_msgs/msg/LaserScan", 1, made.laser(store, 1, row))]
     (block,) = read(made.write_bag(tmp_path / "scan.bag", one))[1]
     np.testing.assert_array_equal(block.range_m[0], np.array([np.nan, 99.99, np.nan, 3], np.float32))
+
+
+def test_echoes_of_zero_are_told_from_lengths(tmp_path: Path) -> None:
+    """A value of zero has the bytes of a list without echoes."""
+    lists, lit = [[5.0, 0.0], [], [0.0], [9.0, 0.0, 8.0], [7.0]], [[0.0, 0.0], [], [0.0], [0.0, 2.0, 0.0], [0.0]]
+    sent = [made.Sent("/scan", "sensor_msgs/msg/MultiEchoLaserScan", 1, made.echoes(made.STORES[1], 1, lists, lit))]
+    (block,) = read(made.write_bag(tmp_path / "echoes.bag", sent), **{"return": "first"})[1]
+    np.testing.assert_array_equal(block.range_m[0], np.array([5, np.nan, np.nan, 9, 7], np.float32))
+    np.testing.assert_array_equal(block.extra.range_m, [8])
+    np.testing.assert_array_equal(block.records(), [[0, 2, 3, 4, 7]])
+
+
+def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_path: Path) -> None:
+    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("intensity", "<f4"), ("t", "<u4")])
+    sent = [*messages(drive(), dtype), *made.lasers(2), *made.lasers(2, "/of_cloud", "velodyne")]
+    stream, blocks = read(made.write_mcap(tmp_path / "mixed.mcap", sent))
+    assert {block.scanner: block.points_per_line for block in blocks} == {0: 8, 1: made.M}
+    told = {one.key: one.value + one.why for one in stream.info.assumptions}
+    assert told["input.topic"] == "/points, /scanother scans: /of_cloud (input.topic)"
+    assert stream.info.facts.scanners == ("/points (velodyne)", "/scan (laser)")
+    records = np.concatenate([block.records().ravel() for block in blocks])
+    found = np.sort(records[records >= 0])
+    assert np.array_equal(found, np.arange(sum(block.tally.n_records for block in blocks)))
+    result = runner().invoke(cli, ["info", str(tmp_path / "mixed.mcap")])
+    assert "/scan (laser): no vertical direction known" in " ".join(result.output.split())
 
 
 def test_topics_have_an_order_of_time_each(tmp_path: Path) -> None:
