@@ -86,15 +86,19 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
             lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
             lacks = f"{lean}, which fused does not stand; look at the unit of the ranges"
             return MethodChoice("urban", lacks, lacks), stream
-        if stream.info.facts.has_scans or config.input.scanner != "none":
+        every = stream.info.facts.scanners
+        if every or stream.info.facts.has_scans or config.input.scanner != "none":
             # a later scanner may be refused only when it is reached
             for _ in directed.blocks():
-                pass
+                if every and isinstance(directed, BeamStream) and len(directed.known | directed.late) >= len(every):
+                    break
         is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
         return choice_by_place(place_of_blocks(directed.blocks()), *known), directed
     except (InputError, ConfigError) as refusal:
-        return MethodChoice("urban", f"{refusal.problem}; {_BETTER}", refusal.problem), stream
+        scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
+        lacks = f"{scanner}: {refusal.problem}" if scanner in stream.info.facts.scanners else refusal.problem
+        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks), stream
 
 
 def decide_stream(

@@ -258,6 +258,8 @@ class BeamFinder:
 
     def _which(self, scanner: int) -> str:
         """Return the place for messages, with the scanner where the input may have several."""
+        if scanner < len(self.info.facts.scanners):
+            return self.info.facts.scanners[scanner]
         if self.info.facts.has_scans:
             return f"scan {scanner}"
         return "" if self.split_by is None else f"{self.split_by} {scanner}"
