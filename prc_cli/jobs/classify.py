@@ -7,11 +7,11 @@ its own threads, with short queues between them; the output does not depend on t
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +33,6 @@ from prc_cli.formats.las import LAZ
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer
-from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
 from prc_cli.formats.writing.record import (
     Fingerprint,
@@ -151,7 +150,9 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     return _open(path, with_layout_beside(path, LoadedConfig.of(config)).config, geometry=True)
 
 
-def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False) -> ScanStream:
+def _open(
+    path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False, parts: Sequence[Path] = ()
+) -> ScanStream:
     """Open an input.
 
     ``geometry``: find angles even if the classifier does not need them; ``only_ranges``: times and intensities may be
@@ -159,7 +160,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     """
     stream = open_input(
         path, config.input, config.layout, lines_at_once=config.classifier.method().needs.lines_per_block or 1,
-        geometry=geometry or config.needs_beams, only_ranges=only_ranges,
+        geometry=geometry or config.needs_beams, only_ranges=only_ranges, parts=parts,
     )  # fmt: skip
     if not config.needs_beams:
         return stream
@@ -169,9 +170,10 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     return with_beams(stream, config.input)
 
 
-def _open_decided(
+def open_decided(
     path: Path, loaded: LoadedConfig, engine: Engine,
     *, geometry: bool, only_ranges: bool, loading: Callable[[], AbstractContextManager[None]],
+    parts: Sequence[Path] = (),
 ) -> tuple[LoadedConfig, ScanStream]:  # fmt: skip
     """Open an input for the method that is named, else for the one chosen for it."""
     config = loaded.config
@@ -181,6 +183,7 @@ def _open_decided(
             stream = open_input(
                 path, config.input, config.layout,
                 lines_at_once=config.fused.method().needs.lines_per_block or 1, only_ranges=only_ranges,
+                parts=parts,
             )  # fmt: skip
             choice, stream = choose(stream, config)
         loaded = decided_by(choice, loaded)
@@ -188,7 +191,7 @@ def _open_decided(
             load_classifier(loaded, engine)
         if loaded.config.needs_beams:
             return loaded, stream
-    return loaded, _open(path, loaded.config, geometry=geometry, only_ranges=only_ranges)
+    return loaded, _open(path, loaded.config, geometry=geometry, only_ranges=only_ranges, parts=parts)
 
 
 def label_blocks(
@@ -319,7 +322,7 @@ def _classify(
         makes_points = is_cloud(output)
         only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
         is_new = makes_points and not keeps_points(source, output)
-        loaded, opened = _open_decided(
+        loaded, opened = open_decided(
             source, loaded, engine, geometry=is_new, only_ranges=only_ranges, loading=loading
         )  # fmt: skip
         if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
@@ -348,7 +351,7 @@ def _classify(
         ) as writer,
     ):
         result = ResultWatch(usual_labels(loaded.config, stream.info))
-        counts = _write_labels(stream, writer, loaded.config, threads, progress, result)
+        counts = write_labels(stream, writer, loaded.config, threads, progress, result)
         found = (*stream.findings(), *accept(result.findings(), stream.accepted))
         refuse(str(source), found)
         record = run_record(stream.info, counts, loaded, beside.result())
@@ -361,14 +364,21 @@ def _classify(
     return RunSummary(output, record, counts, found)
 
 
+class Taker(Protocol):
+    """What labelled blocks are given to."""
+
+    def add(self, block: LabelledBlock) -> None:
+        """Take the labels of a block."""
+
+
 def user_names(config: RunConfig) -> dict[int, str]:
     """Return the name of every user code that the method may write."""
     given = {config.classes.code(label) for label in config.classifier.method().gives}
     return {code: name for code, name in config.classes.user_names().items() if code in given}
 
 
-def _write_labels(
-    stream: ScanStream, writer: StagedWriter, config: RunConfig, threads: int, progress: Progress | None,
+def write_labels(
+    stream: ScanStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None,
     result: ResultWatch,
 ) -> Counts:  # fmt: skip
     """Read, classify and write in parallel; with one thread one after the other.

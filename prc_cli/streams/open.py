@@ -6,10 +6,12 @@ rings in :mod:`prc_cli.streams.rings`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from prc_cli.core.stream import Assumption, ScanStream
 from prc_cli.formats import open_images, open_source
+from prc_cli.formats.joined import open_joined
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.ranges import refuse_scale
 
@@ -22,10 +24,14 @@ def open_input(
     lines_at_once: int = 1,
     geometry: bool = True,
     only_ranges: bool = False,
+    parts: Sequence[Path] = (),
 ) -> ScanStream:
-    """Open an input file as a stream of blocks."""
+    """Open an input file, or the files of one drive as ``parts``, as a stream of blocks."""
     if config.window is None:
-        return _open(path, config, layout, lines_at_once=lines_at_once, geometry=geometry, only_ranges=only_ranges)
+        return _open(
+            path, config, layout,
+            lines_at_once=lines_at_once, geometry=geometry, only_ranges=only_ranges, parts=parts,
+        )  # fmt: skip
     from prc_cli.streams.window import windowed
 
     # times say where the window is
@@ -42,9 +48,10 @@ def _open(
     lines_at_once: int,
     geometry: bool,
     only_ranges: bool,
+    parts: Sequence[Path] = (),
 ) -> ScanStream:
     """Open the whole input."""
-    source = open_source(path, layout)
+    source = open_source(path, layout) if len(parts) < 2 else open_joined(parts, layout)
     config = with_layout(config, layout)
     # imported here: images do not need it and start faster
     if source is None:
