@@ -24,6 +24,7 @@ from prc_cli.formats.las.header import (
     open_source,
     read_header,
     refused_by_laspy,
+    text_of,
 )
 from prc_cli.formats.las.laz import LazRecords, read_batches
 from prc_cli.formats.las.points import layers_of, read_layout
@@ -216,8 +217,8 @@ class LasSource:
             "scales": list(header.scales),
             "offsets": list(header.offsets),
             "bounds": {"min": list(header.mins), "max": list(header.maxs)},
-            "system_id": header.system_id,
-            "generating_software": header.software,
+            "system_id": text_of(header.fields().values("system_id")[0]),
+            "generating_software": text_of(header.fields().values("software")[0]),
             "crs": self.crs_wkt,
             "extra_bytes": self._layout.describe_extra(),
             "vlrs": [
