@@ -19,12 +19,10 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.las.copy import RECORD_TEXT
-from prc_cli.formats.las.crs import vlr_of_crs
 from prc_cli.formats.las.header import LASZIP_KEY, RECORD_KEY, Vlr, make_vlr
-from prc_cli.formats.las.lookup import lookup_vlr
+from prc_cli.formats.las.laz import LasSink, LazSink, PointSink, Target, batch_size, new_laszip
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
-from prc_cli.formats.las.sinks import LasSink, LazSink, PointSink, Target, batch_size, new_laszip_payload
+from prc_cli.formats.las.vlrs import RECORD_TEXT, lookup_vlr, vlr_of_crs
 from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, asked_columns
 from prc_cli.formats.writing.coordinates import LinesApart
@@ -82,18 +80,17 @@ class LasBuilder(StagedWriter):
         self._header.are_points_compressed = self._compress
         self._dtype = self._header.point_format.dtype()
         vlrs = [extra_bytes_vlr(dimensions)]
-        if self._crs and (crs := vlr_of_crs(self._crs)) is not None:
+        if self._crs and (crs := vlr_of_crs(self._crs)[0]) is not None:
             vlrs.append(crs)
         if self._compress:
-            payload = new_laszip_payload(self.path, _POINT_FORMAT, self._header.point_format.num_extra_bytes)
+            payload = new_laszip(str(self.path), _POINT_FORMAT, self._header.point_format.num_extra_bytes)
             vlrs.append(make_vlr(LASZIP_KEY, payload, "laszip (lazrs)"))
         if self._user_names:
             vlrs.append(lookup_vlr(self._user_names))
         self._header.vlrs.extend(_as_laspy_has_it(vlr) for vlr in vlrs)
         self._target = Target(self._handle)
         self._write_header()
-        sink: PointSink = LasSink(self._target)
-        self._sink = LazSink(self._target, payload) if self._compress else sink
+        self._sink: PointSink = LazSink(self._target, payload) if self._compress else LasSink(self._target)
 
     def _write_header(self) -> None:
         """Write header and VLRs at the current position of the target."""

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OutputError
-from prc_cli.core.types import I64, U8
+from prc_cli.core.types import U8
 from prc_cli.formats.las.header import DAMAGED, EXTRA_BYTES_KEY, LasHeader, Vlr, make_vlr, standard_bytes, text_of
+from prc_cli.formats.las.vlrs import VLR_LIMIT
 from prc_cli.formats.names import usual_names
 from prc_cli.formats.options import FACTORS
 from prc_cli.formats.writing.columns import ExtraDimension
@@ -29,8 +30,6 @@ FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
 """For formats with five-bit classes: the format with eight-bit classes that holds all their fields."""
 SCAN_ANGLE_STEP_DEG = 0.006
 """Unit of the scan angle in formats 6-10 [deg]."""
-VLR_LIMIT = 65_535
-"""Largest content of a VLR [bytes]."""
 _EXTRA_TEXT = "Extra Bytes Record"
 DESCRIPTOR_BYTES = 192
 """Length of the descriptor of a dimension in an Extra Bytes VLR (LAS 1.4 R15, table 23)."""
@@ -414,8 +413,3 @@ def append_bytes(records: U8, columns: list[NDArray[Any]]) -> U8:
         little = np.ascontiguousarray(column, column.dtype.newbyteorder("<"))
         parts.append(little.view(np.uint8).reshape(len(records), -1))
     return np.concatenate(parts, axis=1)
-
-
-def count_returns(records: U8) -> I64:
-    """Count records of formats 6-10 by return number, (15,) int64: returns 1 to 15."""
-    return np.bincount(records[:, 14] & 0x0F, minlength=16)[1:16].astype(np.int64)

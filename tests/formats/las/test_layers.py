@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats.las.copy import copy_las, read_las
+from prc_cli.formats.las.rewrite import copy_las, read_las
 
 N = 120_000
 

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.las.copy import copy_las, read_las
 from prc_cli.formats.las.header import open_source
 from prc_cli.formats.las.laz import read_records
 from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.streams.order import OrderWatch
 
 VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
@@ -489,8 +489,8 @@ def test_the_chunk_table_is_checked_in_one_way(tmp_path: Path) -> None:
 def test_large_chunks_are_copied_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point_format: int) -> None:
     path, output, again = tmp_path / "a.laz", tmp_path / "b.las", tmp_path / "c.laz"
     raw, _, _ = laz(path, point_format)
-    monkeypatch.setattr("prc_cli.formats.las.sinks._BATCH_RECORDS", 7_000)
-    monkeypatch.setattr("prc_cli.formats.las.laz._SHARED_BYTES", 1_000_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz._BATCH_RECORDS", 7_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz.LARGE_CHUNK_BYTES", 1_000_000)
     monkeypatch.setattr("prc_cli.formats.las.laz.lazrs.ParLasZipDecompressor", None)
     copy_las(read_las(path), output, output)
     assert (
@@ -813,7 +813,7 @@ def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pyte
     laz(path, 6)
     header = read_las(path)
     expected = laspy.lib.read_las(path, laz_backend=laspy.LazBackend.Lazrs).points.array.tobytes()
-    monkeypatch.setattr("prc_cli.formats.las.laz._SHARED_BYTES", 1_000_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz.LARGE_CHUNK_BYTES", 1_000_000)
     with open_source(path) as source:
         found = []
         for rows in read_records(source, header, 7_000):
