@@ -96,7 +96,7 @@ class HeaderFields:
         offset, form = _FIELDS[name]
         return struct.unpack_from(form, self.data, offset)
 
-    def set(self, name: str, *values: int | float) -> None:
+    def set(self, name: str, *values: float | bytes) -> None:
         """Set all values of a field."""
         offset, form = _FIELDS[name]
         struct.pack_into(form, self.data, offset, *values)
@@ -162,9 +162,20 @@ class Vlr:
         return Vlr(self.head[:20] + len(data).to_bytes(2, "little") + self.head[22:], data)
 
 
-def make_vlr(key: tuple[str, int], data: bytes, description: str) -> Vlr:
-    """Return a plain VLR of at most 65535 bytes."""
-    return Vlr(_VLR_HEAD.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data)
+def make_vlr(key: tuple[str, int], data: bytes, description: str, *, extended: bool = False) -> Vlr:
+    """Return a VLR; a plain one has at most 65535 bytes."""
+    head = _EVLR_HEAD if extended else _VLR_HEAD
+    return Vlr(head.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data)
+
+
+def new_header() -> HeaderFields:
+    """Return the header of a new LAS 1.4 file with its coordinate system as WKT; no date, so that bytes are equal."""
+    fields = HeaderFields(bytes(STANDARD_HEADER[4]))
+    fields.data[:4], fields.data[25] = b"LASF", 4
+    fields.data[24] = 1
+    fields.set("global_encoding", WKT_BIT)
+    fields.set("header_size", len(fields.data))
+    return fields
 
 
 @dataclass(frozen=True, slots=True)

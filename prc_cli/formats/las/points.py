@@ -267,38 +267,25 @@ def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
         return float(number.type(value))
 
 
+_LAYER = {
+    **dict.fromkeys(("x", "y", "return_number", "number_of_returns", "scanner_channel"), "XY_RETURNS_CHANNEL"),
+    **dict.fromkeys(
+        ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line"), "FLAGS"
+    ),
+    **dict.fromkeys(("red", "green", "blue"), "RGB"),
+    "extra": "ALL_EXTRA_BYTES",
+}
+"""Compressed layer of a dimension where it has another name."""
+
+
 def layers_of(fields: Iterable[Field]) -> int:
     """Return which compressed layers hold these fields, as lazrs wants it (point formats 6-10)."""
     selection = int(lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
     for one in fields:
-        layer = _LAYER.get(one.layer)
-        if layer is None:
-            # no layer known for this dimension: decode all
-            layer = "ALL_EXTRA_BYTES" if one.layer == "extra" else "ALL"
-        if layer:
-            selection |= int(getattr(lazrs, f"SELECTIVE_DECOMPRESS_{layer}"))
+        name = _LAYER.get(one.layer, one.layer.upper())
+        # where no layer is known for a dimension, all are decoded
+        selection |= int(getattr(lazrs, f"SELECTIVE_DECOMPRESS_{name}", lazrs.SELECTIVE_DECOMPRESS_ALL))
     return selection
-
-
-_LAYER = {
-    **dict.fromkeys(("x", "y", "return_number", "number_of_returns", "scanner_channel"), ""),
-    "z": "Z",
-    "classification": "CLASSIFICATION",
-    **dict.fromkeys(
-        ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line"), "FLAGS"
-    ),
-    "intensity": "INTENSITY",
-    "scan_angle": "SCAN_ANGLE",
-    "user_data": "USER_DATA",
-    "point_source_id": "POINT_SOURCE_ID",
-    "gps_time": "GPS_TIME",
-    **dict.fromkeys(("red", "green", "blue"), "RGB"),
-    "nir": "NIR",
-    **dict.fromkeys(
-        ("wavepacket_index", "wavepacket_offset", "wavepacket_size", "return_point_wave_location", "x_t", "y_t", "z_t"),
-        "WAVEPACKET",
-    ),
-}
 
 
 def descriptor(dimension: ExtraDimension) -> bytes:
