@@ -20,7 +20,7 @@ from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
-from prc_cli.core.types import F64, I64, Mask, U8
+from prc_cli.core.types import F64, I64, U8, Mask
 from prc_cli.formats.writing.columns import (
     HIGH_NOISE_CODE,
     LabelOutput,
