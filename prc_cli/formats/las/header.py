@@ -1,8 +1,8 @@
 """Reads header, VLRs and extended VLRs of a LAS file, with the position of every part.
 
 Every count and length is compared with the size of the file first, so that a damaged or hostile file costs neither
-memory nor time. Records keep their bytes, because a rewritten file must not lose any. What
-the fields mean follows the LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in LAZ files.
+memory nor time. Records keep their bytes, because a rewritten file must not lose any. What the fields mean follows the
+LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in LAZ files.
 """
 
 from __future__ import annotations

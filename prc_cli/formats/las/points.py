@@ -124,13 +124,6 @@ class RecordLayout:
     angle_name: str | None = None
     """Extra dimension that holds the scan angles; None = a field of the point format, if any."""
 
-    def describe_extra(self) -> list[dict[str, Any]]:
-        """Return name, type, description and scaling of all extra bytes, ready for JSON."""
-        return [
-            {"name": one.name, "type": one.type_name, "description": one.description, "scaled": one.is_scaled}
-            for one in self.extra
-        ]
-
 
 @cache
 def standard_columns(point_format: int) -> tuple[tuple[str, str], ...]:

@@ -80,24 +80,9 @@ class LasSource:
         return self.header.n_records
 
     @property
-    def point_format(self) -> int:
-        """Point format, 0 to 10."""
-        return self.header.point_format
-
-    @property
-    def version(self) -> str:
-        """LAS version, for example ``1.4``."""
-        return "{}.{}".format(*self.header.version)
-
-    @property
     def crs_wkt(self) -> str | None:
         """Coordinate system: WKT, else ``EPSG:CODE`` from GeoTIFF keys, else None."""
         return find_crs(self.header)
-
-    @property
-    def points_per_line_hint(self) -> int | None:
-        """M, if this program wrote the file."""
-        return find_points_per_line(self.header)
 
     @cached_property
     def dimensions(self) -> tuple[str, ...]:
@@ -138,7 +123,7 @@ class LasSource:
     def facts(self) -> SourceFacts:
         """Metadata of the file."""
         return SourceFacts(
-            points_per_line=self.points_per_line_hint,
+            points_per_line=find_points_per_line(self.header),
             crs_wkt=self.crs_wkt,
             time_name="gps_time",
             rules=angle_rules(self._layout.angle_name),
@@ -210,7 +195,7 @@ class LasSource:
         """Return the header as plain values for JSON, for ``prc info``."""
         header = self.header
         return {
-            "version": self.version,
+            "version": "{}.{}".format(*header.version),
             "point_format": header.point_format,
             "compressed": header.compressed,
             "records": header.n_records,
@@ -221,7 +206,10 @@ class LasSource:
             "system_id": text_of(header.fields().values("system_id")[0]),
             "generating_software": text_of(header.fields().values("software")[0]),
             "crs": self.crs_wkt,
-            "extra_bytes": self._layout.describe_extra(),
+            "extra_bytes": [
+                {"name": one.name, "type": one.type_name, "description": one.description, "scaled": one.is_scaled}
+                for one in self._layout.extra
+            ],
             "vlrs": [
                 {"user_id": v.user_id, "record_id": v.record_id, "bytes": v.n_bytes, "description": v.description,
                  "extended": v.extended}

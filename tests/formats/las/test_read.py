@@ -71,7 +71,11 @@ def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int
     make(path, point_format, extra=[laspy.ExtraBytesParams("range", "f4"), laspy.ExtraBytesParams("column", "u2")])
     las = laspy.read(path)
     source = LasSource(path)
-    assert (source.n_records, source.point_format, source.version) == (200, point_format, VERSION[point_format])
+    assert (source.n_records, source.header.point_format, source.describe()["version"]) == (
+        200,
+        point_format,
+        VERSION[point_format],
+    )
     assert source.format == suffix.upper()
     own = {"X", "Y", "Z", "gps_time", "scan_angle", "scan_angle_rank"}
     names = set(las.header.point_format.dimension_names) - own | {"x", "y", "z", "angle"}
@@ -244,7 +248,7 @@ def test_oldest_version(tmp_path: Path) -> None:
     raw[25] = 0
     (tmp_path / "a.las").write_bytes(raw)
     source = LasSource(tmp_path / "a.las")
-    assert source.version == "1.0"
+    assert source.describe()["version"] == "1.0"
     np.testing.assert_array_equal(read(source, "time"), las.gps_time)
 
 
@@ -271,7 +275,7 @@ def test_points_per_line_from_our_provenance(tmp_path: Path) -> None:
         (b"\xff\xfe", None),
     ]:
         make(tmp_path / "a.las", 1, vlrs=[laspy.VLR("prc-cli", 1, "", content)])
-        assert LasSource(tmp_path / "a.las").points_per_line_hint == m
+        assert LasSource(tmp_path / "a.las").facts.points_per_line == m
 
 
 def test_description_is_json(tmp_path: Path) -> None:
