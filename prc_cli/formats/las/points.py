@@ -86,9 +86,10 @@ class ExtraBytes:
     dtype: np.dtype[Any]
     """Type of one element; undocumented raw bytes have one element per byte."""
     n_values: int
-    scale: float | None
-    offset: float | None
-    no_data: float | int | None
+    scale: float | None = None
+    """None = stored as it is."""
+    offset: float = 0.0
+    no_data: float | int | None = None
     place: int = 0
     """Its first byte in the record."""
 
@@ -96,11 +97,6 @@ class ExtraBytes:
     def n_bytes(self) -> int:
         """Bytes of a record."""
         return self.dtype.itemsize * self.n_values
-
-    @property
-    def is_scaled(self) -> bool:
-        """Whether it has a scale or an offset."""
-        return self.scale is not None or self.offset is not None
 
     @property
     def type_name(self) -> str:
@@ -170,9 +166,8 @@ def read_layout(header: LasHeader) -> RecordLayout:
         found.append(replace(extra, name=name, place=header.record_bytes - left))
         left -= extra.n_bytes
         if extra.data_type and one:  # raw bytes and vectors are not one number per record
-            factor = (1.0 if extra.scale is None else extra.scale) if extra.is_scaled else None
             as_float = name in _AS_FLOAT
-            fields[name] = Field(column, None, factor, extra.offset or 0.0, extra.no_data, as_float=as_float)
+            fields[name] = Field(column, None, extra.scale, extra.offset, extra.no_data, as_float=as_float)
             described[name] = extra
     taken = _take_usual(fields, described)
     if renamed := [f"{own} as {name}" for name, own in taken.items() if own != name]:
@@ -228,25 +223,17 @@ def _extra_bytes(where: str, said: Any) -> ExtraBytes:
         problem = f"{name!r} has data type {said.data_type}, expected 0 to {_LAST_DATA_TYPE}"
         raise InputError(where, problem, DAMAGED)
     if said.data_type == 0:
-        return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options, None, None, None)
+        return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options)
     number, n_values = said.dtype().base, said.num_elements()
-    scale, offset = said.scale, said.offset
-    extra = ExtraBytes(
-        name=name,
-        data_type=said.data_type,
-        description=text_of(said.description),
-        dtype=number,
-        n_values=n_values,
-        scale=None if scale is None else float(scale[0]),
-        offset=None if offset is None else float(offset[0]),
-        no_data=_no_data(said, number),
-    )
-    if n_values == 1 and extra.is_scaled:
-        factor, shift = (1.0 if scale is None else scale[0]), (0.0 if offset is None else offset[0])
-        if not (0 < abs(factor) < math.inf and abs(shift) < math.inf):
-            problem = f"{name!r} has scale {factor} and offset {shift}"
-            raise InputError(where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED)
-    return extra
+    scale, offset = (None if found is None else float(found[0]) for found in (said.scale, said.offset))
+    if scale is None and offset is not None:
+        scale = 1.0
+    offset = 0.0 if offset is None else offset
+    if n_values == 1 and scale is not None and not (0 < abs(scale) < math.inf and abs(offset) < math.inf):
+        problem = f"{name!r} has scale {scale} and offset {offset}"
+        raise InputError(where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED)
+    no_data = _no_data(said, number)
+    return ExtraBytes(name, said.data_type, text_of(said.description), number, n_values, scale, offset, no_data)
 
 
 def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:

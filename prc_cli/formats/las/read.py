@@ -207,7 +207,8 @@ class LasSource:
             "generating_software": text_of(header.fields().values("software")[0]),
             "crs": self.crs_wkt,
             "extra_bytes": [
-                {"name": one.name, "type": one.type_name, "description": one.description, "scaled": one.is_scaled}
+                {"name": one.name, "type": one.type_name, "description": one.description,
+                 "scaled": one.scale is not None}
                 for one in self._layout.extra
             ],
             "vlrs": [
