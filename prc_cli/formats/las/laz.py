@@ -311,10 +311,13 @@ class LazRecords:
         usual = new_laszip(self._where, self.header.point_format, self.header.n_extra_bytes)
         return self._laszip[:2] == usual[:2] and self._laszip[_ITEMS_AT:] == usual[_ITEMS_AT:]
 
-    def batches(self, n_max: int, selection: int, several: int | None = None) -> Iterator[tuple[int, U8]]:
+    def batches(
+        self, n_max: int, selection: int, several: int | None = None, *, reuse: bool = False
+    ) -> Iterator[tuple[int, U8]]:
         """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8.
 
-        ``several`` is the selection from the first shot of several returns on.
+        ``several`` is the selection from the first shot of several returns on; with ``reuse``, records are valid until
+        the next ones: memory that is new takes a tenth of the time.
         """
         if not self.header.n_records:
             return
@@ -326,7 +329,7 @@ class LazRecords:
         decoder = self.open(self._source, kind, selection)
         # one chunk per core
         n_together = max(n_max, min(default_threads() * int(np.diff(bounds).max()), _TOGETHER_BYTES // size))
-        chunk = 0
+        chunk, room = 0, np.empty((0, size), np.uint8)
         while chunk < self.n_chunks:
             first = int(bounds[chunk])
             end = max(int(np.searchsorted(bounds, first + n_together, side="right")) - 1, chunk + 1)
@@ -337,7 +340,9 @@ class LazRecords:
             # decode whole chunks even if longer than a batch: only then is damage noticed
             step = stop - first if whole else n_max
             for begin in range(first, stop, step):
-                raw: U8 = np.empty((min(step, stop - begin), size), np.uint8)
+                n = min(step, stop - begin)
+                room = room if reuse and n <= len(room) else np.empty((n, size), np.uint8)
+                raw: U8 = room[:n]
                 self._decode(decoder, raw, chunk, end)
                 if several is not None and raw[:, 14].max(initial=0) > _ONE_RETURN:
                     decoder = self.open(self._source, kind, several, begin)
@@ -408,10 +413,12 @@ def read_batches(
     header: LasHeader,
     n_max: int,
     layers: tuple[int, int | None] = (lazrs.SELECTIVE_DECOMPRESS_ALL, None),
+    *,
+    reuse: bool = False,
 ) -> Iterator[tuple[int, U8]]:
     """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8, compressed or not."""
     if header.compressed:
-        yield from LazRecords(source, header).batches(n_max, *layers)
+        yield from LazRecords(source, header).batches(n_max, *layers, reuse=reuse)
         return
     source.seek(header.data_offset)
     for first in range(0, header.n_records, n_max):

@@ -189,7 +189,7 @@ class LasSource:
         if self._checks_layers:
             layers, several = lazrs.SELECTIVE_DECOMPRESS_ALL, None
         with open_source(self._path) as source:
-            yield from read_batches(source, self.header, self._chunk_records, (layers, several))
+            yield from read_batches(source, self.header, self._chunk_records, (layers, several), reuse=True)
 
     def describe(self) -> dict[str, Any]:
         """Return the header as plain values for JSON, for ``prc info``."""
