@@ -19,7 +19,7 @@ from prc_cli.cli.safe import printable
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
 from prc_cli.core.findings import LABEL_CHECKS, Verdict
-from prc_cli.formats.las.crs import short_crs
+from prc_cli.formats.las.vlrs import short_crs
 from prc_cli.formats.records import Contents
 from prc_cli.jobs.info import Inspection, inspect
 from prc_cli.streams.evidence.checks import CHECKS

@@ -23,7 +23,7 @@ from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.arrays.read import CLASS
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.labels import NAMES, open_codes
-from prc_cli.formats.las.copy import copy_las, read_las
+from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import Held, format_of, is_cloud
 from prc_cli.formats.writing import (

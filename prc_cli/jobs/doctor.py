@@ -230,12 +230,9 @@ def _extras() -> Iterator[Check]:
 
 
 def _laz() -> Iterator[Check]:
-    from prc_cli.formats.las.check import POINT_FORMATS, check_laz
+    from prc_cli.formats.las.laz import check_laz
 
-    for point_format in POINT_FORMATS:
-        check_laz(point_format)
-    version = metadata.version("lazrs")
-    formats = ", ".join(str(number) for number in POINT_FORMATS)
+    formats, version = check_laz(), metadata.version("lazrs")
     yield Check("LAZ", "ok", f"lazrs {version}, records of formats {formats} came back as they went in")
 
 
@@ -458,7 +455,7 @@ def _end_to_end() -> Iterator[Check]:
     """Simulate a street, classify it from LAZ to LAZ, evaluate it, and read the classes with another library."""
     from prc_cli.config import load_config
     from prc_cli.evaluation.scores import gate_value, scores
-    from prc_cli.formats.las.check import classes_by_laspy
+    from prc_cli.formats.las.read import classes_by_laspy
     from prc_cli.jobs.classify import classify, load_classifier
     from prc_cli.jobs.evaluate import evaluate
     from prc_cli.jobs.simulate import simulate

@@ -19,7 +19,7 @@ from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, V
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32, F64
 from prc_cli.formats import LAS_SUFFIXES, open_source
-from prc_cli.formats.las.lookup import names_of_file
+from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import Contents, DerivedSource, RecordChunk, RecordSource, watched_contents

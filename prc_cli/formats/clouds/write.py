@@ -253,8 +253,8 @@ class CloudRewriter(ScatterWriter):
                 for column in self._optional:
                     found[column.name] = self._spools[column.name].span(first, first + n)
                 found[_CLASS] = self._code_spool.span(first, first + n)
-                if self._there is not None:
-                    found = found[self._there.span(first, first + n) != 0]
+                if self._is_part:
+                    found = found[self._holds(first, first + n)]
                 self._count(np.ascontiguousarray(found[_CLASS]))
                 handle.write(found.data)
                 total -= len(found)

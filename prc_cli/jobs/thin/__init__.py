@@ -25,7 +25,7 @@ from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels import open_codes
-from prc_cli.formats.las.copy import check_copied, copy_las, read_las
+from prc_cli.formats.las.rewrite import check_copied, copy_las, read_las
 from prc_cli.formats.writing import open_stream_writer, outputs_of, stream_suffix
 from prc_cli.formats.writing.base import NO_CODE, StreamItem
 from prc_cli.formats.writing.disk import DiskColumn
