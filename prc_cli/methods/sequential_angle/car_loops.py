@@ -1,0 +1,658 @@
+"""Loops that cut lines into intervals which may be cars, and test their spectrum (Stamos et al. 2012, sec. 7)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli.core.classes import Surface
+from prc_cli.core.types import F32, F32_1, F32_2, F32_3, F64, F64_1, I32, I32_1, I32_2, U8, U8_2, Mask, Mask_1
+from prc_cli.kernels.cache import helper, kernel
+from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds
+
+_CHUNK = 64
+"""Frequencies computed at once: enough for vector instructions, few enough to stop early."""
+
+_TIE = 1e-9
+"""Relative difference between two frequencies that counts as none: a spectrum is not computed more exactly."""
+
+
+@kernel()
+def _powers(values: F64_1, first: int, n_frequencies: int, power: F64_1) -> None:
+    """Compute the power of successive frequencies by Goertzel's recursion, all of them sample after sample.
+
+    The loop over frequencies is the inner one because it is the one that vector instructions can take.
+    """
+    n = len(values)
+    turn = np.empty(n_frequencies, np.float64)
+    one = np.zeros(n_frequencies, np.float64)
+    two = np.zeros(n_frequencies, np.float64)
+    for k in range(n_frequencies):
+        turn[k] = 2.0 * math.cos(2.0 * math.pi * (first + k) / n)
+    odd = n % 2
+    if odd:
+        one[:] = values[0]
+    for i in range(odd, n, 2):  # two samples a round, so that nothing has to be moved
+        x, y = values[i], values[i + 1]
+        for k in range(n_frequencies):
+            newer = x + turn[k] * one[k] - two[k]
+            one[k] = y + turn[k] * newer - one[k]
+            two[k] = newer
+    for k in range(n_frequencies):
+        power[k] = max(0.0, one[k] * one[k] + two[k] * two[k] - turn[k] * one[k] * two[k])
+
+
+@kernel()
+def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
+    """Tell whether no frequency from ``band * N`` up exceeds ``ratio`` times the largest one.
+
+    With a ratio below 1 some frequency of the band exceeds that share of the largest of all if and only if one exceeds
+    that share of the largest below the band. Hence first the few frequencies below the band, then those of the
+    band until one exceeds; and none of them when all their energy together, which Parseval's theorem gives for
+    nothing, would not do.
+    """
+    n = len(values)
+    n_low = min(math.ceil(band * n), n // 2 + 1)
+    power = np.empty(max(n_low, _CHUNK), np.float64)
+    energy = 0.0
+    for x in values:
+        energy += x * x
+    energy *= n
+    rest = energy
+    largest = 0.0
+    for first in range(0, n_low, _CHUNK):
+        size = min(_CHUNK, n_low - first)
+        _powers(values, first, size, power)
+        for k in range(size):
+            largest = max(largest, power[k])
+            rest -= power[k] if first + k == 0 or 2 * (first + k) == n else 2.0 * power[k]
+    share = (ratio * (1.0 + _TIE)) ** 2
+    # every frequency but the one of N/2 has its energy twice, at k and at N - k; all of it is taken for that one
+    if rest + 1e-12 * energy <= share * largest:
+        return True
+    for first in range(n_low, n // 2 + 1, _CHUNK):
+        size = min(_CHUNK, n // 2 + 1 - first)
+        _powers(values, first, size, power)
+        for k in range(size):
+            if power[k] > share * largest:
+                return False
+    return True
+
+
+@kernel()
+def stable_intervals(signed_deg: F32_2, intervals: I32_2, thresholds: FourierThresholds) -> Mask_1:
+    """Mark intervals whose signed angles hold no high frequency.
+
+    Long intervals are cut into the least number of windows of nearly equal size; at least half of them must be without
+    high frequencies.
+
+    ``signed_deg`` (R, n) float32, degrees; ``intervals`` (K, 3) int32; returns (K,) bool.
+    """
+    stable = np.zeros(len(intervals), np.bool_)
+    values = np.empty(signed_deg.shape[1], np.float64)
+    for i in range(len(intervals)):
+        row = signed_deg[intervals[i, 0]]
+        n = 0
+        for k in range(intervals[i, 1], intervals[i, 2] + 1):
+            value = row[k]
+            if value == value:
+                values[n] = value
+                n += 1
+        if n < thresholds.min_points or n == 0:
+            continue
+        if thresholds.longest > 0 and n > thresholds.longest:
+            stable[i] = True
+            continue
+        n_windows = (n + thresholds.window - 1) // thresholds.window
+        n_stable = 0
+        for window in range(n_windows):
+            part = values[window * n // n_windows : (window + 1) * n // n_windows]
+            n_stable += _is_stable(part, thresholds.band, thresholds.ratio)
+        stable[i] = 2 * n_stable >= n_windows
+    return stable
+
+
+_MISSING, _VEGETATION = int(Surface.MISSING), int(Surface.VEGETATION)
+_HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
+
+
+_Z, _RANGE, _DISTANCE = 2, 3, 4
+"""Columns of the points of a row: x, y, z, range, horizontal distance [m]."""
+_BACK_M = 1.0
+"""What is no farther than this behind a point, after a jump, is the same object, seen again ..."""
+_WINDOW_M = 0.8
+"""... if it is no higher above it than the window of a car [m]."""
+
+
+_STEP_M = 0.1
+"""The reliefs of walls are no deeper from one return to the next [m]."""
+_SILL_M = 0.6
+"""The windows of cars begin higher above the ground than this [m]."""
+
+
+@helper
+def _behind_glass(
+    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, k: int, n: int, limit_m: float,
+    most_m: float
+) -> int:  # fmt: skip
+    """Return the first beam behind T' that is seen through a window, or -1: what follows is near again and no T'."""
+    while k < n and (range_m[row, k] != range_m[row, k] or surface[row, k] == _VEGETATION):
+        if xyz_m[row, k, 2] > limit_m:
+            return -1
+        k += 1
+    if k == n or (surface[row, k] != _HORIZONTAL and surface[row, k] != _VERTICAL):
+        return -1
+    return k if xyz_m[row, k, 2] <= limit_m and np.float64(horizontal_m[row, k]) <= most_m else -1
+
+
+@helper
+def _top_of_van(
+    surface: U8, horizontal_m: F32, xyz_m: F32, row: int, k: int, n: int, before: float, break_m: float, most_m: float
+) -> int:
+    """Return the beam after the vertical run that a beam goes on with, or -1: it ends too high, or with the row."""
+    while k < n:
+        here = np.float64(horizontal_m[row, k])
+        if here == here:
+            if surface[row, k] != _VERTICAL or abs(here - before) > break_m:
+                return k
+            if xyz_m[row, k, 2] > most_m:
+                return -1
+            before = here
+        elif k + 1 == n:
+            return n
+        k += 1
+    return -1
+
+
+@helper
+def _gather(
+    surface: U8, range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, n: int, ground_m: float, beam: I32, code: U8,
+    thresholds: DividerThresholds,
+) -> tuple[int, int]:  # fmt: skip
+    """List the returns of a row up to the first one that is neither H nor V, or too high; T' in windows is left out.
+
+    Returns how many there are, and which of them is the first vertical one behind a horizontal one, or that of the
+    row with ``from_start``.
+    """
+    size = int(np.int64(0))
+    first = int(np.int64(-1))
+    before = _VERTICAL
+    skipped = van = int(np.int64(0))
+    limit_m, sill_m, glass_m = ground_m + thresholds.height_m, ground_m + _SILL_M, thresholds.glass_m
+    for k in range(n):
+        if k < skipped or range_m[row, k] != range_m[row, k]:
+            continue
+        here = surface[row, k]
+        if here == _VEGETATION and first >= 0 and glass_m > 0.0 and xyz_m[row, beam[size - 1], 2] >= sill_m:
+            most_m = np.float64(horizontal_m[row, beam[size - 1]]) + glass_m
+            skipped = _behind_glass(surface, range_m, xyz_m, horizontal_m, row, k, n, limit_m, most_m)
+            if skipped > k:
+                continue
+        if here != _HORIZONTAL and here != _VERTICAL:
+            break
+        if xyz_m[row, k, 2] > limit_m and k >= van:
+            if size > 0 and before == _VERTICAL:
+                van = _top_of_van(
+                    surface, horizontal_m, xyz_m, row, k, n, np.float64(horizontal_m[row, beam[size - 1]]),
+                    thresholds.vertical_break_m, ground_m + thresholds.tall_m,
+                )  # fmt: skip
+            if k >= van:
+                break
+        starts = thresholds.from_start and size == 0
+        if first < 0 and here == _VERTICAL and (starts or before == _HORIZONTAL):
+            first = size
+        before = here
+        beam[size] = k
+        code[size] = here
+        size += 1
+    return size, first if first >= 0 else size
+
+
+@helper
+def _place(
+    range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, beam: I32, first: int, size: int, points: F64
+) -> None:
+    """Put the points of a row together from one of its returns on: what comes before divides nothing."""
+    for i in range(first, size):
+        k = beam[i]
+        points[i, 0], points[i, 1], points[i, _Z] = xyz_m[row, k, 0], xyz_m[row, k, 1], xyz_m[row, k, 2]
+        points[i, _RANGE], points[i, _DISTANCE] = range_m[row, k], horizontal_m[row, k]
+
+
+@helper
+def _change_angle(xyz_m: F32, row: int, beam: I32, size: int, j: int, chord_m: float, reach: int) -> float:
+    """Return the signed angle of the chord that begins at a point [deg]; NaN when no point is far enough away."""
+    k = beam[j]
+    x, y, z = np.float64(xyz_m[row, k, 0]), np.float64(xyz_m[row, k, 1]), np.float64(xyz_m[row, k, 2])
+    for after in range(j + 1, min(j + reach, size - 1) + 1):
+        k = beam[after]
+        dx, dy, dz = (
+            np.float64(xyz_m[row, k, 0]) - x,
+            np.float64(xyz_m[row, k, 1]) - y,
+            np.float64(xyz_m[row, k, 2]) - z,
+        )
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if length >= chord_m and length > 0.0:
+            angle = math.degrees(math.acos(max(-1.0, min(1.0, dz / length))))
+            for before in range(j - 1, max(j - reach, 0) - 1, -1):
+                k = beam[before]
+                bx, by = x - np.float64(xyz_m[row, k, 0]), y - np.float64(xyz_m[row, k, 1])
+                bz = z - np.float64(xyz_m[row, k, 2])
+                back = math.sqrt(bx * bx + by * by + bz * bz)
+                if back >= chord_m and back > 0.0:
+                    return angle if dx * bx + dy * by + dz * bz >= 0.0 else -angle
+            return angle
+    return math.nan
+
+
+@helper
+def _is_under(range_m: F32, row: int, beam: I32, j: int, n_before: int, threshold_m: float) -> bool:
+    """Tell whether one of the points before lies farther away (TestUnder)."""
+    own = np.float64(range_m[row, beam[j]])
+    farthest = own
+    for before in range(max(0, j - n_before), j):
+        farthest = max(farthest, np.float64(range_m[row, beam[before]]))
+    return bool(farthest - own > threshold_m)
+
+
+@helper
+def _begins(
+    range_m: F32, xyz_m: F32, signed_deg: F32, row: int, beam: I32, size: int, j: int, thresholds: DividerThresholds
+) -> bool:
+    """Tell whether a change from H to V begins an interval: gradual, or sudden with something under it."""
+    angle = math.nan
+    if thresholds.change_chord_m > 0.0:
+        angle = _change_angle(xyz_m, row, beam, size, j, thresholds.change_chord_m, thresholds.change_reach)
+    if angle != angle:
+        angle = signed_deg[row, beam[j]]
+    gradual = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
+    return gradual or _is_under(range_m, row, beam, j, thresholds.under_points, thresholds.under_m)
+
+
+@helper
+def _is_flat(sums: F64, first: int, last: int, residual_m: float, slope: float) -> bool:
+    """Tell whether the straight line through the heights of successive points is near them and not steep.
+
+    ``sums`` holds the running sums of h, z, h², hz and z² of the points before each.
+    """
+    n = last + 1 - first
+    mean_h = (sums[last + 1, 0] - sums[first, 0]) / n
+    mean_z = (sums[last + 1, 1] - sums[first, 1]) / n
+    hh = (sums[last + 1, 2] - sums[first, 2]) / n - mean_h * mean_h
+    hz = (sums[last + 1, 3] - sums[first, 3]) / n - mean_h * mean_z
+    zz = (sums[last + 1, 4] - sums[first, 4]) / n - mean_z * mean_z
+    return bool(abs(hz) <= slope * hh and zz - hz * hz / hh <= residual_m * residual_m)
+
+
+@helper
+def _flat_stretch(
+    points: F64, first: int, last: int, thresholds: DividerThresholds, sums: F64, farthest: F64
+) -> tuple[int, int]:
+    """Find the first long flat stretch of a horizontal run; (-1, -1) = none.
+
+    The points from K to the first one that lies ``flat_length_m`` farther must be flat; then the stretch is drawn out
+    point by point for as long as it stays flat. That first point is sought from where it was for the K before.
+    """
+    length_m, residual_m, slope = thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope
+    size = last + 1 - first
+    farthest[size] = -np.inf
+    longest = -np.inf
+    for i in range(size - 1, -1, -1):
+        farthest[i] = max(farthest[i + 1], points[first + i, _DISTANCE])
+        longest = max(longest, farthest[i] - points[first + i, _DISTANCE])
+    if longest < length_m:
+        return -1, -1
+    sums[0, :] = 0.0
+    for i in range(size):  # from the first point on, so that little is lost to rounding
+        h = points[first + i, _DISTANCE] - points[first, _DISTANCE]
+        z = points[first + i, _Z] - points[first, _Z]
+        sums[i + 1, 0] = sums[i, 0] + h
+        sums[i + 1, 1] = sums[i, 1] + z
+        sums[i + 1, 2] = sums[i, 2] + h * h
+        sums[i + 1, 3] = sums[i, 3] + h * z
+        sums[i + 1, 4] = sums[i, 4] + z * z
+    end = 0
+    for begin in range(size):
+        end = max(end, begin)
+        if farthest[end] - points[first + begin, _DISTANCE] < length_m:
+            continue
+        while points[first + end, _DISTANCE] - points[first + begin, _DISTANCE] < length_m:
+            end += 1
+        if not _is_flat(sums, begin, end, residual_m, slope):
+            continue
+        while end + 1 < size and _is_flat(sums, begin, end + 1, residual_m, slope):
+            end += 1
+        return first + begin, first + end
+    return -1, -1
+
+
+@helper
+def _first_flat(
+    code: U8, points: F64, begin: int, end: int, thresholds: DividerThresholds, sums: F64, farthest: F64
+) -> tuple[int, int]:
+    """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
+    i = begin
+    lowest = np.inf
+    done = begin
+    while i <= end:
+        first = i
+        while i <= end and code[i] == _HORIZONTAL:
+            i += 1
+            if i <= end and abs(points[i, _Z] - points[i - 1, _Z]) > thresholds.flat_step_m:
+                break
+        if i > first:
+            stretch = _flat_stretch(points, first, i - 1, thresholds, sums, farthest)
+            while done < stretch[0]:
+                lowest = min(lowest, points[done, _Z])
+                done += 1
+            if stretch[0] >= 0 and not points[stretch[0], _Z] - lowest > thresholds.flat_above_m:
+                return stretch
+        if i == first or code[i - 1] != _HORIZONTAL or i > end or code[i] != _HORIZONTAL:
+            i += 1
+    return -1, -1
+
+
+@helper
+def _comes_back(points: F64, size: int, j: int, reach: int) -> bool:
+    """Tell whether one of the points after a jump is near the point before it, as over the window of a car."""
+    for after in range(j + 2, min(j + 1 + reach, size - 1) + 1):
+        near = points[after, _DISTANCE] - points[j, _DISTANCE] <= _BACK_M
+        if near and points[after, _Z] - points[j, _Z] <= _WINDOW_M:
+            return True
+    return False
+
+
+@helper
+def _next_jump(points: F64, size: int, j: int, separation_m: float, reach: int) -> int:
+    """Find the first point from one on that a jump away from the scanner follows, or the last one."""
+    while j < size - 1:
+        dx, dy = points[j + 1, 0] - points[j, 0], points[j + 1, 1] - points[j, 1]
+        dz = points[j + 1, 2] - points[j, 2]
+        ahead = dx * points[j, 0] + dy * points[j, 1] > 0.0
+        far = ahead and math.sqrt(dx * dx + dy * dy + dz * dz) > separation_m
+        if far and not _comes_back(points, size, j, reach):
+            break
+        j += 1
+    return j
+
+
+@helper
+def _with_room(found: I32, size: int) -> I32:
+    """Return the list itself, or a copy of twice its length when it is full."""
+    if size < len(found):
+        return found
+    larger = np.empty((2 * size, 3), np.int32)
+    for i in range(size):
+        larger[i, 0], larger[i, 1], larger[i, 2] = found[i, 0], found[i, 1], found[i, 2]
+    return larger
+
+
+@kernel()
+def car_intervals(
+    surface: U8_2,
+    range_m: F32_2,
+    xyz_m: F32_3,
+    horizontal_m: F32_2,
+    signed_deg: F32_2,
+    n_beams: I32_1,
+    triggered: Mask_1,
+    ground_m: F32_1,
+    thresholds: DividerThresholds,
+) -> I32_2:
+    """Cut the triggered rows into intervals that may be cars.
+
+    ``surface`` (R, n) uint8; ``range_m, horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres;
+    ``signed_deg`` (R, n) float32, degrees; ``n_beams`` (R,) int32; ``triggered`` (R,) bool; ``ground_m`` (R,) float32,
+    metres; returns (K, 3) int32.
+    """
+    n_rows, n = surface.shape
+    beam = np.empty(n, np.int32)
+    code = np.empty(n, np.uint8)
+    points = np.empty((n, 5), np.float64)
+    sums = np.empty((n + 1, 5), np.float64)
+    farthest = np.empty(n + 1, np.float64)
+    found = np.empty((64, 3), np.int32)
+    n_found = 0
+    for row in range(n_rows):
+        ground = np.float64(ground_m[row])
+        if not triggered[row] or ground != ground:
+            continue
+        size, j = _gather(
+            surface, range_m, xyz_m, horizontal_m, row, int(np.int64(n_beams[row])), ground, beam, code, thresholds
+        )
+        if j == size:
+            continue
+        _place(range_m, xyz_m, horizontal_m, row, beam, j, size, points)
+        jump = int(np.int64(-1))
+        while j < size:
+            if code[j] != _VERTICAL or (j > 0 and code[j - 1] != _HORIZONTAL):
+                j += 1
+                continue
+            if j > 0 and not _begins(range_m, xyz_m, signed_deg, row, beam, size, j, thresholds):
+                j += 1
+                continue
+            begin = j
+            j = size
+            while begin < size:  # one interval after the other, as far as jumps alone divide them
+                if jump < begin:
+                    jump = _next_jump(points, size, begin, thresholds.separation_m, thresholds.return_points)
+                last = jump
+                flat_from, flat_to = _first_flat(code, points, begin, last, thresholds, sums, farthest)
+                found = _with_room(found, n_found)
+                found[n_found, 0], found[n_found, 1] = row, beam[begin]
+                found[n_found, 2] = beam[last if flat_from < 0 else flat_from]
+                n_found += 1
+                begin = last + 1
+                if flat_from >= 0:
+                    j = flat_to + 1
+                    break
+    return found[:n_found].copy()
+
+
+@helper
+def _is_upright(sums: F64, n: int, residual_m: float, slope: float, noise_m: float) -> bool:
+    """Tell whether the straight line through points is near them and nearly upright.
+
+    ``sums`` are those of z, h, z², zh and h², counted from the first point.
+    """
+    mean_z, mean_h = sums[0] / n, sums[1] / n
+    zz, zh, hh = sums[2] / n - mean_z * mean_z, sums[3] / n - mean_z * mean_h, sums[4] / n - mean_h * mean_h
+    upright = abs(zh) <= (slope + noise_m / math.sqrt(n * zz)) * zz
+    return bool(upright and hh - zh * zh / zz <= residual_m * residual_m)
+
+
+@helper
+def _add(sums: F64, z: float, h: float) -> None:
+    """Add a point."""
+    sums[0] += z
+    sums[1] += h
+    sums[2] += z * z
+    sums[3] += z * h
+    sums[4] += h * h
+
+
+@helper
+def _is_straight(
+    xyz_m: F32, horizontal_m: F32, row: int, first: int, after: int, residual_m: float, slope: float, noise_m: float
+) -> bool:
+    """Tell whether the straight line through the returns of a run is near them and nearly upright."""
+    n = int(np.int64(0))
+    z_0, h_0 = np.float64(xyz_m[row, first, 2]), np.float64(horizontal_m[row, first])
+    sums = np.zeros(5, np.float64)
+    for j in range(first, after):
+        if horizontal_m[row, j] != horizontal_m[row, j]:
+            continue
+        _add(sums, np.float64(xyz_m[row, j, 2]) - z_0, np.float64(horizontal_m[row, j]) - h_0)
+        n += 1
+    return _is_upright(sums, n, residual_m, slope, noise_m)
+
+
+@helper
+def _vertical_run(
+    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, k: int, stop: int, n: int, ground_m: float,
+    thresholds: DividerThresholds,
+) -> tuple[int, int, bool]:  # fmt: skip
+    """Follow the vertical run that begins at a beam as far as is needed to know whether it is cut out.
+
+    Returns the beam after it, its last return that lies in the interval, and whether it is.
+    """
+    before = horizontal_m[row, k]
+    last = k
+    seen = k
+    long = False
+    n_points = int(np.int64(0))
+    lowest = np.inf
+    highest = -np.inf
+    top_m = ground_m + thresholds.vertical_top_m
+    j = k
+    while j < n and (j < stop or not long):
+        here = horizontal_m[row, j]
+        if here == here:
+            if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > thresholds.vertical_break_m:
+                break
+            height = np.float64(xyz_m[row, j, 2])
+            n_points += 1
+            lowest = min(lowest, height)
+            highest = max(highest, height)
+            long = highest - lowest >= thresholds.vertical_extent_m and not highest <= top_m
+            before = here
+            seen = j
+            last = j if j < stop else last
+        j += 1
+    if thresholds.vertical_open and seen == n - 1 and highest - lowest >= thresholds.vertical_extent_m:
+        return j, last, True
+    if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
+        # what is higher than the side of a car need not be straight, nor upright where its points are few
+        high = highest - lowest >= thresholds.vertical_extent_m
+        residual_m = np.inf if high else thresholds.straight_m
+        slope = thresholds.vertical_slope if high else thresholds.straight_slope
+        few = n_points < thresholds.straight_points
+        noise_m = thresholds.lean_noise_m
+        long = (high and few) or _is_straight(xyz_m, horizontal_m, row, k, j, residual_m, slope, noise_m)
+    return j, last, long
+
+
+@helper
+def _next_of_wall(surface: U8, horizontal_m: F32, row: int, k: int, n: int, before: float, reach: int) -> int:
+    """Return the next beam that goes on with a wall, behind so many returns that go through it, or n."""
+    through = 0
+    while k < n and through <= reach:
+        here = np.float64(horizontal_m[row, k])
+        solid = surface[row, k] == _HORIZONTAL or surface[row, k] == _VERTICAL
+        if solid and abs(here - before) <= _STEP_M:
+            return k
+        through += here == here
+        k += 1
+    return n
+
+
+@helper
+def _mark_reliefs(
+    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, first: int, stop: int, n: int,
+    thresholds: DividerThresholds, gone: Mask,
+) -> None:  # fmt: skip
+    """Mark the rough walls of an interval: runs of H and V that are high, upright and nearly straight."""
+    begin = first
+    while begin < stop:
+        if surface[row, begin] != _HORIZONTAL and surface[row, begin] != _VERTICAL:
+            begin += 1
+            continue
+        z_0, h_0 = np.float64(xyz_m[row, begin, 2]), np.float64(horizontal_m[row, begin])
+        sums = np.zeros(5, np.float64)
+        lowest = highest = 0.0
+        last = begin
+        n_points = int(np.int64(0))
+        j = begin
+        while j < n:
+            height = np.float64(xyz_m[row, j, 2]) - z_0
+            here = np.float64(horizontal_m[row, j])
+            _add(sums, height, here - h_0)
+            lowest, highest = min(lowest, height), max(highest, height)
+            n_points += 1
+            last = j
+            j = _next_of_wall(surface, horizontal_m, row, j + 1, n, here, thresholds.return_points)
+        high = n_points >= thresholds.straight_points and highest - lowest >= thresholds.vertical_extent_m
+        if high and highest > lowest:
+            slope, noise_m = thresholds.straight_slope, thresholds.lean_noise_m
+            if _is_upright(sums, n_points, thresholds.relief_m, slope, noise_m):
+                for k in range(begin, min(last + 1, stop)):
+                    gone[k] = True
+        begin = last + 1
+
+
+@kernel()
+def cut_verticals(
+    surface: U8_2,
+    xyz_m: F32_3,
+    horizontal_m: F32_2,
+    n_beams: I32_1,
+    intervals: I32_2,
+    ground_m: F32_1,
+    thresholds: DividerThresholds,
+) -> I32_2:
+    """Take vertical runs out of intervals that are too high for a car, or straight and upright as no car is.
+
+    Points behind an interval count in a run that goes on there.
+
+    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32, metres; ``n_beams``
+    (R,) int32; ``intervals`` (K, 3) int32; ``ground_m`` (R,) float32, metres; returns (L, 3) int32.
+    """
+    n_most = 0
+    for i in range(len(intervals)):
+        n_most += (intervals[i, 2] - intervals[i, 1]) // 2 + 1
+    left = np.empty((n_most, 3), np.int32)
+    n_left = 0
+    gone = np.zeros(surface.shape[1], np.bool_)
+    for i in range(len(intervals)):
+        row, first, stop = intervals[i, 0], intervals[i, 1], intervals[i, 2] + 1
+        n = n_beams[row]
+        for k in range(first, stop):
+            gone[k] = False
+        if thresholds.relief_m > 0.0:
+            _mark_reliefs(surface, xyz_m, horizontal_m, row, first, stop, n, thresholds, gone)
+        k = first
+        while k < stop:
+            if horizontal_m[row, k] != horizontal_m[row, k] or surface[row, k] != _VERTICAL:
+                k += 1
+                continue
+            after, last, long = _vertical_run(
+                surface, xyz_m, horizontal_m, row, k, stop, n, np.float64(ground_m[row]), thresholds
+            )
+            if long:
+                for j in range(k, last + 1):
+                    gone[j] = True
+            k = after
+        begin = -1  # first and last return of the piece that is being put together
+        end = -1
+        for k in range(first, stop):
+            if horizontal_m[row, k] != horizontal_m[row, k]:
+                continue
+            if not gone[k]:
+                begin = k if begin < 0 else begin
+                end = k
+            elif begin >= 0:
+                left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+                n_left += 1
+                begin = -1
+        if begin >= 0:
+            left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+            n_left += 1
+    return left[:n_left].copy()
+
+
+@kernel()
+def firm_intervals(surface: U8_2, intervals: I32_2, most: float, least: int) -> Mask_1:
+    """Mark intervals of so many returns of which no larger share is vegetation.
+
+    ``surface`` (R, n) uint8; ``intervals`` (K, 3) int32; returns (K,) bool.
+    """
+    firm = np.zeros(len(intervals), np.bool_)
+    for i in range(len(intervals)):
+        codes = surface[intervals[i, 0]]
+        n = n_green = 0
+        for k in range(intervals[i, 1], intervals[i, 2] + 1):
+            n += codes[k] != _MISSING
+            n_green += codes[k] == _VEGETATION
+        firm[i] = n >= least and np.float64(n_green) <= most * np.float64(n)
+    return firm
