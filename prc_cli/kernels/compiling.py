@@ -86,8 +86,11 @@ def _children(shares: Sequence[Sequence[str]]) -> Iterator[None]:
     children: list[subprocess.Popen[bytes]] = []
     with contextlib.suppress(OSError, ValueError):
         for share in shares:
-            quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-            children.append(subprocess.Popen([*command, *share], env={**os.environ, "PYTHONPATH": path}, **quiet))
+            child = subprocess.Popen(
+                [*command, *share], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONPATH": path},
+            )  # fmt: skip
+            children.append(child)
     try:
         yield
         for child in children:
