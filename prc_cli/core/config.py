@@ -64,12 +64,14 @@ def table_of(defaults: tuple[Any, ...], name: str, base: type[Params] = Params) 
     for field, annotation in get_type_hints(kind, include_extras=True).items():
         value = getattr(defaults, field)
         if hasattr(value, "_fields"):
-            table = table_of(value, field)
-            fields[field] = (table, table())
+            inner = table_of(value, field)
+            fields[field] = (inner, inner())
         elif any(isinstance(each, FieldInfo) for each in getattr(annotation, "__metadata__", ())):
             fields[field] = (annotation, Field(value, description=texts[kind.__name__, field]))
     title = "".join(word.title() for word in name.split("_")) + "Params"
-    return create_model(title, __base__=base, __doc__=kind.__doc__, __module__=kind.__module__, **fields)
+    table = create_model(title, __base__=base, __doc__=kind.__doc__, __module__=kind.__module__, **fields)
+    setattr(sys.modules[kind.__module__], title, table)  # where pickle looks for it
+    return table
 
 
 @cache

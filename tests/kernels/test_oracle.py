@@ -210,7 +210,7 @@ def test_every_kernel_has_a_twin_of_the_same_arguments() -> None:
     for name, module in KERNELS.items():
         function = getattr(import_module(module), name)
         plain = getattr(function, "py_func", function)
-        assert inspect.signature(plain) == inspect.signature(twin(name)), name
+        assert [*inspect.signature(plain).parameters] == [*inspect.signature(twin(name)).parameters], name
 
 
 def test_every_compiled_function_is_in_the_table() -> None:

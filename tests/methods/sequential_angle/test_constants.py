@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -28,3 +29,8 @@ def test_the_constant_is_that_of_the_thresholds(key: str) -> None:
         options = {name: options}
     with pytest.raises(ConfigError, match=f"{key} is a constant now"):
         load_config(options=options)
+
+
+def test_a_configuration_goes_to_another_process() -> None:
+    loaded = load_config(preset="street-scan-published")
+    assert pickle.loads(pickle.dumps(loaded)).config == loaded.config

@@ -211,8 +211,8 @@ def test_the_largest_slope_of_ground_is_an_angle() -> None:
 def test_limits_are_the_larger_of_a_length_and_a_multiple_of_the_noise(
     noise_m: float, chord_m: float, under_m: float
 ) -> None:
-    thresholds = PARAMS.thresholds(noise_m)
-    assert (thresholds.chord_m, thresholds.under_m) == (pytest.approx(chord_m), pytest.approx(under_m))
+    thresholds = PARAMS.at_noise(noise_m)
+    assert (thresholds.change_chord_m, thresholds.under_m) == (pytest.approx(chord_m), pytest.approx(under_m))
 
 
 def test_roof_and_the_ground_behind_it_are_not_one_flat_stretch() -> None:

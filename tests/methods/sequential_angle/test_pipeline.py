@@ -92,7 +92,7 @@ def test_labels_do_not_depend_on_how_the_stream_is_cut(two_sides: bool) -> None:
     block = both_sides(block) if two_sides else block
     rng = np.random.default_rng(12)
     expected, _ = run(iter([block]), PARAMS, block.n_lines)
-    assert {Label.ground, Label.CAR, Label.VEGETATION, Label.VERTICAL} <= {Label(one) for one in np.unique(expected[0])}
+    assert {Label.GROUND, Label.CAR, Label.VEGETATION, Label.VERTICAL} <= {Label(one) for one in np.unique(expected[0])}
     for blocks in (cuts(block), cuts(block, rng), cuts(block, rng), cuts(block, lines=49)):
         found, _ = run(blocks, PARAMS, block.n_lines)
         for one, other in zip(found, expected, strict=True):
@@ -132,7 +132,7 @@ def test_static_street_scans_are_classified() -> None:
     labels, reference = np.concatenate(found), np.concatenate([each for _, each in scans])
     # recall and precision; found: .99 .96, .87 .96, .94 .56, .54 .80, .83 .86
     least = {
-        Label.ground: (0.95, 0.9),
+        Label.GROUND: (0.95, 0.9),
         Label.VERTICAL: (0.8, 0.9),
         Label.VEGETATION: (0.85, 0.45),
         Label.CAR: (0.45, 0.7),
@@ -247,13 +247,13 @@ def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
         car_test=np.empty((1, 0), np.uint8),
     )
     none = np.zeros((1, 5), np.bool_)
-    expected = [Label.ground, Label.CAR, Label.CAR, Label.CAR, Label.MISSING]
+    expected = [Label.GROUND, Label.CAR, Label.CAR, Label.CAR, Label.MISSING]
     assert combine(rows, none, CurbThresholds()).tolist() == [expected]
     curb = np.array([[False, False, True, False, False]])
-    expected = [Label.ground, Label.CAR, Label.CURB, Label.VEGETATION, Label.MISSING]
+    expected = [Label.GROUND, Label.CAR, Label.CURB, Label.VEGETATION, Label.MISSING]
     assert combine(rows, curb, CurbThresholds(stands_below_m=1000.0)).tolist() == [expected]
     # the ground before the car is lower than the curb: it stands on the road
-    expected = [Label.ground, Label.CAR, Label.CURB, Label.CAR, Label.MISSING]
+    expected = [Label.GROUND, Label.CAR, Label.CURB, Label.CAR, Label.MISSING]
     assert combine(rows, curb, CurbThresholds()).tolist() == [expected]
 
 
