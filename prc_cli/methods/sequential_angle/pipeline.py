@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from prc_cli import kernels
 from prc_cli.core.blocks import LineBuffer
 from prc_cli.core.classes import LABEL_OF_SURFACE, CarTest, Label, Reason, Surface
-from prc_cli.core.config import table_of, thresholds_of
 from prc_cli.core.errors import InputError
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
+from prc_cli.methods.keys import table_of, thresholds_of
 from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles

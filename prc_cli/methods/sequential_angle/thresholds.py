@@ -1,6 +1,6 @@
 """The thresholds of the sequential-angle method: each once, for the configuration, the loops and their twins.
 
-A field with :func:`~prc_cli.core.config.key` is a key of ``[sequential_angle]``; the others are constants. Lengths are
+A field with :func:`~prc_cli.methods.keys.key` is a key of ``[sequential_angle]``; the others are constants. Lengths are
 in metres, angles in degrees; heights are counted from the scanner. :meth:`SequentialAngleThresholds.at_noise` gives
 what the loops compare with. ``R`` is the number of rows (half-lines) and ``n`` that of their beams.
 """
@@ -12,8 +12,8 @@ from typing import Annotated, NamedTuple
 
 from pydantic import AfterValidator, Field
 
-from prc_cli.core.config import key
 from prc_cli.core.types import F32, F64, I32, Mask
+from prc_cli.methods.keys import key
 
 Floats = Annotated[F64, 1]
 Ints = Annotated[I32, 1]

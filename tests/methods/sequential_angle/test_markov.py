@@ -11,9 +11,10 @@ from numpy.random import Generator
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from prc_cli.core.config import build, table_of
+from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64
+from prc_cli.methods.keys import table_of
 from prc_cli.methods.sequential_angle import coarse_loops as kernel_module
 from prc_cli.methods.sequential_angle.coarse import hmm_cusum
 from prc_cli.methods.sequential_angle.thresholds import UNIFORM, MarkovThresholds, Matrix, Row

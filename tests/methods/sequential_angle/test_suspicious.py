@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from prc_cli.core.config import build, table_of
+from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
+from prc_cli.methods.keys import table_of
 from prc_cli.methods.sequential_angle.car import increments, suspicious
 from prc_cli.methods.sequential_angle.thresholds import SuspiciousThresholds
 from tests.methods.sequential_angle.made import made
