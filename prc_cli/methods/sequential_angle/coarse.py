@@ -38,6 +38,7 @@ def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
 
     Foliage between two surfaces:
 
+    >>> import numpy as np
     >>> foliage = [-90.0, 90.0, 0.0] * 10
     >>> values = np.array([[90.0] * 20 + foliage + [0.0] * 20], np.float32)
     >>> found = np.flatnonzero(hmm_cusum(values, MarkovThresholds())[0])
@@ -75,6 +76,7 @@ def coarse(signed_deg: F32, lines: VerticalLines, thresholds: CoarseThresholds) 
 
     Ground (2) and a wall (3) with one missing shot:
 
+    >>> import numpy as np
     >>> x = np.array([4, 4.5, 5, 5.5, 6, 6, 6, np.nan, 6, 6])
     >>> z = np.array([-2, -2, -2, -2, -2, -1.5, -1, -0.5, 0, 0.5])
     >>> xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
@@ -109,6 +111,7 @@ def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresho
 
     Panes and a wall behind them, then leaves:
 
+    >>> import numpy as np
     >>> found = []
     >>> for distance in (np.tile([9.0, 9.4], 5), np.linspace(9.0, 9.4, 10)):
     ...     x, z = distance, np.linspace(1.0, 2.0, 10)
