@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from prc_cli.methods.prc.urban import Totals
-from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState, _tail
+from prc_cli.methods.sequential_angle.curb import CurbState, _tail
 from prc_cli.methods.sequential_angle.lines import to_columns
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])
@@ -21,7 +22,7 @@ def test_the_last_rows_stay(n: int, n_new: int) -> None:
 
 
 def test_curbs_begin_without_regions() -> None:
-    params = CurbParams()
+    params = CurbThresholds()
     state = CurbState.start(2, 7, params)
     regions = state.regions
     assert regions.n_given == 1
