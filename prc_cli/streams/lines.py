@@ -84,6 +84,8 @@ class LineRules:
 
     where: str
     """File and rule, for messages."""
+    path: str = ""
+    """The file alone."""
     dimension: str | None = None
     """Dimension with the number of the line."""
     line_hz: float | None = None
@@ -311,17 +313,17 @@ class WholeLines:
 
 
 def advance(
-    scanner: int, records: Table, state: ScanState, rules: LineRules, path: str, *, final: bool
+    scanner: int, records: Table, state: ScanState, rules: LineRules, *, final: bool
 ) -> tuple[WholeLines | None, ScanState]:
     """Add the next records of a scanner; return the lines that are complete now."""
-    records, starts, state = whole_shots(join([state.tail, records]), state, rules, path, final=final)
+    records, starts, state = whole_shots(join([state.tail, records]), state, rules, final=final)
     if n_rows(records):
         records, state = _find_lines(records, starts, state, rules)
         records = {name: column for name, column in records.items() if name not in rules.spent}
     held = (*state.held, records) if n_rows(records) else state.held
     n_held = state.n_held + n_rows(records)
     if n_held > max_open(rules) and not final:
-        _check_open(path, held, state, rules)
+        _check_open(held, state, rules)
     stop = state.lines.top + 1 - (0 if final else 1 + rules.slack)
     if stop <= state.n_done:
         return None, replace(state, held=held, n_held=n_held)
@@ -338,19 +340,17 @@ def advance(
     return lines, replace(state, held=held, n_held=n_rows(rest), n_done=stop, tally=ReadTally())
 
 
-def _check_open(path: str, held: tuple[Table, ...], state: ScanState, rules: LineRules) -> None:
+def _check_open(held: tuple[Table, ...], state: ScanState, rules: LineRules) -> None:
     """Refuse lines that are too long to hold in memory."""
     open_from = state.lines.top - rules.slack
     n_open = sum(int(np.count_nonzero(table[LINE] >= open_from)) for table in held)
     if n_open > max_open(rules):
         problem = f"line {state.lines.top} has more than {max_open(rules)} records and no end, expected scan lines"
         hint = "check the rule that finds the lines: --lines"
-        raise InputError(path, problem, hint)
+        raise InputError(rules.path, problem, hint)
 
 
-def whole_shots(
-    records: Table, state: ScanState, rules: LineRules, path: str, *, final: bool
-) -> tuple[Table, Mask, ScanState]:
+def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
     """Mark the shots; hold back the last ones if returns may follow."""
     n = n_rows(records)
     if rules.same_shot is None or not n:
@@ -366,7 +366,7 @@ def whole_shots(
         if n_rows(tail) > max_open(rules):
             time_s = tail.get("time", [0])[0]
             problem = f"more than {max_open(rules)} records of several returns share the time {time_s}"
-            raise InputError(path, problem, "check time and number_of_returns with prc info")
+            raise InputError(rules.path, problem, "check time and number_of_returns with prc info")
     return records, starts, replace(state, tail=tail)
 
 
@@ -433,7 +433,7 @@ def whole_lines(
             tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
             state, waiting = replace(state, tally=tally), ReadTally()
             try:
-                whole, states[scanner] = advance(scanner, records, state, line_rules(scanner), source.path, final=False)
+                whole, states[scanner] = advance(scanner, records, state, line_rules(scanner), final=False)
             except InputError:
                 # jumping lines are often due to records out of order: then report the order
                 for watch in watches.values():
@@ -455,7 +455,7 @@ def _last_lines(
     leftover = ReadTally()
     for scanner in sorted(states):
         mine = line_rules(scanner)
-        whole, state = advance(scanner, {}, states[scanner], mine, source.path, final=True)
+        whole, state = advance(scanner, {}, states[scanner], mine, final=True)
         if rules.config.order == "require":
             _check_late(source.path, state)
         if mine.is_fixed and not rules.pads_last_line:

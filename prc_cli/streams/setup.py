@@ -295,6 +295,7 @@ def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) 
     shared = ("time" if rules.has("time") else None, rules.line_dimension, rules.column_dimension)
     return LineRules(
         where=f"{rules.path}: {rules.line_dimension or 'lines = ' + rules.lines}",
+        path=rules.path,
         dimension=rules.line_dimension,
         line_hz=rules.line_hz,
         half_shot_s=half_s if rules.shot_hz is None else 0.5 / rules.shot_hz,
@@ -341,7 +342,7 @@ def _timing(rules: GridRules, records: Table) -> ShotTiming:
     """Estimate shot timing from the first records of a scanner."""
     assert rules.line_hz is not None
     m, name = rules.points_per_line, rules.column_dimension
-    records, starts, _ = whole_shots(records, ScanState(), line_rules(rules, m, Estimates()), rules.path, final=True)
+    records, starts, _ = whole_shots(records, ScanState(), line_rules(rules, m, Estimates()), final=True)
     shots = take(records, starts)
     column = None if name is None else columns_by_dimension(shots[name])
     return find_timing(np.asarray(shots["time"], np.float64), column, rules.line_hz, m)
@@ -412,7 +413,7 @@ def probe(source: RecordSource, rules: GridRules) -> tuple[dict[int, Estimates],
         if needs_sweep or for_angles:
             # lines that go back are refused while reading, not here
             lenient = replace(line_rules(rules, m, found), refuse_back=False)
-            whole, _ = advance(scanner, records, ScanState(), lenient, source.path, final=True)
+            whole, _ = advance(scanner, records, ScanState(), lenient, final=True)
             if whole is not None:
                 probes[scanner] = whole
                 found = _with_grid(rules, found, whole, where)

@@ -877,3 +877,10 @@ class TestRealScans:
             other = read(open_grid(source, InputConfig(**options)))
             assert np.array_equal(named.range_m, other.range_m, equal_nan=True)
             assert np.array_equal(named.record, other.record)
+
+
+@pytest.mark.parametrize("names", [("range", "angle"), ("range", "angle", "time"), ("range", "scan_line", "angle")])
+def test_rules_read_the_first_shots_once_for_all_questions(names: tuple[str, ...]) -> None:
+    source = MemorySource(only(scene()[1], *names))
+    assert rules.resolve_rules(source, InputConfig(order="trust")).columns == "angle"
+    assert len(source.reads) == 1
