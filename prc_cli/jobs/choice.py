@@ -17,8 +17,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats import open_source
 from prc_cli.kernels import Engine
-from prc_cli.streams.beam_finder import ANGLES
-from prc_cli.streams.beams import BeamStream, with_beams
+from prc_cli.streams.beams import ANGLES, BeamStream, with_beams
 from prc_cli.streams.evidence.place import Place, place_of_blocks
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rules import trusting

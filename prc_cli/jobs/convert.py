@@ -42,8 +42,7 @@ from prc_cli.jobs.coordinates import XYZ, Carried, axes_of, carry, lines_apart
 from prc_cli.jobs.progress import advance
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
-from prc_cli.streams.open import open_input
-from prc_cli.streams.window import grid_of
+from prc_cli.streams.open import grid_of, open_input
 
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""

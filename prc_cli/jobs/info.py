@@ -37,11 +37,10 @@ from prc_cli.streams.evidence.periods import (
 )
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
+from prc_cli.streams.lines import first_ranges
 from prc_cli.streams.open import open_input
-from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
-from prc_cli.streams.reading import first_ranges
+from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time
 from prc_cli.streams.rules import MEASURED, only_times_tell, trusting
-from prc_cli.streams.sorting import sorted_by_time
 
 RATE_OFF = 1e-3
 """Rates that differ by more are told: a line would be off by some columns."""

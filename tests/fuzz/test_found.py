@@ -31,7 +31,7 @@ from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.plan import outcome_of_record
 from prc_cli.jobs.batch.types import InputPrint, Task
 from prc_cli.jobs.classify import classify
-from prc_cli.streams.record_angles import turn_of_times
+from prc_cli.streams.angles import turn_of_times
 from tests.fuzz.guard import unprintable
 from tests.fuzz.seeds import N_LINES, las_vlrs, seed
 

@@ -382,14 +382,14 @@ def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
 def _needed(grid: GridStream) -> tuple[str, ...]:
     """Return the options that replace values the reader estimated from all records."""
     rules, told = grid.rules, []
-    if rules.line_hz is not None and rules.time_origin_s is None:
+    if rules.line_hz is not None and rules.config.time_origin is None:
         first = next(iter(grid.source.chunks(("time",)))).values["time"]
         told.append(f"read it with --set input.time_origin={float(first[0])!r}")
     if rules.columns == "time":
         told.append("columns follow from the times: shots that share a stamp may move by a column")
-    if rules.columns == "angle" and (rules.angle_start_deg is None or rules.angle_step_deg is None):
+    if rules.columns == "angle" and (rules.config.angle_start is None or rules.config.angle_step is None):
         for setup in grid.setups.values():
-            if (angles := setup.found.angle_grid) is not None:
+            if (angles := setup.columns.grid) is not None:
                 start, step = math.degrees(angles.start_rad), math.degrees(angles.step_rad)
                 told.append(f"read it with --set input.angle_start={start!r} --set input.angle_step={step!r}")
     return tuple(dict.fromkeys(told))

@@ -771,7 +771,7 @@ def test_real_files(real_data: Path, name: str, n_records: int, back: int, chron
             np.testing.assert_allclose(chunk.values[dimension], expected(las, dimension)[part], rtol=1e-15)
         first += chunk.n
     assert first == n_records
-    assert watch.n_back == back
+    assert watch.evidence().n_back == back
     assert watch.evidence().is_chronological is chronological
 
 
