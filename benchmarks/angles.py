@@ -28,10 +28,9 @@ from prc_cli.core.stream import ExtraReturns, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.jobs.classify import open_stream
 from prc_cli.streams.angle_step import BENT, CERTAIN, HOP, curvatures, measure_step
-from prc_cli.streams.beam_finder import SAMPLE_LINES, SPREAD
-from prc_cli.streams.evidence.figures import Window
+from prc_cli.streams.beams import SAMPLE_LINES, SPREAD
+from prc_cli.streams.evidence.figures import Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step
-from prc_cli.streams.evidence.seen import Seen
 
 MOST_LINES = SPREAD * SAMPLE_LINES
 """Lines that ``prc classify`` measures the step on."""

@@ -14,7 +14,6 @@ from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import (
     AGREE_COLOUR,
     NOT_SCORED_COLOUR,
-    class_picture,
     difference_picture,
     range_bar,
     range_limits,
@@ -56,8 +55,8 @@ def failures(scan: Scan, codes: U8, method: str, path: Path) -> None:
     predicted, reference = _places(scan, codes, part)
     pictures = {
         "range": range_picture(ranges, limits),
-        "reference": class_picture(reference, COLOURS),
-        method: class_picture(predicted, COLOURS),
+        "reference": COLOURS[reference],
+        method: COLOURS[predicted],
         "wrong, in the colour of the predicted class": difference_picture(predicted, reference, COLOURS, UNSCORED),
     }
     if scan.is_upright:

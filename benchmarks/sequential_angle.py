@@ -25,37 +25,29 @@ from benchmarks.contest_methods import label
 from benchmarks.peak import peak_mib
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import CarTest, ClassCodes, Label, Surface
+from prc_cli.core.classes import ClassCodes, Label, Surface
 from prc_cli.core.config import merge
 from prc_cli.core.errors import PrcError
 from prc_cli.core.stream import ScanBlock, cut
-from prc_cli.core.types import F64, I64, U8
+from prc_cli.core.types import F64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
 from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.classify import classify, label_blocks
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, simulate
-from prc_cli.methods.base import Wanted
-from prc_cli.methods.sequential_angle.angles import (
-    AnglesParams,
-    angle_differences,
-    line_angles,
-    signed_angles,
-)
-from prc_cli.methods.sequential_angle.car import CarParams, cars
-from prc_cli.methods.sequential_angle.coarse import (
-    CoarseParams,
-    DenseVegetationParams,
-    car_surface,
-    coarse,
-    dense_vegetation,
-)
-from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
-from prc_cli.methods.sequential_angle.dividers import DividersParams
-from prc_cli.methods.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
+from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles
+from prc_cli.methods.sequential_angle.car import cars
+from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation
+from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
+from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import split_sides, vertical_lines
-from prc_cli.methods.sequential_angle.markov import HmmParams
+from prc_cli.methods.sequential_angle.thresholds import (
+    ChordThresholds,
+    CoarseThresholds,
+    MarkovThresholds,
+    SequentialAngleThresholds,
+)
 from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.simulation.world import PROPERTIES, Material, Property
 
@@ -124,8 +116,9 @@ SETTINGS: dict[str, Setting] = {
 ON_ALL_SEEDS = 4
 """So many rows are of :data:`SEEDS` streets."""
 
-NOISE_M = AnglesParams().range_noise_m
+NOISE_M = ChordThresholds().range_noise_m
 """Default ranging noise for the classifier [m]."""
+THRESHOLDS = SequentialAngleThresholds().at_noise()
 
 ORGANISED: dict[str, dict[str, Any]] = {
     ".e57": {},
@@ -231,7 +224,7 @@ PRINTED: dict[str, dict[str, Any]] = {
     "the preset": {},
     "angles.chord_depth_sigmas = 0": {"angles": {"chord_depth_sigmas": 0}},
     "ground.height_points = 0": {"ground": {"height_points": 0}},
-    'ground.renew = "accepted"': {"ground": {"renew": "accepted"}},
+    "ground.renew_every = false": {"ground": {"renew_every": False}},
     "ground.resume = false": {"ground": {"resume": False}},
     "ground.bridge = 0": {"ground": {"bridge": 0}},
     "ground.resume = false, ground.bridge = 0": {"ground": {"resume": False, "bridge": 0}},
@@ -242,7 +235,6 @@ PRINTED: dict[str, dict[str, Any]] = {
     "car.fourier.window = 0": {"car": {"fourier": {"window": 0}}},
     "car.fourier.longest = 0, car.most_foliage = 1": {"car": {"fourier": {"longest": 0}, "most_foliage": 1}},
     "the same, car.fourier.window = 0": {"car": {"fourier": {"longest": 0, "window": 0}, "most_foliage": 1}},
-    "car.fourier.enabled = false": {"car": {"fourier": {"enabled": False}}},
     "car.ground_layer_m = 0": {"car": {"ground_layer_m": 0}},
     "angles.least_chord_m = 0": {"angles": {"least_chord_m": 0}},
     "coarse.windows.share = 1": {"coarse": {"windows": {"share": 1}}},
@@ -262,17 +254,12 @@ PRINTED: dict[str, dict[str, Any]] = {
     "car.dividers.flat_above_m = 1000": {"car": {"dividers": {"flat_above_m": 1000}}},
     "car.dividers.vertical_open = false": {"car": {"dividers": {"vertical_open": False}}},
     "car.dividers.relief_m = 0": {"car": {"dividers": {"relief_m": 0}}},
-    "car.dividers.lean_sigmas = 0": {"car": {"dividers": {"lean_sigmas": 0}}},
-    "car.dividers.straight_lean_deg = 2, vertical_lean_deg = 3": {
-        "car": {"dividers": {"straight_lean_deg": 2, "vertical_lean_deg": 3}}
-    },
     "ground.roof_m = 1000": {"ground": {"roof_m": 1000}},
     "ground.follow_m = 0": {"ground": {"follow_m": 0}},
     "ground.start_heights = 50": {"ground": {"start_heights": 50}},
     "with the trigger": {"car": {"suspicious": {"enabled": True}}},
-    "no high verticals": {"car": {"high_verticals": {"enabled": False}}},
-    "no curbs": {"curb": {"enabled": False}},
-    "no ground": {"ground": {"enabled": False}},
+    "no high verticals": {"car": {"high_verticals": {"height_m": 1000}}},
+    "no curbs": {"curb": {"min_height_m": 100}},
 }
 """Settings that set one reading of the paper back to the printed text, or switch it off."""
 
@@ -308,9 +295,9 @@ def readings(folder: Path) -> None:
 
 def vegetation(folder: Path) -> None:
     """The two tests for vegetation alone, and variants of them."""
-    stay = tuple(tuple(0.9 if i == j else 0.05 for j in range(3)) for i in range(3))
+    stay = ((0.9, 0.05, 0.05), (0.05, 0.9, 0.05), (0.05, 0.05, 0.9))
     uniform = (1 / 3, 1 / 3, 1 / 3)
-    slow = HmmParams(h0=stay, sigmas_deg=(20, 20, 20), initial_h0=uniform)
+    slow = MarkovThresholds(h0=stay, sigmas_deg=(20.0, 20.0, 20.0), initial_h0=uniform)
     print(
         "## The tests for vegetation\n\nLines 0.92° apart. F1 of T over all returns but those of cars and mixed ones;"
     )
@@ -321,102 +308,30 @@ def vegetation(folder: Path) -> None:
         block, label = scan_of(seed, {"scanner": {"azimuth_step_deg": 0.92}}, options)
         beam = beams(block)
         lines = vertical_lines(block.range_m, block.xyz_m, beam, split_sides(beam), 300.0)
-        angles = AnglesParams(range_noise_m=0.01 if options.get("scanner", {}).get("noise_m") else NOISE_M)
-        literal = angles.model_copy(update={"min_chord_sigmas": 0.0, "least_chord_m": 0.0, "chord_depth_sigmas": 0.0})
-        signed = signed_angles(lines, angles).signed_deg
+        angles = ChordThresholds(range_noise_m=0.01 if options.get("scanner", {}).get("noise_m") else NOISE_M)
+        literal = angles._replace(min_chord_sigmas=0.0, least_chord_m=0.0, chord_depth_sigmas=0.0)
+        signed = signed_angles(lines, angles.at_noise()).signed_deg
         foliage = label == Label.VEGETATION
         judged = ~np.isin(label, (Label.MISSING, Label.NOISE, Label.CAR))
 
         def f1(
-            signed_deg: Any, params: HmmParams, judged: Any = judged, foliage: Any = foliage, lines: Any = lines
+            signed_deg: Any, params: MarkovThresholds, judged: Any = judged, foliage: Any = foliage, lines: Any = lines
         ) -> str:
-            said = coarse(signed_deg, lines, CoarseParams(vegetation=params)) == Surface.VEGETATION
+            said = coarse(signed_deg, lines, CoarseThresholds(vegetation=params)) == Surface.VEGETATION
             agreed = np.count_nonzero(said & foliage & judged)
             either = np.count_nonzero(said & judged) + np.count_nonzero(foliage & judged)
             return f"{2 * agreed / either:.3f}"
 
-        def dense(params: DenseVegetationParams, signed: Any = signed, lines: Any = lines) -> Any:
+        def dense(params: MarkovThresholds, signed: Any = signed, lines: Any = lines) -> Any:
             flags = dense_vegetation(angle_differences(signed), params)
-            return car_surface(signed, flags, lines, CoarseParams().surfaces) == Surface.VEGETATION
+            return car_surface(signed, flags, lines, CoarseThresholds().surfaces) == Surface.VEGETATION
 
-        usual = dense(DenseVegetationParams())
-        script = dense(DenseVegetationParams(end="sprt", backdate=False, initial_h0=uniform))
+        usual = dense(THRESHOLDS.dense_vegetation)
+        script = dense(THRESHOLDS.dense_vegetation._replace(sprt=True, backdate=False, initial_h0=uniform))
         shares = [usual[foliage], usual[label == Label.CAR], usual[judged & ~foliage], script[foliage]]
-        printed = signed_angles(lines, literal).signed_deg
-        cells = [f1(signed, HmmParams()), f1(signed, slow), f1(printed, HmmParams())]
+        printed = signed_angles(lines, literal.at_noise()).signed_deg
+        cells = [f1(signed, MarkovThresholds()), f1(signed, slow), f1(printed, MarkovThresholds())]
         print(f"| {title} | {' | '.join([*cells, *(f'{np.mean(share):.3f}' for share in shares)])} |")
-    print()
-
-
-DEVELOPMENT: dict[str, tuple[range, dict[str, Any]]] = {
-    "on the road": (range(1, 9), {}),
-    "varied": (range(701, 707), VARIED),
-    "varied, on the sidewalk": (range(701, 707), merge(VARIED, SIDEWALK)),
-}
-"""Streets that the stages of the car algorithm were developed on."""
-EARLIER: dict[str, Any] = {
-    "car": {
-        "suspicious": {"enabled": True},
-        "fourier": {"longest": 32},
-        "dividers": {
-            "glass_m": 0, "flat_above_m": 1000, "tall_m": 0, "vertical_open": False, "relief_m": 0, "lean_sigmas": 0,
-            "straight_lean_deg": 2, "vertical_lean_deg": 3,
-        },
-    },
-    "ground": {"roof_m": 1000, "start_heights": 50},
-}  # fmt: skip
-"""Without windows, roofs, vans, rough walls and bonnets of cars."""
-CAUSES: tuple[tuple[str, CarTest | None], ...] = (
-    ("found", CarTest.CAR),
-    ("is T', or behind it", None),
-    ("too high", None),
-    ("before, between or behind intervals", CarTest.OUTSIDE),
-    ("cut out as a vertical run", CarTest.VERTICAL),
-    ("an interval of foliage (Fourier, T, few points)", CarTest.VEGETATION),
-    ("behind a high vertical", CarTest.BEHIND_WALL),
-    ("horizontal next to the ground", CarTest.ON_GROUND),
-    ("on or behind a curb", CarTest.BEHIND_CURB),
-)
-"""What becomes of the shots of cars; without a test: by the first shot of the line that ends the search."""
-
-
-def lost_cars(block: ScanBlock, label: U8, config: LoadedConfig) -> I64:
-    """Count the shots of cars by :data:`CAUSES`, (causes,) int64."""
-    found = list(label_blocks(iter([block]), config.config.classifier, wanted=Wanted(stages=True)))
-    stages = [each.stages for each in found if each.stages is not None]
-    test = np.concatenate([each.car_test for each in stages])
-    layer = np.concatenate([each.car_surface for each in stages])
-    assert block.xyz_m is not None
-    above_m = block.xyz_m[..., 2] - np.concatenate([each.ground_height_m for each in stages])
-    dense = np.logical_or.accumulate(layer == Surface.VEGETATION, axis=1)
-    high = np.logical_or.accumulate(above_m > DividersParams().height_m, axis=1)
-    outside, car = test == CarTest.OUTSIDE, label == Label.CAR
-    masks = [outside & dense, outside & high & ~dense]
-    counts = []
-    for _, wanted in CAUSES:
-        if wanted is None:
-            mask = masks.pop(0)
-        else:
-            mask = outside & ~dense & ~high if wanted == CarTest.OUTSIDE else test == wanted
-        counts.append(np.count_nonzero(mask & car))
-    return np.array(counts, np.int64)
-
-
-def causes(_: Path) -> None:
-    """Where the shots of cars go, stage by stage, on the streets of development."""
-    without = load_config(preset="street-scan", options={"sequential_angle": EARLIER})
-    runs = {"without": without, "with": street_scan()}
-    columns = {}
-    for kind, (seeds, options) in DEVELOPMENT.items():
-        scans = [scan_of(seed, COARSE, options) for seed in seeds]
-        for title, config in runs.items():
-            counts = sum(lost_cars(block, label, config) for block, label in scans)
-            columns[f"{kind}, {title}"] = counts / np.sum(counts)
-    print("## Where cars are lost\n\nShares of all shots of cars, 5 mm, streets 1 to 8 and 701 to 706 (development),")
-    print("without and with what the preset does about windows, roofs, vans, rough walls, leans and bonnets.\n")
-    print(f"| | {' | '.join(columns)} |\n|---|" + "---:|" * len(columns))
-    for number, (title, _) in enumerate(CAUSES):
-        print(f"| {title} | " + " | ".join(f"{shares[number]:.3f}" for shares in columns.values()) + " |")
     print()
 
 
@@ -486,7 +401,7 @@ def kitti(folder: Path) -> None:
     print(f"| | {' | '.join(KITTI_GROUND)} | all that is ground |\n|---|" + "---:|" * (len(KITTI_GROUND) + 1))
     truth = np.fromfile(source.with_suffix(".label"), np.uint32) & 0xFFFF
     code = ClassCodes().code(Label.GROUND)
-    for follow_m in (GroundParams().follow_m, 0):
+    for follow_m in (THRESHOLDS.ground.follow_m, 0):
         options = {"sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}}
         classify(source, labels, load_config(KITTI, preset="street-scan", options=options), overwrite=True)
         found = np.load(labels).ravel() == code
@@ -496,7 +411,7 @@ def kitti(folder: Path) -> None:
     print()
     print("The same on labelled range views of SemanticKITTI, which decided nothing; mean over the views:\n")
     print("| | views | ground found | found that is ground |\n|---|---:|---:|---:|")
-    for follow_m in (GroundParams().follow_m, 0):
+    for follow_m in (THRESHOLDS.ground.follow_m, 0):
         found = np.array([_ground_of(view, follow_m) for kind in (0, 1) for view in views("kitti", kind)])
         print(
             f"| ground.follow_m = {follow_m:g} | {len(found)} | {found[:, 0].mean():.3f} | {found[:, 1].mean():.3f} |"
@@ -660,36 +575,29 @@ def stage_times(block: ScanBlock) -> dict[str, float]:
         return job()
 
     lines = timed("lines from low to high", lambda: vertical_lines(ranges, xyz, beam, sides, 300.0))
-    angles = timed("signed angles", lambda: signed_angles(lines, AnglesParams()))
+    angles = timed("signed angles", lambda: signed_angles(lines, THRESHOLDS.angles))
     signed = angles.signed_deg
-    surface = timed("T, H and V", lambda: coarse(signed, lines, CoarseParams()))
+    surface = timed("T, H and V", lambda: coarse(signed, lines, THRESHOLDS.coarse))
     phihat = timed("line angles", lambda: line_angles(lines, angles.ahead, surface))
 
     def car_layer() -> Any:
-        dense = dense_vegetation(angle_differences(signed), DenseVegetationParams())
-        return car_surface(signed, dense, lines, CoarseParams().surfaces)
+        dense = dense_vegetation(angle_differences(signed), THRESHOLDS.dense_vegetation)
+        return car_surface(signed, dense, lines, THRESHOLDS.coarse.surfaces)
 
     cars_on = timed("T', and its H and V", car_layer)
 
-    params = GroundParams()
-    potential = timed(
-        "potential ground",
-        lambda: potential_ground(lines, surface, phihat, angles.ahead, params, range_noise_m=NOISE_M),
-    )
-    state = initial_ground(potential.height_m, params)
-
-    def ground_all() -> Any:
-        return ground(lines, surface, phihat, angles.ahead, potential, state, params, range_noise_m=NOISE_M)
-
-    mask, z_g, _ = timed("ground", ground_all)
+    found = (lines, surface, phihat, angles.ahead)
+    potential = timed("potential ground", lambda: potential_ground(*found, THRESHOLDS.ground))
+    state = initial_ground(potential.height_m, THRESHOLDS.ground)
+    mask, z_g, _ = timed("ground", lambda: ground(*found, potential, state, THRESHOLDS.ground))
 
     def curbs_all() -> Any:
-        possible = possible_curbs(lines, surface, mask, z_g, CurbParams(), range_noise_m=NOISE_M)
-        start = CurbState.start(1, surface.shape[1], CurbParams())
-        return curbs(lines, surface, signed, possible, start, CurbParams(), last=True)
+        possible = possible_curbs(lines, surface, mask, z_g, THRESHOLDS.curb)
+        start = CurbState.start(1, surface.shape[1], THRESHOLDS.curb)
+        return curbs(lines, surface, signed, possible, start, THRESHOLDS.curb, last=True)
 
     timed("curbs", curbs_all)
-    timed("cars", lambda: cars(lines, surface, cars_on, signed, z_g, CarParams(), range_noise_m=NOISE_M))
+    timed("cars", lambda: cars(lines, surface, cars_on, signed, z_g, THRESHOLDS.car))
     return times
 
 
@@ -699,7 +607,6 @@ PARTS: dict[str, Callable[[Path], None]] = {
     "simulated": simulated,
     "readings": readings,
     "vegetation": vegetation,
-    "causes": causes,
     "windows": windows,
     "kitti": kitti,
     "oakland": oakland,

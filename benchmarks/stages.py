@@ -20,9 +20,9 @@ from prc_cli.kernels import load_kernels
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import stream_window
-from prc_cli.reference.prc import method as oracle_prc
 from prc_cli.reference.prc import stages as oracle
 from prc_cli.simulation.settings import load_settings, open_simulation
+from tests.oracles import prc_method as oracle_prc
 
 ROUNDS = 7
 """Rounds; each runs every job once, so that other load affects all. The best time counts."""

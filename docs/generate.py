@@ -39,7 +39,7 @@ from prc_cli.formats.writing.columns import HIGH_NOISE_CODE
 from prc_cli.methods.reasons import reason_table
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
-from prc_cli.streams.evidence.checks import CHECKS
+from prc_cli.streams.evidence.table import check_table
 
 ROOT = Path(__file__).resolve().parent.parent
 GENERATED = "<!-- written by docs/generate.py from the code; do not edit -->\n"
@@ -163,7 +163,7 @@ def checks_page() -> str:
         code 1.
         """
     parts = [GENERATED, textwrap.dedent(intro)]
-    for check in CHECKS:
+    for check in check_table():
         facts = (("Limit", check.limit), ("Why", check.reason), ("Not seen", check.blind))
         told = "\n".join(
             textwrap.fill(f"- {name}: {text.rstrip('.')}.", 120, subsequent_indent="  ") for name, text in facts

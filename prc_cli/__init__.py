@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from prc_cli.config import load_config
     from prc_cli.core.classes import ClassCodes, Label
     from prc_cli.core.errors import DoubtWarning, EvidenceError, PrcError
-    from prc_cli.jobs.calibrate.calibrate import calibrate
+    from prc_cli.jobs.calibrate import calibrate
     from prc_cli.jobs.classify import ClassifiedRanges, classify, classify_ranges, open_stream
     from prc_cli.jobs.convert import convert
     from prc_cli.jobs.evaluate import evaluate, evaluate_all
@@ -59,7 +59,7 @@ _HOME = {
     "EvidenceError": "prc_cli.core.errors",
     "Label": "prc_cli.core.classes",
     "PrcError": "prc_cli.core.errors",
-    "calibrate": "prc_cli.jobs.calibrate.calibrate",
+    "calibrate": "prc_cli.jobs.calibrate",
     "convert": "prc_cli.jobs.convert",
     "evaluate": "prc_cli.jobs.evaluate",
     "evaluate_all": "prc_cli.jobs.evaluate",

@@ -180,6 +180,15 @@ class LoadedConfig(Brief):
     choice: MethodChoice | None = None
     """The method that was chosen for an input, and why; None = it was named."""
 
+    @classmethod
+    def of(cls, config: LoadedConfig | RunConfig | None) -> LoadedConfig:
+        """Return a configuration with its sources; default: nothing is set."""
+        return config if isinstance(config, LoadedConfig) else cls(config or RunConfig())
+
+    def inputs(self, *more: Path | None) -> tuple[Path, ...]:
+        """Return the files that a run reads, those given and its own; it never overwrites them."""
+        return tuple(path for path in (*more, *self.files, self.trajectory) if path is not None)
+
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What speaks against the method that was chosen."""

@@ -236,7 +236,7 @@ def test_output_errors_in_the_writer_thread_are_output_errors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
 ) -> None:
     full = OSError(28, "No space left on device")
-    monkeypatch.setattr("prc_cli.formats.writing.disk.write_all", after(1, lambda *_: None, full))
+    monkeypatch.setattr("prc_cli.formats.writing.disk.DiskColumn._write", after(1, lambda *_: None, full))
     source = write_raw(tmp_path / "drive.bin", image)
     with pytest.raises(OutputError, match="the disk is full"):
         classify(source, tmp_path / "labels.npy", SHORT, threads=2)

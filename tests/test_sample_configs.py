@@ -90,7 +90,7 @@ def test_the_literal_preset_holds_no_reading_of_ours() -> None:
     config = load_config(preset="street-scan-published").config.sequential_angle
     assert (config.angles.min_chord_sigmas, config.angles.chord_depth_sigmas) == (0.0, 0.0)
     assert config.coarse.vegetation.initial_h0 == (1 / 3, 1 / 3, 1 / 3) == config.dense_vegetation.initial_h0
-    assert (config.coarse.vegetation.end, config.dense_vegetation.end) == ("sprt", "sprt")
+    assert (config.coarse.vegetation.sprt, config.dense_vegetation.sprt) == (True, True)
     assert (config.ground.jump_m, config.ground.bridge, config.ground.resume) == (1000.0, 0, False)
 
 

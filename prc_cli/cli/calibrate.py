@@ -17,8 +17,8 @@ from prc_cli.cli.report import line_progress, print_doubts, print_line, results,
 from prc_cli.cli.safe import printable_lines
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
-from prc_cli.jobs.calibrate.calibrate import Calibration, SearchOptions
-from prc_cli.jobs.calibrate.calibrate import calibrate as calibrate_file
+from prc_cli.jobs.calibrate import Calibration, SearchOptions
+from prc_cli.jobs.calibrate import calibrate as calibrate_file
 from prc_cli.jobs.calibrate.reports import (
     CURVE_HEADER,
     advice_rows,

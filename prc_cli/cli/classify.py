@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from prc_cli.cli.report import (
     print_taken,
 )
 from prc_cli.cli.safe import printable
+from prc_cli.config import LoadedConfig
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
 from prc_cli.jobs.classify import classify as classify_file
@@ -34,7 +35,7 @@ FEW_SHOTS = 100
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("sources", metavar="IN...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @stream_options
 @window_options
@@ -55,13 +56,14 @@ FEW_SHOTS = 100
 @click.option("--profile", is_flag=True, help="Print where the time went, on stderr, and with --json on stdout.")
 @output_options
 def classify(
-    source: Path, output: Path, overwrite: bool, segment_ids: bool, engine: Engine,
+    sources: tuple[Path, ...], output: Path, overwrite: bool, segment_ids: bool, engine: Engine,
     as_json: bool, quiet: bool, verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Give every shot of IN its class and write OUT.
 
     OUT is .las or .laz (class codes; everything else stays as it is in IN), or the labels alone: .npy, .csv,
-    .parquet. The run is recorded in OUT and in OUT.prc.json beside it.
+    .parquet. The run is recorded in OUT and in OUT.prc.json beside it. The files of one drive, in order, are one
+    stream: OUT is then a folder, with an output for each.
 
     Without --preset, --method or a configuration that names one, the method that labels IN best is taken: fused where
     the angles of the beams are known, with its forest classes where the place looks like a forest; else PRC. A line on
@@ -72,6 +74,7 @@ def classify(
       prc classify drive.laz drive_classified.laz
       prc classify drive.laz drive_classified.laz --preset urban
       prc classify drive.bin labels.npy --preset urban -M 2154
+      prc classify drive_01.laz drive_02.laz drive_03.laz classified/
       prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97 --columns time:414190
     """
     if segment_ids:
@@ -88,41 +91,61 @@ def classify(
 
     threads, wants_profile = threads_of(engine, options.pop("threads")), options.pop("profile")
     loaded = config_from(options)
+    source = sources[0]
     with profiling() if wants_profile else nullcontext() as profile:
         if source.is_file() and loaded.config.is_decided:  # otherwise refuse it without waiting for the compiler
             with loading():
                 load_classifier(loaded, engine)
         start, loading_s = time.perf_counter(), 0.0
         with line_progress(source.name, quiet=quiet) as progress:
-            summary = classify_file(
-                source, output, loaded, overwrite=overwrite, progress=progress, threads=threads, engine=engine,
-                loading=loading,
-            )  # fmt: skip
+            common: dict[str, Any] = {
+                "overwrite": overwrite, "progress": progress, "threads": threads, "engine": engine, "loading": loading,
+            }  # fmt: skip
+            summaries = _classify_all(sources, output, loaded, **common)
         seconds = time.perf_counter() - start - loading_s
+    n_shots = sum(summary.counts.n_shots for summary in summaries)
     if as_json:
-        result = summary.as_dict()
+        results = [summary.as_dict() for summary in summaries]
         if profile is not None:
-            result["profile"] = profile_of(profile, summary.counts.n_shots, threads)
-        click.echo(json.dumps(result, indent=2, sort_keys=True))
+            results[0]["profile"] = profile_of(profile, n_shots, threads)
+        click.echo(json.dumps(results[0] if len(sources) == 1 else results, indent=2, sort_keys=True))
     if not quiet:
-        _print_summary(summary, seconds, verbose=verbose)
-        for command in after_classify(source, output, options):
-            print_line(printable(command))
+        _print_summaries(summaries, seconds, verbose=verbose)
+        if len(sources) == 1:
+            for command in after_classify(source, output, options):
+                print_line(printable(command))
     if profile is not None and not (quiet and as_json):
-        print_profile(profile, summary.counts.n_shots, threads)
-    if code := print_doubts(summary.doubts):
+        print_profile(profile, n_shots, threads)
+    if code := print_doubts(dict.fromkeys(doubt for summary in summaries for doubt in summary.doubts)):
         raise SystemExit(code)
 
 
-def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> None:
-    record, counts = summary.record, summary.counts
-    print_classes(summary)
-    print_taken(record, verbose=verbose)
-    if record.tally.n_time_steps_back:
-        print_line(f"note: the time goes back {record.tally.n_time_steps_back:,} times: see prc info")
-    print_notices(record.notices)
-    rate = f"{counts.n_shots / seconds / 1e6 if seconds else 0.0:.2g} million shots a second"
-    if counts.n_shots < FEW_SHOTS:
+def _classify_all(sources: tuple[Path, ...], output: Path, loaded: LoadedConfig, **common: Any) -> list[RunSummary]:
+    """Classify one file, or the files of one drive."""
+    if len(sources) == 1:
+        return [classify_file(sources[0], output, loaded, **common)]
+    from prc_cli.jobs.drive import classify_drive  # few need it
+
+    return list(classify_drive(sources, output, loaded, **common))
+
+
+def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose: bool) -> None:
+    """Print classes, notes and the rate; of several files a line each, and what all have in common once."""
+    first = summaries[0].record
+    more = f" and {len(summaries) - 1} more" if len(summaries) > 1 else ""
+    labels = sum((summary.counts.labels for summary in summaries[1:]), summaries[0].counts.labels)
+    print_classes(f"{first.input.name}{more}", labels, first.config)
+    print_taken(first, verbose=verbose)
+    n_back = sum(summary.record.tally.n_time_steps_back for summary in summaries)
+    if n_back:
+        print_line(f"note: the time goes back {n_back:,} times: see prc info")
+    print_notices(dict.fromkeys(notice for summary in summaries for notice in summary.record.notices))
+    n_shots = sum(summary.counts.n_shots for summary in summaries)
+    rate = f"{n_shots / seconds / 1e6 if seconds else 0.0:.2g} million shots a second"
+    if n_shots < FEW_SHOTS:
         rate = "too few to check the labels"
-    what = f"{counts.n_lines:,} lines of {record.points_per_line:,} shots"
-    print_line(f"{summary.output}: {what} in {seconds:.1f} s ({rate})")
+    for summary in summaries:
+        what = f"{summary.counts.n_lines:,} lines of {summary.record.points_per_line:,} shots"
+        print_line(f"{summary.output}: {what}" + ("" if more else f" in {seconds:.1f} s ({rate})"))
+    if more:
+        print_line(f"{n_shots:,} shots in {seconds:.1f} s ({rate})")

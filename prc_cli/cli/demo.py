@@ -86,8 +86,9 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
 def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
     """Print the drive as prc classify and prc evaluate would, and a line for every other part."""
     drive = parts["drive"]
-    print_classes(drive.summary)
-    print_taken(drive.summary.record, verbose=False)
+    record = drive.summary.record
+    print_classes(record.input.name, drive.summary.counts.labels, record.config)
+    print_taken(record, verbose=False)
     if not tables:
         return
     click.echo("\na drive along a street: labels against those of the simulator")

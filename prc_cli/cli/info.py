@@ -19,10 +19,10 @@ from prc_cli.cli.safe import printable
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
 from prc_cli.core.findings import LABEL_CHECKS, Verdict
-from prc_cli.formats.las.crs import short_crs
+from prc_cli.formats.las.vlrs import short_crs
 from prc_cli.formats.records import Contents
 from prc_cli.jobs.info import Inspection, inspect
-from prc_cli.streams.evidence.checks import CHECKS
+from prc_cli.streams.evidence.table import check_table
 
 
 @click.command(cls=Sectioned)
@@ -188,7 +188,7 @@ def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, 
         if found:
             yield "checks", f"{fine} fine" + (f", accepted: {', '.join(accepted)}" if accepted else "") + LIST_THEM
         return
-    for check in CHECKS:
+    for check in check_table():
         one = found.get(check.name)
         if one is None:
             asked = "asked of the labels, by prc classify" if check.name in LABEL_CHECKS else "not asked of this input"

@@ -6,7 +6,7 @@ import contextlib
 import os
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +22,9 @@ from prc_cli.core.findings import is_doubt
 if TYPE_CHECKING:
     from prc_cli.core.findings import Finding
     from prc_cli.core.stream import Assumption, ReadTally
+    from prc_cli.core.types import I64
     from prc_cli.formats.writing.record import RunRecord
-    from prc_cli.jobs.classify import Progress, RunSummary
+    from prc_cli.jobs.classify import Progress
 
 
 NOT_KEPT = "not kept: "
@@ -133,11 +134,11 @@ def print_line(text: str) -> None:
     console().print(text, soft_wrap=True)
 
 
-def print_classes(summary: RunSummary) -> None:
+def print_classes(name: str, labels: I64, config: Mapping[str, Any]) -> None:
     """Print the number of records by class."""
-    table = table_of(f"{summary.record.input.name}: classes", "class", "code", "shots", "share")
-    codes = ClassCodes.model_validate(summary.record.config["classes"])
-    counts = summary.counts.labels.tolist()
+    table = table_of(f"{name}: classes", "class", "code", "shots", "share")
+    codes = ClassCodes.model_validate(config["classes"])
+    counts = labels.tolist()
     returned = sum(counts) - counts[Label.MISSING]
     for label in Label:
         if counts[label]:

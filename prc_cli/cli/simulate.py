@@ -48,6 +48,8 @@ _LENGTH = [
     _option("--mount-heading", type=float, metavar="DEGREES", help="Turn of the scan plane to the left."),
     _option("--trajectory", type=click.Path(path_type=Path), metavar="FILE",
             help="Also write where the scanner was: .csv, or .sbet."),
+    _option("--frames", type=click.Path(path_type=Path), metavar="FOLDER",
+            help="Spinning scanners: also write every turn as a frame of KITTI, with classes, poses and times."),
 ]  # fmt: skip
 _PARAMETERS = [
     _option("--noise", type=click.FloatRange(min=0), metavar="METRES", help="Range noise close by."),
@@ -105,6 +107,7 @@ def street(**options: Any) -> None:
       prc simulate street -o drive.laz --length 900 --seed 7 --trajectory drive.csv
       prc simulate street -o drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
       prc simulate street -o drive.e57 --config terraces.toml
+      prc simulate street -o spin.npz --scanner vlp-16 --duration 5 --frames frames/
     """
     _run("street", options)
 
@@ -156,6 +159,7 @@ def scanners(as_json: bool) -> None:
         table.add_column(heading, justify="left" if heading in ("name", "kind") else "right")
     for name, scanner in SCANNERS.items():
         kind = "static" if scanner.is_static else f"profiler, slant {scanner.slant_deg:g}°"
+        kind = "spinning" if scanner.spins else kind
         table.add_row(
             name, f"{scanner.line_hz:.4g}", f"{scanner.points_per_line:,}", f"{scanner.field_deg:g}°",
             f"{scanner.max_range_m:g} m", f"{1000 * scanner.noise_m:g} mm", str(scanner.max_returns),
@@ -204,8 +208,8 @@ def _run(kind: Kind, options: dict[str, Any]) -> None:
         raise click.UsageError(message)
     settings = load_settings(kind, options["config_file"], table_from(options["assignments"], options, _KEYS))
     output, quiet = options["output"], options["quiet"]
-    beside = Beside(options.get("trajectory"), options["labels"], options.get("stems"))
-    check_simulation(kind, output, beside, overwrite=options["overwrite"])
+    beside = Beside(options.get("trajectory"), options["labels"], options.get("stems"), options.get("frames"))
+    check_simulation(kind, output, settings.scanner, beside, overwrite=options["overwrite"])
     with compiling_note(quiet=quiet, what="simulator"):
         load_simulator()
     start = time.perf_counter()

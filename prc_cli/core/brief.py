@@ -1,7 +1,8 @@
-"""Results in one line: what an interactive session shows of them."""
+"""Results in one line, as an interactive session shows them, and as plain values for JSON."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -47,3 +48,16 @@ def _short(value: Any) -> str:
         text = repr(str(value)) if isinstance(value, str | Path) else str(value)
         return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
     return f"<{type(value).__name__}>"
+
+
+def finite(value: Any) -> Any:
+    """Return plain values for JSON: numbers that are not finite as None, tuples as lists.
+
+    >>> finite({"a": (1.0, float("nan"))})
+    {'a': [1.0, None]}
+    """
+    if isinstance(value, dict):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -66,6 +66,8 @@ class SourceFacts:
     """Whether shots of the file may have several returns, known where images are read (bags, packets)."""
     has_scans: bool = False
     """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
+    scanners: tuple[str, ...] = ()
+    """Names of the scanners, by their number, where several send at the same time (bags, packets)."""
     rules: tuple[KnownRule, ...] = ()
     """Rules for lines, columns and ranges that the file itself implies."""
     notes: tuple[str, ...] = ()

@@ -184,6 +184,20 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
         raise OutputError(str(folder), "output folder is not writable", "change its permissions or choose another")
 
 
+def prepare_outputs(*paths: Path, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
+    """Refuse outputs before any work is done, and remove the temporary files of dead runs."""
+    for path in paths:
+        check_output(path, overwrite=overwrite, inputs=inputs)
+    for path in paths:
+        remove_stale(path)
+
+
+def check_unchanged(source: Path, before: tuple[int, ...]) -> None:
+    """Refuse an input that changed while it was read; ``before`` is its :func:`file_state`."""
+    if file_state(source) != before:
+        raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder of ours and those above it where they are missing."""
     try:

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from typing import Any
 
+from prc_cli.core.brief import Brief
 from prc_cli.core.errors import EvidenceError
 
 CHECK_NAMES = (
@@ -117,6 +118,23 @@ def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, 
     return tuple(
         replace(one, is_accepted=True) if one.check in known and one.verdict > Verdict.FINE else one for one in findings
     )
+
+
+class Doubted(Brief):
+    """Base of results that hold the answers of all checks."""
+
+    __slots__ = ()
+    findings: tuple[Finding, ...]
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """Findings that the user has to look at."""
+        return doubts(self.findings)
+
+
+def notices(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return what a run record says of findings that are not fine."""
+    return tuple(one.notice() for one in findings if one.verdict is not Verdict.FINE)
 
 
 def doubts(findings: Iterable[Finding]) -> tuple[Finding, ...]:

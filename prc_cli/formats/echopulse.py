@@ -16,13 +16,14 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64
-from prc_cli.formats.options import LayoutField, decode
-from prc_cli.formats.records import RecordChunk, standard_first
-from prc_cli.formats.text.dialect import shorten, to_number
+from prc_cli.formats.options import LayoutField
+from prc_cli.formats.raw_binary.read import read_numbers
+from prc_cli.formats.records import Column, FieldSource, shorten
+from prc_cli.formats.text.dialect import to_number
 
 COUNT = "n_echo"
 """Array with the number of returns of every shot."""
@@ -33,8 +34,9 @@ MAX_ECHOES = 255
 _NAME = re.compile(r"(?P<part>pulse|echo)-(?P<type>(?:u?int|float)(?:8|16|32|64))-(?P<name>[A-Za-z0-9_]+)\.bin")
 _TIME = re.compile(r"\s*(?P<n>\d{1,16}) entries (?P<start>\S{1,40}) \+ (?P<step>\S{1,40}) pulse_index\s*")
 _MAX_TIME_BYTES = 4096
-_STANDARD = {"theta": "angle", "amplitude": "intensity", "range": "range"}
+_STANDARD = {"theta": "angle", "amplitude": "intensity"}
 _MADE = ("return_number", "number_of_returns", "pulse")
+_COPY = "copy the folder from the archive again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,177 +46,142 @@ class _Array:
     path: Path
     dtype: np.dtype[Any]
     is_echo: bool
-    item: LayoutField
+
+    @classmethod
+    def of(cls, path: Path) -> _Array | None:
+        """Return the array of a file; None if its name is not one."""
+        match = _NAME.fullmatch(path.name)
+        if match is None:
+            return None
+        return cls(path, np.dtype(match["type"]).newbyteorder("<"), match["part"] == "echo")
+
+    @property
+    def name(self) -> str:
+        """Name of the dimension."""
+        own = self.path.stem.split("-", 2)[2]
+        return _STANDARD.get(own, own)
 
     @property
     def n(self) -> int:
+        """Number of values."""
         size = self.path.stat().st_size
         if size % self.dtype.itemsize:
             problem = f"{size} bytes are no multiple of {self.dtype.itemsize}, as the name says"
             raise InputError(str(self.path), problem, "copy it from the archive again")
         return size // self.dtype.itemsize
 
+    def read(self, handle: IO[bytes], n: int) -> NDArray[Any]:
+        """Return the next values."""
+        found = read_numbers(self.path, handle, self.dtype, n, 0)
+        if len(found) < n:
+            problem = f"the file ends {n - len(found)} values too early"
+            raise InputError(str(self.path), problem, "it was cut while being read; wait until its writer is done")
+        return found
+
 
 def count_file(path: Path) -> Path | None:
     """Return the file that counts the returns, which stands for the folder; None if it is no such folder."""
-    if not path.is_dir():
-        return path if is_count_file(path) else None
-    found = sorted(each for each in path.glob(f"pulse-*-{COUNT}.bin") if is_count_file(each))
-    return found[0] if found else None
+    files = sorted(path.glob(f"pulse-*-{COUNT}.bin")) if path.is_dir() else [path]
+    return next((each for each in files if is_count_file(each)), None)
 
 
 def is_count_file(path: Path) -> bool:
     """Tell whether a file counts the returns of such a folder."""
-    match = _NAME.fullmatch(path.name)
-    return match is not None and match["part"] == "pulse" and match["name"] == COUNT and "int" in match["type"]
+    array = _Array.of(path)
+    return array is not None and not array.is_echo and array.name == COUNT and array.dtype.kind in "iu"
 
 
-class EchoPulseSource:
+class EchoPulseSource(FieldSource):
     """Pulses and echoes as a :class:`prc_cli.formats.records.RecordSource`."""
 
-    format = "pulses and echoes"
-    """Reader name, for messages and ``prc info``."""
-
     def __init__(self, path: Path) -> None:
-        self.path = str(path)
-        """File name, for messages."""
-        self._folder = path.parent
-        found = [_NAME.fullmatch(each.name) for each in sorted(self._folder.iterdir())]
-        self._arrays = {_own_name(match): _array(self._folder, match) for match in found if match is not None}
-        match = _NAME.fullmatch(path.name)
-        if match is None:
-            problem = f"expected a name such as pulse-uint8-{COUNT}.bin"
-            raise InputError(str(path), problem, "name the file that counts")
-        self._count = _array(self._folder, match)
-        self._n_pulses = self._count.n
-        self._time = self._read_time()
-        n_echoes, n_empty = self._totals()
+        count = _Array.of(path)
+        if count is None:
+            raise InputError(str(path), f"expected a name such as pulse-uint8-{COUNT}.bin", "name the file that counts")
+        self._count, folder = count, path.parent
+        self._arrays = {each.name: each for each in map(_Array.of, sorted(folder.iterdir())) if each is not None}
+        self._n_pulses = count.n
+        self._time = _read_time(folder / "time.txt", self._n_pulses)
+        n_echoes = n_empty = 0
+        for counts in self._counts():
+            n_echoes += int(counts.sum())
+            n_empty += int(np.count_nonzero(counts == 0))
         for array in self._arrays.values():
-            wanted = n_echoes if array.is_echo else self._n_pulses
+            wanted, what = (n_echoes, "returns") if array.is_echo else (self._n_pulses, "shots")
             if array.n != wanted:
-                what = "returns" if array.is_echo else "shots"
                 problem = f"holds {array.n} values, expected {wanted}, the {what} of {path.name}"
-                raise InputError(str(array.path), problem, "copy the folder from the archive again")
+                raise InputError(str(array.path), problem, _COPY)
         if "range" not in self._arrays or not self._arrays["range"].is_echo:
-            raise InputError(str(self._folder), "no file echo-TYPE-range.bin", "copy the folder again")
+            raise InputError(str(folder), "no file echo-TYPE-range.bin", "copy the folder again")
         self.n_records = n_echoes + n_empty
-        """Number of records: returns, and shots without one."""
-        note = (
-            f"{self._n_pulses} shots with {n_echoes} returns; {n_empty} shots have none and are records without range"
-        )
+        names = (*self._arrays, *(["time"] if self._time is not None else []), *_MADE)
+        items = {name: LayoutField(name=name, unit="rad" if name == "angle" else "") for name in names}
+        columns = {name: Column(name, name, item) for name, item in items.items()}
+        super().__init__(path, "pulses and echoes", columns, self)
+        empty = f"{n_empty} shots have none and are records without range"
         rules = (
             KnownRule("columns", "angle", "every shot has its scan angle"),
             KnownRule("turn", "whole", "every shot is there"),
         )
         self.facts = SourceFacts(
-            notes=(note,), rules=rules if "angle" in self._arrays else (), describe=self.describe, time_name="time.txt"
+            notes=(f"{self._n_pulses} shots with {n_echoes} returns; {empty}",),
+            rules=rules if "angle" in self._arrays else (),
+            describe=self.describe,
+            time_name="time.txt",
         )
-        """Metadata of the folder."""
 
     def describe(self) -> dict[str, Any]:
         """Return the arrays as plain values for JSON, for ``prc info``."""
         return {"shots": self._n_pulses, "arrays": sorted(array.path.name for array in self._arrays.values())}
 
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver, standard names first."""
-        names = [*self._arrays, *(["time"] if self._time is not None else []), *_MADE]
-        return standard_first(names)
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named arrays in bounded memory, in firing order."""
-        unknown = [name for name in names if name not in self.dimensions]
-        if unknown:
-            problem = f"no dimension {unknown[0]!r} in the folder"
-            raise ConfigError(self.path, problem, f"it has: {', '.join(self.dimensions)}")
+    def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, dict[str, NDArray[Any]], int]]:
+        """Yield index of the first record, values by dimension, and number of records."""
+        arrays = {key: self._arrays[key] for key in keys if key in self._arrays}
         with ExitStack() as stack:
-            handles = {
-                name: stack.enter_context(open_to_read(self._arrays[name].path))
-                for name in names
-                if name in self._arrays
-            }
-            counting = stack.enter_context(open_to_read(self._count.path))
-            first_record = 0
-            for first in range(0, self._n_pulses, CHUNK_PULSES):
-                count = _read(counting, self._count, min(CHUNK_PULSES, self._n_pulses - first)).astype(np.int64)
-                chunk = self._chunk(names, handles, count, first, first_record)
-                first_record += chunk.n
-                yield chunk
+            handles = {key: stack.enter_context(open_to_read(array.path)) for key, array in arrays.items()}
+            first_record = first = 0
+            for count in self._counts():
+                n_echoes, n_rows = int(count.sum()), np.maximum(count, 1)
+                shot = np.repeat(np.arange(len(count)), n_rows)
+                values: dict[str, NDArray[Any]] = {
+                    "pulse": first + shot,
+                    "return_number": np.arange(len(shot)) - (np.cumsum(n_rows) - n_rows)[shot] + 1,
+                    "number_of_returns": n_rows[shot],
+                }
+                if self._time is not None:
+                    values["time"] = (self._time[0] + self._time[1] * (first + np.arange(len(count))))[shot]
+                for key, array in arrays.items():
+                    found = array.read(handles[key], n_echoes if array.is_echo else len(count))
+                    values[key] = _spread(found, count[shot] > 0) if array.is_echo else found[shot]
+                yield first_record, values, len(shot)
+                first_record, first = first_record + len(shot), first + len(count)
 
-    def _chunk(
-        self, names: tuple[str, ...], handles: dict[str, IO[bytes]], count: I64, first: int, first_record: int
-    ) -> RecordChunk:
-        rows = np.maximum(count, 1)
-        shot = np.repeat(np.arange(len(count)), rows)
-        start = np.cumsum(rows) - rows
-        ordinal = np.arange(len(shot)) - start[shot]
-        has_return = count[shot] > 0
-        values: dict[str, NDArray[Any]] = {}
-        for name in names:
-            if name == "time":
-                assert self._time is not None
-                values[name] = (self._time[0] + self._time[1] * (first + np.arange(len(count))))[shot]
-            elif name == "pulse":
-                values[name] = first + shot
-            elif name == "return_number":
-                values[name] = ordinal + 1
-            elif name == "number_of_returns":
-                values[name] = rows[shot]
-            else:
-                array = self._arrays[name]
-                stored = _read(handles[name], array, int(count.sum()) if array.is_echo else len(count))
-                found = decode(stored, array.item)
-                values[name] = _spread(found, has_return) if array.is_echo else found[shot]
-        return RecordChunk(first_record, values, len(shot))
-
-    def _totals(self) -> tuple[int, int]:
-        """Return the number of returns, and of shots without one."""
-        n_echoes = n_empty = 0
+    def _counts(self) -> Iterator[I64]:
+        """Yield the number of returns of consecutive shots."""
         with open_to_read(self._count.path) as handle:
             for first in range(0, self._n_pulses, CHUNK_PULSES):
-                count = _read(handle, self._count, min(CHUNK_PULSES, self._n_pulses - first))
-                if count.min() < 0 or count.max() > MAX_ECHOES:
-                    at = int(np.argmax((count < 0) | (count > MAX_ECHOES)))
-                    problem = f"shot {first + at} has {count[at]} returns, expected 0 to {MAX_ECHOES}"
-                    raise InputError(self.path, problem, "copy the folder from the archive again")
-                n_echoes += int(count.sum(dtype=np.int64))
-                n_empty += int(np.count_nonzero(count == 0))
-        return n_echoes, n_empty
-
-    def _read_time(self) -> tuple[float, float] | None:
-        """Return time of the first shot and time between shots [s], from ``time.txt``."""
-        path = self._folder / "time.txt"
-        if not path.is_file():
-            return None
-        with open_to_read(path) as handle:
-            text = handle.read(_MAX_TIME_BYTES).decode("utf-8", errors="replace")
-        match = _TIME.fullmatch(text)
-        start, step = (None, None) if match is None else (to_number(match["start"]), to_number(match["step"]))
-        if match is None or start is None or step is None or not np.isfinite([start, step]).all() or step <= 0:
-            problem = f"found {shorten(text.strip())!r}, expected N entries START + STEP pulse_index"
-            raise InputError(str(path), problem, "correct it, or take it away: then there are no times")
-        if int(match["n"]) != self._n_pulses:
-            problem = f"{match['n']} entries, but {self._n_pulses} shots"
-            raise InputError(str(path), problem, "copy the folder from the archive again")
-        return start, step
+                count = self._count.read(handle, min(CHUNK_PULSES, self._n_pulses - first))
+                wrong = np.flatnonzero((count < 0) | (count > MAX_ECHOES))
+                if len(wrong):
+                    problem = f"shot {first + wrong[0]} has {count[wrong[0]]} returns, expected 0 to {MAX_ECHOES}"
+                    raise InputError(str(self._count.path), problem, _COPY)
+                yield count.astype(np.int64)
 
 
-def _own_name(match: re.Match[str]) -> str:
-    return _STANDARD.get(match["name"], match["name"])
-
-
-def _array(folder: Path, match: re.Match[str]) -> _Array:
-    name = _own_name(match)
-    item = LayoutField.model_validate({"name": name, "unit": "rad" if name == "angle" else ""})
-    return _Array(folder / match.string, np.dtype(match["type"]).newbyteorder("<"), match["part"] == "echo", item)
-
-
-def _read(handle: IO[bytes], array: _Array, n: int) -> NDArray[Any]:
-    found = np.fromfile(handle, array.dtype, n)
-    if len(found) < n:
-        problem = f"the file ends {n - len(found)} values too early"
-        raise InputError(str(array.path), problem, "it was cut while being read; wait until its writer is done")
-    return found
+def _read_time(path: Path, n_pulses: int) -> tuple[float, float] | None:
+    """Return time of the first shot and time between shots [s]; None without such a file."""
+    if not path.is_file():
+        return None
+    with open_to_read(path) as handle:
+        text = handle.read(_MAX_TIME_BYTES).decode("utf-8", errors="replace")
+    match = _TIME.fullmatch(text)
+    start, step = (None, None) if match is None else (to_number(match["start"]), to_number(match["step"]))
+    if match is None or start is None or step is None or not np.isfinite([start, step]).all() or step <= 0:
+        problem = f"found {shorten(text.strip())!r}, expected N entries START + STEP pulse_index"
+        raise InputError(str(path), problem, "correct it, or take it away: then there are no times")
+    if int(match["n"]) != n_pulses:
+        raise InputError(str(path), f"{match['n']} entries, but {n_pulses} shots", _COPY)
+    return start, step
 
 
 def _spread(values: NDArray[Any], has_return: NDArray[np.bool_]) -> NDArray[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import F64, U8, Mask
+from prc_cli.formats.options import Layout
 
 LOOKED_BYTES = 1 << 20
 """Bytes at the end of a dump that are looked at."""
@@ -38,27 +38,6 @@ _SOME = 0.05
 LEAST_EASTING_M = 1000.0
 """Numbers that are larger in the middle, and not whole, are no ranges in metres."""
 _TRIED = ("f8", "f4", "i4", "u2", "u1")
-
-
-@dataclass(frozen=True, slots=True)
-class GuessedField:
-    """A field of a record, with what it seems to be."""
-
-    name: str
-    """A standard name, or one with the position."""
-    kind: str
-    """numpy type without byte order."""
-    scale: float = 1.0
-    missing: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class GuessedRecords:
-    """Records of a dump."""
-
-    header_bytes: int
-    endian: str
-    fields: tuple[GuessedField, ...]
 
 
 def is_frame(path: Path) -> bool:
@@ -95,8 +74,8 @@ def _mostly(mask: Mask) -> bool:
     return bool(np.mean(mask) > _MAJORITY)
 
 
-def guess_records(path: Path) -> GuessedRecords | None:
-    """Guess header, byte order and fields of a dump from the period of its bytes."""
+def guess_records(path: Path) -> Layout | None:
+    """Guess header, byte order and fields of a dump from the period of its bytes; None where nothing repeats."""
     with open_to_read(path) as handle:
         size = handle.seek(0, 2)
         # without what may be the header
@@ -117,8 +96,9 @@ def guess_records(path: Path) -> GuessedRecords | None:
     for at, kind in kinds:
         name = named.get(str(at), f"field_{at}")
         scale, missing = range_scale(columns[str(at)]) if name == "range" else (1.0, None)
-        fields.append(GuessedField(name, kind, scale, missing))
-    return GuessedRecords(_header_bytes(head, size, period, rows), endian, tuple(fields))
+        fields.append({"name": name, "type": kind, "scale": scale, "missing": missing})
+    header_bytes = _header_bytes(head, size, period, rows)
+    return Layout.model_validate({"header_bytes": header_bytes, "endian": endian, "fields": tuple(fields)})
 
 
 def byte_period(data: U8) -> int | None:

@@ -6,9 +6,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule
-from prc_cli.formats.options import FACTORS, UNITS
-from prc_cli.formats.records import STANDARD_NAMES
+from prc_cli.formats.options import FACTORS, UNITS, Layout, LayoutField, check_fields
+from prc_cli.formats.records import STANDARD_NAMES, Column, listed
 
 NAMES: dict[str, tuple[str, ...]] = {
     "range": ("range", "distance", "r"),
@@ -90,6 +91,85 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
                 found[standard] = Usual(names[index], index, unit_of(standard, names[index]))
                 break
     return found
+
+
+def find_columns(
+    where: str, names: Sequence[str], layout: Layout | None, keys: Sequence[str] = (), hint: str = ""
+) -> dict[str, Column]:
+    """Return the dimensions of a file: the fields of a layout decide; without fields, usual names become standard ones.
+
+    All other columns keep their name, or their number if they have none. Where no column has a name, fields without a
+    source are the columns in order.
+
+    Parameters
+    ----------
+    where : str
+        File and line, for messages.
+    names : sequence of str
+        What the file calls its columns.
+    layout : Layout or None
+    keys : sequence of str
+        What the body calls them; default: as the file does.
+    hint : str
+        What else to say of a column that is not there.
+    """
+    keys = keys or names
+    found: dict[str, Column] = {}
+    if layout is not None and layout.fields:
+        check_fields(layout)
+        for position, item in enumerate(layout.fields):
+            index = _find_source(where, names, item, position, hint)
+            unit = "" if item.unit or item.scale != 1.0 else unit_of(item.name, names[index])
+            given = item.model_copy(update={"unit": unit}) if unit else item
+            found[item.name] = Column(keys[index], names[index], given)
+    else:
+        for standard, one in usual_names(names).items():
+            _check_once(where, names, one.name)
+            item = LayoutField.model_validate({"name": standard, "unit": one.unit})
+            found[standard] = Column(keys[one.index], one.name, item)
+    taken = {column.key for column in found.values()}
+    for index, name in enumerate(names):
+        own = name or str(index)
+        if keys[index] not in taken and own not in found:
+            found[own] = Column(keys[index], name, LayoutField(name=own))
+    return found
+
+
+def _find_source(where: str, names: Sequence[str], item: LayoutField, position: int, hint: str) -> int:
+    """Return the number of the column that a field is read from."""
+    source = item.source
+    if not any(names):
+        if isinstance(source, str) and not source.isdecimal():
+            problem = f"no header row, so no column {source!r} for field {item.name!r}"
+            raise InputError(where, problem, "give the column's number from 0 as source")
+        source = position if source is None else int(source)
+    if isinstance(source, int):
+        if not 0 <= source < len(names):
+            problem = f"no column {source} for field {item.name!r}, expected 0 to {len(names) - 1}"
+            raise InputError(where, problem, f"the file has {len(names)} columns{hint}")
+        return source
+    name = item.name if source is None else source
+    plain = [one.lower().removeprefix("scalar_") for one in names]
+    usual = usual_names(names).get(item.name) if source is None else None
+    if name in names:
+        index = list(names).index(name)
+    elif name.lower() in plain:
+        index = plain.index(name.lower())
+    elif usual is not None:
+        index = usual.index
+    else:
+        problem = f"no column {name!r} for field {item.name!r}, it has: {listed(names)}"
+        raise InputError(where, problem, f"name the column as its source in [[layout.fields]]{hint}")
+    _check_once(where, names, names[index])
+    return index
+
+
+def _check_once(where: str, names: Sequence[str], name: str) -> None:
+    places = [index for index, other in enumerate(names) if other == name]
+    if len(places) > 1:
+        problem = f"the name {name!r} stands in columns {places[0]} and {places[1]}, expected once"
+        hint = "rename one, or give the column's number from 0 as source in [[layout.fields]]"
+        raise InputError(where, problem, hint)
 
 
 def angle_rules(name: str | None) -> tuple[KnownRule, ...]:

@@ -317,19 +317,12 @@ def record_dtype(layout: Layout) -> np.dtype[np.void]:
     types = [np.dtype(item.type).newbyteorder(layout.endian) for item in layout.fields]
     for item, stored in zip(layout.fields, types, strict=True):
         _check_missing(item, stored)
-    ends = np.cumsum([stored.itemsize for stored in types]).tolist()
-    size = ends[-1] if layout.record_bytes is None else layout.record_bytes
-    if size < ends[-1]:
-        problem = f"found {size}, but the fields take {ends[-1]} bytes"
-        raise ConfigError("layout.record_bytes", problem, f"leave it out or give {ends[-1]} or more")
-    return np.dtype(
-        {
-            "names": [item.name for item in layout.fields],
-            "formats": types,
-            "offsets": [0, *ends[:-1]],
-            "itemsize": size,
-        }
-    )
+    least = sum(stored.itemsize for stored in types)
+    size = layout.record_bytes or least
+    if size < least:
+        problem = f"found {size}, but the fields take {least} bytes"
+        raise ConfigError("layout.record_bytes", problem, f"leave it out or give {least} or more")
+    return np.dtype({"names": [item.name for item in layout.fields], "formats": types, "itemsize": size})
 
 
 def check_fields(layout: Layout) -> None:

@@ -6,21 +6,26 @@ A source only decodes; :mod:`prc_cli.streams.grid` finds line, column and range 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import I64
+from prc_cli.formats.options import LayoutField, decode
 
 STANDARD_NAMES = (
     "range", "scan_line", "column", "angle", "time", "x", "y", "z", "intensity", "return_number",
     "number_of_returns",
 )  # fmt: skip
 """Names of dimensions common to all sources; other dimensions keep their own name."""
+
+AXES = ("x", "y", "z")
 
 
 def standard_first(names: Collection[str]) -> tuple[str, ...]:
@@ -81,6 +86,93 @@ class RecordSource(Protocol):
         """
 
 
+def check_names(source: RecordSource, names: tuple[str, ...]) -> None:
+    """Refuse names of dimensions that a source does not have."""
+    known = source.dimensions
+    for name in names:
+        if name not in known:
+            raise ConfigError(source.path, f"no dimension {name!r} in the file", f"it has: {listed(known)}")
+
+
+def listed(names: Collection[str]) -> str:
+    """Return names for a message, the first forty, each shortened."""
+    shown = ", ".join(shorten(name) for name in list(names)[:40])
+    return (shown or "none") + (", ..." if len(names) > 40 else "")
+
+
+def shorten(text: str) -> str:
+    """Return a text shortened for a message."""
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+Stored: TypeAlias = Mapping[str, NDArray[Any]] | NDArray[Any]
+"""Stored values by key: a table of columns, or records."""
+
+
+class Body(Protocol):
+    """Where the values of a file are stored."""
+
+    @property
+    def n_records(self) -> int | None:
+        """Number of records; None if only reading can tell."""
+
+    def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, Stored, int]]:
+        """Yield index of the first record, stored values by key, and number of records."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """How the values of a dimension are stored."""
+
+    key: str
+    """What the body calls it."""
+    name: str
+    """What the file calls it; empty where it has no names."""
+    item: LayoutField
+    """Scale, offset, missing value and unit."""
+
+
+class FieldSource:
+    """Base of the sources whose records have named fields."""
+
+    n_records: int | None
+    """Number of records; None if only reading can tell."""
+
+    def __init__(self, path: Path | str, form: str, columns: Mapping[str, Column], body: Body) -> None:
+        self.path = str(path)
+        """File name, for messages."""
+        self.format = form
+        """Reader name, for messages and ``prc info``."""
+        self.columns = {name: columns[name] for name in standard_first(columns)}
+        """By dimension, standard names first."""
+        self.body = body
+        self.n_records = body.n_records
+        self.facts = SourceFacts()
+        """What the file says of itself beside its records."""
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver, standard names first."""
+        return tuple(self.columns)
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named fields in bounded memory, in the order of the file."""
+        check_names(self, names)
+        keys = tuple(dict.fromkeys(self.columns[name].key for name in names))
+        for first, stored, n in self.body.stored(keys or (next(iter(self.columns.values())).key,)):
+            yield self.decoded(first, stored, names, n)
+
+    def decoded(self, first: int, stored: Stored, names: tuple[str, ...], n: int) -> RecordChunk:
+        """Return stored values as dimensions."""
+        keys = [self.columns[name].key for name in names]
+        values = {}
+        for name, key in zip(names, keys, strict=True):
+            # values are decoded in place where no other dimension needs them
+            column = stored[key].copy() if keys.count(key) > 1 else stored[key]
+            values[name] = decode(column, self.columns[name].item)
+        return RecordChunk(first, values, n)
+
+
 @dataclass(frozen=True)
 class DerivedSource:
     """Base class of sources that change the records of another source in ``chunks``."""
@@ -113,7 +205,6 @@ class DerivedSource:
         return self.source.facts
 
 
-AXES = ("x", "y", "z")
 CLASS_NAMES = ("classification", "class", "label")
 """Dimensions that hold class codes; the first that is there counts."""
 MOST_KINDS = 256

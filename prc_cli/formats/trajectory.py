@@ -16,7 +16,7 @@ import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64
-from prc_cli.formats.bags.cursor import Cursor, ShortMessageError
+from prc_cli.formats.bags.messages import Cursor, ShortMessageError
 
 if TYPE_CHECKING:
     import pyproj

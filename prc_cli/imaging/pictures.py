@@ -6,7 +6,7 @@ Drawn with Pillow and NumPy only: these are pixel images, not plots, and matplot
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -54,8 +54,8 @@ def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] |
     return picture
 
 
-def range_bar(limits_m: tuple[float, float]) -> Bar:
-    """Return the colour bar of :func:`range_picture`: near at the bottom.
+def range_bar(limits_m: tuple[float, float], *, rises: bool = False) -> Bar:
+    """Return the colour bar of :func:`range_picture`, near at the bottom; ``rises``: of :func:`critical_picture`.
 
     >>> [text for _, text in range_bar((2.0, 60.0)).ticks]
     ['2', '5', '10', '20', '50']
@@ -67,7 +67,7 @@ def range_bar(limits_m: tuple[float, float]) -> Bar:
         values = _even_values(near, far)
     inside = [value for value in values if near <= value * (1 + 1e-9) and value <= far * (1 + 1e-9)]
     ticks = tuple((math.log(value / near) / math.log(far / near), f"{value:.3g}") for value in inside)
-    return Bar(colour_map()[::-1], ticks)
+    return Bar(colour_map() if rises else colour_map()[::-1], ticks)
 
 
 def value_limits(values: NDArray[np.floating]) -> tuple[float, float]:
@@ -108,12 +108,6 @@ def _even_values(low: float, high: float) -> list[float]:
     return [step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 
 
-def class_picture(classes: NDArray[np.integer], colours: U8) -> U8:
-    """Colour class indices by a table of colours, (...) integer and (n, 3) uint8 to (..., 3) uint8."""
-    picture: U8 = colours[classes]
-    return picture
-
-
 AGREE_COLOUR = (222, 222, 222)
 """Colour where predicted and reference class are equal."""
 NOT_SCORED_COLOUR = (196, 180, 224)
@@ -131,20 +125,6 @@ def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int 
         picture[(predicted == unscored) | (reference == unscored)] = NOT_SCORED_COLOUR
     picture[(predicted == 0) | (reference == 0)] = MISSING_COLOUR
     return np.asarray(picture, np.uint8)
-
-
-def label_picture(labels: NDArray[np.integer]) -> U8:
-    """Colour labels as in :data:`prc_cli.core.classes.LABEL_COLOURS`.
-
-    ``labels`` (lines, M) integer; returns (lines, M, 3) uint8.
-    """
-    table = np.array([LABEL_COLOURS[label] for label in Label], dtype=np.uint8)
-    if labels.size and not 0 <= int(labels.min()) <= int(labels.max()) < len(table):
-        problem = f"found numbers from {labels.min()} to {labels.max()}, expected labels from 0 to {len(table) - 1}"
-        where = "labels"
-        raise InputError(where, problem, "turn class codes into labels first")
-    picture: U8 = table[labels]
-    return picture
 
 
 def segment_picture(segments: NDArray[np.integer]) -> U8:
@@ -221,11 +201,6 @@ TRIGGER_CELLS = 2
 """Cells by which the mark of a trigger reaches beyond it along the line, so that it is seen."""
 
 
-def critical_limits(zeta_m: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the ends of the colour scale [m]: 2nd and 98th percentile of the finite values above 0."""
-    return range_limits(zeta_m)
-
-
 def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]) -> U8:
     """Colour critical thresholds from low (dark blue) to high (bright yellow) on a logarithmic scale.
 
@@ -237,15 +212,6 @@ def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]
     picture = value_picture(np.log(np.clip(shown, low, high)), (float(np.log(low)), float(np.log(high))))
     picture[never] = NEVER_COLOUR
     return picture
-
-
-def critical_bar(limits_m: tuple[float, float]) -> Bar:
-    """Return the colour bar of :func:`critical_picture`.
-
-    >>> critical_bar((0.01, 1.0)).ticks[0]
-    (0.0, '0.01')
-    """
-    return replace(range_bar(limits_m), colours=colour_map())
 
 
 def trigger_codes(labels: U8, trigger: U8) -> U8:
@@ -278,7 +244,8 @@ def trigger_picture(packed: U8) -> U8:
     array([0, 0, 0, 1, 1, 1, 1, 1, 0])
     """
     classes, side = packed % len(Label), packed // len(Label)
-    picture: U8 = np.rint(label_picture(classes) * (1.0 - PALE) + 255 * PALE).astype(np.uint8)
+    colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
+    picture: U8 = np.rint(colours[classes] * (1.0 - PALE) + 255 * PALE).astype(np.uint8)
     begun = side >= TriggerSide.AT
     mark = side == TriggerSide.AT
     # thinning may have taken the shot itself: the trigger lies where a line goes from before it to after it

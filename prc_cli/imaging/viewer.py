@@ -13,16 +13,15 @@ import json
 import math
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from prc_cli.core.pages import render_page
-from prc_cli.core.types import F64, I64, U8
+from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import bounds, fullest_azimuth
 from prc_cli.imaging.pictures import colour_map, range_limits, value_limits
 from prc_cli.imaging.sheet import Key, Panel, draw_panel
@@ -35,14 +34,10 @@ def html_page(title: str, head: str, sections: Iterable[tuple[str, Sequence[Pane
 
 
 def _png_text(panel: Panel) -> str:
-    return base64.b64encode(png_bytes(draw_panel(panel, with_title=False))).decode("ascii")
-
-
-def png_bytes(image: Image.Image) -> bytes:
-    """Return a picture as the bytes of a PNG file."""
+    """Return a picture as the bytes of a PNG file, base64."""
     buffer = io.BytesIO()
-    image.save(buffer, format="PNG", optimize=False)
-    return buffer.getvalue()
+    draw_panel(panel, with_title=False).save(buffer, format="PNG", optimize=False)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
 _ROOM = 0.5
@@ -121,10 +116,7 @@ def viewer_page(shots: Shots, *, title: str, head: str, notes: Sequence[str], fo
     about = {
         "lines": {"n": n_lines, "first": shots.first[0], "step": shots.step[0]},
         "columns": {"n": n_columns, "first": shots.first[1], "step": shots.step[1]},
-        "classes": [
-            {"place": one.place, "name": one.name, "colour": one.colour, "share": one.share, "hidden": one.hidden}
-            for one in shots.entries
-        ],
+        "classes": [asdict(one) for one in shots.entries],
         "planes": planes,
         "box": box,
         "order": list(range(n_columns)) if shots.order is None else [int(column) for column in shots.order],
@@ -165,11 +157,7 @@ def _placed(xyz_m: F64, framed: NDArray[np.bool_]) -> tuple[dict[str, Any], dict
     near = seen & (xyz_m >= low - room).all(axis=2) & (xyz_m <= high + room).all(axis=2)
     held = inside[((inside >= low) & (inside <= high)).all(axis=1)]
     azimuth = fullest_azimuth(held if len(held) else inside, _SEEN_DEG, 1200, 700)
-    box = {
-        "centre": ((low + high) / 2).tolist(),
-        "size": np.maximum(high - low, 0.1).tolist(),
-        "azimuth": azimuth,
-    }
+    box = {"centre": ((low + high) / 2).tolist(), "size": np.maximum(high - low, 0.1).tolist(), "azimuth": azimuth}
     places = {
         axis: Values(axis, np.where(near, xyz_m[..., k], np.nan), 0.001, is_scale=axis == "z")
         for k, axis in enumerate("xyz")
@@ -199,19 +187,7 @@ def _plane(each: Values, limits: tuple[float, float] | None) -> tuple[dict[str, 
 
 
 def pack(whole: NDArray[np.uint32], n_bytes: int) -> str:
-    """Return integers below 256 ** n_bytes, (n,) uint32, as text; :func:`unpack` turns it back.
-
-    >>> unpack(pack(np.array([5, 70_000, 0], np.uint32), 3), 3).tolist()
-    [5, 70000, 0]
-    """
+    """Return integers below 256 ** n_bytes, (n,) uint32, as text."""
     steps = np.diff(whole, prepend=np.uint32(0)).astype("<u4")
     planes = steps.view(np.uint8).reshape(-1, 4).T[:n_bytes]
     return base64.b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)).decode("ascii")
-
-
-def unpack(text: str, n_bytes: int) -> I64:
-    """Return the integers of :func:`pack`, (n,) int64, as the page decodes them."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(n_bytes, -1).astype(np.int64)
-    steps = sum(planes[k] << (8 * k) for k in range(n_bytes))
-    found: I64 = np.cumsum(steps) % 256**n_bytes
-    return found

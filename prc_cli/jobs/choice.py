@@ -19,8 +19,7 @@ from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats import open_source
 from prc_cli.kernels import Engine
 from prc_cli.methods.rings.pipeline import WIDEST_FAN_RAD, is_fan
-from prc_cli.streams.beam_finder import ANGLES
-from prc_cli.streams.beams import BeamStream, with_beams
+from prc_cli.streams.beams import ANGLES, BeamStream, with_beams
 from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rules import trusting
@@ -86,27 +85,40 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         if first is None:
             return MethodChoice("urban", "the input has no lines"), stream
         directed = with_beams(stream, config.input)
-        if isinstance(directed, BeamStream) and any(found.is_made_up for found in directed.known.values()):
+        beams = directed.known.values() if isinstance(directed, BeamStream) else ()
+        if any(found.is_made_up for found in beams):
             return MethodChoice("urban", "no line has two returns"), stream
-        if (cosine := least_cosine(directed)) < LEAST_COSINE:
+        if (cosine := min((found.cos_tilt for found in beams), default=1.0)) < LEAST_COSINE:
             lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
             lacks = f"{lean}, which fused does not stand; look at the unit of the ranges"
             return MethodChoice("urban", lacks, lacks), stream
-        if stream.info.facts.has_scans or config.input.scanner != "none":
+        every = stream.info.facts.scanners
+        if every or stream.info.facts.has_scans or config.input.scanner != "none":
             # a later scanner may be refused only when it is reached
             for _ in directed.blocks():
-                pass
+                if every and isinstance(directed, BeamStream) and len(directed.known | directed.late) >= len(every):
+                    break
         is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
         return choice_by_beams(next(iter(directed.blocks())), directed.blocks(), *known), directed
     except (InputError, ConfigError) as refusal:
-        return MethodChoice("urban", f"{refusal.problem}; {_BETTER}", refusal.problem), stream
+        scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
+        lacks = f"{scanner}: {refusal.problem}" if scanner in stream.info.facts.scanners else refusal.problem
+        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks), stream
 
 
-def least_cosine(stream: ScanStream) -> float:
-    """Return the least cosine of the lean of the scan planes from the vertical that were found."""
-    known = stream.known.values() if isinstance(stream, BeamStream) else ()
-    return min((found.cos_tilt for found in known), default=1.0)
+def decide_stream(
+    stream: ScanStream, loaded: LoadedConfig, *, engine: Engine = "compiled"
+) -> tuple[LoadedConfig, ScanStream]:
+    """Return a configuration that names a method, and the stream with the beam directions that the method needs."""
+    if not loaded.config.is_decided:
+        choice = choice_by_request(loaded.config, engine=engine)
+        if choice is None:
+            choice, stream = choose(stream, loaded.config)
+        loaded = decided_by(choice, loaded)
+    if loaded.config.needs_beams and not isinstance(stream, BeamStream):
+        stream = with_beams(stream, loaded.config.input)
+    return loaded, stream
 
 
 def decide(path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False) -> LoadedConfig:

@@ -7,11 +7,11 @@ its own threads, with short queues between them; the output does not depend on t
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,8 @@ from prc_cli.core.brief import Brief
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
-from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
-from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
+from prc_cli.core.files import check_unchanged, file_state, prepare_outputs, suffix_of
+from prc_cli.core.findings import Doubted, Finding, accept, doubts, notices, refuse
 from prc_cli.core.process import return_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
@@ -33,7 +33,6 @@ from prc_cli.formats.las import LAZ
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer
-from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
 from prc_cli.formats.writing.record import (
     Fingerprint,
@@ -42,7 +41,7 @@ from prc_cli.formats.writing.record import (
     fingerprint,
     record_path,
 )
-from prc_cli.jobs.choice import choice_by_beams, choice_by_request, choose, decided_by
+from prc_cli.jobs.choice import choice_by_beams, choice_by_request, choose, decide_stream, decided_by
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
@@ -74,28 +73,42 @@ class Counts(Brief):
     labels: I64
     """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`; MISSING counts shots."""
     tally: ReadTally
+    n_extra: int = field(default=0, repr=False)
+    """Further returns."""
+    scanners: Mapping[int, int] = field(default_factory=dict, repr=False)
+    """M by scanner."""
 
     @classmethod
     def none(cls) -> Counts:
         """Return the counts before the first block."""
         return cls(0, 0, 0, np.zeros(len(Label), np.int64), ReadTally())
 
-    def add(self, item: LabelledBlock) -> Counts:
-        """Return the counts with one more block."""
-        block = item.block
-        labels = count_bytes(item.labels)[: len(Label)]
-        extra = count_bytes(item.extra_labels)[: len(Label)]
+    def add(self, item: LabelledBlock | ScanBlock) -> Counts:
+        """Return the counts with one more block; of one without labels the missing shots alone are counted as such."""
+        if isinstance(item, LabelledBlock):
+            block = item.block
+            labels = count_bytes(item.labels)[: len(Label)] + count_bytes(item.extra_labels)[: len(Label)]
+        else:
+            block, labels = item, np.zeros(len(Label), np.int64)
+            labels[Label.MISSING] = np.count_nonzero(np.isnan(block.range_m))
         return Counts(
             self.n_lines + block.n_lines,
             self.n_shots + block.range_m.size,
             self.n_far + int(np.count_nonzero(block.range_m > FAR_M)),
-            self.labels + labels + extra,
+            self.labels + labels,
             self.tally + block.tally,
+            self.n_extra + len(block.extra),
+            {block.scanner: block.points_per_line, **self.scanners},
         )
+
+    @property
+    def n_missing(self) -> int:
+        """Shots without return."""
+        return int(self.labels[Label.MISSING])
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class RunSummary(Brief):
+class RunSummary(Doubted):
     """Summary of a run."""
 
     output: Path
@@ -105,11 +118,6 @@ class RunSummary(Brief):
     """Lines, shots and labels of the stream."""
     findings: tuple[Finding, ...] = ()
     """Answers of all checks of the input and of its labels."""
-
-    @property
-    def doubts(self) -> tuple[Finding, ...]:
-        """Findings that the user has to look at."""
-        return doubts(self.findings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the run record with the doubts, for JSON."""
@@ -138,10 +146,12 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
         When the file is damaged, or ranges cannot be computed from it.
     """
     path = Path(path)
-    return _open(path, with_layout_beside(path, _loaded(config)).config, geometry=True)
+    return _open(path, with_layout_beside(path, LoadedConfig.of(config)).config, geometry=True)
 
 
-def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False) -> ScanStream:
+def _open(
+    path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False, parts: Sequence[Path] = ()
+) -> ScanStream:
     """Open an input.
 
     ``geometry``: find angles even if the classifier does not need them; ``only_ranges``: times and intensities may be
@@ -149,7 +159,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     """
     stream = open_input(
         path, config.input, config.layout, lines_at_once=config.classifier.method().needs.lines_per_block or 1,
-        geometry=geometry or config.needs_beams, only_ranges=only_ranges,
+        geometry=geometry or config.needs_beams, only_ranges=only_ranges, parts=parts,
     )  # fmt: skip
     if not config.needs_beams:
         return stream
@@ -159,9 +169,10 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     return with_beams(stream, config.input)
 
 
-def _open_decided(
+def open_decided(
     path: Path, loaded: LoadedConfig, engine: Engine,
     *, geometry: bool, only_ranges: bool, loading: Callable[[], AbstractContextManager[None]],
+    parts: Sequence[Path] = (),
 ) -> tuple[LoadedConfig, ScanStream]:  # fmt: skip
     """Open an input for the method that is named, else for the one chosen for it."""
     config = loaded.config
@@ -171,6 +182,7 @@ def _open_decided(
             stream = open_input(
                 path, config.input, config.layout,
                 lines_at_once=config.fused.method().needs.lines_per_block or 1, only_ranges=only_ranges,
+                parts=parts,
             )  # fmt: skip
             choice, stream = choose(stream, config)
         loaded = decided_by(choice, loaded)
@@ -178,7 +190,7 @@ def _open_decided(
             load_classifier(loaded, engine)
         if loaded.config.needs_beams:
             return loaded, stream
-    return loaded, _open(path, loaded.config, geometry=geometry, only_ranges=only_ranges)
+    return loaded, _open(path, loaded.config, geometry=geometry, only_ranges=only_ranges, parts=parts)
 
 
 def label_blocks(
@@ -221,7 +233,7 @@ def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engi
 
     Where no method is named, those of all methods that an input may decide on are loaded.
     """
-    chosen = _loaded(config).config
+    chosen = LoadedConfig.of(config).config
     methods = [chosen.classifier]
     if not chosen.is_decided and choice_by_request(chosen, engine=engine) is None:
         forest = chosen.fused.model_copy(update={"environment": "forest"})
@@ -275,7 +287,7 @@ def classify(
     InputError, OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
-    loaded = _loaded(config)
+    loaded = LoadedConfig.of(config)
     if engine != "compiled":  # refused before anything is read
         load_classifier(loaded, engine)
     with use_engine(engine):
@@ -299,13 +311,9 @@ def _classify(
 ) -> RunSummary:  # fmt: skip
     """Classify one file with the engine that is set; see :func:`classify`."""
     loaded = with_layout_beside(source, loaded)
-    trajectory = loaded.trajectory
     return_memory()  # before any thread
-    inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
-    check_output(output, overwrite=overwrite, inputs=inputs)  # also that it has a name, before the record's
-    check_output(record_path(output), overwrite=overwrite, inputs=inputs)
-    for path in (output, record_path(output)):
-        remove_stale(path)
+    prepare_outputs(output, overwrite=overwrite, inputs=loaded.inputs(source))  # also that it has a name
+    prepare_outputs(record_path(output), overwrite=overwrite, inputs=loaded.inputs(source))
     check_input(source)
     before = file_state(source)
     with timed("opening"):
@@ -313,7 +321,7 @@ def _classify(
         makes_points = is_cloud(output)
         only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
         is_new = makes_points and not keeps_points(source, output)
-        loaded, opened = _open_decided(
+        loaded, opened = open_decided(
             source, loaded, engine, geometry=is_new, only_ranges=only_ranges, loading=loading
         )  # fmt: skip
         if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
@@ -342,19 +350,24 @@ def _classify(
         ) as writer,
     ):
         result = ResultWatch(usual_labels(loaded.config, stream.info))
-        counts = _write_labels(stream, writer, loaded.config, threads, progress, result)
+        counts = write_labels(stream, writer, loaded.config, threads, progress, result)
         found = (*stream.findings(), *accept(result.findings(), stream.accepted))
         refuse(str(source), found)
         record = run_record(stream.info, counts, loaded, beside.result())
         segments = loaded.config.output.segment_ids
         missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
-        told = (finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
-        record = replace(record, notices=(*record.notices, *missed, *told), engine=engine)
-        if file_state(source) != before:
-            raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
+        record = replace(record, notices=(*record.notices, *missed, *notices(found)), engine=engine)
+        check_unchanged(source, before)
         with timed("finishing the output"):
             record = writer.finish(record)
     return RunSummary(output, record, counts, found)
+
+
+class Taker(Protocol):
+    """What labelled blocks are given to."""
+
+    def add(self, block: LabelledBlock) -> None:
+        """Take the labels of a block."""
 
 
 def user_names(config: RunConfig) -> dict[int, str]:
@@ -363,8 +376,8 @@ def user_names(config: RunConfig) -> dict[int, str]:
     return {code: name for code, name in config.classes.user_names().items() if code in given}
 
 
-def _write_labels(
-    stream: ScanStream, writer: StagedWriter, config: RunConfig, threads: int, progress: Progress | None,
+def write_labels(
+    stream: ScanStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None,
     result: ResultWatch,
 ) -> Counts:  # fmt: skip
     """Read, classify and write in parallel; with one thread one after the other.
@@ -491,7 +504,7 @@ def classify_ranges(
     >>> found.codes[3, 4], found.labels[3, 4] == Label.NOISE
     (np.uint8(7), np.True_)
     """
-    config = _loaded(config).config
+    config = LoadedConfig.of(config).config
     given = np.asarray(range_m)
     if given.dtype.kind not in "fiu":
         raise InputError("range_m", f"found values of type {given.dtype}, expected ranges in metres")
@@ -505,14 +518,20 @@ def classify_ranges(
             else _directed(config, block, angle_deg, engine)
         )
         config = loaded.config
-        is_judged = block.range_m.size >= LEAST_SHOTS
-        found = _input_findings(block, loaded) if is_judged else ()
+        found: tuple[Finding, ...] = ()
+        if block.range_m.size >= LEAST_SHOTS:
+            watch = watched(_InMemory(block), config.input, refuses=False, others=loaded.findings)
+            list(watch.blocks())
+            found = watch.findings()
         refuse("range_m", found)
         threads = threads_of(engine, threads)
         wanted = wanted_by(config.output)
         labelled = list(label_blocks(iter([block]), config.classifier, threads=threads, wanted=wanted))
-        if is_judged:
-            found = (*found, *_label_findings(labelled, config))
+        if block.range_m.size >= LEAST_SHOTS:
+            result = ResultWatch(config.classifier.method().usual)
+            for item in labelled:
+                result.see(item)
+            found = (*found, *accept(result.findings(), config.input.accept_doubts or ()))
             refuse("range_m", found)
     for doubt in doubts(found):
         told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
@@ -548,14 +567,6 @@ def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> tuple[Loade
     return decided_by(choice or choice_by_beams(block, iter([block])), loaded), block
 
 
-def _input_findings(block: ScanBlock, loaded: LoadedConfig) -> tuple[Finding, ...]:
-    """Return the answers of all checks of an image."""
-    watch = watched(_InMemory(block), loaded.config.input, refuses=False, others=loaded.findings)
-    for _ in watch.blocks():
-        pass
-    return watch.findings()
-
-
 def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
     """Return what labels of the method usually look like in an input of this kind."""
     usual = config.classifier.method().usual
@@ -563,14 +574,6 @@ def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
         usual = replace(usual, reach_m=0.0)
     # what a scanner on a tripod sees changes all the way round
     return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
-
-
-def _label_findings(labelled: Iterable[LabelledBlock], config: RunConfig) -> tuple[Finding, ...]:
-    """Return the answers of all checks of the labels of an image."""
-    result = ResultWatch(config.classifier.method().usual)
-    for item in labelled:
-        result.see(item)
-    return accept(result.findings(), config.input.accept_doubts or ())
 
 
 def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None) -> ScanBlock:
@@ -601,18 +604,8 @@ def _directed(
             )
             raise InputError("angle_deg", problem)
         block = replace(block, angle_rad=angle)
-    loaded = LoadedConfig(config)
-    stream: ScanStream = _InMemory(replace(block, is_last=True))
-    if not config.is_decided and (choice := choice_by_request(config, engine=engine)) is not None:
-        loaded = decided_by(choice, loaded)
-    if loaded.config.is_decided:
-        if loaded.config.needs_beams:
-            from prc_cli.streams.beams import with_beams
-
-            stream = with_beams(stream, config.input)
-        return loaded, next(iter(stream.blocks()))
-    choice, stream = choose(stream, config)
-    return decided_by(choice, loaded), next(iter(stream.blocks()))
+    loaded, stream = decide_stream(_InMemory(replace(block, is_last=True)), LoadedConfig(config), engine=engine)
+    return loaded, next(iter(stream.blocks()))
 
 
 def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
@@ -663,17 +656,11 @@ def run_record(
         points_per_line=info.points_per_line,
         n_lines=counts.n_lines,
         n_records=info.n_records if is_whole and info.n_records is not None else counts.tally.n_records,
-        n_missing=int(counts.labels[Label.MISSING]),
+        n_missing=counts.n_missing,
         assumptions=info.assumptions if loaded.choice is None else (loaded.choice.assumption, *info.assumptions),
         tally=counts.tally,
         notices=(*loaded.notes, *info.facts.notes),
     )
-
-
-def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:
-    if isinstance(config, LoadedConfig):
-        return config
-    return LoadedConfig(config if config is not None else RunConfig())
 
 
 __all__ = [

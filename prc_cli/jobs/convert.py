@@ -8,24 +8,22 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
-from prc_cli.core.brief import Brief
-from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_outputs, file_state, remove_stale, suffix_of
-from prc_cli.core.findings import Finding, Verdict, doubts
-from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, remove_stale, suffix_of
+from prc_cli.core.findings import Doubted, Finding, notices
+from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.arrays.read import CLASS
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.labels import NAMES, open_codes
-from prc_cli.formats.las.copy import copy_las, read_las
+from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import Held, format_of, is_cloud
 from prc_cli.formats.writing import (
@@ -44,10 +42,8 @@ from prc_cli.jobs.coordinates import XYZ, Carried, axes_of, carry, lines_apart
 from prc_cli.jobs.progress import advance
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
-from prc_cli.streams.open import open_input
-from prc_cli.streams.window import grid_of
+from prc_cli.streams.open import grid_of, open_input
 
-"""Outputs for programs that draw points."""
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""
 _STREAM_NAMES = frozenset(
@@ -56,7 +52,7 @@ _STREAM_NAMES = frozenset(
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class ConversionSummary(Brief):
+class ConversionSummary(Doubted):
     """Summary of a conversion."""
 
     output: Path
@@ -71,42 +67,10 @@ class ConversionSummary(Brief):
     findings: tuple[Finding, ...] = ()
     """Answers of all checks of the stream; none where only the compression changed."""
 
-    @property
-    def doubts(self) -> tuple[Finding, ...]:
-        """Findings that the user has to look at; even what speaks against a stream is converted."""
-        return doubts(self.findings)
-
     def as_dict(self) -> dict[str, object]:
         """Return the run record with what was lost, for JSON."""
         told = [doubt.as_dict() for doubt in self.doubts]
         return {**self.record.as_dict(), "not_kept": list(self.losses), "doubts": told}
-
-
-@dataclass(frozen=True, slots=True)
-class Facts:
-    """Contents of a stream, found while reading it."""
-
-    counts: Counts
-    n_returned: int = 0
-    n_extra: int = 0
-    scanners: dict[int, int] = field(default_factory=dict)
-    """M by scanner."""
-
-    def add(self, block: ScanBlock) -> Facts:
-        """Return the facts with one more block."""
-        labels = self.counts.labels.copy()
-        n_missing = int(np.count_nonzero(np.isnan(block.range_m)))
-        labels[Label.MISSING] += n_missing
-        counts = replace(
-            self.counts,
-            n_lines=self.counts.n_lines + block.n_lines,
-            n_shots=self.counts.n_shots + block.range_m.size,
-            labels=labels,
-            tally=self.counts.tally + block.tally,
-        )
-        self.scanners.setdefault(block.scanner, block.points_per_line)
-        n_returned = self.n_returned + block.range_m.size - n_missing
-        return Facts(counts, n_returned, self.n_extra + len(block.extra), self.scanners)
 
 
 def convert(
@@ -141,8 +105,7 @@ def convert(
     InputError, OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
-    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
-    loaded = with_layout_beside(Path(source), loaded)
+    loaded = with_layout_beside(Path(source), LoadedConfig.of(config))
     source, output = Path(source), Path(output)
     prepare_output(source, output, loaded, overwrite=overwrite)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
@@ -150,7 +113,7 @@ def convert(
             return _copy(source, output, loaded)
         return _copy_window(source, output, loaded, progress)
     before = file_state(source)
-    facts = Facts(Counts.none())
+    counts = Counts.none()
     watches: list[EvidenceStream] = []
 
     def watched_blocks(stream: ScanStream) -> Iterator[ScanBlock]:
@@ -164,53 +127,44 @@ def convert(
     ):
         for item in opened.items:
             writer.add_item(item)
-            facts = facts.add(item.block)
+            counts = counts.add(item.block)
             advance(progress, item.block, opened.info, loaded.config.input.window)
         info = opened.stream.info  # a window knows its lines by now
-        losses = find_losses(output, opened, facts, writer.losses)
-        record = run_record(info, facts.counts, loaded)
+        losses = find_losses(output, opened, counts, writer.losses)
+        record = run_record(info, counts, loaded)
         told = tuple(f"not kept: {loss}" for loss in losses)
         found = watches[-1].findings()
-        odd = tuple(finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
-        record = replace(
-            record, notices=(*record.notices, *opened.notices, *told, *how_to_read(output, opened, facts), *odd)
-        )
-        record = record_of_scanners(record, facts)
+        told += how_to_read(output, opened, counts)
+        record = replace(record, notices=(*record.notices, *opened.notices, *told, *notices(found)))
+        record = record_of_scanners(record, counts)
         check_unchanged(source, before)
         record = writer.finish(record)
-    counts = facts.counts
-    return ConversionSummary(output, record, losses, counts.n_lines, counts.n_shots, facts.n_returned, found)
+    return ConversionSummary(
+        output, record, losses, counts.n_lines, counts.n_shots, counts.n_shots - counts.n_missing, found
+    )
 
 
-def record_of_scanners(record: RunRecord, facts: Facts) -> RunRecord:
+def record_of_scanners(record: RunRecord, counts: Counts) -> RunRecord:
     """Remove M from a run record if scanners have lines of different lengths."""
-    return replace(record, points_per_line=0) if len(set(facts.scanners.values())) > 1 else record
+    return replace(record, points_per_line=0) if len(set(counts.scanners.values())) > 1 else record
 
 
 def prepare_output(
     source: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool, more: tuple[Path, ...] = ()
 ) -> None:
     """Refuse an impossible output before reading, and remove temporary files of dead runs."""
-    trajectory = loaded.trajectory
-    inputs = (source, *loaded.files, *more, *([] if trajectory is None else [trajectory]))
     stream_suffix(output)
     check_input(source)
-    check_stream_output(output, overwrite=overwrite, inputs=inputs)
+    check_stream_output(output, overwrite=overwrite, inputs=loaded.inputs(source, *more))
     for path in outputs_of(output):
         remove_stale(path)
-
-
-def check_unchanged(source: Path, before: tuple[int, ...]) -> None:
-    """Refuse an input that changed while it was read; ``before`` is its :func:`~prc_cli.core.files.file_state`."""
-    if file_state(source) != before:
-        raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
 
 
 def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
     """Change the compression of a LAS or LAZ file and nothing else."""
     las, before = read_las(source), file_state(source)
     with atomic_outputs(output, record_path(output)) as (temporary, beside):
-        notices = copy_las(las, output, temporary)
+        told = copy_las(las, output, temporary)
         check_unchanged(source, before)
         record = RunRecord(
             config=loaded.config.to_table(),
@@ -218,7 +172,7 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
             format="LAZ" if las.compressed else "LAS",
             points_per_line=0,
             n_records=las.n_records,
-            notices=("records were copied as bytes; no stream was read", *notices),
+            notices=("records were copied as bytes; no stream was read", *told),
         )
         beside.write_bytes(record.to_json())
     return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
@@ -227,7 +181,7 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
 def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Progress | None) -> ConversionSummary:
     """Copy the records of a window of a LAS or LAZ file, and nothing else changed."""
     las, before = read_las(source), file_state(source)
-    facts = Facts(Counts.none())
+    counts = Counts.none()
     with contextlib.ExitStack() as stack:
         temporary, beside = stack.enter_context(atomic_outputs(output, record_path(output)))
         stays = stack.enter_context(DiskColumn(output, np.uint8, 0, n_records=las.n_records))
@@ -236,7 +190,7 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
         )
         stop, info = 0, stream.info
         for block in stream.blocks():
-            facts = facts.add(block)
+            counts = counts.add(block)
             record = np.concatenate([block.records().ravel(), block.extra.record])
             record = record[record >= 0]
             stays.put(record, np.ones(len(record), np.uint8))
@@ -246,16 +200,16 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
         def masks(n: int) -> Iterator[Mask]:
             return (part.view(np.bool_) for part in stays.chunks(n, stop=-(-stop // n) * n))
 
-        notices = copy_las(las, output, temporary, lambda n: _cut_last(masks(n), n, las.n_records))
+        told = copy_las(las, output, temporary, lambda n: _cut_last(masks(n), n, las.n_records))
         check_unchanged(source, before)
         found = stream.findings()
-        odd = tuple(finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
-        record_of_run = run_record(stream.info, facts.counts, loaded)
+        record_of_run = run_record(stream.info, counts, loaded)
         copied = "the records of the window were copied as bytes"
-        record_of_run = replace(record_of_run, notices=(*record_of_run.notices, copied, *notices, *odd))
+        record_of_run = replace(record_of_run, notices=(*record_of_run.notices, copied, *told, *notices(found)))
         beside.write_bytes(record_of_run.to_json())
-    counts = facts.counts
-    return ConversionSummary(output, record_of_run, (), counts.n_lines, counts.n_shots, facts.n_returned, found)
+    return ConversionSummary(
+        output, record_of_run, (), counts.n_lines, counts.n_shots, counts.n_shots - counts.n_missing, found
+    )
 
 
 def _cut_last(masks: Iterator[Mask], n: int, n_records: int) -> Iterator[Mask]:
@@ -296,21 +250,26 @@ def open_items(
     output: Path,
     loaded: LoadedConfig,
     *,
-    blocks_of: Callable[[ScanStream], Iterator[ScanBlock]] | None = None,
+    blocks_of: Callable[[ScanStream], Iterator[ScanBlock] | Iterator[LabelledBlock]] | None = None,
     codes: bool = True,
     xyz: bool = True,
     points: bool = False,
 ) -> Iterator[OpenedItems]:
     """Open a stream whose blocks come with the classes and registered coordinates of their records.
 
-    Values that blocks do not hold are read separately and kept in a temporary file beside ``output``.
+    ``blocks_of`` may watch the blocks, or label them: then items have their labels, too. Values that blocks do not
+    hold are read separately and kept in a temporary file beside ``output``.
     """
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
-    blocks = stream.blocks() if blocks_of is None else blocks_of(stream)
-    first = next(blocks, None)
-    if first is None:
+    found: Iterator[ScanBlock | LabelledBlock] = stream.blocks() if blocks_of is None else blocks_of(stream)
+    blocks = (
+        StreamItem(one.block, labelled=one) if isinstance(one, LabelledBlock) else StreamItem(one) for one in found
+    )
+    bare = next(blocks, None)
+    if bare is None:
         raise InputError(str(source), "no scan lines, expected at least one", "see prc info")
+    first = bare.block
     records = open_source(source, loaded.config.layout)
     has = () if records is None else records.dimensions
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
@@ -330,7 +289,7 @@ def open_items(
         made_up = None
         if xyz and not axes and first.xyz_m is None and is_cloud(output):
             made_up = lines_apart(stream, loaded.config)
-        item = _item(first, carried, made_up, shares=shares)
+        item = _item(bare, carried, made_up, shares=shares)
         scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
         of_images = stream.info.facts.has_returns or stream.info.format == "E57"
         returns = of_images if grid is None else grid.rules.has_returns
@@ -339,8 +298,8 @@ def open_items(
 
         def items() -> Iterator[StreamItem]:
             yield item
-            for block in blocks:
-                yield _item(block, carried, made_up, shares=shares)
+            for other in blocks:
+                yield _item(other, carried, made_up, shares=shares)
 
         told = () if made_up is None else (made_up.notice(first),)
         yield OpenedItems(stream.info, shape, items(), records, stream, carried, told)
@@ -363,8 +322,9 @@ def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib
     return Carried(values, iter(()))
 
 
-def _item(block: ScanBlock, carried: Carried | None, made_up: LinesApart | None, *, shares: bool) -> StreamItem:
-    item = StreamItem(block)
+def _item(item: StreamItem, carried: Carried | None, made_up: LinesApart | None, *, shares: bool) -> StreamItem:
+    """Add the values of records that blocks do not hold."""
+    block = item.block
     if made_up is not None:
         registered, further = made_up(block)
         item = replace(item, registered_m=registered, extra_registered_m=further)
@@ -380,18 +340,17 @@ def _item(block: ScanBlock, carried: Carried | None, made_up: LinesApart | None,
     return item
 
 
-def find_losses(output: Path, opened: OpenedItems, facts: Facts, written: tuple[str, ...] = ()) -> tuple[str, ...]:
+def find_losses(output: Path, opened: OpenedItems, counts: Counts, written: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Return what the output does not hold of the input, one sentence each, those of the writer first."""
     n_odd = opened.n_odd_codes
     odd = (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",) if n_odd else ()
-    return (*written, *odd, *_losses(output, opened, facts))
+    return (*written, *odd, *_losses(output, opened, counts))
 
 
-def _losses(output: Path, opened: OpenedItems, facts: Facts) -> Iterator[str]:
-    shape, counts, form = opened.shape, facts.counts, stream_format(output)
-    n_missing = int(counts.labels[Label.MISSING])
+def _losses(output: Path, opened: OpenedItems, counts: Counts) -> Iterator[str]:
+    shape, counts, form = opened.shape, counts, stream_format(output)
     if stream_suffix(output) in LAS_SUFFIXES:
-        yield from _las_losses(shape, facts, n_missing)
+        yield from _las_losses(shape, counts)
     values: tuple[tuple[bool, Held, str], ...] = (
         (shape.angles, "angles", "scan angles"),
         (shape.times, "times", "times"),
@@ -403,10 +362,10 @@ def _losses(output: Path, opened: OpenedItems, facts: Facts) -> Iterator[str]:
     yield from (what for present, held, what in values if present and held not in form.holds)
     # a frame, as a dump may be, lists all points
     if "returns" not in form.holds and not (form.is_dump and shape.points and shape.xyz):
-        if facts.n_extra:
-            yield f"{facts.n_extra} further returns or collisions: a range image has one range a cell"
-    elif facts.n_extra and shape.intensity:
-        yield f"the intensities of {facts.n_extra} further returns, which the stream does not know"
+        if counts.n_extra:
+            yield f"{counts.n_extra} further returns or collisions: a range image has one range a cell"
+    elif counts.n_extra and shape.intensity:
+        yield f"the intensities of {counts.n_extra} further returns, which the stream does not know"
     if counts.tally.n_unplaced:
         yield f"{counts.tally.n_unplaced} records that belong to no cell"
     bad = counts.tally.n_not_finite + counts.tally.n_not_positive + counts.tally.n_beyond
@@ -415,18 +374,18 @@ def _losses(output: Path, opened: OpenedItems, facts: Facts) -> Iterator[str]:
     yield from _record_losses(opened)
 
 
-def _las_losses(shape: StreamShape, facts: Facts, n_missing: int) -> Iterator[str]:
-    if n_missing:
+def _las_losses(shape: StreamShape, counts: Counts) -> Iterator[str]:
+    if counts.n_missing:
         times = ", and their times," if shape.times else ""
-        yield f"{n_missing} shots without return{times} have no record; lines and columns are kept as numbers"
+        yield f"{counts.n_missing} shots without return{times} have no record; lines and columns are kept as numbers"
     if shape.angles:
         yield "scan angles beyond steps of 0.006 deg"
     if shape.xyz or shape.registered:
         yield "coordinates beyond steps of 1 mm (ranges are kept bit for bit)"
     if shape.intensity:
         yield "intensities beyond whole numbers from 0 to 65535"
-    if len(set(facts.scanners.values())) > 1:
-        sizes = ", ".join(f"scanner {scanner}: {m}" for scanner, m in sorted(facts.scanners.items()))
+    if len(set(counts.scanners.values())) > 1:
+        sizes = ", ".join(f"scanner {scanner}: {m}" for scanner, m in sorted(counts.scanners.items()))
         yield f"the number of shots a line of each scanner ({sizes}); the highest column with a return is taken for it"
 
 
@@ -453,13 +412,13 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
         yield "header, VLRs and EVLRs of the LAS file"
 
 
-def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, ...]:
+def how_to_read(output: Path, opened: OpenedItems, counts: Counts) -> tuple[str, ...]:
     """Return the options needed to read the output as the same stream, unless its names suffice."""
     form, shape = stream_format(output), opened.shape
     told = []
     if format_of(output) is None:
         told.append(f"prc reads no stream from {stream_suffix(output)}; it is for other programs")
-    if shape.scanners and len(facts.scanners) > 1 and form.holds_all:
+    if shape.scanners and len(counts.scanners) > 1 and form.holds_all:
         told.append("several scanners: read it with --scanner point_source_id")
     if shape.xyz and shape.registered and opened.grid is not None and form.holds_all:
         told.append(f"x, y, z are those of the input: read it with --range {opened.grid.rules.range}")

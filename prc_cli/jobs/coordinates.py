@@ -21,7 +21,7 @@ from prc_cli.formats.writing.base import NO_CODE
 from prc_cli.formats.writing.coordinates import SPACING_M, LinesApart, Placement
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.streams.beams import BeamStream, with_beams
-from prc_cli.streams.window import grid_of
+from prc_cli.streams.open import grid_of
 
 XYZ = ("x", "y", "z")
 SPEED_M_S, WALK_M_S = 8.0, 1.2

@@ -42,37 +42,21 @@ class Part:
     """Name of an earlier part whose scan is used; empty = its own scan."""
 
 
+_PICTURE = RenderOptions(steps=("range", "classes", "reference"))
 PARTS: dict[str, Part] = {
     # houses with and without gardens
-    "drive": Part(
-        "street",
-        "street",
-        None,
-        "street",
-        RenderOptions(steps=("range", "classes", "reference")),
-        {"lines": 600, "scene": {"name": "suburb"}},
-    ),
+    "drive": Part("street", "street", None, "street", _PICTURE, {"lines": 600, "scene": {"name": "suburb"}}),
     # the same drive, for the comparison: the steps of one block, as the paper's Fig. 1 shows them (Lehtola et al. 2019)
     "published": Part("street", "urban", "urban", "prc", RenderOptions(figure1=True), {}, scan_of="drive"),
     # every third line, and as close along the line as curbs need
     "static": Part(
-        "street-scan",
-        "static_scan",
-        "street-scan",
-        "street_scan",
+        "street-scan", "static_scan", "street-scan", "street_scan",
         RenderOptions(steps=("range", "coarse", "classes", "reference")),
         {"scanner": {"azimuth_step_deg": 0.46, "points_per_line": 544}},
     ),
     # as far as one sees in a wood
-    "walk": Part(
-        "forest",
-        "forest",
-        None,
-        "prc",
-        RenderOptions(steps=("range", "classes", "reference")),
-        {"lines": 255, "sight_m": 40.0},
-    ),
-}
+    "walk": Part("forest", "forest", None, "prc", _PICTURE, {"lines": 255, "sight_m": 40.0}),
+}  # fmt: skip
 """A drive, classified by default and with PRC as published; a static scan, classified with the sequential-angle
 classifier; and a walk in a forest, classified by default."""
 

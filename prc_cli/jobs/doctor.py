@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 from prc_cli import __version__
 from prc_cli.core.errors import PrcError
@@ -38,6 +38,8 @@ Status: TypeAlias = Literal["ok", "warn", "bad"]
 DISTRIBUTION = "prc-cli"
 DEVELOPERS = ("test", "docs")
 """Extras for development only."""
+MODULES = {"pillow": "PIL", "scikit-image": "skimage"}
+"""Modules of packages that are imported by another name."""
 MEMORY_BYTES = 1 << 30
 """Free memory above which one file per core is always possible."""
 DISK_BYTES = 2 << 30
@@ -147,25 +149,23 @@ def _is_met(found: str, needed: str) -> bool:
     return bool(found) and SpecifierSet(needed).contains(Version(found).base_version)
 
 
-@dataclass(frozen=True, slots=True)
-class _Requirement:
+class _Requirement(NamedTuple):
     name: str
-    needed: str
+    at_least: str
     extra: str
     found: str
     """Installed version, empty if none."""
 
     @property
     def is_met(self) -> bool:
-        return _is_met(self.found, self.needed)
+        return _is_met(self.found, f">={self.at_least}")
 
-    @property
-    def at_least(self) -> str:
-        return self.needed.rpartition(">=")[2] or "0"
+    def __str__(self) -> str:
+        return f"{self.name} {self.found or 'missing'} (expected {self.at_least} or newer)"
 
 
 def _requirements() -> list[_Requirement]:
-    """Return what the distribution's metadata ask for; nothing where there are none."""
+    """Return what the distribution's metadata ask for, by extra; nothing where there are none."""
     from packaging.requirements import Requirement
 
     found = []
@@ -175,47 +175,36 @@ def _requirements() -> list[_Requirement]:
             extra = re.search(r"extra == \"([^\"]+)", str(one.marker or ""))
             with contextlib.suppress(metadata.PackageNotFoundError):
                 version = metadata.version(one.name)
-            found.append(_Requirement(one.name, str(one.specifier), extra[1] if extra else "", version))
-    return found
+            at_least = str(one.specifier).removeprefix(">=")
+            found.append(_Requirement(one.name, at_least, extra[1] if extra else "", version))
+    return sorted(found, key=lambda item: item.extra)
 
 
 def _packages() -> Iterator[Check]:
-    """Compare installed versions with the lower bounds in the distribution's metadata."""
+    """Compare installed versions with the lower bounds in the distribution's metadata, and load the packages."""
     required = [item for item in _requirements() if not item.extra]
     old = [item for item in required if not item.is_met]
     broken = {} if old else _broken_packages([item.name for item in required])
     details = {item.name: {"found": item.found, "at_least": item.at_least} for item in required}
-    told = ", ".join(f"{item.name} {item.found}" for item in required)
     if not required:
         hint = "install it, so that its dependencies are known: pip install prc-cli"
         yield Check("packages", "warn", f"no metadata of {DISTRIBUTION}: run from a source tree", hint)
     elif old:
-        told = ", ".join(f"{item.name} {item.found or 'missing'} (expected {item.at_least} or newer)" for item in old)
         wanted = " ".join(f"'{item.name}>={item.at_least}'" for item in old)
-        yield Check("packages", "bad", told, f"pip install {wanted}", details)
+        yield Check("packages", "bad", ", ".join(map(str, old)), f"pip install {wanted}", details)
     elif broken:
         told = ", ".join(f"{name} cannot be loaded ({why})" for name, why in broken.items())
         yield Check("packages", "bad", told, f"pip install --force-reinstall {' '.join(broken)}", details)
     else:
-        yield Check("packages", "ok", told, "", details)
+        yield Check("packages", "ok", ", ".join(f"{item.name} {item.found}" for item in required), "", details)
 
 
 def _broken_packages(names: Iterable[str]) -> dict[str, str]:
-    """Import packages; return those that are installed but fail to import, and why."""
-    modules: dict[str, set[str]] = {}
-    for module, distributions in metadata.packages_distributions().items():
-        for distribution in distributions:
-            if not module.startswith("_"):
-                modules.setdefault(distribution.lower(), set()).add(module)
+    """Import packages; return those that fail to import, and why."""
     broken = {}
     for name in names:
-        found = modules.get(name.lower(), set())
-        # a distribution may also install tests and examples as top-level modules
-        module = name if name in found or len(found) != 1 else next(iter(found))
-        if module not in found:
-            continue
         try:
-            importlib.import_module(module)
+            importlib.import_module(MODULES.get(name, name))
         except Exception as error:  # an import may raise anything
             broken[name] = f"{type(error).__name__}: {error}"
     return broken
@@ -223,10 +212,9 @@ def _broken_packages(names: Iterable[str]) -> dict[str, str]:
 
 def _extras() -> Iterator[Check]:
     """Report which optional parts are installed."""
-    required = sorted(_requirements(), key=lambda item: item.extra)
     told, details, old = [], {}, []
-    for extra, group in groupby((one for one in required if one.extra), key=lambda item: item.extra):
-        if extra in DEVELOPERS:
+    for extra, group in groupby(_requirements(), key=lambda item: item.extra):
+        if not extra or extra in DEVELOPERS:
             continue
         items = list(group)
         details[extra] = {item.name: item.found for item in items}
@@ -234,20 +222,17 @@ def _extras() -> Iterator[Check]:
         versions = ", ".join(f"{item.name} {item.found}" for item in items)
         is_whole = all(item.found for item in items)
         told.append(f"{extra}: {versions}" if is_whole else f"{extra}: no (pip install '{DISTRIBUTION}[{extra}]')")
-    if old:
-        problem = ", ".join(f"{item.name} {item.found} (expected {item.at_least} or newer)" for item in old)
-        yield Check("extras", "warn", problem, f"pip install -U {' '.join(item.name for item in old)}", details)
-    elif told:
-        yield Check("extras", "ok", "; ".join(told), "", details)
+    if told:
+        yield _judge(
+            "extras", "; ".join(told), details,
+            (old, "warn", f"; {', '.join(map(str, old))}", f"pip install -U {' '.join(item.name for item in old)}"),
+        )  # fmt: skip
 
 
 def _laz() -> Iterator[Check]:
-    from prc_cli.formats.las.check import POINT_FORMATS, check_laz
+    from prc_cli.formats.las.laz import check_laz
 
-    for point_format in POINT_FORMATS:
-        check_laz(point_format)
-    version = metadata.version("lazrs")
-    formats = ", ".join(str(number) for number in POINT_FORMATS)
+    formats, version = check_laz(), metadata.version("lazrs")
     yield Check("LAZ", "ok", f"lazrs {version}, records of formats {formats} came back as they went in")
 
 
@@ -326,9 +311,6 @@ def _free_memory() -> int | None:
     with contextlib.suppress(OSError, ValueError, IndexError):
         text = Path("/proc/meminfo").read_text(encoding="ascii")
         found.append(int(text.partition("MemAvailable:")[2].split()[0]) << 10)
-    if not found:
-        with contextlib.suppress(OSError, ValueError, AttributeError):
-            found.append(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     groups = Path("/sys/fs/cgroup")
     for limit, used in (
         ("memory.max", "memory.current"),
@@ -382,9 +364,8 @@ def _output(out: Path) -> Iterator[Check]:
             {"folder": str(folder), "free_bytes": free, "file_system": kind},
             (free < DISK_BYTES, "warn", "", "free space: see the disk budget in the page on operations"),
         )  # fmt: skip
-        yield _links(trial)
+        yield _locks(trial)
         yield _sqlite(trial)
-        yield _names(trial)
     finally:
         shutil.rmtree(trial, ignore_errors=True)
     if (out / OWN_FOLDER).is_dir():
@@ -402,54 +383,34 @@ def _runs(folder: Path) -> Check:
     versions = sorted({entry.version for entry in entries})
     text = ", ".join(f"{count:,} {state}" for state, count in sorted(states.items())) or "no files"
     details = {"files": dict(states), "versions": versions, "at_work": at_work}
-    if at_work:
-        return Check("earlier runs", "ok", f"{text}; at work: {at_work[0]}", "", details)
     hint = "they are done again; --keep-version leaves them, see the page on operations"
     other = set(versions) - {__version__}
-    return _judge("earlier runs", text, details, (other, "warn", f"; some by version {', '.join(versions)}", hint))
+    return _judge(
+        "earlier runs", text, details,
+        (at_work, "ok", f"; at work: {', '.join(at_work[:1])}", ""),
+        (other, "warn", f"; some by version {', '.join(versions)}", hint),
+    )  # fmt: skip
 
 
-def _links(trial: Path) -> Check:
-    """Try the file operations that the lock of a batch run and atomic outputs use."""
+def _locks(trial: Path) -> Check:
+    """Try the lock of a batch run, and compare the clock of the file server."""
     from prc_cli.jobs.batch.lock import has_locks
 
-    first, second, third = trial / "first", trial / "second", trial / "third"
     before = time.time()
-    with first.open("xb") as handle:
-        handle.write(b"x")
-        handle.flush()
-        os.fsync(handle.fileno())
-    clock_s = first.stat().st_mtime - before
-    linked, is_made_anew = False, False
-    with contextlib.suppress(OSError):
-        os.link(first, second)
-        linked = True
-    with contextlib.suppress(FileExistsError):
-        first.open("xb").close()
-        is_made_anew = True
-    third.write_bytes(b"y")
-    third.replace(first)
-    is_whole = not third.exists() and first.read_bytes() == b"y" and (not linked or second.read_bytes() == b"x")
-    locks = has_locks(trial)
-    details = {"locks": locks, "hard_links": linked, "clock_s": round(clock_s, 3)}
-    faults: tuple[Fault, ...] = (
-        (
-            is_made_anew, "bad", "a file that exists could be created anew",
-            "use another disk: two runs could meet",
-        ),
-        (not is_whole, "bad", "a file did not replace another one whole", "use another disk for outputs"),
+    (trial / "file").write_bytes(b"x")
+    clock_s, locks = (trial / "file").stat().st_mtime - before, has_locks(trial)
+    return _judge(
+        "locks in it", "", {"locks": locks, "clock_s": round(clock_s, 3)},
         (
             not locks, "bad", "the file system has no file locks",
             "prc batch refuses it: choose another disk; Lustre: mount it with -o flock",
         ),
         (
-            abs(clock_s) > CLOCK_S, "warn",
-            f"exclusive files and renaming work; the clock of the file server is {clock_s:+.0f} s off",
+            abs(clock_s) > CLOCK_S, "warn", f"locks work; the clock of the file server is {clock_s:+.0f} s off",
             "let both keep time with NTP: --since and changed inputs go by it",
         ),
-        (True, "ok", f"locks, exclusive files, renaming{' and hard links' * linked} work", ""),
+        (True, "ok", "locks work", ""),
     )  # fmt: skip
-    return _judge("locks in it", "", details, *faults)
 
 
 def _sqlite(trial: Path) -> Check:
@@ -474,26 +435,6 @@ def _sqlite(trial: Path) -> Check:
     )  # fmt: skip
 
 
-def _names(trial: Path) -> Check:
-    """Try file names as they occur in archives."""
-    tried = {"Latin-1": b"stra\xdfe", "a line feed": b"a\nb", "a colon": b"a:b", "200 bytes": b"n" * 200}
-    refused = list(tried)
-    for what, raw in tried.items():
-        path = trial / os.fsdecode(raw)
-        with contextlib.suppress(OSError, ValueError):
-            path.write_bytes(b"")
-            if path in trial.iterdir():
-                refused.remove(what)
-    (trial / "case").write_bytes(b"")
-    folds = (trial / "CASE").exists()
-    details = {"refused": refused, "ignores_case": folds}
-    if refused or folds:
-        told = [f"names with {what} are refused" for what in refused] + ["names that differ in case are one"] * folds
-        hint = "inputs with such names fail, or are refused before the run"
-        return Check("file names in it", "warn", ", ".join(told), hint, details)
-    return Check("file names in it", "ok", f"{', '.join(tried)} and upper case are kept", "", details)
-
-
 def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
     """Return the type of a folder's file system, empty where the system does not report it."""
     place, found, longest, lines = folder.resolve(), "", -1, list[str]()
@@ -514,7 +455,7 @@ def _end_to_end() -> Iterator[Check]:
     """Simulate a street, classify it from LAZ to LAZ, evaluate it, and read the classes with another library."""
     from prc_cli.config import load_config
     from prc_cli.evaluation.scores import gate_value, scores
-    from prc_cli.formats.las.check import classes_by_laspy
+    from prc_cli.formats.las.read import classes_by_laspy
     from prc_cli.jobs.classify import classify, load_classifier
     from prc_cli.jobs.evaluate import evaluate
     from prc_cli.jobs.simulate import simulate

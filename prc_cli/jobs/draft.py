@@ -14,6 +14,7 @@ from prc_cli.formats import open_source
 from prc_cli.formats.clouds.source import CloudSource
 from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
 from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.records import STANDARD_NAMES
 from prc_cli.formats.registry import is_dump
 from prc_cli.formats.text.read import TextSource
 from prc_cli.jobs.info import Inspection, inspect
@@ -105,8 +106,14 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
     if isinstance(source, TextSource):
         return _text_lines(source)
     if isinstance(source, CloudSource):
-        own = source.own_names
-        rows = [f"    {{ name = {_quoted(name)}, source = {_quoted(one)}{unit} }}," for name, one, unit in own]
+        rows = [
+            _field_line(
+                {"name": name, "source": one.name}
+                | one.item.model_dump(include={"unit", "offset"}, exclude_defaults=True)
+            )
+            for name, one in source.columns.items()
+            if name in (*STANDARD_NAMES, "ring")
+        ]
         return ["", "[layout]", "fields = [", *rows, "]"], None
     return [], None
 
@@ -116,22 +123,17 @@ def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
     if found is None:
         problem = "nothing repeats in its bytes, expected records of one size"
         raise InputError(str(path), problem, "write the layout by hand: docs, Input formats, Raw binary")
-    rows, fields = [], []
-    for field in found.fields:
-        values: dict[str, object] = {"name": field.name, "type": field.kind}
-        if field.scale != 1.0:
-            values["scale"] = field.scale
-        if field.missing is not None:
-            values["missing"] = field.missing
-        fields.append(values)
-        rows.append(_field_line(values))
+    rows = [
+        _field_line(
+            {"name": field.name, "type": field.type}
+            | field.model_dump(include={"scale", "missing"}, exclude_defaults=True)
+        )
+        for field in found.fields
+    ]
     lines = [
         "", "[layout]", f"header_bytes = {found.header_bytes}", f'endian = "{found.endian}"', "fields = [", *rows, "]",
     ]  # fmt: skip
-    layout = Layout.model_validate(
-        {"header_bytes": found.header_bytes, "endian": found.endian, "fields": tuple(fields)}
-    )
-    return lines, layout
+    return lines, found
 
 
 def _field_line(values: dict[str, object]) -> str:
@@ -144,7 +146,7 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
     told = source.describe()
     first = next(iter(source.chunks(source.dimensions)), None)
     columns = {} if first is None else {name: np.asarray(values[:_ROWS]) for name, values in first.values.items()}
-    known = source.known_columns
+    known = [(name, int(one.key), one.item.unit) for name, one in source.columns.items() if name in STANDARD_NAMES]
     taken = {name for name, *_ in known}
     shown = {name: values for name, values in columns.items() if name not in taken}
     fields: list[dict[str, object]] = [
@@ -153,7 +155,7 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
     for column, name in guess_names(shown).items():
         if name in taken:
             continue
-        guessed: dict[str, object] = {"name": name, "source": source.column_of(column)}
+        guessed: dict[str, object] = {"name": name, "source": int(source.columns[column].key)}
         if name == "range":
             scale, missing = range_scale(shown[column])
             whole = bool(np.all(shown[column][np.isfinite(shown[column])] % 1 == 0))

@@ -82,7 +82,7 @@ def explain(
     source = Path(source)
     if line < 0 or column < 0:
         raise ConfigError("--at", f"found {line},{column}, expected LINE,COLUMN, both from 0")
-    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    loaded = LoadedConfig.of(config)
     refuse_window(loaded.config, "prc explain")
     check_input(source)
     loaded = decide(source, loaded)

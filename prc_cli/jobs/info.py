@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from prc_cli.config import LoadedConfig, MethodChoice
+from prc_cli.core.brief import finite
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
-from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
+from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, Verdict, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32, F64
 from prc_cli.formats import LAS_SUFFIXES, open_source
-from prc_cli.formats.las.lookup import names_of_file
+from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import Contents, DerivedSource, RecordChunk, RecordSource, watched_contents
@@ -36,11 +37,10 @@ from prc_cli.streams.evidence.periods import (
 )
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
+from prc_cli.streams.lines import first_ranges
 from prc_cli.streams.open import open_input
-from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
-from prc_cli.streams.reading import first_ranges
+from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time
 from prc_cli.streams.rules import MEASURED, only_times_tell, trusting
-from prc_cli.streams.sorting import sorted_by_time
 
 RATE_OFF = 1e-3
 """Rates that differ by more are told: a line would be off by some columns."""
@@ -68,7 +68,7 @@ class StreamFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Inspection:
+class Inspection(Doubted):
     """Everything ``prc info`` prints of one file."""
 
     path: str
@@ -105,11 +105,6 @@ class Inspection:
     """Every option of the command line that is still needed, with what was measured."""
 
     @property
-    def doubts(self) -> tuple[Finding, ...]:
-        """Findings that the user has to look at."""
-        return doubts(self.findings)
-
-    @property
     def not_asked(self) -> tuple[str, ...]:
         """Names of the checks of the input that could not be answered: short streams, no times, no scan angles."""
         told = {*LABEL_CHECKS, *(one.check for one in self.findings)}
@@ -117,7 +112,7 @@ class Inspection:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
-        table: dict[str, Any] = _plain(asdict(self))
+        table: dict[str, Any] = finite(asdict(self))
         table["contents"] = None if self.contents is None else self.contents.as_dict()
         table["classifiable"] = not self.problem
         table["doubts"] = [one.check for one in self.doubts]
@@ -186,21 +181,22 @@ def _inspect_records(
         )
         if "range" in source.dimensions:
             inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(first_ranges(source)))
-        if not inspection.mend and _lacks_lines(source, loaded.config.input):
+        inputs = loaded.config.input
+        is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
+        # only the times can say where lines and columns are
+        if not inspection.mend and is_asked and only_times_tell(source) and inputs.points_per_line is None:
             inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection
     found = _describe(path, source, stream, order, refusal, judged=judged)
     found = _with_other_rates(found, source, loaded.config.input)
-    if found.problem or not judged or found.facts is None or not _is_odd(found.facts.tally):
+    if found.problem or not judged or found.facts is None:
         return found
+    tally = found.facts.tally
+    if not (tally.n_time_steps_back or tally.n_unplaced or tally.n_collisions):
+        return found
+    # its order was trusted: under its own rules it may be refused
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
-
-
-def _lacks_lines(source: RecordSource, inputs: InputConfig) -> bool:
-    """Tell whether only the times can say where lines and columns are."""
-    is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
-    return is_asked and only_times_tell(source) and inputs.points_per_line is None
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
@@ -285,11 +281,6 @@ def _with_estimate(path: Path, loaded: LoadedConfig, refused: Inspection, period
         return refused
     option = f"-M {estimate}"
     return replace(refused, hint=f"give {option}: the ranges repeat after so many shots", mend=option)
-
-
-def _is_odd(tally: ReadTally) -> bool:
-    """Tell whether an input that was read with its order trusted may be refused where it is not."""
-    return bool(tally.n_time_steps_back or tally.n_unplaced or tally.n_collisions)
 
 
 def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
@@ -474,13 +465,3 @@ def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
         return open_grid(_UnitRanges(source), inputs.model_copy(update={"range": "dimension:range"}))
     except (InputError, ConfigError):
         return None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

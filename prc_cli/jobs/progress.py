@@ -24,14 +24,8 @@ def advance(
     """Tell that the lines of a block are finished."""
     if progress is None:
         return
-    if is_asked(progress):
-        tell_share(progress, share_done(block, info, window))
+    tell_share(progress, share_done(block, info, window))
     progress(block.n_lines)
-
-
-def is_asked(progress: object) -> bool:
-    """Return whether a listener wants the share."""
-    return isinstance(progress, Reached)
 
 
 def tell_share(progress: object, share: float | None) -> None:

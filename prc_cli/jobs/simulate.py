@@ -19,11 +19,12 @@ import numpy as np
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import LABEL_NAMES, Label
-from prc_cli.core.errors import ConfigError
+from prc_cli.core.errors import ConfigError, OutputExistsError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.raw_binary.frames import FrameFolder
 from prc_cli.formats.registry import format_of
 from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing import (
@@ -40,6 +41,7 @@ from prc_cli.formats.writing.record import ClassCount, Fingerprint, RunRecord
 from prc_cli.jobs.classify import Counts, Progress
 from prc_cli.simulation.drive import SimulatedBlock
 from prc_cli.simulation.forest.scene import ForestScene
+from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.settings import Kind, Settings, Simulation, StationSettings, load_settings, open_simulation
 from prc_cli.simulation.trajectory import WORLD, Frame, Trajectory, check_frame, write_trajectory
 
@@ -77,6 +79,9 @@ class Beside:
     """``.npy``: the reference class of every record; written without being asked for if the output holds no classes."""
     stems: Path | None = None
     """``.csv``: the trees beside the path."""
+
+    frames: Path | None = None
+    """Folder for the turns of a spinning scanner as KITTI's frames, with classes, poses and times."""
 
     def paths(self) -> tuple[Path, ...]:
         """Return those that have a name."""
@@ -128,7 +133,7 @@ def simulate(
     output = Path(output)
     form = stream_format(output)
     chosen = load_settings(kind) if settings is None else settings
-    wanted = check_simulation(kind, output, beside, overwrite=overwrite)
+    wanted = check_simulation(kind, output, chosen.scanner, beside, overwrite=overwrite)
     frame = _frame(chosen, wanted)
     check_frame(wanted.trajectory or output, frame)
     for path in (*outputs_of(output), *wanted.paths()):
@@ -139,7 +144,7 @@ def simulate(
         chosen,
         reference=reference,
         threads=threads,
-        with_xyz=is_static or form.makes_xyz,
+        with_xyz=is_static or form.makes_xyz or wanted.frames is not None,
         with_world=not is_static and (form.holds_all or reference == "cylinders"),
     )
     with contextlib.ExitStack() as stack:
@@ -154,12 +159,18 @@ def simulate(
         if wanted.labels is not None:
             handle = stack.enter_context(stack.enter_context(atomic_output(wanted.labels)).open("w+b"))
             codes_file = NpyFile(handle, "|u1")
-        record, counts = _write(simulation, output, codes_file, frame, progress)
+        frames = None if wanted.frames is None else stack.enter_context(FrameFolder(wanted.frames))
+        record, counts = _write(simulation, output, codes_file, frame, frames, progress)
     return SimulationSummary(output, record, counts, (*outputs_of(output), *wanted.paths()))
 
 
 def _write(
-    simulation: Simulation, output: Path, codes_file: NpyFile | None, frame: Frame, progress: Progress | None
+    simulation: Simulation,
+    output: Path,
+    codes_file: NpyFile | None,
+    frame: Frame,
+    frames: FrameFolder | None,
+    progress: Progress | None,
 ) -> tuple[RunRecord, Counts]:
     """Simulate and write the stream, and the codes beside it."""
     scan, suffix, form = simulation.scan, stream_suffix(output), stream_format(output)
@@ -178,7 +189,6 @@ def _write(
         down_rad=scan.info.down_rad,
         crs=frame.crs,
     )
-    n_further = 0
     with open_stream_writer(output, shape) as writer:
 
         def put(found: SimulatedBlock) -> None:
@@ -186,18 +196,19 @@ def _write(
             writer.add_item(item)
             if codes_file is not None:
                 codes_file.append(codes_in_order(item, output))
+            if frames is not None:
+                frames.add(item, _pose_of(simulation, item))
 
         with write_behind(put) as queue:
             for found in scan.simulated():
                 queue.put(found)
                 counts = counts.add(found.labelled)
-                n_further += len(found.labelled.extra_labels)
                 if progress is not None:
                     progress(found.labelled.block.n_lines)
         record = _record(simulation, counts)
         told = list(writer.losses)
-        if n_further and "returns" not in form.holds:
-            told.append(f"not kept: {n_further} further returns: a range image has one range a cell")
+        if counts.n_extra and "returns" not in form.holds:
+            told.append(f"not kept: {counts.n_extra} further returns: a range image has one range a cell")
         if form.is_dump:
             told.append(f"read it with --config {output.name}.toml")
         if shape.registered and frame.crs:
@@ -209,7 +220,19 @@ def _write(
         record = writer.finish(replace(record, notices=(*record.notices, *told)))
         if codes_file is not None:
             codes_file.finish()
+        if frames is not None:
+            frames.finish()
     return record, counts
+
+
+def _pose_of(simulation: Simulation, item: StreamItem) -> F64:
+    """Return where the scanner is, and how it is turned, in the middle of a block's time, (4, 4) float64."""
+    time_s = item.block.time_s
+    assert time_s is not None
+    pose = simulation.scan.platform.pose(np.array([(time_s[0, 0] + time_s[-1, -1]) / 2.0]))
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = pose.turn()[0], pose.position[0]
+    return found
 
 
 def _item(found: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem:
@@ -274,12 +297,14 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
     """Return the coordinate frame: as configured, or the default one if an SBET is written."""
     asked = None if isinstance(settings, StationSettings) else settings.frame
     if asked is not None:
-        return Frame(**asked.model_dump())
+        return asked
     is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in SBET_SUFFIXES
     return Frame() if is_sbet else WORLD
 
 
-def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, overwrite: bool = False) -> Beside:
+def check_simulation(
+    kind: Kind, output: Path, scanner: Scanner, beside: Beside | None = None, *, overwrite: bool = False
+) -> Beside:
     """Refuse outputs before any work is done."""
     beside = beside or Beside()
     # where no classes are held, or none that can be compared, they go to a file of their own
@@ -290,6 +315,11 @@ def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, 
         raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
     if beside.trajectory is not None and kind == "street-scan":
         raise ConfigError("trajectory", "asked for of a tripod, which does not move", "leave it out")
+    if beside.frames is not None:
+        if not scanner.spins:
+            raise ConfigError("frames", "asked for of a scanner that does not spin", "choose --scanner vlp-16")
+        if beside.frames.exists():
+            raise OutputExistsError(str(beside.frames), "exists already", "choose another name for the folder")
     for name, suffixes in BESIDE.items():
         path = getattr(beside, name)
         if path is not None and path.suffix.lower() not in suffixes:

@@ -14,15 +14,13 @@ from typing import Protocol
 import numpy as np
 
 from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window
-from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError, InputError, OutputError
-from prc_cli.core.findings import Finding, doubts
+from prc_cli.core.findings import Doubted, Finding
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
-from prc_cli.jobs.choice import choice_by_request, choose, decided_by
+from prc_cli.jobs.choice import decide_stream
 from prc_cli.jobs.classify import Counts, load_classifier
 from prc_cli.methods.run import run_blocks
-from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import LiveEvidence, watched
 from prc_cli.streams.grid import GridStream
@@ -66,7 +64,7 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class StreamSummary(Brief):
+class StreamSummary(Doubted):
     """Summary of a finished stream."""
 
     rate: Rate
@@ -76,11 +74,6 @@ class StreamSummary(Brief):
     """The worst answer of every check of the input and of its labels while they passed."""
     choice: MethodChoice | None = None
     """The method that was chosen, and why; None = it was named."""
-
-    @property
-    def doubts(self) -> tuple[Finding, ...]:
-        """Findings that the user has to look at."""
-        return doubts(self.findings)
 
 
 def stream(
@@ -126,7 +119,7 @@ def stream(
     ConfigError
         When the stream cannot be classified live, for example with several scanners.
     """
-    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    loaded = LoadedConfig.of(config)
     config = loaded.config
     refuse_window(config, "prc stream")
     if config.input.scanner != "none":
@@ -137,18 +130,12 @@ def stream(
     start = time.perf_counter()
     pipe, opened = open_pipe(source, config.input.model_copy(update={"partial_line": "pad"}), config.layout)
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
-    told = None
-    if not config.is_decided:
-        choice = choice_by_request(config)
-        if choice is None:
-            choice, _ = choose(opened, config)
-        loaded = decided_by(choice, loaded)
-        config = loaded.config
+    named = config.is_decided
+    loaded, opened = decide_stream(opened, loaded)
+    config, told = loaded.config, None if named else loaded.choice
+    if not named:
         load_classifier(loaded)
-        told = choice
     classifier = config.classifier.method()
-    if classifier.needs.beams:
-        opened = with_beams(opened, config.input)
     pipe.seal()
     watch = LiveEvidence(watched(opened, config.input, others=loaded.findings), doubted)
     blocks = _UntilError(watch)

@@ -10,7 +10,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -30,62 +30,75 @@ _HELPER = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "n
 _jit: Any = numba.njit  # typed by some versions of numba and not by others
 _types: Any = numba.types
 boolean, uint8, int32, int64 = _types.boolean, _types.uint8, _types.int32, _types.int64
-uint64, float32, float64 = _types.uint64, _types.float32, _types.float64
-Tuple, UniTuple = _types.Tuple, _types.UniTuple
+float32, float64, Tuple = _types.float32, _types.float64, _types.Tuple
 
 
 def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
-    """Compile a function for the given numba signatures when its module is imported.
+    """Compile a function when its module is imported, for the types of its annotations, or for numba signatures.
 
     No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
     NumPy, since a test for it keeps loops from being vectorised. The lock of the interpreter is released,
     so that blocks of several scanners or files run in parallel in threads.
     """
-    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
     def compiled(function: FunctionT) -> FunctionT:
-        in_use = _jit(list(signatures), **options)
+        def jit(**cached: bool) -> FunctionT:
+            options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **cached}
+            return _jit(list(signatures) or [_signature(function)], **options)(function)  # type: ignore[no-any-return]
+
         if (folder := writable_cache()) is None:
-            return in_use(function)  # type: ignore[no-any-return]
+            return jit()
         config: Any = numba.config
         before, config.CACHE_DIR = config.CACHE_DIR, str(loops_folder(folder, Path(function.__code__.co_filename)))
         try:
-            return _jit(list(signatures), cache=True, **options)(function)  # type: ignore[no-any-return]
+            return jit(cache=True)
         except NumbaError:
             raise
         except Exception:  # the cache is damaged, full or gone: compile without it
-            return in_use(function)  # type: ignore[no-any-return]
+            return jit()
         finally:
             config.CACHE_DIR = before
 
     return compiled
 
 
-def record(cls: type[tuple[Any, ...]]) -> Any:
-    """Return the numba type of a NamedTuple.
+def _signature(function: Callable[..., Any]) -> Any:
+    """Return the numba signature of a function, from its annotations."""
+    types = {name: numba_type(each) for name, each in get_type_hints(function, include_extras=True).items()}
+    returned = types.pop("return")
+    return returned(*types.values())
 
-    Its fields are ``float``, ``int``, ``bool``, types of NumPy, such tuples, or contiguous arrays annotated with their
-    number of dimensions: ``Annotated[F32, 2]``.
+
+def numba_type(annotation: Any) -> Any:
+    """Return the numba type of an annotation.
+
+    It is ``float``, ``int``, ``bool``, a type of NumPy, a contiguous array with its number of dimensions
+    (``Annotated[F32, 2]``), or a tuple or a ``NamedTuple`` of such.
     """
-    fields = [_field_type(field) for field in get_type_hints(cls, include_extras=True).values()]
-    same = all(field == fields[0] for field in fields)
-    return _types.NamedUniTuple(fields[0], len(fields), cls) if same else _types.NamedTuple(fields, cls)
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated and get_origin(inner[0]) is np.ndarray:
+        return _types.Array(numba.from_dtype(np.dtype(get_args(get_args(inner[0])[1])[0])), inner[1], "C")
+    if origin is Annotated:
+        return numba_type(inner[0])
+    if origin is tuple:
+        return _types.BaseTuple.from_types([numba_type(each) for each in inner])
+    if annotation is type(None):
+        return _types.void
+    if issubclass(annotation, tuple):
+        fields = get_type_hints(annotation, include_extras=True).values()
+        return _types.BaseTuple.from_types([numba_type(each) for each in fields], annotation)
+    return numba.from_dtype(np.dtype(annotation))
 
 
-def _field_type(field: Any) -> Any:
-    if get_origin(field) is Annotated:
-        array, n_dimensions = get_args(field)
-        return _types.Array(numba.from_dtype(np.dtype(get_args(get_args(array)[1])[0])), n_dimensions, "C")
-    return record(field) if issubclass(field, tuple) else numba.from_dtype(np.dtype(field))
+record = numba_type
 
 
 def helper(function: FunctionT) -> FunctionT:
     """Let kernels call a private function of their module; it is compiled with, and as, the kernel that calls it.
 
-    It has no signature and no cache file: its types are those of the call, and its code is part of the compiled
-    kernels, which are compiled again when their module changes. So never share one between modules, nor a constant; and
-    to import another module of kernels is to compile it, in two processes at once. The compiler inlines functions that
-    are small or called once. Python and C cannot call it, which saves compiling wrappers.
+    Its types are those of the call, and its code is part of the compiled kernels, which are compiled again when their
+    module changes. So never share one between modules, nor a constant; and to import another module of kernels is to
+    compile it, in two processes at once. Python and C cannot call it, which saves compiling wrappers.
     """
     return _jit(**_HELPER)(function)  # type: ignore[no-any-return]
 
@@ -99,35 +112,31 @@ def inlined(function: FunctionT) -> FunctionT:
     return _jit(**_HELPER, forceinline=True)(function)  # type: ignore[no-any-return]
 
 
+SOURCES = ("classes.py", "types.py")
+"""What of ``core`` the loops use."""
+
+
+@cache
+def _surroundings() -> tuple[str, ...]:
+    """Return what the compiled loops of all modules depend on."""
+    core = Path(prc_cli.core.__path__[0])
+    processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()
+    read = [file.read_text("utf-8") for file in (Path(__file__), *(core / name for name in SOURCES))]
+    return (sys.version, numba.__version__, np.__version__, llvmlite.__version__, *processor, *read)
+
+
 def loops_folder(folder: Path, source: Path) -> Path:
     """Return the folder of the compiled loops of a module, which is another one for all that they are made of.
 
     Numba alone looks at the module's own file, and knows a NamedTuple by its name and the number of its fields: after
     an upgrade it would read fields in the places where others were.
     """
-    state = source.stat()  # as numba does
-    files = [source, *(path for path in [source.with_name("thresholds.py")] if path.exists())]
-    read = b"".join(path.read_bytes() for path in files)
-    known = sha256(repr((_surroundings(), str(source), state.st_mtime_ns)).encode() + read)
-    return folder / f"{source.parent.name}-{source.stem}-{known.hexdigest()[:16]}"
+    files = [path for path in (source, source.with_name("thresholds.py")) if path.exists()]
+    known = (_surroundings(), str(source), source.stat().st_mtime_ns, *(path.read_bytes() for path in files))
+    return folder / f"{source.parent.name}-{source.stem}-{sha256(repr(known).encode()).hexdigest()[:16]}"
 
 
-SOURCES = ("classes.py", "types.py")
-"""What of ``core`` the loops use."""
-
-
-@lru_cache(maxsize=1)
-def _surroundings() -> tuple[str, ...]:
-    """Return what the compiled loops of all modules depend on."""
-    core = Path(prc_cli.core.__path__[0])
-    files = [Path(__file__), *(core / name for name in SOURCES)]
-    features = llvmlite.binding.get_host_cpu_features().flatten()
-    versions = (sys.version, numba.__version__, np.__version__, llvmlite.__version__)
-    read = (sha256(file.read_bytes()).hexdigest() for file in files)
-    return (*versions, llvmlite.binding.get_host_cpu_name(), features, *read)
-
-
-@lru_cache(maxsize=1)
+@cache
 def writable_cache() -> Path | None:
     """Return the folder for compiled kernels: as configured, in the user's cache, temporary and private, or none.
 

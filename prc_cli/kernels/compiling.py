@@ -11,28 +11,25 @@ import contextlib
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
+import llvmlite.binding  # type: ignore[import-untyped]
 import numba
 
 from prc_cli.core.garbage import no_collecting
 from prc_cli.core.threads import default_threads
+from prc_cli.kernels import KERNELS
 from prc_cli.kernels.cache import loops_folder, writable_cache
 
 try:
     import fcntl
 except ImportError:  # not on this system: processes then compile in parallel
     fcntl = None  # type: ignore[assignment]
-from dataclasses import dataclass
-
-import llvmlite.binding  # type: ignore[import-untyped]
-
-from prc_cli.kernels import KERNELS
 
 PATIENCE_S = 30.0
 """Longest wait for another process to compile, about the time to compile everything alone [s]."""
@@ -47,29 +44,21 @@ def compile_missing(modules: Sequence[str]) -> None:
     folder = writable_cache()
     if folder is None or numba.config.DISABLE_JIT or not _missing(modules, folder):  # type: ignore[attr-defined]
         return
-    with _alone(folder), contextlib.suppress(OSError):
-        # the longest first, so that short ones remain for the end
+    with _alone(folder):
+        # the largest first, dealt out in turns
         missing = sorted(_missing(modules, folder), key=lambda module: -_source(module).stat().st_size)
-        with (
-            tempfile.TemporaryDirectory(prefix="prc-shares-", dir=folder, ignore_cleanup_errors=True) as shares,
-            _children(min(default_threads(), len(missing)) - 1, shares, missing),
-        ):
-            compile_unclaimed(Path(shares), missing)
+        n = max(1, min(default_threads(), len(missing)))
+        with _children([missing[i::n] for i in range(1, n)]):
+            compile_modules(missing[::n])
 
 
-def compile_unclaimed(shares: Path, modules: Sequence[str]) -> None:
-    """Compile the modules that no other process has claimed; faster processes take more."""
-    folder = writable_cache()
-    if folder is None:
-        return
-    for module in modules:
-        try:
-            (shares / module).open("xb").close()
-        except OSError:  # claimed by another process, or the folder is not writable: compiled when used
-            continue
-        import_module(module)
-        with contextlib.suppress(OSError):
-            (loops_folder(folder, _source(module)) / _WHOLE).touch()
+def compile_modules(modules: Sequence[str]) -> None:
+    """Compile the kernels of modules in this process, into the cache."""
+    with no_collecting():
+        for module in modules:
+            import_module(module)
+            with contextlib.suppress(OSError):
+                (loops_folder(writable_cache() or Path(), _source(module)) / _WHOLE).touch()
 
 
 def _missing(modules: Sequence[str], folder: Path) -> list[str]:
@@ -89,17 +78,16 @@ def _source(module: str) -> Path:
 
 
 @contextlib.contextmanager
-def _children(n: int, shares: str, modules: Sequence[str]) -> Iterator[None]:
-    """Start processes that compile, if possible, with the import path of this one; end them after a while."""
+def _children(shares: Sequence[Sequence[str]]) -> Iterator[None]:
+    """Start a process for each share of modules, if possible, with this import path; end them after a while."""
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-    # -P: nothing is imported from the current folder
-    code = f"from prc_cli.kernels import load_compiler as load; load(); from {__name__} import main; main()"
-    command = [sys.executable, "-P", "-c", code, shares, *modules]
+    code = f"import sys; from prc_cli.kernels import load_compiler as load; load(); from {__name__} import *; "
+    command = [sys.executable, "-P", "-c", f"{code}compile_modules(sys.argv[1:])"]  # -P: nothing of the current folder
     children: list[subprocess.Popen[bytes]] = []
     with contextlib.suppress(OSError, ValueError):
-        for _ in range(n):
+        for share in shares:
             child = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                [*command, *share], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": path},
             )  # fmt: skip
             children.append(child)
@@ -136,49 +124,32 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
 
 
-def main() -> None:
-    """Compile, in this process, modules that no other process compiles."""
-    with no_collecting():
-        compile_unclaimed(Path(sys.argv[1]), sys.argv[2:])
-
-
 VECTORS = ("avx512f", "avx2", "avx", "sse4.2", "sve", "neon")
 """Vector extensions that speed up loops, the best first."""
 
 
-@dataclass(frozen=True, slots=True)
-class About:
-    """Processor and compiler."""
+class About(NamedTuple):
+    """Processor and compiler: its name, extensions of :data:`VECTORS` in use, whether anything is compiled."""
 
     processor: str
-    """Name by the compiler."""
     features: tuple[str, ...]
-    """Extensions of :data:`VECTORS` in use."""
     compiles: bool
-    """False where compiling is turned off (``NUMBA_DISABLE_JIT``)."""
 
 
-@dataclass(frozen=True, slots=True)
-class CacheState:
-    """The folder of compiled kernels."""
+class CacheState(NamedTuple):
+    """The folder of compiled kernels, None if none is writable, its size, and modules with kernels in it, of all."""
 
     folder: Path | None
-    """None if no folder is writable."""
     n_bytes: int
     n_compiled: int
-    """Modules with kernels in the cache for this source, compiler and processor."""
     n_modules: int
 
 
 def about() -> About:
     """Return the processor as the compiler sees it."""
     has = llvmlite.binding.get_host_cpu_features()
-    config = numba.config
-    return About(
-        llvmlite.binding.get_host_cpu_name(),
-        tuple(name for name in VECTORS if has.get(name)),
-        not config.DISABLE_JIT,  # type: ignore[attr-defined]
-    )
+    features = tuple(name for name in VECTORS if has.get(name))
+    return About(llvmlite.binding.get_host_cpu_name(), features, not numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 
 
 def cache_state() -> CacheState:

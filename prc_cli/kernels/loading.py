@@ -131,8 +131,8 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
 def short_name(home: str) -> str:
     """Return the short name of a module of loops.
 
-    >>> short_name("prc_cli.methods.fused.votes_loops"), short_name("prc_cli.simulation.shots_loops")
-    ('fused.votes', 'simulation.shots')
+    >>> short_name("prc_cli.methods.fused.votes_loops"), short_name("prc_cli.simulation.sensor_loops")
+    ('fused.votes', 'simulation.sensor')
     """
     return ".".join(home.removesuffix("_loops").split(".")[-2:])
 

@@ -151,7 +151,7 @@ LABELS_ALONE = Wanted()
 class UsualLabels:
     """Labels that a method gives to rightly told scans, asked for by :mod:`prc_cli.streams.evidence.result`.
 
-    The defaults ask for nothing. ``RESULT_CHECKS`` there tells how each was measured.
+    The defaults ask for nothing. :mod:`prc_cli.streams.evidence.table` tells how each was measured.
     """
 
     noise_share: float = 1.0

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from prc_cli import kernels
-from prc_cli.core.types import F64, I32, I64
+from prc_cli.core.types import F64, I32
 from prc_cli.simulation.thresholds import CastBodies
 from prc_cli.simulation.world import Bodies, Shape
 
@@ -17,12 +16,7 @@ _QUANTILES /= _QUANTILES.mean()
 """Exponential numbers of mean 1, equally likely; made once, so that every way through leaves is drawn from the same."""
 
 
-_CURVE_M = 4096.0
-"""What lies farther along an axis is not sorted any more [m]."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hits:
+class Hits(NamedTuple):
     """What the shots of a block of lines met first."""
 
     t: F64
@@ -55,39 +49,9 @@ def cast(
         number=_plain(bodies.number),
     )
     rays = _plain(origin_m), _plain(direction), _plain(times), _plain(t_min)
-    return Hits(*kernels.cast_shots(*rays, first_shot, given, search_order(bodies), _QUANTILES))
+    return Hits(*kernels.cast_shots(*rays, first_shot, given, _QUANTILES))
 
 
 def _plain(numbers: F64) -> F64:
     """Return numbers as the kernel takes them, without a copy where they are so already."""
     return np.require(numbers, np.float64, ["C", "W"])
-
-
-@lru_cache(maxsize=8)  # by identity: the blocks of a scan often see the same bodies
-def search_order(bodies: Bodies) -> I64:
-    """Put neighbours of about one size beside each other, so that they can be left out together."""
-    if not len(bodies):
-        return np.empty(0, np.int64)
-    x, y, z, a, b, c, e, f, g = bodies.numbers.T
-    low, high = np.empty((2, 3, len(bodies)))
-    for k, ends in enumerate(((x, a, e), (y, b, f), (z, c, g))):
-        second = np.where(bodies.shape <= Shape.CONE, ends[1], ends[0])
-        third = np.where(bodies.shape == Shape.TRIANGLE, ends[2], ends[0])
-        low[k] = np.minimum(np.minimum(ends[0], second), third)
-        high[k] = np.maximum(np.maximum(ends[0], second), third)
-    size = (high - low).max(axis=0)
-    np.maximum(size, 2.0 * np.maximum(np.maximum(a, b), c), where=bodies.shape >= Shape.ELLIPSOID, out=size)
-    middle = 0.5 * (low + high)
-    cells = np.minimum(middle - middle.min(axis=1, keepdims=True), _CURVE_M - 1.0).astype(np.int64)
-    code = _spread(cells[0]) | _spread(cells[1]) << 1 | _spread(cells[2]) << 2
-    level = np.minimum(np.log2(np.maximum(size, 0.5)) / 2.0 + 0.5, 15.0).astype(np.int64)
-    code |= level << 40
-    code |= bodies.velocity.any(axis=1).astype(np.int64) << 45
-    return np.argsort(code)
-
-
-def _spread(numbers: I64) -> I64:
-    """Put two zeros between the bits of numbers below 4096."""
-    for shift, bits in ((16, 0xFF0000FF), (8, 0x0F00F00F), (4, 0xC30C30C3), (2, 0x249249249)):
-        numbers = (numbers | numbers << shift) & bits
-    return numbers

@@ -1,9 +1,8 @@
-"""The loop that finds the nearest surface of every shot of a simulated scan.
+"""The loops that aim the shots of a simulated scan, and find the nearest surface of every shot.
 
-The shots of a line lie nearly in one plane, and their angle within it rises or falls with the column. Hence bodies
-are first intersected with the plane of the line, in groups and then one by one; the intersection covers a window of
-columns. How far the shots stray from the plane is measured, and every test is widened by it, so that none changes a
-result.
+The shots of a line lie nearly in one plane, and their angle within it rises or falls with the column. Hence bodies are
+first intersected with the plane of the line; the intersection covers a window of columns. How far the shots stray from
+the plane is measured, and every test is widened by it, so that none changes a result.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from prc_cli.kernels.cache import Tuple, float64, helper, int32, int64, kernel, 
 from prc_cli.simulation.thresholds import CastBodies
 
 _TRIANGLE, _CONE, _ELLIPSOID = 0, 1, 2
-_GROUP = 16  # bodies that are tested together
 _CELL_M = 0.25  # clumps of leaves [m]
 _FLAT = 1e-5  # smallest sine between two edges of a triangle, and between a shot and a triangle
 _EDGE = 1e-9  # share of an edge by which triangles overlap, so that no shot slips between them
@@ -65,13 +63,12 @@ class _Bins(NamedTuple):
 
 @helper
 def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
-    """Write what encloses a body: three points, and a distance around their triangle."""
+    """Write what encloses a body: three points, a distance around their triangle, and the reach from the first."""
     if shape == _TRIANGLE:
         for k in range(9):
             hull[j, k] = numbers[k]
         hull[j, 9] = 0.0
-        return
-    if shape == _CONE:
+    elif shape == _CONE:
         for k in range(6):
             hull[j, k] = numbers[k]
         hull[j, 9] = max(numbers[6], numbers[7])
@@ -90,8 +87,14 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
         z = half if longest == 5 else 0.0
         hull[j, 0], hull[j, 1], hull[j, 2] = numbers[0] - x, numbers[1] - y, numbers[2] - z
         hull[j, 3], hull[j, 4], hull[j, 5] = numbers[0] + x, numbers[1] + y, numbers[2] + z
-    for k in range(3):
-        hull[j, 6 + k] = hull[j, 3 + k]
+    if shape != _TRIANGLE:
+        for k in range(3):
+            hull[j, 6 + k] = hull[j, 3 + k]
+    farthest = 0.0
+    for corner in range(3, 9, 3):
+        x, y, z = hull[j, corner] - hull[j, 0], hull[j, corner + 1] - hull[j, 1], hull[j, corner + 2] - hull[j, 2]
+        farthest = max(farthest, x * x + y * y + z * z)
+    hull[j, 10] = np.sqrt(farthest) + hull[j, 9]
 
 
 @helper
@@ -119,35 +122,6 @@ def _prepare(shape: int, numbers: F64, turn: F64, ready: F64) -> None:
         for k in range(3):
             ready[8 + k] = 1.0 / numbers[3 + k]
     ready[_IS_READY] = 1.0
-
-
-@helper
-def _bound_groups(hull: F64, velocity: F64, order: I64, middle: float, half: float) -> F64:
-    """Return spheres around successive bodies, wherever these are within ``half`` of the middle of the block's time."""
-    n = len(order)
-    groups = np.empty(((n + _GROUP - 1) // _GROUP, 4))
-    for g in range(len(groups)):
-        start, stop = g * _GROUP, min((g + 1) * _GROUP, n)
-        for k in range(3):
-            low, high = np.inf, -np.inf
-            for j in range(start, stop):
-                shift = velocity[order[j], k] * middle if k < 2 else 0.0
-                for corner in range(3):
-                    place = hull[j, 3 * corner + k] + shift
-                    low = place if place < low else low
-                    high = place if place > high else high
-            groups[g, k] = 0.5 * (low + high)
-        radius = 0.0
-        for j in range(start, stop):
-            vx, vy = velocity[order[j], 0], velocity[order[j], 1]
-            beyond = hull[j, 9] + half * np.sqrt(vx * vx + vy * vy)
-            for corner in range(3):
-                x = hull[j, 3 * corner] + vx * middle - groups[g, 0]
-                y = hull[j, 3 * corner + 1] + vy * middle - groups[g, 1]
-                z = hull[j, 3 * corner + 2] - groups[g, 2]
-                radius = max(radius, np.sqrt(x * x + y * y + z * z) + beyond)
-        groups[g, 3] = radius
-    return groups
 
 
 @helper
@@ -199,9 +173,7 @@ def _measure_line(rays: F64, angle: F64) -> _Frame:
 
 
 @helper
-def _lay_plane(
-    rays: F64,
-) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+def _lay_plane(rays: F64) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
     """Return the axes of a line: the normal of its plane, the direction of its first shot, and the third axis."""
     m = rays.shape[1]
     quarter = max(m // 4, 1)
@@ -264,47 +236,37 @@ def _bin(angle: float, bins: _Bins, n_bins: int) -> int:
 
 
 @helper
-def _look_around(
-    groups: F64, hull: F64, velocity: F64, order: I64, frame: _Frame, corners: F64, seen: I64, spans: F64
-) -> int:
-    """List the bodies that shots of a line can meet: place in the order, first and last angle, nearest distance."""
+def _look_around(hull: F64, velocity: F64, frame: _Frame, corners: F64, seen: I64, spans: F64) -> int:
+    """List the bodies that shots of a line can meet: number, first and last angle, nearest distance."""
     normal, first, second, centre = frame.normal, frame.first, frame.second, frame.centre
     n_seen = 0
-    for g in range(len(groups)):
-        x, y, z = groups[g, 0] - centre[0], groups[g, 1] - centre[1], groups[g, 2] - centre[2]
-        height = x * normal[0] + y * normal[1] + z * normal[2]
-        far = np.sqrt(x * x + y * y + z * z) + groups[g, 3]
+    for j in range(len(hull)):
+        vx, vy = velocity[j, 0], velocity[j, 1]
+        moved = frame.half_time_s * np.sqrt(vx * vx + vy * vy)
+        around, reach = hull[j, 9] + moved, hull[j, 10] + moved
+        x, y, z = vx * frame.time_s - centre[0], vy * frame.time_s - centre[1], -centre[2]
+        p, q, r = hull[j, 0] + x, hull[j, 1] + y, hull[j, 2] + z
+        far = np.sqrt(p * p + q * q + r * r) + reach
         # how far off the plane of the line a shot can be there
         off = frame.stray_out_m + frame.tilt * (far + frame.stray_m) + 1e-5 + 1e-6 * far
-        if abs(height) > groups[g, 3] + off:
+        if abs(p * normal[0] + q * normal[1] + r * normal[2]) > reach + off:
             continue
-        for j in range(g * _GROUP, min((g + 1) * _GROUP, len(order))):
-            vx, vy = velocity[order[j], 0], velocity[order[j], 1]
-            around = hull[j, 9]
-            if vx != 0.0 or vy != 0.0:
-                around += frame.half_time_s * np.sqrt(vx * vx + vy * vy)
-            x, y, z = vx * frame.time_s - centre[0], vy * frame.time_s - centre[1], -centre[2]
-            above = below = True
-            for k in range(3):
-                h = (
-                    (hull[j, 3 * k] + x) * normal[0]
-                    + (hull[j, 3 * k + 1] + y) * normal[1]
-                    + (hull[j, 3 * k + 2] + z) * normal[2]
-                )
-                corners[k, 0] = h
-                above = above and h > around + off
-                below = below and h < -around - off
-            if above or below:
-                continue
-            for k in range(3):
-                p, q, r = hull[j, 3 * k] + x, hull[j, 3 * k + 1] + y, hull[j, 3 * k + 2] + z
-                corners[k, 1] = p * first[0] + q * first[1] + r * first[2]
-                corners[k, 2] = p * second[0] + q * second[1] + r * second[2]
-            low, high, near = _span(corners, around + off, around + frame.stray_m + 1e-5 + 1e-6 * far)
-            if low <= high:
-                seen[n_seen] = j
-                spans[n_seen, 0], spans[n_seen, 1], spans[n_seen, 2] = low, high, near
-                n_seen += 1
+        above = below = True
+        for k in range(3):
+            p, q, r = hull[j, 3 * k] + x, hull[j, 3 * k + 1] + y, hull[j, 3 * k + 2] + z
+            h = p * normal[0] + q * normal[1] + r * normal[2]
+            above = above and h > around + off
+            below = below and h < -around - off
+            corners[k, 0] = h
+            corners[k, 1] = p * first[0] + q * first[1] + r * first[2]
+            corners[k, 2] = p * second[0] + q * second[1] + r * second[2]
+        if above or below:
+            continue
+        low, high, near = _span(corners, around + off, around + frame.stray_m + 1e-5 + 1e-6 * far)
+        if low <= high:
+            seen[n_seen] = j
+            spans[n_seen, 0], spans[n_seen, 1], spans[n_seen, 2] = low, high, near
+            n_seen += 1
     return n_seen
 
 
@@ -537,13 +499,7 @@ def _shot_key(body_key: np.uint64, shot: int, t_min: float) -> np.uint64:
 
 @helper
 def _facing(
-    rays: F64,
-    i: int,
-    velocity: F64,
-    ready: F64,
-    shape: int,
-    leaves: tuple[float, float, int],
-    t: float,
+    rays: F64, i: int, velocity: F64, ready: F64, shape: int, leaves: tuple[float, float, int], t: float
 ) -> float:
     """Return the cosine of incidence of a shot on what it has met."""
     if shape == _TRIANGLE:
@@ -681,7 +637,6 @@ def _walk(
         float64[:, ::1],
         int64,
         record(CastBodies),
-        int64[::1],
         float64[::1],
     )
 )
@@ -692,14 +647,13 @@ def cast_shots(
     t_min: F64,
     first_shot: int,
     bodies: CastBodies,
-    order: I64,
     quantiles: F64,
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; of surfaces at one place, that of the first body.
 
-    ``origin, direction`` (lines, M, 3) float64; ``time_s`` (lines, M) float64; ``t_min`` (lines, M) float64; ``order``
-    (n,) int64; ``quantiles`` (2^k,) float64; returns ``t`` (lines, M) float64, ``body`` (lines, M) int32, ``facing``
-    (lines, M) float64.
+    ``origin, direction`` (lines, M, 3) float64; ``time_s`` (lines, M) float64; ``t_min`` (lines, M) float64;
+    ``quantiles`` (2^k,) float64; returns ``t`` (lines, M) float64, ``body`` (lines, M) int32, ``facing`` (lines, M)
+    float64.
 
     Notes
     -----
@@ -709,19 +663,16 @@ def cast_shots(
     """
     n_lines, n_columns = time_s.shape
     shape, numbers, turn, density, velocity, number = bodies
-    n = len(order)
+    n = len(shape)
     t = np.empty((n_lines, n_columns))
     body = np.empty((n_lines, n_columns), np.int32)
     facing = np.empty((n_lines, n_columns))
     if time_s.size == 0:
         return t, body, facing
-    hull, ready, place = np.empty((n, 10)), np.empty((n, _IS_READY + 1)), np.empty(n, np.int64)
-    for j in range(n):
-        place[order[j]] = j
-        ready[j, _IS_READY] = 0.0
-        _wrap(shape[order[j]], numbers[order[j]], turn[order[j]], hull, j)
-    middle, half = _middle(time_s.ravel())
-    groups = _bound_groups(hull, velocity, order, middle, half)
+    hull, ready = np.empty((n, 11)), np.empty((n, _IS_READY + 1))
+    for b in range(n):
+        ready[b, _IS_READY] = 0.0
+        _wrap(shape[b], numbers[b], turn[b], hull, b)
     rays = np.empty((8, n_columns))  # one row per number, so that a window of columns is read in one go
     angle, corners = np.empty(n_columns), np.empty((3, 3))
     first, last = np.empty(2 * n_columns, np.int64), np.empty(2 * n_columns, np.int64)
@@ -732,37 +683,69 @@ def cast_shots(
         _read_line(origin, direction, time_s, t_min, line, rays)
         frame = _measure_line(rays, angle)
         bins = _tabulate(angle, first, last)
-        n_seen = _look_around(groups, hull, velocity, order, frame, corners, seen, spans)
+        n_seen = _look_around(hull, velocity, frame, corners, seen, spans)
         # surfaces first, then the nearest leaves: no way through leaves is walked that lies behind a hit
         for k in range(n_seen):
-            b = order[seen[k]]
+            b = seen[k]
             rows[k] = k
             if not (shape[b] >= _ELLIPSOID and density[b] > 0.0):
                 spans[k, 2] = -np.inf
-            if ready[seen[k], _IS_READY] == 0.0:
-                _prepare(shape[b], numbers[b], turn[b], ready[seen[k]])
+            if ready[b, _IS_READY] == 0.0:
+                _prepare(shape[b], numbers[b], turn[b], ready[b])
         _sort(spans, rows, n_seen)
         near, near_body = t[line], body[line]
         for i in range(n_columns):
             near[i], near_body[i] = np.inf, -1
         for row in range(n_seen):
             k = rows[row]
-            j, b = seen[k], order[seen[k]]
+            b = seen[k]
             for w in range(_list_windows(spans[k, 0], spans[k, 1], bins, first, last, windows)):
                 start, stop = windows[w, 0], windows[w, 1]
                 if shape[b] == _TRIANGLE:
-                    _cast_triangle(rays, start, stop, velocity[b], ready[j], b, near, near_body)
+                    _cast_triangle(rays, start, stop, velocity[b], ready[b], b, near, near_body)
                 elif shape[b] == _CONE or not density[b] > 0.0:
-                    _cast_round(rays, start, stop, velocity[b], ready[j], shape[b], b, near, near_body)
+                    _cast_round(rays, start, stop, velocity[b], ready[b], shape[b], b, near, near_body)
                 else:
                     leaves = (number[b], 0.5 * density[b], shot)
                     _cast_leaves(
-                        rays, start, stop, velocity[b], ready[j], shape[b], b, leaves, quantiles, near, near_body
+                        rays, start, stop, velocity[b], ready[b], shape[b], b, leaves, quantiles, near, near_body
                     )
         for i in range(n_columns):
-            b = np.int64(near_body[i])
+            b = int(near_body[i])
             facing[line, i] = 0.0
             if b >= 0:
                 leaves = (number[b], 0.5 * density[b], shot + i)
-                facing[line, i] = _facing(rays, i, velocity[b], ready[place[b]], shape[b], leaves, near[i])
+                facing[line, i] = _facing(rays, i, velocity[b], ready[b], shape[b], leaves, near[i])
     return t, body, facing
+
+
+@kernel("Tuple((float64[:, :, ::1], float64[:, :, ::1]))(float64[:, :, ::1], float64[:, :, :, ::1], float64[:, ::1])")
+def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
+    """Place and turn every shot of every line, straight between the poses around it.
+
+    ``position`` (lines, k + 1, 3) float64, metres; ``turn`` (lines, k + 1, 3, 3) float64; ``columns`` (M, 3) float64;
+    returns ``origin`` (lines, M, 3) float64, ``direction`` (lines, M, 3) float64.
+    """
+    n_lines, n_knots = position.shape[0], position.shape[1] - 1
+    m = columns.shape[0]
+    origin = np.empty((n_lines, m, 3))
+    direction = np.empty((n_lines, m, 3))
+    for line in range(n_lines):
+        for column in range(m):
+            place = column * n_knots / m
+            k = int(place)
+            late = place - k
+            x, y, z = columns[column, 0], columns[column, 1], columns[column, 2]
+            square = 0.0
+            for i in range(3):
+                before = position[line, k, i]
+                origin[line, column, i] = before + late * (position[line, k + 1, i] - before)
+                here = turn[line, k, i, 0] * x + turn[line, k, i, 1] * y + turn[line, k, i, 2] * z
+                after = turn[line, k + 1, i, 0] * x + turn[line, k + 1, i, 1] * y + turn[line, k + 1, i, 2] * z
+                along = here + late * (after - here)
+                direction[line, column, i] = along
+                square += along * along
+            length = np.sqrt(square)
+            for i in range(3):
+                direction[line, column, i] /= length
+    return origin, direction

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
+from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlock, StreamInfo, cut
 from prc_cli.core.threads import ordered
-from prc_cli.core.types import F32, F64, I32, U8
+from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels import load_kernels
 from prc_cli.simulation.casting import Hits, cast
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.sensor import Measured, goes_behind, scan
 from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
-from prc_cli.simulation.upright import static_labels
-from prc_cli.simulation.world import Bodies
+from prc_cli.simulation.world import PROPERTIES, Bodies, BodiesNear, Material, Shape, hashed
 
 LINES_AT_ONCE = 64
 """Lines that are simulated together, always the same ones, so that nothing depends on the blocks that are asked for."""
@@ -33,9 +32,6 @@ INTENSITY_SCALE = np.float32(4096.0)
 
 KERNELS_OF_SIMULATOR = frozenset({"simulation"})
 """Modules of the compiled loops."""
-
-BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]
-"""Bodies around x, y within a radius [m] at a time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +63,15 @@ class SimulatedScan:
     threads: int = 1
     with_xyz: bool = False
     with_world: bool = False
+    flake_m: float = 0.0
+    """Mean way of a beam from one flake of snow, or drop, to the next [m]; 0 = clear air."""
     relabel: Callable[[F64], U8] | None = None
     """Reference labels by place, (n, 3) [m] to (n,), instead of those of what was hit; needs ``with_world``."""
+
+    @property
+    def lines_at_once(self) -> int:
+        """Lines that are simulated together: a turn of a spinning scanner, else :data:`LINES_AT_ONCE`."""
+        return self.scanner.lines_per_turn if self.scanner.spins else LINES_AT_ONCE
 
     @property
     def info(self) -> StreamInfo:
@@ -82,8 +85,8 @@ class SimulatedScan:
             n_lines=self.n_lines,
             angle_rad=scanner.angle_rad(),
             line_hz=scanner.line_hz,
-            down_rad=0.0 if scanner.is_static else -float(np.deg2rad(scanner.roll_deg)),
-            cos_tilt=1.0 if scanner.is_static else float(np.cos(np.deg2rad(scanner.slant_deg))),
+            down_rad=0.0 if scanner.turns else -float(np.deg2rad(scanner.roll_deg)),
+            cos_tilt=1.0 if scanner.turns else float(np.cos(np.deg2rad(scanner.slant_deg))),
             assumptions=(Assumption("seed", str(self.seed), "the same seed gives the same scan"),),
         )
 
@@ -103,12 +106,12 @@ class SimulatedScan:
     def simulated(self) -> Iterator[SimulatedBlock]:
         """Simulate from the start, with reference labels and registered coordinates."""
         load_simulator()
-        return ordered(self._lines, range(0, self.n_lines, LINES_AT_ONCE), threads=self.threads)
+        return ordered(self._lines, range(0, self.n_lines, self.lines_at_once), threads=self.threads)
 
     def _lines(self, first: int) -> SimulatedBlock:
-        """Simulate the lines from a multiple of :data:`LINES_AT_ONCE` on."""
+        """Simulate the lines from a multiple of :attr:`lines_at_once` on."""
         scanner, m = self.scanner, self.scanner.points_per_line
-        n_lines = min(LINES_AT_ONCE, self.n_lines - first)
+        n_lines = min(self.lines_at_once, self.n_lines - first)
         shots = aim(self.platform, scanner, first, n_lines)
         start, end = shots.origin[0, 0], shots.origin[-1, -1]
         middle, travelled = (start + end) / 2.0, float(np.hypot(*(end - start)[:2]))
@@ -126,7 +129,7 @@ class SimulatedScan:
             xyz_m=_relative(scanner, first, ranges) if self.with_xyz else None,
             intensity=_counts(found.intensity, ranges),
             angle_rad=angle_rad,
-            beam_rad=angle_rad if scanner.is_static else None,
+            beam_rad=angle_rad if scanner.turns else None,
             extra=extra,
             is_last=first + n_lines == self.n_lines,
         )
@@ -150,6 +153,8 @@ class SimulatedScan:
             start_m = np.where(beyond, hits.t + BEHIND_M, np.inf)
             behind = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m))
         found = scan(hits, bodies, scanner, first, self.seed, behind)
+        if self.flake_m:
+            found = in_snow(found, self.flake_m, first, self.seed)
         return _as_static(found, bodies, shots, hits, behind) if scanner.is_static else found
 
     def _in_sight(self, hits: Hits) -> Hits:
@@ -196,6 +201,29 @@ def _as_static(found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind
     )
 
 
+FLAKE_SEEN_M = 9.0
+"""A flake is answered with a chance that falls by e over this distance [m]."""
+FLAKE_POWER = 0.02
+"""Power of a flake's echo at 10 m, over that of a white wall; it falls with the square of the range."""
+
+
+def in_snow(found: Measured, flake_m: float, first_line: int, seed: int) -> Measured:
+    """Return what is measured where flakes, or drops, lie in the way of the beams; their returns are noise."""
+    n_lines, m = found.range_m.shape
+    shot = (first_line * m + np.arange(n_lines * m, dtype=np.int64)).reshape(n_lines, m)
+    way = -flake_m * np.log1p(-hashed(seed, 40, shot))
+    seen = hashed(seed, 41, shot) < np.exp(-way / FLAKE_SEEN_M)
+    hit = seen & (way > NEAREST_FLAKE_M) & ~(way >= found.range_m)
+    range_m, label, intensity = found.range_m.copy(), found.label.copy(), found.intensity.copy()
+    range_m[hit] = way[hit]
+    label[hit] = Label.NOISE
+    intensity[hit] = FLAKE_POWER * (10.0 / way[hit]) ** 2 * (0.5 + hashed(seed, 42, shot[hit]))
+    return replace(found, range_m=range_m, label=label, intensity=intensity)
+
+
+NEAREST_FLAKE_M = 1.0
+
+
 def _counts(power: F32, range_m: F32) -> F32:
     """Return intensities as scanners store them, whole numbers from 0 to 65535; NaN where there is no return."""
     counts = np.minimum(np.rint(INTENSITY_SCALE * np.sqrt(power)), 65535.0)
@@ -207,10 +235,10 @@ def _counts(power: F32, range_m: F32) -> F32:
 def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
     """Return the coordinates of returns relative to the scanner, x forward, y left, z up, (lines, M, 3) float32 [m].
 
-    Of a static scanner x points where the head's azimuth is 0.
+    Where the head turns, x points where its azimuth is 0.
     """
     columns = scanner.directions()
-    if not scanner.is_static:
+    if not scanner.turns:
         found: F32 = (range_m[..., None] * columns).astype(np.float32)
         return found
     azimuth = np.deg2rad(
@@ -245,3 +273,62 @@ def room_around(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> 
     level = np.stack([np.cos(turns), np.sin(turns), np.zeros_like(turns)], axis=1)
     direction = np.broadcast_to(level, origin.shape)
     return float(cast(bodies_near(x_m, y_m, LARGEST_ROOM_M, 0.0), origin, direction, np.zeros(len(heights))).t.min())
+
+
+LEVEL_COSINE = float(np.cos(np.deg2rad(45.0)))
+"""A face is level whose normal lies within 45 degrees of the vertical: to that it is nearer than to the horizon."""
+
+_LABELS: dict[Material, Label] = {
+    Material.SIDEWALK: Label.HORIZONTAL,
+    Material.GRASS: Label.HORIZONTAL,
+    Material.SOIL: Label.HORIZONTAL,
+    Material.TRUNK: Label.VERTICAL,
+}
+"""Materials whose label does not ask how they lie and is not the one of :data:`PROPERTIES`."""
+_ASKED = (
+    Material.WALL, Material.GLASS, Material.DOOR, Material.BALCONY, Material.ROOF, Material.FENCE, Material.POLE,
+    Material.SIGN,
+)  # fmt: skip
+"""Materials that are VERTICAL or HORIZONTAL."""
+
+
+def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
+    """Return the labels of a static scan: the classes of Stamos et al. (2012) instead of those of materials.
+
+    That classifier does not know buildings. It tells horizontal from vertical surfaces, and its ground is the road
+    alone, up to the curb. So a tripod's scan is labelled by what was hit and by how it lies: sidewalks and lawns are
+    HORIZONTAL, and so is what is nearer to level than to upright of houses, fences, posts and signs: roofs of up to 45
+    degrees, sills, lintels, floors of balconies. All else of these is VERTICAL, as are trunks. People and wires have
+    no class there and stay UNCLASSIFIED.
+    """
+    of_material = np.array([PROPERTIES[material].label for material in Material], np.uint8)
+    own = np.array([_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8)
+    # a shot split between two surfaces has the label of the one that its range is of, which may be the neighbour's
+    found: U8 = np.where(np.isin(label, (Label.BUILDING, Label.POLE)), Label.VERTICAL, label).astype(np.uint8)
+    at = np.flatnonzero((body >= 0) & (label != Label.NOISE) & (label != Label.MISSING))
+    material = bodies.material[body[at]]
+    known = of_material[material] == label[at]
+    at, material = at[known], material[known]
+    found[at] = own[material]
+    at = at[np.isin(material, _ASKED)]
+    level = is_level(bodies, body[at], place_m[at])
+    found[at] = np.where(level, Label.HORIZONTAL, Label.VERTICAL)
+    return found
+
+
+def is_level(bodies: Bodies, body: I32, place_m: F64) -> Mask:
+    """Tell level faces of boxes and triangles; poles, balls and what is filled with bars or leaves have none."""
+    shape, numbers = bodies.shape[body], bodies.numbers[body]
+    level = np.zeros(len(body), np.bool_)
+    flat = np.flatnonzero(shape == Shape.TRIANGLE)
+    a, b, c = numbers[flat, 0:3], numbers[flat, 3:6], numbers[flat, 6:9]
+    normal = np.cross(b - a, c - a)
+    level[flat] = np.abs(normal[:, 2]) > LEVEL_COSINE * np.linalg.norm(normal, axis=1)
+    box = np.flatnonzero((shape == Shape.BOX) & (bodies.density[body] == 0.0))
+    away, half, yaw = np.abs(place_m[box] - numbers[box, 0:3]), numbers[box, 3:6], numbers[box, 6]
+    dx, dy = (place_m[box] - numbers[box, 0:3])[:, :2].T
+    away[:, 0] = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy)
+    away[:, 1] = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx)
+    # the face that the place is nearest to
+    level[box] = np.argmin(np.abs(away - half), axis=1) == 2
+    return level

@@ -8,6 +8,10 @@ rated range follow the makers' data sheets: FARO Focus3D 120 (0.16 mrad, 153.49 
 The 1 MHz profiler is no make; its figures are those usual for pulsed mobile profilers. No sheet gives the noise of
 the Photon's raw stream at 48 Hz, nor the shares of lost shots, background light and reflections: these are chosen.
 
+The spinning ones turn ten times a second; rings, rated range, beam and noise are those of the Velodyne VLP-16, VLP-32C
+and HDL-64E (whose two halves of 32 rings are spaced evenly here). All rings of a firing look the same way: their
+azimuths are not staggered.
+
 The dead angle. The raw stream of a profiler holds a shot for every step within the field of view and none for the
 dead angle: the Focus3D makes 5040 steps a turn, and 5040 * 305 / 360 = 4270 is the paper's M. So the columns leave
 the dead angle out; they do not hold NaN for it.
@@ -28,18 +32,23 @@ class Scanner(Params):
     """A scanner and how it is mounted.
 
     The angle of a column lies in the scan plane, 0 = down, positive to the left [rad]. A profiler's plane stands
-    across the drive and is turned by its mount; a static scanner (``principle`` aside, ``is_static``) shoots upright
-    lines from low to high while its head turns to the left.
+    across the drive and is turned by its mount. The head of a static scanner (``is_static``), and that of a spinning
+    one (``spins``), turns to the left from line to line, and the lines are upright, from low to high: a spinning
+    scanner's line is one firing of all its rings.
     """
 
-    is_static: bool = Field(False, description="on a tripod, upright lines; otherwise a profiler that is moved")
-    line_hz: float = Field(gt=0, le=1000, description="scan lines a second [Hz]")
+    is_static: bool = Field(False, description="on a tripod, upright lines; otherwise it is moved")
+    spins: bool = Field(False, description="moved, and its head turns: a line is one firing of all rings")
+    elevations_deg: tuple[float, ...] = Field(
+        (), description="spinning: elevation of every ring, rising; none = even steps over the field [degrees]"
+    )
+    line_hz: float = Field(gt=0, le=1e6, description="scan lines a second [Hz]")
     points_per_line: int = Field(ge=2, le=100_000, description="M, shots in a scan line")
     field_deg: float = Field(gt=0, le=360, description="angle that M shots cover; the rest of the turn is dead")
     centre_deg: float = Field(0, ge=-180, le=180, description="middle of the line from down; positive = left [degrees]")
     duty: float = Field(gt=0, le=1, description="share of the time from line to line in which the shots are made")
-    azimuth_step_deg: float = Field(0.115, gt=0, le=90, description="static: head's turn from line to line [degrees]")
-    first_azimuth_deg: float = Field(0, ge=-360, le=360, description="static: of the first line, 0 = x [degrees]")
+    azimuth_step_deg: float = Field(0.115, gt=0, le=90, description="the head's turn from line to line [degrees]")
+    first_azimuth_deg: float = Field(0, ge=-360, le=360, description="of the first line, 0 = x [degrees]")
 
     slant_deg: float = Field(0, ge=-90, le=90, description="mount: tilt of the plane; lower part points back [degrees]")
     heading_deg: float = Field(0, ge=-180, le=180, description="mount: turn of the plane to the left [degrees]")
@@ -86,10 +95,27 @@ class Scanner(Params):
         if self.pane_share + self.ghost_share > 1.0:
             problem = "pane_share and ghost_share of together at most 1"
             raise ValueError(problem)
-        if self.is_static and abs(self.centre_deg - 90.0) + self.field_deg / 2.0 > 90.0:
-            problem = "elevations of a static scanner within -90 and 90 degrees"
+        if self.turns and abs(self.centre_deg - 90.0) + self.field_deg / 2.0 > 90.0:
+            problem = "elevations of a head that turns within -90 and 90 degrees"
+            raise ValueError(problem)
+        if self.is_static and self.spins:
+            problem = "is_static or spins, not both"
+            raise ValueError(problem)
+        rings = self.elevations_deg
+        if rings and (len(rings) != self.points_per_line or list(rings) != sorted(rings) or not self.spins):
+            problem = f"{self.points_per_line} rising elevations of a spinning scanner, one a ring"
             raise ValueError(problem)
         return self
+
+    @property
+    def turns(self) -> bool:
+        """Whether the head turns from line to line."""
+        return self.is_static or self.spins
+
+    @property
+    def lines_per_turn(self) -> int:
+        """Lines of a whole turn of the head."""
+        return max(1, round(360.0 / self.azimuth_step_deg))
 
     @property
     def step_rad(self) -> float:
@@ -103,6 +129,8 @@ class Scanner(Params):
 
     def angle_rad(self) -> F64:
         """Return the angle of every column in the scan plane, (M,) float64, rising, 0 = down [rad]."""
+        if self.elevations_deg:
+            return np.deg2rad(90.0 + np.array(self.elevations_deg))
         column = np.arange(self.points_per_line, dtype=np.float64) + 0.5
         angle: F64 = np.deg2rad(self.centre_deg - self.field_deg / 2.0) + column * self.step_rad
         return angle
@@ -111,7 +139,7 @@ class Scanner(Params):
         """Return where every column points on an even platform."""
         angle = self.angle_rad()
         zero = np.zeros_like(angle)
-        if self.is_static:
+        if self.turns:
             return np.stack([np.sin(angle), zero, -np.cos(angle)], axis=1)
         within = angle + np.deg2rad(self.roll_deg)
         slant, heading = np.deg2rad(self.slant_deg), np.deg2rad(self.heading_deg)
@@ -136,112 +164,69 @@ class Scanner(Params):
 
 
 _FARO_NOISE: dict[str, Any] = {
-    "principle": "cw",
-    "ambiguity_m": 153.49,
-    "noise_m": 0.0003,
-    "noise_per_m": 0.00003,
-    "min_range_m": 0.6,
-    "resolution_m": 0.0001,
-    "background_share": 0.008,
-    "sky_share": 0.04,
-    "bright_sky_share": 0.4,
+    "principle": "cw", "ambiguity_m": 153.49, "noise_m": 0.0003, "noise_per_m": 0.00003, "min_range_m": 0.6,
+    "resolution_m": 0.0001, "background_share": 0.008, "sky_share": 0.04, "bright_sky_share": 0.4,
     "cluster_share": 0.01,
-}
+}  # fmt: skip
 
 SCANNERS: dict[str, Scanner] = {
     # dead angle of 40 degrees up: the paper's road is one patch in the image, so the line does not begin in it
     "photon-80": Scanner(
-        line_hz=48.0,
-        points_per_line=2154,
-        field_deg=320.0,
-        duty=320.0 / 360.0,
-        slant_deg=25.0,
-        height_m=2.6,
-        divergence_mrad=0.16,
-        exit_mm=3.3,
-        max_range_m=76.0,
-        half_range_m=120.0,
+        line_hz=48.0, points_per_line=2154, field_deg=320.0, duty=320.0 / 360.0, slant_deg=25.0, height_m=2.6,
+        divergence_mrad=0.16, exit_mm=3.3, max_range_m=76.0, half_range_m=120.0,
         **{**_FARO_NOISE, "noise_m": 0.001, "noise_per_m": 0.00006},
     ),
     # dead angle down and the sky amid the line (Lehtola et al. 2019, IV-C); on a backpack
     "focus3d-120": Scanner(
-        line_hz=97.0,
-        points_per_line=4270,
-        field_deg=305.0,
-        centre_deg=180.0,
-        duty=305.0 / 360.0,
-        slant_deg=20.0,
-        height_m=2.0,
-        divergence_mrad=0.16,
-        exit_mm=3.8,
-        max_range_m=120.0,
-        half_range_m=180.0,
-        **_FARO_NOISE,
+        line_hz=97.0, points_per_line=4270, field_deg=305.0, centre_deg=180.0, duty=305.0 / 360.0, slant_deg=20.0,
+        height_m=2.0, divergence_mrad=0.16, exit_mm=3.8, max_range_m=120.0, half_range_m=180.0, **_FARO_NOISE,
     ),
     # one side of the street, from down to up. The mirror turns 75 times a second, but half-degree steps take two
     # turns, whose shots interlace: 37.5 lines a second
     "sick-push-broom": Scanner(
-        line_hz=37.5,
-        points_per_line=361,
-        field_deg=180.5,
-        centre_deg=90.0,
-        duty=0.75,
-        height_m=2.0,
-        principle="pulsed",
-        divergence_mrad=4.4,
-        exit_mm=13.0,
-        pulse_m=0.5,
-        min_range_m=0.3,
-        max_range_m=81.91,
-        half_range_m=75.0,
-        resolution_m=0.01,
-        noise_m=0.01,
-        noise_per_m=0.0003,
-        noise_spread=0.03,
-        lost_share=0.005,
+        line_hz=37.5, points_per_line=361, field_deg=180.5, centre_deg=90.0, duty=0.75, height_m=2.0,
+        principle="pulsed", divergence_mrad=4.4, exit_mm=13.0, pulse_m=0.5, min_range_m=0.3, max_range_m=81.91,
+        half_range_m=75.0, resolution_m=0.01, noise_m=0.01, noise_per_m=0.0003, noise_spread=0.03, lost_share=0.005,
     ),
     "profiler-1mhz": Scanner(
-        line_hz=200.0,
-        points_per_line=5000,
-        field_deg=360.0,
-        duty=1.0,
-        slant_deg=25.0,
-        height_m=2.4,
-        principle="pulsed",
-        divergence_mrad=0.35,
-        exit_mm=4.5,
-        pulse_m=0.45,
-        max_returns=4,
-        min_range_m=1.0,
-        max_range_m=200.0,
-        half_range_m=260.0,
-        resolution_m=0.001,
-        noise_m=0.003,
-        noise_per_m=0.00003,
+        line_hz=200.0, points_per_line=5000, field_deg=360.0, duty=1.0, slant_deg=25.0, height_m=2.4,
+        principle="pulsed", divergence_mrad=0.35, exit_mm=4.5, pulse_m=0.45, max_returns=4, min_range_m=1.0,
+        max_range_m=200.0, half_range_m=260.0, resolution_m=0.001, noise_m=0.003, noise_per_m=0.00003,
     ),
     # as Stamos et al. (2012, sec. 9) use it: upright lines from low to high, 50 000 shots a second
     "scanstation2": Scanner(
-        is_static=True,
-        line_hz=50_000.0 / 1088,
-        points_per_line=1088,
-        field_deg=125.12,
-        centre_deg=107.56,
-        duty=1.0,
-        azimuth_step_deg=0.115,
-        height_m=1.75,
-        principle="pulsed",
-        divergence_mrad=0.1,
-        exit_mm=4.0,
-        pulse_m=0.3,
-        min_range_m=0.3,
-        max_range_m=300.0,
-        half_range_m=420.0,
-        resolution_m=0.001,
-        noise_m=0.004,
+        is_static=True, line_hz=50_000.0 / 1088, points_per_line=1088, field_deg=125.12, centre_deg=107.56, duty=1.0,
+        azimuth_step_deg=0.115, height_m=1.75, principle="pulsed", divergence_mrad=0.1, exit_mm=4.0, pulse_m=0.3,
+        min_range_m=0.3, max_range_m=300.0, half_range_m=420.0, resolution_m=0.001, noise_m=0.004,
         noise_per_m=0.00002,
     ),
-}
+}  # fmt: skip
 """Every preset by name, each with the mount of its paper. Stamos et al. (2012) give 5 mm as the accuracy of their
 ScanStation2, and a standard deviation of the range that is an order of magnitude below 1 cm (footnote 3): one preset
 has about 5 mm, the other 1 mm."""
+_SPINNING: dict[str, Any] = {
+    "spins": True, "centre_deg": 90.0, "duty": 1.0, "azimuth_step_deg": 0.2, "line_hz": 18_000.0, "height_m": 1.9,
+    "principle": "pulsed", "divergence_mrad": 3.0, "exit_mm": 9.5, "pulse_m": 1.0, "min_range_m": 0.9,
+    "max_range_m": 100.0, "half_range_m": 110.0, "resolution_m": 0.002, "noise_m": 0.015, "noise_per_m": 0.0001,
+    "lost_share": 0.005,
+}  # fmt: skip
+SCANNERS |= {
+    "vlp-16": Scanner(points_per_line=16, field_deg=32.0, **_SPINNING),
+    "vlp-32c": Scanner(
+        points_per_line=32, field_deg=40.0,
+        elevations_deg=(
+            -25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667, -2.333,
+            -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333, 3.333, 4.667, 7.0,
+            10.333, 15.0,
+        ),
+        **_SPINNING,
+    ),
+    "hdl-64e": Scanner(
+        points_per_line=64, field_deg=26.8,
+        elevations_deg=(
+            *(round(-24.33 + i / 2, 3) for i in range(32)), *(round(-8.33 + i / 3, 3) for i in range(32))
+        ),
+        **{**_SPINNING, "azimuth_step_deg": 0.17, "line_hz": 21_180.0, "max_range_m": 120.0, "half_range_m": 130.0},
+    ),
+}  # fmt: skip
 SCANNERS["scanstation2-1mm"] = SCANNERS["scanstation2"].model_copy(update={"noise_m": 0.001})

@@ -23,35 +23,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
-from typing import Protocol
 
 import numpy as np
 
 from prc_cli import kernels
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.simulation.hashing import hashed
+from prc_cli.simulation.casting import Hits
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.thresholds import SensorModel
-from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
+from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape, hashed
 
 _GLASS, _LEAVED, _CURVED = 1, 2, 4
 _QUANTILES = 4096
-
-
-class Struck(Protocol):
-    """Nearest surface of every shot, as the caster gives it."""
-
-    @property
-    def t(self) -> F64:
-        """(lines, M) float64, range from the scanner [m], inf = none."""
-
-    @property
-    def body(self) -> I32:
-        """(lines, M) int32, index among the bodies, -1 = none."""
-
-    @property
-    def facing(self) -> F64:
-        """(lines, M) float64, cosine of incidence."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,37 +59,29 @@ class Measured:
     """(e,) float32."""
 
 
-def goes_behind(hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int, seed: int) -> Mask:
+def goes_behind(hits: Hits, bodies: Bodies, scanner: Scanner, first_line: int, seed: int) -> Mask:
     """Mark the shots for which what lies behind the first surface matters.
 
     They see through glass, or pass by a leaf with a scanner of several returns. Cast them again from just behind
     their first surface and give the result to :func:`scan`, ranges counted from the scanner.
     """
     _, kind = _about(bodies)
-    mask: Mask = kernels.goes_behind(_arrays(hits), kind, _model(scanner), first_line, seed)
+    mask: Mask = kernels.goes_behind((*hits,), kind, _model(scanner), first_line, seed)
     return mask
 
 
 def scan(
-    hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int, seed: int, behind: Struck | None = None
+    hits: Hits, bodies: Bodies, scanner: Scanner, first_line: int, seed: int, behind: Hits | None = None
 ) -> Measured:
     """Turn what the beams meet into what the scanner says."""
     surface, kind = _about(bodies)
     nothing = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
-    second = nothing if behind is None else _arrays(behind)
+    second = nothing if behind is None else (*behind,)
     ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = kernels.sense(
-        _arrays(hits), second, surface, kind, _model(scanner), _quantiles(), first_line, seed
+        (*hits,), second, surface, kind, _model(scanner), _quantiles(), first_line, seed
     )
     lines, columns = np.ascontiguousarray(extra[:, 0]), np.ascontiguousarray(extra[:, 1])
     return Measured(ranges, labels, intensities, lines, columns, extra_range, extra_label, extra_intensity)
-
-
-def _arrays(hits: Struck) -> tuple[F64, I32, F64]:
-    return (
-        np.ascontiguousarray(hits.t, dtype=np.float64),
-        np.ascontiguousarray(hits.body, dtype=np.int32),
-        np.ascontiguousarray(hits.facing, dtype=np.float64),
-    )
 
 
 def _about(bodies: Bodies) -> tuple[F64, U8]:
@@ -124,31 +99,13 @@ def _about(bodies: Bodies) -> tuple[F64, U8]:
 
 def _model(scanner: Scanner) -> SensorModel:
     """Return what the loop is given of a scanner."""
+    named = {name: getattr(scanner, name) for name in SensorModel._fields if hasattr(scanner, name)}
     return SensorModel(
-        step_rad=scanner.step_rad,
         exit_m=scanner.exit_mm / 1000.0,
         divergence=scanner.divergence_mrad / 1000.0,
-        ambiguity_m=scanner.ambiguity_m,
-        pulse_m=scanner.pulse_m,
-        nearest_m=scanner.min_range_m,
-        farthest_m=scanner.max_range_m,
         half_power=0.9 / scanner.half_range_m**2,
-        resolution_m=scanner.resolution_m,
-        noise_m=scanner.noise_m,
-        noise_per_m=scanner.noise_per_m,
-        noise_spread=scanner.noise_spread,
-        lost_share=scanner.lost_share,
-        edge_m=scanner.edge_m,
-        background_share=scanner.background_share,
-        sky_share=scanner.sky_share,
-        bright_sky_share=scanner.bright_sky_share,
-        cluster_share=scanner.cluster_share,
-        cluster_m=scanner.cluster_m,
-        pane_share=scanner.pane_share,
-        ghost_share=scanner.ghost_share,
-        leaves_share=scanner.leaves_share,
         is_cw=scanner.principle == "cw",
-        max_returns=scanner.max_returns,
+        **named,
     )
 
 

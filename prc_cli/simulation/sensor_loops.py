@@ -230,7 +230,7 @@ def _brightness(seed: int, line: int, column: int, n_columns: int) -> float:
 def _rounded(t: float, model: SensorModel) -> float:
     """Return the range as it is given, NaN outside of the limits."""
     steps = np.floor(t / model.resolution_m + 0.5) * model.resolution_m
-    return steps if model.nearest_m <= steps <= model.farthest_m else np.nan
+    return steps if model.min_range_m <= steps <= model.max_range_m else np.nan
 
 
 @kernel(boolean[:, ::1](_HITS, uint8[:, ::1], record(SensorModel), int64, int64))
@@ -357,7 +357,7 @@ def _stray(
         return 0 if np.isnan(echo[0, _T]) else n
     if chance >= share:
         return n
-    reach = model.ambiguity_m if model.ambiguity_m > 0.0 else model.farthest_m
+    reach = model.ambiguity_m if model.ambiguity_m > 0.0 else model.max_range_m
     echo[0, _T] = _rounded(_draw(key, column, _FOR_PLACE) * reach, model)
     echo[0, _POWER] = model.half_power
     echo[0, _LABEL] = LABEL_NOISE

@@ -24,7 +24,7 @@ from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.street.params import CHARACTERS, VARIED, StreetSceneParams
+from prc_cli.simulation.street.plan import CHARACTERS, VARIED, StreetSceneParams
 from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.trajectory import MOTIONS, Frame, MotionParams, Station, Trajectory
 
@@ -52,42 +52,38 @@ class SimulationSettings(Params):
     sight_m: float | None = Field(None, gt=1, le=2000, description="nothing farther is simulated [m]; unset = by kind")
 
 
-class FrameParams(Params):
-    """A projected coordinate system in metres and where the simulated world lies in it."""
-
-    crs: str = Field(Frame().crs, description="as pyproj takes it")
-    easting_m: float = Field(Frame().easting_m, description="of the world's origin [m]")
-    northing_m: float = Field(Frame().northing_m, description="of the world's origin [m]")
-    height_m: float = Field(Frame().height_m, description="of the world's origin above the ellipsoid [m]")
-
-
 _FRAME = "where the world lies on earth; unset = nowhere, coordinates count from the start, but for an SBET"
 
 
-class DriveSettings(SimulationSettings):
-    """A drive down a street."""
+class MovingSettings(SimulationSettings):
+    """What every drive and walk has."""
 
     length_m: float = Field(300.0, gt=0, le=1e7, description="way of the platform [m]")
     duration_s: float | None = Field(None, gt=0, le=1e7, description="instead of a length [s]")
     lines: int | None = Field(None, ge=1, le=MOST_LINES, description="scan lines, instead of a length")
-    scene: StreetSceneParams = Field(default_factory=StreetSceneParams, description="street")
+    scene: StreetSceneParams | ForestSceneParams
     scanner: Scanner = Field(SCANNERS["photon-80"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["car"], description="how the platform moves")
-    frame: FrameParams | None = Field(None, description=_FRAME)
+    frame: Frame | None = Field(None, description=_FRAME)
+    flake_m: float = Field(
+        0.0, ge=0, le=1e6, description="mean way of a beam from flake to flake of snow, or drop of rain [m]; 0 = none"
+    )
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
-class WalkSettings(SimulationSettings):
+class DriveSettings(MovingSettings):
+    """A drive down a street."""
+
+    scene: StreetSceneParams = Field(default_factory=StreetSceneParams, description="street")
+
+
+class WalkSettings(MovingSettings):
     """A walk through a forest."""
 
     length_m: float = Field(100.0, gt=0, le=1e7, description="way of the platform [m]")
-    duration_s: float | None = Field(None, gt=0, le=1e7, description="instead of a length [s]")
-    lines: int | None = Field(None, ge=1, le=MOST_LINES, description="scan lines, instead of a length")
     scene: ForestSceneParams = Field(default_factory=ForestSceneParams, description="forest")
     scanner: Scanner = Field(SCANNERS["focus3d-120"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["backpack"], description="how the platform moves")
-    frame: FrameParams | None = Field(None, description=_FRAME)
-    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
 class StationParams(Params):
@@ -112,11 +108,7 @@ class StationSettings(SimulationSettings):
 
 
 Settings: TypeAlias = DriveSettings | WalkSettings | StationSettings
-_MODELS: dict[Kind, type[Settings]] = {
-    "street": DriveSettings,
-    "forest": WalkSettings,
-    "street-scan": StationSettings,
-}
+_MODELS: dict[Kind, type[Settings]] = {"street": DriveSettings, "forest": WalkSettings, "street-scan": StationSettings}
 KINDS: tuple[Kind, ...] = tuple(_MODELS)
 """What can be simulated."""
 
@@ -284,6 +276,7 @@ def open_simulation(
         threads=default_threads() if threads is None else threads,
         with_xyz=(kind == "street-scan") if with_xyz is None else with_xyz,
         with_world=with_world,
+        flake_m=getattr(chosen, "flake_m", 0.0),
         relabel=relabel,
     )
     return Simulation(kind, chosen, scene, scan)

@@ -11,7 +11,7 @@ Table = Annotated[F64, 2]
 
 
 class SensorModel(NamedTuple):
-    """What a scanner makes of the light that comes back."""
+    """What a scanner makes of the light that comes back; most are its fields (:class:`~.scanners.Scanner`)."""
 
     step_rad: float
     """Angle between adjacent shots of a line [rad]."""
@@ -20,61 +20,37 @@ class SensorModel(NamedTuple):
     divergence: float
     """Width added per metre of range."""
     ambiguity_m: float
-    """Ranges are given modulo this [m]; 0 = as they are."""
     pulse_m: float
-    """Echoes farther apart than this are told apart [m]."""
-    nearest_m: float
-    """Least range that is given [m]."""
-    farthest_m: float
-    """Greatest range that is given [m]."""
+    min_range_m: float
+    max_range_m: float
     half_power: float
     """Power at which half of the echoes are found [1/m²]."""
     resolution_m: float
-    """Step of the ranges that are given [m]."""
     noise_m: float
-    """Standard deviation of a strong echo's range [m]."""
     noise_per_m: float
-    """Standard deviation added per metre of range of a white surface, met squarely."""
     noise_spread: float
-    """Standard deviation added per metre of depth that the beam spans on a slanted surface."""
     lost_share: float
-    """Share of strong echoes that are not found."""
     edge_m: float
-    """A mixed range this close to a surface is that surface's [m]."""
     background_share: float
-    """Share of ranges that stray light replaces, where there is a surface."""
     sky_share: float
-    """Share of shots without a surface that stray light gives a range."""
     bright_sky_share: float
-    """The same in the brightest sky; 0 = the sky is even."""
     cluster_share: float
-    """Share of ranges that stray light moves."""
     cluster_m: float
-    """Standard deviation of that move [m]."""
     pane_share: float
-    """Share of shots that glass answers with the pane."""
     ghost_share: float
-    """Share of shots that glass answers with what it mirrors."""
     leaves_share: float
-    """Share of shots on leaves whose light goes on behind the leaf."""
     is_cw: bool
     """Whether the scanner is of a continuous wave, which mixes all echoes; else it is pulsed."""
     max_returns: int
-    """Returns of a shot that are given, at most."""
 
 
 class CastBodies(NamedTuple):
-    """Bodies as the caster takes them; as :class:`prc_cli.simulation.world.Bodies`, but for ``turn``."""
+    """The arrays of :class:`prc_cli.simulation.world.Bodies` that the caster takes, and one more."""
 
     shape: Annotated[U8, 1]
-    """(n,) uint8, :class:`prc_cli.simulation.world.Shape`."""
     numbers: Table
-    """(n, 9) float64, what they mean depends on the shape [m, rad]; at time 0."""
     turn: Table
     """(n, 2) float64, cosine and sine of the yaw of ellipsoids and boxes."""
     density: Floats
-    """(n,) float64, leaf area density [m²/m³]; 0 = a surface."""
     velocity: Table
-    """(n, 2) float64, along x and y [m/s]."""
     number: Floats
-    """(n,) float64, identity from 0 to below 2^53, which seeds the leaves."""

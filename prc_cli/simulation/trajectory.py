@@ -25,8 +25,8 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.trajectory import SBET_SUFFIXES
-from prc_cli.simulation.hashing import hashed
 from prc_cli.simulation.scanners import Scanner
+from prc_cli.simulation.world import hashed
 
 if TYPE_CHECKING:
     import pyproj
@@ -84,20 +84,10 @@ class MotionParams(Params):
 MOTIONS: dict[str, MotionParams] = {
     "car": MotionParams(),
     "backpack": MotionParams(
-        speed_m_s=1.1,
-        speed_variation=0.2,
-        stop_every_m=0.0,
-        roll_deg=1.0,
-        pitch_deg=1.0,
-        yaw_deg=3.0,
-        bounce_m=0.005,
-        wobble_hz=0.6,
-        lean_deg=0.0,
-        bob_m=0.04,
-        sway_m=0.05,
-        gait_deg=2.0,
+        speed_m_s=1.1, speed_variation=0.2, stop_every_m=0.0, roll_deg=1.0, pitch_deg=1.0, yaw_deg=3.0, bounce_m=0.005,
+        wobble_hz=0.6, lean_deg=0.0, bob_m=0.04, sway_m=0.05, gait_deg=2.0,
     ),
-}
+}  # fmt: skip
 """How the platforms of Lehtola et al. (2019, III) move: a car in town, a person with a backpack in forest."""
 
 
@@ -284,12 +274,12 @@ def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> 
     """
     m = scanner.points_per_line
     line_s = scanner.shot_s * m
-    n_knots = 1 if scanner.is_static else max(int(np.ceil(line_s / _KNOT_S)), 1)
+    n_knots = 1 if scanner.turns else max(int(np.ceil(line_s / _KNOT_S)), 1)
     start_s = scanner.line_time_s(first_line, n_lines)
     knot_s = start_s[:, None] + np.arange(n_knots + 1) * (line_s / n_knots)
     pose = platform.pose(knot_s.ravel())
     turn = pose.turn().reshape(n_lines, n_knots + 1, 3, 3)
-    if scanner.is_static:
+    if scanner.turns:
         line = np.arange(first_line, first_line + n_lines)
         azimuth = np.deg2rad(scanner.first_azimuth_deg + scanner.azimuth_step_deg * line)
         zero = np.zeros(n_lines)
@@ -304,26 +294,23 @@ _BATCH = 50_000
 _COLUMNS = ("time", "x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(Params):
     """A coordinate system in metres, x to the east and y to the north, and where the simulated world lies in it.
 
     The default is UTM zone 35 north on WGS 84, near the test sites of Lehtola et al. (2019, III).
     """
 
-    crs: str = "EPSG:32635"
-    """Anything that pyproj takes; projected, in metres."""
-    easting_m: float = 363_000.0
-    northing_m: float = 6_671_000.0
-    height_m: float = 40.0
-    """Above the ellipsoid."""
+    crs: str = Field("EPSG:32635", description="as pyproj takes it")
+    easting_m: float = Field(363_000.0, description="of the world's origin [m]")
+    northing_m: float = Field(6_671_000.0, description="of the world's origin [m]")
+    height_m: float = Field(40.0, description="of the world's origin above the ellipsoid [m]")
 
     def origin(self) -> F64:
         """Return what is added to world coordinates, (3,) float64 [m]."""
         return np.array([self.easting_m, self.northing_m, self.height_m])
 
 
-WORLD = Frame("", 0.0, 0.0, 0.0)
+WORLD = Frame(crs="", easting_m=0.0, northing_m=0.0, height_m=0.0)
 """Coordinates of the simulated world as they are; no place on earth, so for CSV alone."""
 
 

@@ -1,19 +1,20 @@
 """What the world is made of: bodies with a shape, a material and, for cars and people, a velocity.
 
-A scene is anything that knows the bodies around a place (:class:`Scene`). It makes them piece by piece from its seed,
-so that a drive of any length needs the memory of what is in sight.
+A scene is anything that knows the bodies around a place (:data:`BodiesNear`). It makes them piece by piece from its
+seed, so that a drive of any length needs the memory of what is in sight.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F64, U8
+from prc_cli.core.types import F64, I64, U8, Mask
 
 
 class Shape(IntEnum):
@@ -120,29 +121,37 @@ class Bodies:
     random about the body (its leaves)."""
 
     @classmethod
-    def none(cls) -> Bodies:
-        """No bodies."""
-        return cls(
-            np.empty(0, np.uint8), np.empty((0, 9)), np.empty(0, np.uint8), np.empty(0), np.empty((0, 2)), np.empty(0)
-        )
-
-    @classmethod
     def join(cls, parts: list[Bodies]) -> Bodies:
         """Return the bodies of several places as one."""
-        if not parts:
-            return cls.none()
-        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+        u8 = np.empty(0, np.uint8)
+        none = cls(u8, np.empty((0, 9)), u8, np.empty(0), np.empty((0, 2)), np.empty(0))
+        return cls(*(np.concatenate([getattr(part, f.name) for part in [none, *parts]]) for f in fields(cls)))
+
+    def take(self, which: Mask) -> Bodies:
+        """Return some of the bodies, in their order; (n,) bool."""
+        return Bodies(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def __len__(self) -> int:
         return len(self.shape)
 
 
-class Scene(Protocol):
-    """A world that is made as it is looked at."""
+BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]
+"""Returns the bodies that have a part within a circle (x, y, radius [m]) at a time [s], and maybe a few more.
 
-    def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
-        """Return the bodies that have a part within a circle, and maybe a few more.
+The same body has the same numbers whatever the circle, and bodies come in an order that depends on nothing but the
+seed."""
 
-        The same body has the same numbers whatever the circle, and bodies come in an order that depends on nothing
-        but the seed.
-        """
+
+def hashed(seed: int, purpose: int, number: I64) -> F64:
+    """Hash whole numbers to 0..1 (finaliser of SplitMix64, Steele et al. 2014).
+
+    >>> hashed(7, 0, np.array([1, 2, 1])).round(3).tolist()
+    [0.772, 0.246, 0.772]
+    """
+    start = (seed * 0x9E3779B97F4A7C15 + purpose * 0xD1B54A32D192ED03) % 2**64
+    with np.errstate(over="ignore"):
+        x = number.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(start)
+        x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x = x ^ (x >> np.uint64(31))
+    return (x >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -92,22 +92,18 @@ class AngleStep:
 
 
 def measure_step(range_m: F32) -> AngleStep | None:
-    """Measure the angle between columns.
-
-    >>> angle = np.deg2rad(np.arange(-60.0, 60.0, 0.25))
-    >>> ground, wall = 2 / np.maximum(np.cos(angle), 1e-9), 5 / np.maximum(np.sin(angle), 1e-9)
-    >>> found = measure_step(np.tile(np.minimum(ground, wall), (40, 1)).astype(np.float32))
-    >>> round(math.degrees(found.step_rad), 6), found.usual
-    (0.25, '1/4 deg')
-    """
+    """Measure the angle between columns."""
     n_lines, m = range_m.shape
     if m < LEAST_COLUMNS or not n_lines:
         return None
     rows = range_m[spread_rows(n_lines, max(MOST_SHOTS // m, 1))]
     inverse = 1.0 / rows.astype(np.float64)
-    every = [_curvatures_of(inverse, window) for window in WINDOWS if m * LEAST_TURN <= window <= m // 2]
+    every: list[tuple[int, F64, F64]] = []
+    for window in (one for one in WINDOWS if m * LEAST_TURN <= one <= m // 2):
+        pieces = sliding_window_view(inverse, window, axis=1)[:, :: max(window // HOP, 1)].reshape(-1, window)
+        every.append((window, *curvatures(pieces[np.isfinite(pieces).all(axis=1)], ROUGH)))
     for level in LEVELS:
-        found = [one for pieces in every if (one := _read(pieces, m, *level))]
+        found = [one for of_width in every if (one := _read(*of_width, m, *level))]
         if found:
             break
     else:
@@ -135,24 +131,10 @@ class _Reading(NamedTuple):
     window: int
 
 
-class _Pieces(NamedTuple):
-    """Windows of one width."""
-
-    window: int
-    curvature: F64
-    error: F64
-
-
-def _curvatures_of(inverse: F64, window: int) -> _Pieces:
-    """Return the curvatures of all windows of a width that may be planes."""
-    every = max(window // HOP, 1)
-    pieces = sliding_window_view(inverse, window, axis=1)[:, ::every].reshape(-1, window)
-    return _Pieces(window, *curvatures(pieces[np.isfinite(pieces).all(axis=1)], ROUGH))
-
-
-def _read(pieces: _Pieces, points_per_line: int, bent: float, most_error: float) -> _Reading | None:
+def _read(
+    window: int, curvature: F64, error: F64, points_per_line: int, bent: float, most_error: float
+) -> _Reading | None:
     """Return what windows of a width say; None with too few pieces."""
-    window, curvature, error = pieces
     is_straight = error < bent * _error_of_one(window)
     curvature, error = curvature[is_straight], error[is_straight]
     if len(curvature) < LEAST_PIECES:

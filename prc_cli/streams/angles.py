@@ -1,4 +1,4 @@
-"""Estimates sweep direction, angular columns and column angles from scan angles."""
+"""Judges scan angles: whether they sweep, are fine enough for columns and turn round; columns and their angles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.streams.columns import MAX_COLUMN, AngleGrid, begins_line, columns_by_angle
+from prc_cli.formats.ranges import continues_run, mark_shots
+from prc_cli.formats.records import RecordSource
+from prc_cli.streams.columns import (
+    MAX_COLUMN,
+    AngleGrid,
+    Table,
+    begins_line,
+    columns_by_angle,
+    spread_columns,
+    take,
+)
 
 FULL_TURN = 0.9
 """Lines that span at least this share of a turn count as whole turns."""
@@ -27,6 +37,20 @@ _SHARE_OF_COLUMN = 0.05
 _TURN = 2 * math.pi
 LEAST_TURN_COLUMNS = 180
 """Columns of a line of a quarter turn or more; rings of a spinning scanner, which may lie as close, are fewer."""
+MOST_SHARED = 0.01
+"""Largest share of neighbours that angles may put into one column: from there on the check of collisions doubts."""
+TURN_OFF = 0.02
+"""Tolerance for whole turns."""
+_LEAST_WRAPS = 4
+
+
+def are_radians(angle_rad: F64) -> bool:
+    """Return whether so many columns lie so close that the numbers of a half or whole turn are those of radians.
+
+    >>> are_radians(np.deg2rad(np.linspace(0, 4.7, 1080))), are_radians(np.linspace(0, 4.7, 1080))
+    (True, False)
+    """
+    return len(angle_rad) >= LEAST_TURN_COLUMNS and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +65,8 @@ class Sweep:
     """Tolerance for steps back within a line [rad]."""
 
 
-def are_radians(angle_rad: F64) -> bool:
-    """Return whether so many columns lie so close that the numbers of a half or whole turn are those of radians.
-
-    >>> are_radians(np.deg2rad(np.linspace(0, 4.7, 1080))), are_radians(np.linspace(0, 4.7, 1080))
-    (True, False)
-    """
-    return len(angle_rad) >= LEAST_TURN_COLUMNS and math.pi / 2 < math.degrees(float(np.ptp(angle_rad))) <= 2 * math.pi
-
-
 def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
-    """Find direction and span of the sweep from the first shots.
-
-    >>> find_sweep(np.tile(np.linspace(1.0, -1.0, 50), 20), "strip.laz")  # doctest: +ELLIPSIS
-    Sweep(direction=-1, span_rad=2.0, noise_rad=0.081...)
-    """
+    """Find direction and span of the sweep from the first shots."""
     value = np.asarray(angle, np.float64)
     value = value[np.isfinite(value)]
     hint = "find lines another way: --lines dimension:NAME, fixed or time:HZ"
@@ -73,6 +84,56 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     # angles are rounded: small steps back are not a wrap
     noise = max(2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span)
     return Sweep(1 if n_up >= n_down else -1, span, noise)
+
+
+@dataclass(frozen=True, slots=True)
+class WrapState:
+    """State of the sweeps of a scanner across chunks."""
+
+    wraps: int = 0
+    """Wraps so far."""
+    last_angle: float = math.nan
+    """Last known angle [rad]."""
+    low: float = math.inf
+    """Least angle of the line so far [rad]."""
+    high: float = -math.inf
+    """Greatest angle of the line so far [rad]."""
+    last_span: float = 0.0
+    """Span of the line before [rad]."""
+
+
+def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: WrapState) -> tuple[I64, WrapState]:
+    """Begin a line where the angle jumps back against the sweep by more than half the span.
+
+    The span is the larger one of the ending line and the line before: at the edges of a flight or behind an obstacle,
+    lines are much shorter than the longest.
+    """
+    value = np.asarray(angle, np.float64)
+    position = np.flatnonzero(np.isfinite(value))
+    begins = np.zeros(len(value), np.int64)
+    if len(position):
+        seen = value[position]
+        back = sweep.direction * (np.concatenate(([state.last_angle], seen[:-1])) - seen)
+        # jumps larger than noise are few: check one by one whether a line ends
+        jumps = np.flatnonzero(back > sweep.noise_rad)
+        borders = np.concatenate(([0], jumps[jumps > 0]))
+        lows, highs = np.minimum.reduceat(seen, borders), np.maximum.reduceat(seen, borders)
+        pieces = iter(zip(lows.tolist(), highs.tolist(), strict=True))
+        low, high, last_span = state.low, state.high, state.last_span
+        if not len(jumps) or jumps[0] > 0:
+            first_low, first_high = next(pieces)
+            low, high = min(low, first_low), max(high, first_high)
+        for jump, size, (piece_low, piece_high) in zip(jumps.tolist(), back[jumps].tolist(), pieces, strict=True):
+            if size > 0.5 * max(high - low, last_span):
+                begins[position[jump]] = 1
+                low, high, last_span = piece_low, piece_high, high - low
+            else:
+                low, high = min(low, piece_low), max(high, piece_high)
+        state = replace(state, last_angle=float(seen[-1]), low=low, high=high, last_span=last_span)
+    line = state.wraps + np.cumsum(begins)
+    if len(line):
+        state = replace(state, wraps=int(line[-1]))
+    return line, state
 
 
 def find_angle_grid(
@@ -208,3 +269,104 @@ def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64
 
 def _circular_mean(value: F64) -> float:
     return math.atan2(float(np.sin(value).mean()), float(np.cos(value).mean()))
+
+
+def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Table:
+    """Return times, angles, line numbers and other dimensions of the first shots of the first scanner."""
+    has = source.dimensions
+    keys = tuple(name for name in ("time", "angle", "scan_line") if name in has)
+    several = "number_of_returns" in has
+    returns = tuple(name for name in ("return_number", "number_of_returns") if name in has and several)
+    wanted = tuple(dict.fromkeys((*keys, *beside, *returns, *((scanner,) if scanner is not None else ()))))
+    first = next(iter(source.chunks(wanted)), None)
+    values: Table = {name: np.empty(0) for name in wanted} if first is None else first.values
+    if scanner is not None:
+        values = take(values, values[scanner] == values[scanner][:1])
+    if several:
+        continues = continues_run(tuple(values[key] for key in keys), values["number_of_returns"])
+        values = take(values, mark_shots(continues, values.get("return_number")))
+    return values
+
+
+def has_sweeps(shots: Table, path: str) -> bool:
+    """Whether the scan angles of the first shots jump back between sweeps."""
+    try:
+        find_sweep(shots["angle"], path)
+    except InputError:
+        return False
+    return True
+
+
+def lacks_shots(shots: Table, path: str, points_per_line: int) -> bool:
+    """Whether sweeps of the scan angle hold fewer shots than a line of fixed length."""
+    angle = np.asarray(shots["angle"], np.float64)
+    try:
+        line, _ = lines_by_wrap(angle, find_sweep(angle, path), WrapState())
+    except InputError:
+        return False
+    sizes = np.bincount(line)[1:-1]
+    return len(sizes) > 0 and bool(sizes.max() <= points_per_line) and bool(np.mean(sizes) < 0.99 * points_per_line)
+
+
+def columns_of_angles(shots: Table, line_dimension: str | None, path: str, *, whole_turn: bool) -> tuple[bool, str]:
+    """Tell whether scan angles give columns, and why: they sweep one way, and few neighbours share a step."""
+    angle = np.asarray(shots["angle"], np.float64)
+    known = np.isfinite(angle)
+    if np.count_nonzero(known) < MOST_SHARED * len(angle):
+        return False, "the scan angles are not known"
+    shots, angle = take(shots, known), angle[known]
+    try:
+        sweep = find_sweep(angle, path)
+        if line_dimension is None:
+            line, _ = lines_by_wrap(angle, sweep, WrapState())
+        else:
+            number = np.asarray(shots[line_dimension], np.float64)
+            line = np.cumsum(np.diff(number, prepend=number[:1]) != 0)
+        grid = find_angle_grid(angle, line, path, whole_turn=whole_turn)
+    except InputError as error:
+        return False, error.problem
+    column: I64 = columns_by_angle(angle, grid)
+    if grid.is_spread:
+        column = spread_columns(column, line)
+    within = ~begins_line(line)
+    shared = float(np.mean(np.diff(column, prepend=0)[within] == 0))
+    step = f"{abs(math.degrees(grid.step_rad)):.4g} deg"
+    if shared > MOST_SHARED:
+        return False, f"{shared:.0%} of neighbouring shots have the same scan angle within a step of {step}"
+    return True, f"scan angles of the shots are there, in steps of {step}; shots without return are left out"
+
+
+def turns_round(shots: Table) -> bool:
+    """Whether lines are whole turns by their times, though no shot of some angles ever returns."""
+    if not {"time", "angle"} <= set(shots):
+        return False
+    turn = turn_of_times(*(np.asarray(shots[name], np.float64) for name in ("time", "angle")))
+    return turn is not None and abs(turn / (2 * math.pi) - 1) <= TURN_OFF
+
+
+def turn_of_times(time_s: F64, angle: F64) -> float | None:
+    """Return the angle that the scanner turns in a line, also where no shot returns [rad]; None if unknown.
+
+    Half of the shots of a turn return:
+
+    >>> shot = np.arange(90)
+    >>> turn_of_times(shot % 10 + shot // 10 * 20.0, shot % 10 * math.pi / 10) / math.pi
+    2.0
+    """
+    use = np.isfinite(time_s) & np.isfinite(angle)
+    time_s, angle = time_s[use], angle[use]
+    if len(angle) < 2:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):  # of what no scanner measured
+        dt, turned, span = np.diff(time_s), np.diff(angle), float(np.ptp(angle))
+        ahead = (dt > 0) & (np.abs(turned) < 0.12 * span)
+        wraps = np.flatnonzero(np.abs(turned) > 0.5 * span)
+        if len(wraps) < _LEAST_WRAPS or not ahead.any():
+            return None
+        rate = float(np.median(turned[ahead] / dt[ahead]))
+        if not rate or not math.isfinite(rate):
+            return None
+        # from an angle in one line to the same angle in the next
+        start = time_s[wraps + 1] - angle[wraps + 1] / rate
+        turn = abs(rate * float(np.median(np.diff(start))))
+    return turn if math.isfinite(turn) else None

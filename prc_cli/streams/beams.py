@@ -9,13 +9,309 @@ unless no line has two returns: then placeholder directions do, because nothing 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from prc_cli.core.brief import Brief
-from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import Assumption, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams.beam_finder import BeamFinder, Found, Sample
+from prc_cli.streams.angle_step import MOST_OFF, AngleStep, measure_step
+from prc_cli.streams.angles import are_radians
+from prc_cli.streams.directions import Beams, fit_beams, forward_steps, turn_evenly
+from prc_cli.streams.down import (
+    MIN_TILT_RAD,
+    LevelLinesError,
+    NoddingError,
+    NoDirectionError,
+    TooFewReturnsError,
+    WrongOriginError,
+    fit_heights,
+    guess_down,
+    shown_tilt,
+    spread_rows,
+    wrap,
+)
+from prc_cli.streams.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
+
+SAMPLE_LINES = 64
+"""Number of lines with returns used to find directions."""
+SPREAD = 10
+"""Level ground is looked for in lines spread over this many times as many: facades come and go."""
+MAX_SAMPLE_CELLS = 1 << 23
+"""Most cells read per scanner to find these lines: its blocks wait in memory."""
+MADE_UP_RAD = (0.1, math.pi - 0.1)
+"""Placeholder directions of the outermost columns, where none are known and nothing can be classified [rad]."""
+KEY = "input.nadir"
+ANGLES = "input.angles"
+_ANGLES_ALONE = (
+    "scan angles (input.angle_start and input.angle_step where the input has none), and input.nadir if known"
+)
+_ARRAY = "array"
+
+
+@dataclass(slots=True)
+class Sample:
+    """The first lines with returns of a scanner, independent of block boundaries."""
+
+    scanner: int = 0
+    angle_rad: F64 | None = None
+    points_per_line: int = 0
+    range_m: list[F32] = field(default_factory=list)
+    xyz_m: list[F32] = field(default_factory=list)
+    n_seen: int = 0
+    """Lines read, with or without returns."""
+    max_seen: int = SAMPLE_LINES
+    held: list[ScanBlock] = field(default_factory=list)
+    """Blocks that wait for the directions."""
+    n_lines: int = SAMPLE_LINES
+    """Lines with returns to take."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether no more lines are needed."""
+        return len(self.range_m) >= self.n_lines or self.n_seen >= self.max_seen
+
+    def add(self, block: ScanBlock) -> None:
+        """Add lines of the next block of the scanner, as far as needed."""
+        self.scanner, self.angle_rad, self.points_per_line = block.scanner, block.angle_rad, block.points_per_line
+        self.max_seen = max(SAMPLE_LINES, MAX_SAMPLE_CELLS // block.points_per_line)
+        for line in range(min(block.n_lines, self.max_seen - self.n_seen)):
+            if self.is_complete:
+                break
+            self.n_seen += 1
+            if not np.isnan(block.range_m[line]).all():
+                self.range_m.append(block.range_m[line].copy())
+                if block.xyz_m is not None:
+                    self.xyz_m.append(block.xyz_m[line].copy())
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Directions found for a scanner."""
+
+    beam_rad: F64
+    keep_xyz: bool
+    assumption: Assumption | None
+    cos_tilt: float = 1.0
+    """Cosine of the tilt of the scan plane from the vertical."""
+    is_made_up: bool = False
+    """Whether the directions are placeholders, allowed only while no line has two returns."""
+    note: str = ""
+    angle_rad: F64 | None = None
+    """(M,) float64, scan angle of every column, where it was measured from the ranges [rad]."""
+    angles_off: float = 0.0
+    """Their uncertainty, as a share."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeamFinder:
+    """Finds the beam directions of a scanner from its first lines."""
+
+    info: StreamInfo
+    down_deg: float | None
+    """Given scan angle of straight down [deg]."""
+    split_by: str | None
+    """Dimension with the scanner id."""
+    measures: bool = False
+    """Whether scan angles are measured from the ranges though there are others."""
+
+    def sample(self, first: ScanBlock) -> Sample:
+        """Return an empty sample for a scanner, from its first block."""
+        has_angles = not self.measures and (first.angle_rad is not None or self.info.angle_rad is not None)
+        has_down = self.down_deg is not None or self.info.down(first.scanner)[0] is not None
+        knows = not self.measures and (first.xyz_m is not None or (has_angles and has_down))
+        return Sample(n_lines=SAMPLE_LINES if knows else SPREAD * SAMPLE_LINES)
+
+    def put(self, found: Found, block: ScanBlock) -> ScanBlock:
+        """Return a block with its directions."""
+        if found.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
+            where, problem = self._where(block.scanner), f"the first {MAX_SAMPLE_CELLS} shots tell nothing"
+            raise InputError(where, f"no vertical direction known: {problem}", self._hint(None))
+        xyz_m = block.xyz_m if found.keep_xyz else None
+        if xyz_m is None and found.cos_tilt < math.cos(MIN_TILT_RAD):
+            xyz_m = _tilted(block.range_m, found.beam_rad, found.cos_tilt)
+        angle_rad = block.angle_rad if found.angle_rad is None else found.angle_rad
+        return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad)
+
+    def find(self, sample: Sample) -> Found:
+        """Apply the first applicable method."""
+        scanner = sample.scanner
+        angle = sample.angle_rad if sample.angle_rad is not None else self.info.angle_rad
+        n = len(sample.range_m)
+        range_m = np.stack(sample.range_m) if n else np.empty((0, 0), np.float32)
+        xyz = np.stack(sample.xyz_m) if n and len(sample.xyz_m) == n else None
+        if self.measures or (angle is None and xyz is None):
+            return self._measured(sample, range_m)
+        off_m = None if xyz is None else _off(xyz, range_m)
+        if self.down_deg is not None:
+            if angle is None:
+                problem = f"is given, but {self.info.path} has no scan angles"
+                raise ConfigError(KEY, problem, "give input.angle_start and input.angle_step, or --columns angle")
+            shown = f"{self.down_deg:g} deg"
+            return self._turned(angle, math.radians(self.down_deg), off_m, shown, "input.nadir is given")
+        down_rad, cos_tilt = self.info.down(scanner)
+        if down_rad is not None and angle is not None:
+            told = any(one.key.startswith(KEY) for one in self.info.assumptions)
+            shown = "" if told else f"{math.degrees(down_rad):.2f} deg"
+            return self._turned(angle, down_rad, off_m, shown, "the input says where down is", cos_tilt)
+        if not (np.isfinite(range_m).sum(axis=1) > 1).any():
+            return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
+        if xyz is None and angle is not None:
+            return self._guessed(scanner, angle, range_m)
+        assert xyz is not None
+        if off_m is not None:
+            return self._registered(scanner, angle, range_m, xyz, off_m)
+        try:
+            beams = fit_beams(xyz)
+        except TooFewReturnsError:
+            # coordinates are zero, but ranges are not
+            return self._made_up(scanner, sample.points_per_line, has_returns=True)
+        except NoDirectionError as error:
+            raise self._refusal(scanner, str(error), error) from error
+        return Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), _why(beams)))
+
+    def _measured(self, sample: Sample, range_m: F32) -> Found:
+        """Use angles measured from the ranges; straight down is given, or level ground."""
+        scanner, m = sample.scanner, sample.points_per_line
+        if not (np.isfinite(range_m).sum(axis=1) > 1).any():
+            return self._made_up(scanner, m, has_returns=len(range_m) > 0)
+        step = measure_step(range_m)
+        if step is None or step.off > MOST_OFF:
+            raise self._refusal(scanner, f"{self._lacks(scanner, None)}, and {_no_step(step, m)}", None)
+        angle = step.angles(m)
+        if self.down_deg is not None:
+            found = self._turned(angle, math.radians(self.down_deg), None, "", "")
+        else:
+            found = self._guessed(scanner, angle, range_m)
+        column = int(np.argmin(np.abs(found.beam_rad)))
+        where = f"down at column {column}"
+        why = f"{'given' if self.down_deg is not None else 'from level ground'}: {where}; the input gives no angles"
+        shown = step.shown(m)
+        which = self._which(scanner)
+        note = f"{which + ': ' if which else ''}angles measured from the ranges: {shown}; {where}"
+        taken = Assumption(ANGLES, f"measured: {shown}", why)
+        return replace(found, assumption=taken, note=note, angle_rad=angle, angles_off=step.off)
+
+    def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> Found:
+        """Return placeholder directions: lines of one return have no angles, and stay unclassified."""
+        beam_rad = np.linspace(*MADE_UP_RAD, points_per_line)
+        which = self._which(scanner)
+        shown = "no line has two returns: nothing can be classified" if has_returns else "no shot has a return"
+        return Found(beam_rad, True, None, is_made_up=True, note=f"{which}: {shown}" if which else shown)
+
+    def _turned(
+        self, angle: F64, down_rad: float, off_m: float | None, shown: str, why: str, cos_tilt: float = 1.0
+    ) -> Found:
+        """Turn scan angles so that straight down is 0."""
+        try:
+            beam_rad = from_angles(angle, down_rad)
+        except NoDirectionError as error:
+            raise InputError(self.info.path, f"scan angles: {error}", "check the scan angles and columns") from error
+        if off_m is not None:
+            shown = shown or f"{math.degrees(down_rad):.2f} deg"
+            why = f"{why}; xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
+        return Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt)
+
+    def _guessed(self, scanner: int, angle: F64, range_m: F32) -> Found:
+        """Use the direction of level ground, where no other comes near."""
+        if are_radians(angle):
+            span = math.degrees(float(np.ptp(angle)))
+            problem = f"the angles of a line span {span:.3g} deg, as radians of a turn do: name them angle_rad"
+            raise InputError(self._where(scanner), problem, f"if they are degrees, give {KEY}")
+        range_m = range_m[spread_rows(len(range_m), SAMPLE_LINES)]
+        guess = guess_down(angle, range_m)
+        if guess is None:
+            raise self._refusal(scanner, self._lacks(scanner, angle), None)
+        if not guess.is_sure and guess.rival_rad is not None:
+            ways = [f"{math.degrees(one):.0f}" for one in (guess.down_rad, guess.rival_rad)]
+            problem = f"level ground may be at {ways[0]} deg of the scan angle or at {ways[1]}"
+            problem = f"no vertical direction known: {problem} (only {guess.ratio:.1f} times weaker)"
+            hint = f"give the one that points straight down, --set {KEY}={ways[0]} or --set {KEY}={ways[1]}"
+            raise InputError(self._where(scanner), problem, hint)
+        why = f"{len(range_m)} lines see level ground around it; give {KEY} to be exact"
+        found = self._turned(angle, guess.down_rad, None, guess.shown(), why)
+        which = self._which(scanner)
+        note = f"{which}: " if which else ""
+        return replace(found, note=f"{note}straight down is taken to be at scan angle {guess.shown()}")
+
+    def _registered(self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float) -> Found:
+        """Use heights of registered coordinates, if there are scan angles."""
+        problem = f"xyz is not relative to the scanner: its length is {off_m:.2f} m off the range, in the middle"
+        if angle is None:
+            hint = "subtract the scanner's position from xyz, or add angle_deg"
+            raise InputError(self._where(scanner), f"no vertical direction known: {problem}", hint)
+        line = np.repeat(np.arange(len(range_m)), range_m.shape[1])
+        every = np.tile(angle, len(range_m))
+        try:
+            fit = fit_heights(every, range_m.ravel(), xyz[..., 2].ravel(), line)
+        except NoDirectionError as error:
+            raise self._refusal(scanner, f"{problem}, and {error}", error) from error
+        why = f"found from the heights of xyz over {len(range_m)} lines, within {fit.off_m:.3f} m in the middle"
+        shown = f"{math.degrees(fit.down_rad):.2f} deg{shown_tilt(fit.cos_tilt)}"
+        return self._turned(angle, fit.down_rad, off_m, shown, why, fit.cos_tilt)
+
+    def _lacks(self, scanner: int, angle: F64 | None) -> str:
+        """Return a message on what the stream has and lacks."""
+        keys = (KEY, f"{KEY} of {self._which(scanner)}")
+        for one in self.info.assumptions:
+            if one.key in keys and one.value == "not found":
+                return one.why
+        if angle is not None:
+            return "the stream has scan angles, but nothing says which of them points straight down"
+        return "the stream has neither scan angles nor coordinates relative to the scanner"
+
+    def _which(self, scanner: int) -> str:
+        """Return the place for messages, with the scanner where the input may have several."""
+        if scanner < len(self.info.facts.scanners):
+            return self.info.facts.scanners[scanner]
+        if self.info.facts.has_scans:
+            return f"scan {scanner}"
+        return "" if self.split_by is None else f"{self.split_by} {scanner}"
+
+    def _where(self, scanner: int) -> str:
+        which = self._which(scanner)
+        return f"{self.info.path}: {which}" if which else self.info.path
+
+    def _refusal(self, scanner: int, problem: str, error: NoDirectionError | None) -> InputError:
+        return InputError(self._where(scanner), f"no vertical direction known: {problem}", self._hint(error))
+
+    def _hint(self, error: NoDirectionError | None) -> str:
+        """Return the hint for this kind of input."""
+        if isinstance(error, NoddingError):
+            return "check that the origin is the scanner and z is up; a scanner that nods is for --method prc"
+        if self.info.facts.has_scans:
+            if isinstance(error, LevelLinesError):
+                return "check whether rows and columns are exchanged in the header, and whether its pose turns z up"
+            if isinstance(error, WrongOriginError):
+                return "export the scan with its origin at the scanner and the registration in the pose"
+            return "check rows, columns and pose in the header, or export the scan again"
+        if self.info.format == _ARRAY:
+            if isinstance(error, LevelLinesError):
+                return "check whether lines and columns are exchanged, and that z is up"
+            if isinstance(error, WrongOriginError):
+                return "subtract the scanner's position from xyz"
+            return f"add zenith_deg, or xyz relative to the scanner, to an .npz, or give {_ANGLES_ALONE}"
+        if isinstance(error, LevelLinesError):
+            return "check the lines (--lines, -M), and that z is up"
+        ways = self._ways_of_coordinates(origin_only=isinstance(error, WrongOriginError))
+        if isinstance(error, WrongOriginError):
+            return f"give {' or '.join(ways)}"
+        return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{_ANGLES_ALONE}"
+
+    def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
+        has = self.info.dimensions
+        if has and not set(has) >= set(XYZ):
+            return []
+        ways = ["--range origin:X,Y,Z (where the scanner stood)"]
+        if not has or "time" in has:
+            ways.insert(0, "--range trajectory:FILE")
+        return ways if origin_only else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
 
 
 def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
@@ -85,3 +381,58 @@ class BeamStream(Brief):
     def _find(self, sample: Sample) -> Found:
         found = self.late[sample.scanner] = self.finder.find(sample)
         return found
+
+
+def _no_step(step: AngleStep | None, points_per_line: int) -> str:
+    """Return why the ranges do not give the step of the angles."""
+    if step is None:
+        return "too few planes are seen to measure the angles from the ranges"
+    return f"planes do not agree on the angles: {step.shown(points_per_line)}"
+
+
+def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
+    """Return coordinates (lines, M, 3) in a tilted scan plane: true heights, horizontal distance in x."""
+    up = -cos_tilt * np.cos(beam_rad)
+    across = np.copysign(np.sqrt(1 - up * up), np.sin(beam_rad))
+    xyz: F32 = np.zeros((*range_m.shape, 3), np.float32)
+    xyz[..., 0], xyz[..., 2] = range_m * across, range_m * up
+    xyz[np.isnan(range_m)] = np.nan
+    return xyz
+
+
+def from_angles(angle_rad: F64, down_rad: float) -> F64:
+    """Turn scan angles so that straight down is 0."""
+    if len(angle_rad) < 2:
+        return wrap(np.asarray(angle_rad, np.float64) - down_rad)
+    way = math.copysign(1.0, float(np.sign(wrap(np.diff(angle_rad))).sum()))
+    beam = way * (angle_rad - down_rad)
+    along = forward_steps(beam)
+    if (along > 0).all() and along.sum() <= 2 * math.pi:
+        return wrap(angle_rad - down_rad)
+    m = len(beam)
+    return wrap(way * turn_evenly(np.arange(m), beam, np.ones(m), m)[0])
+
+
+def _off(xyz: NDArray[np.float32], range_m: F32) -> float | None:
+    """Return the difference between the length of coordinates and the range [m], None where they agree."""
+    length = np.sqrt((xyz.astype(np.float64) ** 2).sum(axis=-1))
+    off = np.abs(length - range_m)
+    both = np.isfinite(off)
+    if not both.any():
+        return None
+    limit = np.maximum(MAX_LENGTH_OFF * range_m[both], MAX_LENGTH_OFF_M)
+    return float(np.median(off[both])) if np.median(off[both] - limit) > 0 else None
+
+
+def _shown(beam_rad: F64) -> str:
+    """Return a text with the angles from straight down, 0 to 180 deg on either side."""
+    degrees = np.rad2deg(beam_rad)
+    sides = [np.abs(side) for side in (degrees[degrees >= 0], degrees[degrees < 0]) if len(side)]
+    first, *other = (f"{side.min():.2f} to {side.max():.2f}" for side in sides)
+    shown = f"beams from {first} deg from straight down"
+    return f"{shown} on one side, {other[0]} on the other" if other else shown
+
+
+def _why(beams: Beams) -> str:
+    way = "a straight line in the column through the" if beams.is_straight else "the"
+    return f"{way} median directions of xyz over {beams.n_lines} of the first lines with returns"

@@ -1,4 +1,4 @@
-"""Finds the column of every shot: one pure function per rule.
+"""Tables of records, and the column of every shot: one pure function per rule.
 
 All work on shots (the first record of each) of one scanner. Columns outside 0 to M - 1 are returned unchanged, for the
 caller to count; :data:`NO_COLUMN` = none.
@@ -8,13 +8,46 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.streams.table import LINE, ORDINAL, SPREAD, START, Table, take
+from prc_cli.formats.records import RecordChunk
+
+Table: TypeAlias = dict[str, NDArray[Any]]
+
+RECORD, LINE, START, SPREAD, ORDINAL = "record index", "line index", "shot start", "spread time", "stamp ordinal"
+RANGE, XYZ, INTENSITY = "slant range", "sensor xyz", "intensity"
+"""Computed columns beside the dimensions; the blanks avoid clashes with their names."""
+
+
+def take(table: Table, index: slice | Mask | I64) -> Table:
+    """Return the rows of a table."""
+    return {name: column[index] for name, column in table.items()}
+
+
+def join(tables: list[Table]) -> Table:
+    """Return tables of the same columns as one."""
+    full = [table for table in tables if table]
+    if len(full) <= 1:
+        return full[0] if full else {}
+    return {name: np.concatenate([table[name] for table in full]) for name in full[0]}
+
+
+def n_rows(table: Table) -> int:
+    """Return the number of rows of a table."""
+    return len(table[RECORD]) if table else 0
+
+
+def table_of(chunk: RecordChunk, names: tuple[str, ...]) -> Table:
+    """Return a chunk as a table, with the index of every record."""
+    record = chunk.record
+    if record is None:
+        record = np.arange(chunk.first_record, chunk.first_record + chunk.n, dtype=np.int64)
+    return {**{name: chunk.values[name] for name in names}, RECORD: record}
+
 
 NO_COLUMN = -1
 MAX_COLUMN = 10_000_000
@@ -93,9 +126,6 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
 
     Many files round times more coarsely than the time between shots; shots with equal stamps were fired one after
     another from that time on.
-
-    >>> spread_stamps(np.array([1.0, 1.0, 2.0]), 10.0, StampState())[0]
-    array([1. , 1.1, 2. ])
     """
     n = len(time_s)
     if not n:
@@ -127,30 +157,18 @@ def columns_by_dimension(number: NDArray[Any]) -> I64:
 
 
 def is_within(number: I64, stop: int) -> bool:
-    """Whether all numbers are in [0, ``stop``); faster than a search for exceptions.
-
-    >>> is_within(np.array([0, 4]), 5), is_within(np.array([0, 5]), 5), is_within(np.array([-1, 0]), 5)
-    (True, False, False)
-    """
+    """Whether all numbers are in [0, ``stop``); faster than a search for exceptions."""
     return not len(number) or bool(number.min() >= 0 and number.max() < stop)
 
 
 def columns_by_order(line: I64) -> I64:
-    """Count the shots of every line.
-
-    >>> columns_by_order(np.array([4, 4, 4, 7, 7]))
-    array([0, 1, 2, 0, 1])
-    """
+    """Count the shots of every line."""
     position = np.arange(len(line), dtype=np.int64)
     return position - np.maximum.accumulate(np.where(begins_line(line), position, 0))
 
 
 def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
-    """Round to the nearest step; angles are equal modulo a turn.
-
-    >>> columns_by_angle(np.deg2rad([0.0, 90.4, -90.0, 359.9]), AngleGrid(0.0, np.deg2rad(90.0), 4, True))
-    array([0, 1, 3, 0])
-    """
+    """Round to the nearest step; angles are equal modulo a turn."""
     value = np.asarray(angle, np.float64)
     known = np.isfinite(value)
     sign = math.copysign(1.0, grid.step_rad)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.stream import FAR_M
-from prc_cli.core.types import F64, I64, Mask
+from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.streams.down import (
     DECIMALS,
     MIN_RISE_RAD,
@@ -47,6 +47,8 @@ MIN_LEVEL_RAD = math.radians(10.0)
 LEAST_STEP_RAD = 1e-6
 """Angles closer than this are equal."""
 N_TRIMS = 5
+PLANE_SHOTS = 1 << 12
+"""Shots of which a scan plane is fitted: about a line, in which no vehicle turns much."""
 
 _TURN = 2 * math.pi
 
@@ -70,33 +72,25 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     sign is chosen so that angles grow with the column. Each column gets the median of its lines. If a straight line in
     the column is within half a step of nearly all medians it is used (profilers turn evenly), else the medians, made
     monotone.
-
-    >>> angle = np.deg2rad([20.0, 50.0, 80.0])
-    >>> line = 5.0 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
-    >>> np.rad2deg(fit_beams(line[None]).beam_rad).round(6)
-    array([20., 50., 80.])
     """
     unit, seen = _directions(xyz)
     enough = seen.sum(axis=1) >= 2
     if not enough.any():
         shown = "no line has two returns" if seen.any() else "no shot has a return"
-        message = f"{shown} in the first lines"
-        raise TooFewReturnsError(message)
+        raise TooFewReturnsError(f"{shown} in the first lines")
     _check_lengths(xyz)
     unit, seen = unit[enough], seen[enough]
     normal, arc, off = _planes(unit, seen)
     wide = arc >= MIN_ARC_RAD
     if not wide.any():
-        message = f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions"
-        raise NoDirectionError(message)
+        raise NoDirectionError(f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions")
     unit, seen, normal, arc, off = unit[wide], seen[wide], normal[wide], arc[wide], off[wide]
     rise = np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0))
     if float(np.median(rise)) < MIN_RISE_RAD:
-        message = (
+        raise LevelLinesError(
             f"the lines do not rise: their planes are {math.degrees(float(np.median(rise))):.1f} deg from horizontal, "
             f"expected at least {math.degrees(MIN_RISE_RAD):g}"
         )
-        raise LevelLinesError(message)
     _check_level(unit, seen)
     _check_planes(arc, off, rise)
     steep = rise >= MIN_RISE_RAD
@@ -110,8 +104,7 @@ def _check_lengths(xyz: NDArray[Any]) -> None:
         length = np.sqrt((np.asarray(xyz, np.float64) ** 2).sum(axis=-1))
     far = float(np.nanmedian(length[length > 0]))
     if far > FAR_M:
-        message = f"xyz is not relative to the scanner: its ranges are {far / 1000:.0f} km in the middle"
-        raise WrongOriginError(message)
+        raise WrongOriginError(f"xyz is not relative to the scanner: its ranges are {far / 1000:.0f} km in the middle")
 
 
 def _check_level(unit: F64, seen: Mask) -> None:
@@ -127,30 +120,27 @@ def _check_level(unit: F64, seen: Mask) -> None:
         sideways = around * float(np.cos(np.median(elevation[row, has])))
         is_level[row] = rise < MIN_LEVEL_RAD and rise < 0.5 * sideways
     if np.mean(is_level) > 0.5:
-        message = (
+        raise LevelLinesError(
             "the lines do not rise: most run sideways at an elevation that changes by less than "
             f"{math.degrees(MIN_LEVEL_RAD):g} deg"
         )
-        raise LevelLinesError(message)
 
 
 def _check_planes(arc: F64, off: F64, rise: F64) -> None:
     """Refuse lines whose shots are off a plane through the origin, and planes of different tilt."""
     out, whole = float(np.median(off)), float(np.median(arc))
     if out > max(MAX_OFF_PLANE * whole, MIN_OFF_PLANE_RAD):
-        message = (
+        raise WrongOriginError(
             f"xyz is not relative to the scanner: the shots of a line lie {math.degrees(out):.2f} deg off a plane "
             f"through the origin, over an arc of {math.degrees(whole):.1f} deg"
         )
-        raise WrongOriginError(message)
     # planes of short lines are uncertain
     low, high = np.percentile(rise[arc >= 0.5 * whole], (5, 95)).tolist()
     if high - low > MAX_DRIFT_RAD:
-        message = (
+        raise NoddingError(
             f"the lines are not vertical lines: their planes are {math.degrees(low):.0f} to {math.degrees(high):.0f} "
             f"deg from horizontal, expected the same within {math.degrees(MAX_DRIFT_RAD):g} deg"
         )
-        raise NoddingError(message)
 
 
 def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
@@ -211,18 +201,15 @@ def _columns(angle: F64, seen: Mask) -> Beams:
         middle = wrap(middle + np.nanmedian(wrap(angle - middle), axis=0))
     scatter = float(np.nanmedian(np.abs(wrap(angle - middle))))
     if scatter > MAX_SCATTER_RAD:
-        message = f"the shots of a column look different ways, {math.degrees(scatter):.1f} deg apart in the middle"
-        raise NoDirectionError(message)
+        raise NoDirectionError(
+            f"the shots of a column look different ways, {math.degrees(scatter):.1f} deg apart in the middle"
+        )
     beam_rad, is_straight = turn_evenly(columns, middle, seen.sum(axis=0).astype(np.float64), m)
     return Beams(beam_rad, is_straight, len(angle))
 
 
 def forward_steps(angle: F64) -> F64:
-    """Return the steps of angles that grow modulo a turn, but for scatter [rad].
-
-    >>> np.rad2deg(forward_steps(np.deg2rad([80.0, 120.0, 10.0]))).round(6).tolist()
-    [40.0, 250.0]
-    """
+    """Return the steps of angles that grow modulo a turn, but for scatter [rad]."""
     step = wrap(np.diff(angle))
     step[step < -BACKWARD_RAD] += _TURN
     return step
@@ -234,8 +221,9 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     along = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
     if along[-1] - along[0] > MAX_TURNS * _TURN:
         turns = (along[-1] - along[0]) / _TURN
-        message = f"the directions do not turn with the column: {turns:.1f} turns in a line, expected one at most"
-        raise NoDirectionError(message)
+        raise NoDirectionError(
+            f"the directions do not turn with the column: {turns:.1f} turns in a line, expected one at most"
+        )
     beyond = step - float(np.median(step / np.diff(columns))) * np.diff(columns)
     seam = int(np.argmax(beyond)) + 1
     if beyond[seam - 1] > SEAM_RAD:
@@ -257,8 +245,7 @@ def _grown(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple
         return _finish(start + slope * every), True
     at, value = _monotone(columns.astype(np.float64), along, weight)
     if len(at) < 2:
-        message = "the directions do not turn with the column"
-        raise NoDirectionError(message)
+        raise NoDirectionError("the directions do not turn with the column")
     beam = np.interp(every, at, value)
     slope = float((value[-1] - value[0]) / (at[-1] - at[0]))
     before, after = every < at[0], every > at[-1]
@@ -270,12 +257,14 @@ def _grown(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple
 def _finish(beam: F64) -> F64:
     """Bring growing angles into (-pi, pi]."""
     if len(beam) and beam[-1] - beam[0] > MAX_TURNS * _TURN:
-        message = f"the directions do not turn with the column: {(beam[-1] - beam[0]) / _TURN:.1f} turns in a line"
-        raise NoDirectionError(message)
+        raise NoDirectionError(
+            f"the directions do not turn with the column: {(beam[-1] - beam[0]) / _TURN:.1f} turns in a line"
+        )
     step = float(np.max(np.diff(beam), initial=0.0))
     if step >= math.pi:
-        message = f"neighbouring columns look {math.degrees(step):.0f} deg apart, expected less than half a turn"
-        raise NoDirectionError(message)
+        raise NoDirectionError(
+            f"neighbouring columns look {math.degrees(step):.0f} deg apart, expected less than half a turn"
+        )
     return wrap(np.round(beam, DECIMALS))
 
 
@@ -303,3 +292,30 @@ def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
     first = np.flatnonzero(np.diff(value, prepend=-np.inf) > LEAST_STEP_RAD)
     total = np.add.reduceat(weight, first)
     return np.add.reduceat(weight * column, first) / total, value[first]
+
+
+def angles_in_planes(xyz: F32) -> F64:
+    """Return the angle of every shot in its scan plane, from the lowest direction [rad].
+
+    >>> angle = np.linspace(-1.0, 1.0, 5)
+    >>> line = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1).astype(np.float32)
+    >>> np.abs(angles_in_planes(line)).round(3).tolist()
+    [1.0, 0.5, 0.0, 0.5, 1.0]
+    """
+    wide = xyz.astype(np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = wide / np.sqrt((wide * wide).sum(axis=1))[:, None]
+    angle = np.full(len(unit), np.nan)
+    before = np.array([0.0, 1.0, 0.0])
+    for first in range(0, len(unit), PLANE_SHOTS):
+        part = unit[first : first + PLANE_SHOTS]
+        seen = part[np.isfinite(part).all(axis=1)]
+        if len(seen) < 3:
+            continue
+        normal = np.linalg.eigh(seen.T @ seen)[1][:, 0]
+        normal = normal if normal @ before >= 0 else -normal
+        before = normal
+        down = normal * normal[2] - np.array([0.0, 0.0, 1.0])
+        down /= max(math.hypot(normal[0], normal[1]), 1e-9)
+        angle[first : first + PLANE_SHOTS] = np.arctan2(part @ np.cross(normal, down), part @ down)
+    return wrap(angle)

@@ -88,11 +88,7 @@ class NoddingError(NoDirectionError):
 
 
 def wrap(angle: F64) -> F64:
-    """Bring angles into (-pi, pi].
-
-    >>> np.rad2deg(wrap(np.deg2rad([190.0, -180.0]))).round(6)
-    array([-170.,  180.])
-    """
+    """Bring angles into (-pi, pi]."""
     # -pi after rounding becomes pi
     wrapped: F64 = angle - _TURN * np.ceil((angle - math.pi) / _TURN)
     wrapped[wrapped <= -math.pi] = math.pi
@@ -118,11 +114,6 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
     In the scan plane, ``z = height of the scanner - range cos(angle - nadir) cos(tilt)``, which is linear in ``range
     cos(angle)`` and ``range sin(angle)``. The height of the scanner is an unknown of every line, so that hills do not
     matter. Outliers are trimmed.
-
-    >>> angle, range_m = np.deg2rad([60.0, 80.0, 100.0, 120.0] * 10), np.arange(2.0, 42.0)
-    >>> z = 100 - range_m * np.cos(angle - np.deg2rad(90.0))
-    >>> bool(abs(np.rad2deg(fit_heights(angle, range_m, z, np.zeros(40, int)).down_rad) - 90) < 1e-6)
-    True
     """
     angle, range_m, z = (np.asarray(values, np.float64) for values in (angle, range_m, z))
     use: Mask = np.isfinite(angle) & np.isfinite(range_m) & np.isfinite(z) & (range_m > 0)
@@ -134,8 +125,7 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
         n = np.bincount(row[keep], minlength=int(row.max(initial=-1)) + 1)
         # one unknown per line
         if np.count_nonzero(keep) - np.count_nonzero(n) < MIN_SHOTS:
-            message = f"too few shots have range, scan angle and height ({np.count_nonzero(keep)})"
-            raise NoDirectionError(message)
+            raise NoDirectionError(f"too few shots have range, scan angle and height ({np.count_nonzero(keep)})")
         centred = [_centre(values, row, keep, n) for values in (system[:, 0], system[:, 1], z)]
         matrix = np.stack(centred[:2], axis=1)
         solution: F64 = np.asarray(np.linalg.lstsq(matrix[keep], centred[2][keep], rcond=None)[0], np.float64)
@@ -148,11 +138,7 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
 
 
 def shown_tilt(cos_tilt: float) -> str:
-    """Return a text with the tilt of the scan plane, empty where it is vertical.
-
-    >>> shown_tilt(0.7071), shown_tilt(1.0)
-    (', the scan plane leans over by 45.0 deg', '')
-    """
+    """Return a text with the tilt of the scan plane, empty where it is vertical."""
     if cos_tilt >= math.cos(MIN_TILT_RAD):
         return ""
     return f", the scan plane leans over by {math.degrees(math.acos(cos_tilt)):.1f} deg"
@@ -168,16 +154,13 @@ def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:
 def _check_heights(solution: F64, off_m: float, matrix: F64) -> None:
     cos_tilt = math.hypot(*solution)
     if off_m > MAX_HEIGHT_OFF_M:
-        message = f"the heights lie {off_m:.2f} m off what range and scan angle say, in the middle"
-        raise NoDirectionError(message)
+        raise NoDirectionError(f"the heights lie {off_m:.2f} m off what range and scan angle say, in the middle")
     # below: closer to the horizontal than MIN_RISE_RAD; above: heights fall by more than the range
     if not math.sin(MIN_RISE_RAD) < cos_tilt < MAX_COS_TILT:
-        message = f"the heights fall {cos_tilt:.2f} m a metre of range straight down, expected about 1"
-        raise NoDirectionError(message)
+        raise NoDirectionError(f"the heights fall {cos_tilt:.2f} m a metre of range straight down, expected about 1")
     values = np.linalg.svd(matrix, compute_uv=False)
     if values[-1] < MIN_SPREAD * values[0]:
-        message = "the scan angles of the first lines span too little"
-        raise NoDirectionError(message)
+        raise NoDirectionError("the scan angles of the first lines span too little")
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,13 +200,6 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
     Every direction gets a score: the angle filled by the plane across it, over the root of the plane's distance, times
     the share of lines that show this plane by themselves (facades come and go), times the share of missing shots
     around the opposite direction. A dead angle may be sky or not, and counts half.
-
-    >>> angle = np.deg2rad(np.linspace(0, 180, 361))
-    >>> down = np.cos(angle - np.deg2rad(100))
-    >>> lines = np.tile(np.where(down > 0.2, 2.0 / np.maximum(down, 0.2), np.nan), (10, 1)).astype(np.float32)
-    >>> guess = guess_down(angle, lines)
-    >>> round(math.degrees(guess.down_rad), 1), round(guess.depth_m, 2), guess.is_sure
-    (100.0, 2.0, True)
     """
     if len(range_m) < LEAST_LINES:
         return None
@@ -271,11 +247,7 @@ def _choose(found: list[_Plane]) -> DownGuess | None:
 
 
 def spread_rows(n: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of at most ``most`` of ``n`` rows, evenly spread, ascending.
-
-    >>> spread_rows(5, 3).tolist(), spread_rows(2, 3).tolist()
-    ([0, 2, 4], [0, 1])
-    """
+    """Return the indices of at most ``most`` of ``n`` rows, evenly spread, ascending."""
     if n <= most:
         return np.arange(n)
     return np.arange(most) * (n - 1) // (most - 1)

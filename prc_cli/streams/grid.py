@@ -1,42 +1,48 @@
-"""Turns records into the stream of blocks, the same way for every format.
+"""Turns records into the stream of blocks, the same way for every format, in three steps.
 
-First the rules are resolved (:mod:`.rules`) and the scanners set up (:mod:`.setup`). Then chunks of records become
-whole lines (:mod:`.reading`), and whole lines become cells of blocks (:mod:`.cells`). Memory holds a chunk of records
-and the open lines of every scanner.
+Rules are resolved (:mod:`.rules`), the scanners set up (:mod:`.setup`), and chunks of records become whole lines
+(:mod:`.lines`), whole lines blocks: one return per cell, the rest as further returns or counted. Memory holds a
+chunk of records and the open lines of every scanner.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.errors import InputError
-from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ranges import choose_returns
 from prc_cli.formats.records import RecordChunk, RecordSource
-from prc_cli.streams.cells import MAX_BLOCK_CELLS, CellRules, blocks_of, dense_block, pad_line
-from prc_cli.streams.order import WeekSource, times_of_trajectory, week_steps
-from prc_cli.streams.probe import Estimates, given_timing, line_rules
-from prc_cli.streams.ranges import RangeRule, clean_measured, open_ranges
-from prc_cli.streams.reading import (
-    check_partial_line,
-    judge_first_records,
-    nothing_placed,
-    open_watch,
-    see_times,
+from prc_cli.streams.columns import (
+    INTENSITY,
+    LINE,
+    RANGE,
+    RECORD,
+    START,
+    XYZ,
+    Table,
+    find_columns,
+    is_within,
+    n_rows,
     table_of,
-    whole_lines,
+    take,
 )
-from prc_cli.streams.rules import GridRules, given_points_per_line, resolve_rules
-from prc_cli.streams.setup import ScannerSetup, column_rule, find_setups, given_angles
-from prc_cli.streams.sorting import sorted_by_time
-from prc_cli.streams.table import INTENSITY, RANGE, XYZ, Table, take
-from prc_cli.streams.whole_lines import LineRules, cell_limit
-from prc_cli.streams.window import WindowEnd
+from prc_cli.streams.lines import WholeLines, check_partial_line, nothing_placed, whole_lines
+from prc_cli.streams.order import OrderWatch, WeekSource, sorted_by_time, times_of_trajectory, week_steps
+from prc_cli.streams.ranges import clean_measured
+from prc_cli.streams.rules import GridRules, resolve_rules
+from prc_cli.streams.setup import ScannerSetup, WindowEnd, set_up
+
+MAX_BLOCK_CELLS = 1 << 21
+"""Most cells of a block (at least a line): long gaps are cut into several blocks."""
+_COLUMN, _STANDS = "column index", "chosen return"
 
 
 def open_grid(
@@ -46,60 +52,45 @@ def open_grid(
     line_hz: float | None = None,
     geometry: bool = True,
     only_ranges: bool = False,
+    told: tuple[Assumption, ...] = (),
 ) -> GridStream:
-    """Turn a list of records into the stream."""
+    """Turn a list of records into the stream; ``told`` is what was assumed before."""
     records = sorted_by_time(source) if config.order == "sort-time" else source
-    try:
-        rules = resolve_rules(records, config)
-    except InputError:
-        # a file without lines is often a tile: then report its order instead
-        if config.order == "require":
-            judge_first_records(source)
-        raise
-    if rules.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
+    rules = resolve_rules(records, config, geometry=geometry, only_ranges=only_ranges)
+    if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
-    facts, n_records = source.facts, source.n_records
-    ranges = open_ranges(
-        rules.range, records.dimensions, source.path, config, crs_wkt=facts.crs_wkt, sensor_xyz=rules.has_sensor_xyz
-    )
-    m, assumption = given_points_per_line(rules, facts.points_per_line)
+    n_records, m = source.n_records, rules.points_per_line
     counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
     if counts_records and m is not None and n_records is not None and config.window is None:
         check_partial_line(source.path, n_records, m, source=records)
-    end = None
-    if config.window is not None and rules.scanner is None:
-        end = WindowEnd(config.window, rules.line_hz if rules.line_hz is not None else line_hz)
-    setups, n_lines, found = find_setups(records, rules, ranges, m, geometry=geometry, end=end)
-    sizes = [setup.points_per_line for setup in setups.values()] or ([m] if m is not None else [])
-    if not sizes:
-        raise nothing_placed(source.path)
+    line_hz = rules.line_hz if rules.line_hz is not None else line_hz
+    end = WindowEnd(config.window, line_hz) if config.window is not None and rules.scanner is None else None
+    setups, default, n_lines, found = set_up(records, rules, end)
+    m = max((setup.points_per_line for setup in setups.values()), default=m or 0)
     if n_lines is None and rules.is_dense and n_records is not None:
-        n_lines = -(-n_records // max(sizes))
-    default = None
-    if m is not None:
-        default = ScannerSetup(m, Estimates(timing=given_timing(rules, m)), given_angles(rules, m))
+        n_lines = -(-n_records // m)
     alone = next(iter(setups.values())) if len(setups) == 1 else None
     down_rad = None if alone is None else alone.down_rad
-    if (told := facts.rule("nadir")) is not None and alone is not None and down_rad is None:
-        down_rad = math.radians(float(told.value))
+    if (nadir := source.facts.rule("nadir")) is not None and alone is not None and down_rad is None:
+        down_rad = math.radians(float(nadir.value))
     info = StreamInfo(
         path=source.path,
         format=source.format,
-        points_per_line=max(sizes),
+        points_per_line=m,
         n_records=n_records,
         n_lines=n_lines,
         angle_rad=None if alone is None else alone.angle_rad,
-        line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
+        line_hz=line_hz,
         down_rad=down_rad,
         cos_tilt=1.0 if alone is None else alone.cos_tilt,
         downs={one: (setup.down_rad, setup.cos_tilt) for one, setup in setups.items() if setup.down_rad is not None},
-        assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
-        facts=facts,
+        assumptions=(*told, *rules.assumptions, *found),
+        facts=source.facts,
         dimensions=records.dimensions,
     )
-    if only_ranges and "intensity" not in (*rules.names, *ranges.names):
-        facts.skip_intensity()
-    return GridStream(info, records, rules, ranges, setups, default, only_ranges)
+    if only_ranges and "intensity" not in (*rules.names, *rules.ranges.names):
+        source.facts.skip_intensity()
+    return GridStream(info, records, rules, setups, default)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -109,21 +100,19 @@ class GridStream(Brief):
     info: StreamInfo
     source: RecordSource
     rules: GridRules
-    ranges: RangeRule
     setups: dict[int, ScannerSetup]
     """By scanner."""
     default: ScannerSetup | None
     """For scanners not met before; None where all are known."""
-    only_ranges: bool = False
-    """Whether blocks have no times and intensities."""
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         if self.rules.is_dense:
             yield from self._dense_blocks()
             return
-        for whole in whole_lines(self.source, self.rules, self._line_rules, self._carried(), self._prepare):
-            yield from blocks_of(whole, self._cell_rules(whole.scanner))
+        lines = whole_lines(self.source, self.rules, lambda one: self._setup(one).lines, self._prepare)
+        for whole in lines:
+            yield from self._blocks_of(whole, self._setup(whole.scanner))
 
     def _setup(self, scanner: int) -> ScannerSetup:
         setup = self.setups.get(scanner, self.default)
@@ -132,85 +121,42 @@ class GridStream(Brief):
             raise InputError(self.source.path, problem, "the file changed while it was read: run again")
         return setup
 
-    def _line_rules(self, scanner: int) -> LineRules:
-        setup, rules = self._setup(scanner), self.rules
-        m, cells = setup.points_per_line, None
-        # fixed lines: every shot has a cell, no limit needed
-        if rules.lines != "fixed":
-            n_known = max(self.info.n_records or 0, sum(setup.n_shots for setup in self.setups.values()))
-            cells = cell_limit(m, n_known, rules.max_gap_lines, is_alone=rules.scanner is None)
-        return line_rules(rules, m, setup.found, cells=cells, spent=self._spent())
-
-    def _cell_rules(self, scanner: int) -> CellRules:
-        setup, rules = self._setup(scanner), self.rules
-        return CellRules(
-            points_per_line=setup.points_per_line,
-            columns=column_rule(rules, setup.found.angle_grid),
-            chosen_return=rules.chosen_return,
-            angle_rad=setup.angle_rad,
-            # times and intensities are not needed once returns are chosen
-            with_time=rules.has_time and not self.only_ranges,
-            with_intensity=rules.has_intensity and not self.only_ranges,
-            with_xyz=self.ranges.gives_xyz,
-            pads_last_line=rules.pads_last_line,
-        )
-
-    def _spent(self) -> tuple[str, ...]:
-        """Return the dimensions needed only to find shots and lines, which are dropped afterwards to save copying."""
-        rules = self.rules
-        kept = {rules.column_dimension, "angle", "return_number"}
-        # these may also be the dimension of lines or scanners
-        if not self.only_ranges or rules.shot_hz is not None:
-            kept.add("time")
-        if self._needs_intensity:
-            kept.add(INTENSITY)
-        return tuple(name for name in rules.names if name not in kept)
-
-    def _carried(self) -> tuple[str, ...]:
-        """Return the dimensions needed beside those for the cells."""
-        return (*self.ranges.names, *(("intensity",) if self._needs_intensity else ()))
-
-    @property
-    def _needs_intensity(self) -> bool:
-        decides = self.rules.has_returns and self.rules.chosen_return == "strongest"
-        return self.rules.has_intensity and (decides or not self.only_ranges)
-
     def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
         """Add ranges, coordinates and intensities to the table of a chunk."""
         values = chunk.values
-        if self.ranges.trajectory is not None:
-            values = {**values, "time": times_of_trajectory(chunk, self.ranges.trajectory.span[0])}
-        table[RANGE], xyz, tally = clean_measured(values, self.ranges)
+        if self.rules.ranges.trajectory is not None:
+            values = {**values, "time": times_of_trajectory(chunk, self.rules.ranges.trajectory.span[0])}
+        table[RANGE], xyz, tally = clean_measured(values, self.rules.ranges)
         # removed before the order check could count it
         tally += ReadTally(n_time_steps_back=week_steps(chunk))
         if xyz is not None:
             table[XYZ] = xyz
-        if self._needs_intensity:
+        if self.rules.needs_intensity:
             table[INTENSITY] = chunk.values["intensity"]
         return table, tally
 
     def _dense_blocks(self) -> Iterator[ScanBlock]:
         """Yield blocks of dense records, one per cell, without moving any."""
-        rules, cells = self.rules, self._cell_rules(0)
-        m = cells.points_per_line
-        watch = open_watch(self.source, rules.order) if rules.has_time else None
+        rules, setup = self.rules, self._setup(0)
+        m = setup.points_per_line
+        watch = OrderWatch.of(self.source, rules.config.order) if rules.has("time") else None
         needs_records = watch is not None or rules.pads_last_line
         rest: Table = {}
         n_records = first_line = 0
         tally = ReadTally()
-        for chunk in self.source.chunks(tuple(dict.fromkeys((*rules.names, *self._carried())))):
+        for chunk in self.source.chunks(tuple(dict.fromkeys((*rules.names, *rules.carried)))):
             own = {name: chunk.values[name] for name in rules.names}
             table, cleaned = self._prepare(chunk, table_of(chunk, rules.names) if needs_records else own)
             tally += cleaned + ReadTally(n_records=chunk.n)
             if watch is not None:
-                tally += see_times(watch, table)
+                tally += watch.count(table["time"], table[RECORD])
             n_records += chunk.n
             if rest and len(rest[RANGE]):
                 table = {name: np.concatenate([rest[name], table[name]]) for name in table}
             n_whole = len(table[RANGE]) // m
             for start in range(0, n_whole, max(MAX_BLOCK_CELLS // m, 1)):
                 stop = min(start + max(MAX_BLOCK_CELLS // m, 1), n_whole)
-                yield dense_block(take(table, slice(start * m, stop * m)), first_line, cells, tally)
+                yield dense_block(take(table, slice(start * m, stop * m)), first_line, rules, setup, tally)
                 first_line, tally = first_line + stop - start, ReadTally()
             rest = {name: column[n_whole * m :].copy() for name, column in table.items()}
         if watch is not None:
@@ -220,4 +166,125 @@ class GridStream(Brief):
         if not rules.pads_last_line:
             check_partial_line(self.source.path, n_records, m)
         if n_records % m:
-            yield dense_block(pad_line(rest, m), first_line, cells, tally)
+            yield dense_block(pad_line(rest, m), first_line, rules, setup, tally)
+
+    def _blocks_of(self, whole: WholeLines, setup: ScannerSetup) -> Iterator[ScanBlock]:
+        """Yield whole lines as blocks of bounded size; the first has the tally."""
+        records, n_unplaced = self._place(whole, setup)
+        tally = whole.tally + ReadTally(n_unplaced=n_unplaced)
+        n_lines = max(MAX_BLOCK_CELLS // setup.points_per_line, 1)
+        for first in range(whole.first_line, whole.stop_line, n_lines):
+            stop = min(first + n_lines, whole.stop_line)
+            part = records
+            if n_rows(records):
+                low, high = np.searchsorted(records[LINE], (first, stop))
+                part = take(records, slice(int(low), int(high)))
+            block = self._fill(part, first, stop - first, setup)
+            yield replace(block, scanner=whole.scanner, tally=block.tally + tally)
+            tally = ReadTally()
+
+    def _place(self, whole: WholeLines, setup: ScannerSetup) -> tuple[Table, int]:
+        """Find the cell of every record and choose the returns; records outside the image are dropped and counted."""
+        records = whole.records
+        if not n_rows(records):
+            return records, 0
+        starts = records[START]
+        column = find_columns(records, setup.columns, whole.origin_s)
+        if not starts.all():
+            column = column[np.cumsum(starts) - 1]
+        intensity, number = records.get(INTENSITY), records.get("return_number")
+        stands = choose_returns(starts, records[RANGE], intensity, number, self.rules.config.return_)
+        records = {**records, _COLUMN: column, _STANDS: stands}
+        if is_within(column, setup.points_per_line):
+            return records, 0
+        inside = (column >= 0) & (column < setup.points_per_line)
+        return take(records, inside), len(inside) - int(np.count_nonzero(inside))
+
+    def _fill(self, records: Table, first_line: int, n_lines: int, setup: ScannerSetup) -> ScanBlock:
+        """Make the block of lines ``first_line`` on; of several shots in a cell, the first with a range is kept."""
+        m, rules = setup.points_per_line, self.rules
+        n_cells, shape = n_lines * m, (n_lines, m)
+        cells: Table = {RANGE: np.full(n_cells, np.nan, np.float32), RECORD: np.full(n_cells, -1, np.int64)}
+        # times and intensities are not needed once returns are chosen
+        if rules.has("time") and not rules.only_ranges:
+            cells["time"] = np.full(n_cells, np.nan)
+        if rules.has("intensity") and not rules.only_ranges:
+            cells[INTENSITY] = np.full(n_cells, np.nan, np.float32)
+        if rules.ranges.gives_xyz:
+            cells[XYZ] = np.full((n_cells, 3), np.nan, np.float32)
+        extra, tally = ExtraReturns.none(), ReadTally()
+        if n_rows(records):
+            line, column, stands = records[LINE], records[_COLUMN], records[_STANDS]
+            cell = line - first_line
+            cell *= m
+            cell += column
+            # no choice needed where every record has its own cell
+            alone = bool(stands.all()) and bool(np.all(cell[1:] > cell[:-1]))
+            own = slice(None) if alone else _winners(cell, stands, records[RANGE], n_cells)
+            at = cell[own]
+            for name, values in cells.items():
+                values[at] = records[name][own]
+            if len(at) < len(cell):
+                other = np.ones(len(cell), np.bool_)
+                other[own] = False
+                extra = ExtraReturns(
+                    (line[other] - first_line).astype(np.int32),
+                    column[other].astype(np.int32),
+                    records[RANGE][other],
+                    records[RECORD][other],
+                )
+                n_collisions = int(np.count_nonzero(other & stands))
+                tally = ReadTally(n_collisions=n_collisions, n_extra_returns=len(extra) - n_collisions)
+        return ScanBlock(
+            first_line=first_line,
+            range_m=cells[RANGE].reshape(shape),
+            record=cells[RECORD].reshape(shape),
+            time_s=cells["time"].reshape(shape) if "time" in cells else None,
+            xyz_m=cells[XYZ].reshape(*shape, 3) if XYZ in cells else None,
+            intensity=cells[INTENSITY].reshape(shape) if INTENSITY in cells else None,
+            angle_rad=setup.angle_rad,
+            extra=extra,
+            tally=tally,
+        )
+
+
+def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.ndarray:
+    """Mark the record that every cell shows: the first chosen return with a range, else the first chosen return."""
+    winner = np.full(n_cells, -1, np.int64)
+    position = np.flatnonzero(stands)
+    valid = ~np.isnan(range_m[position])
+    for chosen in (position[~valid][::-1], position[valid][::-1]):
+        # the last assignment to a cell wins, so assign backwards to keep the first record
+        winner[cell[chosen]] = chosen
+    own = np.zeros(len(cell), np.bool_)
+    own[winner[winner >= 0]] = True
+    return own
+
+
+def dense_block(table: Table, first_line: int, rules: GridRules, setup: ScannerSetup, tally: ReadTally) -> ScanBlock:
+    """Make a block of dense records, one per cell in order, by reshaping."""
+    shape, full = (-1, setup.points_per_line), not rules.only_ranges
+    time_s: F64 | None = np.asarray(table["time"], np.float64).reshape(shape) if full and rules.has("time") else None
+    intensity: F32 | None = None
+    if full and rules.has("intensity"):
+        intensity = table[INTENSITY].astype(np.float32).reshape(shape)
+    return ScanBlock(
+        first_line=first_line,
+        range_m=table[RANGE].reshape(shape),
+        # padded cells have no record, so the short form would be wrong
+        record=table[RECORD].reshape(shape) if rules.pads_last_line else None,
+        time_s=time_s,
+        intensity=intensity,
+        angle_rad=setup.angle_rad,
+        tally=tally,
+    )
+
+
+def pad_line(rest: Table, m: int) -> Table:
+    """Pad the last line with missing shots."""
+    padded: Table = {}
+    for name, column in rest.items():
+        filler = np.full(m - len(column), -1 if name == RECORD else np.nan)
+        padded[name] = np.concatenate([column, filler.astype(column.dtype if name == RECORD else np.float64)])
+    padded[RANGE] = padded[RANGE].astype(np.float32)
+    return padded

@@ -1,84 +1,47 @@
-"""Finds where scan lines begin: one pure function per rule; state across chunks is passed in and returned.
+"""Reads records into whole scan lines: finds where lines begin, and holds back those that are open.
 
-All take shots (the first record of each) of one scanner in input order.
+One pure function per rule takes the shots (the first record of each) of one scanner in input order; state across chunks
+is passed in and returned. Whole lines are sorted by line; all later steps (columns, returns, cells) depend only on
+them, so that chunks do not matter.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError
-from prc_cli.core.types import F64, I64, Mask
-from prc_cli.streams.angles import Sweep
-from prc_cli.streams.columns import columns_by_dimension
-from prc_cli.streams.table import Table
+from prc_cli.core.errors import InputError, OrderError
+from prc_cli.core.stream import ReadTally
+from prc_cli.core.types import F32, F64, I64, Mask
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ranges import continues_run, mark_shots
+from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.streams.angles import Sweep, WrapState, lines_by_wrap
+from prc_cli.streams.columns import (
+    LINE,
+    ORDINAL,
+    RECORD,
+    SPREAD,
+    START,
+    StampState,
+    Table,
+    columns_by_dimension,
+    join,
+    n_rows,
+    spread_stamps,
+    table_of,
+    take,
+)
+from prc_cli.streams.evidence.periods import MAX_SHOTS, WEAK_PERIOD, estimate_points_per_line
+from prc_cli.streams.order import OrderWatch
+from prc_cli.streams.rules import GridRules
 
 MAX_FILL = 1.05
 """Longest duration of a line in periods: with more, the column number or the rate is wrong."""
-_MAX_AHEAD = 10
-"""Neighbours more columns apart than this multiple of the typical step are ignored."""
-_FEW_EQUAL = 0.995
-"""Times count as finer than the time between shots from this share of neighbours with different times on."""
-
-
-@dataclass(frozen=True, slots=True)
-class ShotTiming:
-    """Time between shots and between columns."""
-
-    shot_s: float = 0.0
-    """Time from shot to shot [s], 0 = unknown."""
-    column_s: float = 0.0
-    """Time from column to column if the input has column numbers [s], 0 = unknown."""
-
-
-UNKNOWN = ShotTiming()
-
-
-def find_timing(time_s: F64, column: I64 | None, line_hz: float, points_per_line: int | None) -> ShotTiming:
-    """Find the timing from the first shots.
-
-    >>> find_timing(np.arange(8) * 0.25, np.arange(8) % 4, 1.0, None)
-    ShotTiming(shot_s=0.0, column_s=0.25)
-    >>> find_timing(np.arange(8) * 0.25, None, 1.0, None)
-    ShotTiming(shot_s=0.25, column_s=0.0)
-    """
-    given_s = 0.0 if points_per_line is None else 1 / (line_hz * points_per_line)
-    if column is not None:
-        return ShotTiming(given_s, _column_step(time_s, column, 1 / line_hz) or given_s)
-    return ShotTiming(given_s or _shot_step(time_s, 1 / line_hz))
-
-
-def _column_step(time_s: F64, column: I64, period_s: float) -> float:
-    """Return the time from column to column, 0 if columns do not grow with time."""
-    use = np.isfinite(time_s) & (column >= 0)
-    step = np.diff(time_s[use])
-    ahead = np.diff(column[use])
-    # pairs less than a period apart with growing columns are in the same line
-    near = (step >= 0) & (step < period_s)
-    forward = near & (ahead > 0)
-    if not forward.any() or np.count_nonzero(forward) < np.count_nonzero(near & (ahead < 0)):
-        return 0.0
-    forward &= ahead <= _MAX_AHEAD * np.median(ahead[forward])
-    return float(step[forward].sum() / ahead[forward].sum())
-
-
-def _shot_step(time_s: F64, period_s: float) -> float:
-    """Return the typical time between neighbouring shots, 0 if unknown; rather an underestimate."""
-    step = np.diff(time_s[np.isfinite(time_s)])
-    step = step[(step >= 0) & (step < period_s)]
-    ahead = step[step > 0]
-    if not len(ahead):
-        return 0.0
-    if len(ahead) < _FEW_EQUAL * len(step):
-        # shots share time stamps: use the mean
-        return float(step[step < 2.5 * np.median(ahead)].mean())
-    # shots may be missing between most neighbours: use the shortest fifth
-    return float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)]))
 
 
 def time_in_line(column: I64, column_s: float, period_s: float) -> F64:
@@ -105,82 +68,84 @@ class LineState:
     """Dimension: number of line 0."""
     n_shots: int = 0
     """Fixed: shots so far."""
-    wraps: int = 0
-    """Angle wrap: wraps so far."""
-    last_angle: float = math.nan
-    """Angle wrap: last known angle [rad]."""
-    low: float = math.inf
-    """Angle wrap: least angle of the line so far [rad]."""
-    high: float = -math.inf
-    """Angle wrap: greatest angle of the line so far [rad]."""
-    last_span: float = 0.0
-    """Angle wrap: span of the line before [rad]."""
+    wrap: WrapState = field(default_factory=WrapState)
+    """Angle wrap: the sweeps so far."""
     origin_s: float | None = None
     """Time: begin of line 0 [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class NumberedLines:
-    """The input has line numbers."""
-
-    dimension: str
-    path: str
-    """For messages."""
+Found: TypeAlias = tuple[I64, Mask, LineState]
+"""Line of every shot, whether it is known, and the state behind them."""
 
 
 @dataclass(frozen=True, slots=True)
-class FixedLines:
-    """Every shot is in the input, missing ones too."""
+class LineRules:
+    """How the lines of one scanner are found: by number, by time or by angle if one is set, else of fixed length."""
 
-    points_per_line: int
-
-
-@dataclass(frozen=True, slots=True)
-class SweptLines:
-    """A line ends where the scan angle jumps back."""
-
-    sweep: Sweep
-
-
-@dataclass(frozen=True, slots=True)
-class TimedLines:
-    """Lines begin at a fixed frequency."""
-
-    line_hz: float
-    half_shot_s: float
+    where: str
+    """File and rule, for messages."""
+    path: str = ""
+    """The file alone."""
+    dimension: str | None = None
+    """Dimension with the number of the line."""
+    line_hz: float | None = None
+    """Lines a second."""
+    half_shot_s: float = 0.0
     """Half the time between shots [s], 0 if unknown."""
-    origin_s: float | None
+    origin_s: float | None = None
     """Time of line 0, column 0 [s]; None = that of the first shot."""
     column_dimension: str | None = None
     """Column dimension, if it gives the time of a shot within its line."""
     column_s: float = 0.0
     """Time from column to column of that dimension [s]."""
+    sweep: Sweep | None = None
+    points_per_line: int | None = None
+    same_shot: tuple[str, ...] | None = None
+    """Dimensions that the returns of a shot share; None = every record is a shot."""
+    shot_hz: float | None = None
+    """Shots a second, if shots with equal time stamps are to be spread."""
+    spent: tuple[str, ...] = ()
+    """Dimensions not needed once a record has its line."""
+    max_gap_lines: int = 0
+    """Most lines that may be missing in a row."""
+    refuse_back: bool = False
+    """Whether lines that go back by more than the slack are an error (else they are dropped and counted)."""
+    slack: int = 0
+    """Number of lines before the last that are still open."""
+    n_known: int = 0
+    """Records of the whole input if known, else 0."""
+    n_spare: int | None = None
+    """Cells allowed in addition to those for the records; None = any number of lines."""
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether a line begins every M shots."""
+        return self.dimension is None and self.line_hz is None and self.sweep is None
+
+    @property
+    def begins_with_first(self) -> bool:
+        """Whether line 0 is the line of the first shot; else shots before line 0 are expected, not late."""
+        return self.origin_s is None or self.dimension is not None
 
 
-LineRule: TypeAlias = NumberedLines | FixedLines | SweptLines | TimedLines
+def find_lines(shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rules: LineRules) -> Found:
+    """Find the line of the next shots."""
+    if rules.dimension is not None:
+        return lines_by_dimension(shots[rules.dimension], state, rules.where)
+    if rules.line_hz is None:
+        if rules.sweep is not None:
+            line, wrap = lines_by_wrap(shots["angle"], rules.sweep, state.wrap)
+            return line, np.ones(len(line), np.bool_), replace(state, wrap=wrap)
+        return lines_fixed(n_shots, rules.points_per_line or 1, state)
+    time_s = time_s if time_s is not None else np.asarray(shots["time"], np.float64)
+    since = None
+    if rules.column_dimension is not None:
+        column = columns_by_dimension(shots[rules.column_dimension])
+        since = time_in_line(column, rules.column_s, 1 / rules.line_hz)
+    return lines_by_time(time_s, rules.line_hz, rules.half_shot_s, rules.origin_s, state, since)
 
 
-def find_lines(
-    shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rule: LineRule
-) -> tuple[I64, Mask, LineState]:
-    """Find the line of the next shots by a rule."""
-    match rule:
-        case NumberedLines(dimension, path):
-            return lines_by_dimension(shots[dimension], state, f"{path}: {dimension}")
-        case FixedLines(points_per_line):
-            return lines_fixed(n_shots, points_per_line, state)
-        case SweptLines(sweep):
-            return lines_by_wrap(shots["angle"], sweep, state)
-        case TimedLines():
-            time_s = time_s if time_s is not None else np.asarray(shots["time"], np.float64)
-            since = None
-            if rule.column_dimension is not None:
-                column = columns_by_dimension(shots[rule.column_dimension])
-                since = time_in_line(column, rule.column_s, 1 / rule.line_hz)
-            return lines_by_time(time_s, rule.line_hz, rule.half_shot_s, rule.origin_s, state, since)
-
-
-def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tuple[I64, Mask, LineState]:
+def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> Found:
     """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines."""
     if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
         if state.offset is None and len(number):
@@ -201,51 +166,10 @@ def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tu
     return line - (state.offset or 0), known, state
 
 
-def lines_fixed(n_shots: int, points_per_line: int, state: LineState) -> tuple[I64, Mask, LineState]:
-    """Begin a line every ``points_per_line`` shots.
-
-    >>> lines_fixed(5, 2, LineState(n_shots=1))[0]
-    array([0, 1, 1, 2, 2])
-    """
+def lines_fixed(n_shots: int, points_per_line: int, state: LineState) -> Found:
+    """Begin a line every ``points_per_line`` shots."""
     line = np.arange(state.n_shots, state.n_shots + n_shots, dtype=np.int64) // points_per_line
     return line, np.ones(n_shots, np.bool_), replace(state, n_shots=state.n_shots + n_shots)
-
-
-def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[I64, Mask, LineState]:
-    """Begin a line where the angle jumps back against the sweep by more than half the span.
-
-    The span is the larger one of the ending line and the line before: at the edges of a flight or behind an obstacle,
-    lines are much shorter than the longest.
-
-    >>> lines_by_wrap(np.array([0.0, 0.5, 1.0, 0.1, 0.6]), Sweep(1, 1.0, 0.05), LineState())[0]
-    array([0, 0, 0, 1, 1])
-    """
-    value = np.asarray(angle, np.float64)
-    position = np.flatnonzero(np.isfinite(value))
-    begins = np.zeros(len(value), np.int64)
-    if len(position):
-        seen = value[position]
-        back = sweep.direction * (np.concatenate(([state.last_angle], seen[:-1])) - seen)
-        # jumps larger than noise are few: check one by one whether a line ends
-        jumps = np.flatnonzero(back > sweep.noise_rad)
-        borders = np.concatenate(([0], jumps[jumps > 0]))
-        lows, highs = np.minimum.reduceat(seen, borders), np.maximum.reduceat(seen, borders)
-        pieces = iter(zip(lows.tolist(), highs.tolist(), strict=True))
-        low, high, last_span = state.low, state.high, state.last_span
-        if not len(jumps) or jumps[0] > 0:
-            first_low, first_high = next(pieces)
-            low, high = min(low, first_low), max(high, first_high)
-        for jump, size, (piece_low, piece_high) in zip(jumps.tolist(), back[jumps].tolist(), pieces, strict=True):
-            if size > 0.5 * max(high - low, last_span):
-                begins[position[jump]] = 1
-                low, high, last_span = piece_low, piece_high, high - low
-            else:
-                low, high = min(low, piece_low), max(high, piece_high)
-        state = replace(state, last_angle=float(seen[-1]), low=low, high=high, last_span=last_span)
-    line = state.wraps + np.cumsum(begins)
-    if len(line):
-        state = replace(state, wraps=int(line[-1]))
-    return line, np.ones(len(value), np.bool_), state
 
 
 def lines_by_time(
@@ -255,7 +179,7 @@ def lines_by_time(
     origin_s: float | None,
     state: LineState,
     since_s: F64 | None = None,
-) -> tuple[I64, Mask, LineState]:
+) -> Found:
     """Count line periods from the origin: ``floor((t - t0) * HZ)``."""
     known: Mask = np.isfinite(time_s)
     if state.origin_s is None:
@@ -275,3 +199,368 @@ def lines_by_time(
     if since_s is not None:
         turns = np.where(np.isnan(since_s), turns, np.rint((time_s - since_s - state.origin_s) * line_hz))
     return np.clip(turns, -MAX_NUMBER, MAX_NUMBER).astype(np.int64), known, state
+
+
+MAX_CELLS_PER_RECORD = 1000
+"""Most cells per record; emptier images have a wrong line or column number."""
+MIN_CELLS = 1_000_000
+"""Number of cells always allowed."""
+USUAL_GAP_LINES: int = InputConfig.model_fields["max_gap_lines"].default
+"""Default of ``max_gap_lines``; a larger value allows empty cells on purpose."""
+
+
+def most_lines(n_seen: I64, rules: LineRules) -> I64:
+    """Return the most lines for these numbers of shots, at least 1, (n,) int64."""
+    cells: I64 = (rules.n_spare or 0) + MAX_CELLS_PER_RECORD * np.maximum(n_seen, rules.n_known)
+    return np.maximum(cells // (rules.points_per_line or 1), 1)
+
+
+def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rules: LineRules) -> tuple[Mask, LineState]:
+    """Mark the shots whose line is still open."""
+    steady = bool(known.all()) and (not len(line) or line[0] >= max(state.top, 0)) and not np.any(line[1:] < line[:-1])
+    if steady and len(line) and _all_admitted(int(line[-1]), state, rules):
+        return known, replace(state, n_seen=state.n_seen + len(line), top=int(line[-1]))
+    seen = line if steady else np.where(known, line, np.iinfo(np.int64).min)
+    highest = np.concatenate(([state.top], seen))
+    if not steady:
+        highest = np.maximum.accumulate(highest)
+    before = highest[:-1]
+    late = np.zeros(len(line), np.bool_) if steady else known & (seen < np.maximum(before - rules.slack, 0))
+    if rules.refuse_back and late.any():
+        i = int(np.argmax(late))
+        offset = state.offset or 0
+        problem = f"goes back from {before[i] + offset} to {line[i] + offset} at record {record[i]}"
+        hint = (
+            "split the file there, give --lines angle-wrap or --lines time:HZ, or, where its times go back as well, "
+            "--sort-by-time; --trust-order leaves such records unclassified"
+        )
+        raise OrderError(rules.where, f"{problem}; expected lines in the order they were scanned", hint)
+    ahead = known & (seen - before > rules.max_gap_lines + 1)
+    first_ahead = int(np.argmax(ahead)) if ahead.any() else len(ahead)
+    if rules.n_spare is not None:
+        _check_cells(highest[1 : first_ahead + 1], known, record, state, rules)
+    if first_ahead < len(ahead):
+        i = first_ahead
+        missing = int(line[i] - before[i] - 1)
+        problem = f"{missing} lines are missing before record {record[i]}, expected at most {rules.max_gap_lines}"
+        hint = "check the line numbers or times there, or raise max_gap_lines"
+        raise InputError(rules.where, problem, hint)
+    n_late = int(np.count_nonzero(late & ((line >= 0) | rules.begins_with_first)))
+    state = replace(state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late)
+    return known & ~late, replace(state, top=int(highest[-1]))
+
+
+def _all_admitted(last: int, state: LineState, rules: LineRules) -> bool:
+    """Whether rising lines up to ``last`` need no further check, which holds for nearly every chunk."""
+    if last - state.top > rules.max_gap_lines + 1:
+        return False
+    return rules.n_spare is None or last < most_lines(np.array([state.n_seen]), rules)[0]
+
+
+def _check_cells(top: I64, known: Mask, record: I64, state: LineState, rules: LineRules) -> None:
+    """Refuse lines that are nearly all empty, whose cells could take unlimited time."""
+    # both lines and limits only rise: compare the last line with the first limit
+    if len(top) and top[-1] < most_lines(np.array([state.n_seen]), rules)[0]:
+        return
+    n_seen = state.n_seen + np.cumsum(known[: len(top)])
+    empty = top >= most_lines(n_seen, rules)
+    if empty.any():
+        i = int(np.argmax(empty))
+        m, most = rules.points_per_line, most_lines(n_seen, rules)[i]
+        problem = f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
+        hint = f"check the line numbers or times there; gaps that are meant: max_gap_lines above {USUAL_GAP_LINES}"
+        raise InputError(rules.where, f"{problem}, expected at most {most} lines", hint)
+
+
+MAX_OPEN_RECORDS = 1 << 22
+"""Most records of open lines, unless M is larger."""
+
+
+def max_open(rules: LineRules) -> int:
+    """Return the most records of open lines."""
+    return max(MAX_OPEN_RECORDS, 4 * (rules.points_per_line or 0))
+
+
+@dataclass(frozen=True, slots=True)
+class ScanState:
+    """State of one scanner across chunks."""
+
+    lines: LineState = field(default_factory=LineState)
+    stamps: StampState = field(default_factory=StampState)
+    tail: Table = field(default_factory=dict)
+    """Records of the last shot: its further returns may follow. Empty or a table."""
+    held: tuple[Table, ...] = ()
+    """Records of open lines."""
+    n_held: int = 0
+    n_done: int = 0
+    """Number of lines already yielded."""
+    tally: ReadTally = field(default_factory=ReadTally)
+    """Counts for the next lines."""
+
+
+@dataclass(frozen=True, slots=True)
+class WholeLines:
+    """Lines ``first_line`` to ``stop_line`` (exclusive) of one scanner, with all their records."""
+
+    scanner: int
+    first_line: int
+    stop_line: int
+    records: Table
+    """Sorted by line; with the columns :data:`RECORD`, :data:`LINE` and :data:`START`."""
+    origin_s: float | None
+    """Time of line 0 [s] where lines are found by time."""
+    tally: ReadTally
+
+
+def advance(
+    scanner: int, records: Table, state: ScanState, rules: LineRules, *, final: bool
+) -> tuple[WholeLines | None, ScanState]:
+    """Add the next records of a scanner; return the lines that are complete now."""
+    records, starts, state = whole_shots(join([state.tail, records]), state, rules, final=final)
+    if n_rows(records):
+        records, state = _find_lines(records, starts, state, rules)
+        records = {name: column for name, column in records.items() if name not in rules.spent}
+    held = (*state.held, records) if n_rows(records) else state.held
+    n_held = state.n_held + n_rows(records)
+    if n_held > max_open(rules) and not final:
+        _check_open(held, state, rules)
+    stop = state.lines.top + 1 - (0 if final else 1 + rules.slack)
+    if stop <= state.n_done:
+        return None, replace(state, held=held, n_held=n_held)
+    everything = join(list(held))
+    line = everything[LINE]
+    if np.any(line[1:] < line[:-1]):
+        everything = take(everything, np.argsort(line, kind="stable"))
+        line = everything[LINE]
+    cut = int(np.searchsorted(line, stop))
+    # copies: views would keep whole chunks in memory
+    rest = {name: column[cut:].copy() for name, column in everything.items()}
+    lines = WholeLines(scanner, state.n_done, stop, take(everything, slice(0, cut)), state.lines.origin_s, state.tally)
+    held = (rest,) if n_rows(rest) else ()
+    return lines, replace(state, held=held, n_held=n_rows(rest), n_done=stop, tally=ReadTally())
+
+
+def _check_open(held: tuple[Table, ...], state: ScanState, rules: LineRules) -> None:
+    """Refuse lines that are too long to hold in memory."""
+    open_from = state.lines.top - rules.slack
+    n_open = sum(int(np.count_nonzero(table[LINE] >= open_from)) for table in held)
+    if n_open > max_open(rules):
+        problem = f"line {state.lines.top} has more than {max_open(rules)} records and no end, expected scan lines"
+        hint = "check the rule that finds the lines: --lines"
+        raise InputError(rules.path, problem, hint)
+
+
+def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
+    """Mark the shots; hold back the last ones if returns may follow."""
+    n = n_rows(records)
+    if rules.same_shot is None or not n:
+        return records, np.ones(n, np.bool_), replace(state, tail={})
+    n_returns = records["number_of_returns"]
+    continues = continues_run(tuple(records[name] for name in rules.same_shot), n_returns)
+    starts = mark_shots(continues, records.get("return_number"))
+    tail: Table = {}
+    if not final and n_returns[-1] > 1:
+        last_run = int(np.flatnonzero(~continues)[-1])
+        tail = {name: column[last_run:].copy() for name, column in records.items()}
+        records, starts = take(records, slice(0, last_run)), starts[:last_run]
+        if n_rows(tail) > max_open(rules):
+            time_s = tail.get("time", [0])[0]
+            problem = f"more than {max_open(rules)} records of several returns share the time {time_s}"
+            raise InputError(rules.path, problem, "check time and number_of_returns with prc info")
+    return records, starts, replace(state, tail=tail)
+
+
+def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules) -> tuple[Table, ScanState]:
+    """Find the line of every record; drop and count those without."""
+    single = bool(starts.all())
+    shots = records if single else take(records, starts)
+    spread: F64 | None = None
+    found: Table = {}
+    if rules.shot_hz is not None:
+        stamp = np.asarray(shots["time"], np.float64)
+        spread, ordinal, stamps = spread_stamps(stamp, rules.shot_hz, state.stamps)
+        state = replace(state, stamps=stamps)
+        found = {SPREAD: spread, ORDINAL: ordinal}
+    line, known, line_state = find_lines(shots, spread, n_rows(shots), state.lines, rules)
+    admitted, line_state = admit_lines(line, known, shots[RECORD], line_state, rules)
+    found[LINE] = line
+    if single:
+        records = {**records, **found, START: starts}
+        keep = admitted
+    else:
+        shot = np.cumsum(starts) - 1
+        records = {**records, **{name: column[shot] for name, column in found.items()}, START: starts}
+        keep = admitted[shot]
+    n_lost = len(keep) - int(np.count_nonzero(keep))
+    if n_lost:
+        records = take(records, keep)
+        state = replace(state, tally=state.tally + ReadTally(n_unplaced=n_lost))
+    return records, replace(state, lines=line_state)
+
+
+MAX_SCANNERS = 256
+"""Most scanners in one input; dimensions of more values are not scanner ids."""
+MAX_LATE = 0.01
+"""Largest share of shots that come after their line is complete."""
+
+LineRulesOf: TypeAlias = Callable[[int], LineRules]
+"""Returns the line rules of a scanner."""
+Prepare: TypeAlias = Callable[[RecordChunk, Table], tuple[Table, ReadTally]]
+"""Adds columns to the table of a chunk."""
+
+
+def whole_lines(
+    source: RecordSource,
+    rules: GridRules,
+    line_rules: LineRulesOf,
+    prepare: Prepare | None = None,
+) -> Iterator[WholeLines]:
+    """Read a source from start to end as whole lines, chronological for each scanner."""
+    states: dict[int, ScanState] = {}
+    watches: dict[int, OrderWatch] = {}
+    waiting = ReadTally()
+    names = rules.names if prepare is None else tuple(dict.fromkeys((*rules.names, *rules.carried)))
+    for chunk in source.chunks(names):
+        table = table_of(chunk, rules.names)
+        if prepare is not None:
+            table, tally = prepare(chunk, table)
+            waiting += tally
+        for scanner, records in split_scanners(table, rules.scanner, source.path):
+            state = states.get(scanner, ScanState())
+            if rules.has("time"):
+                watch = watches.setdefault(scanner, OrderWatch.of(source, rules.config.order))
+                waiting += watch.count(records["time"], records[RECORD])
+            tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
+            state, waiting = replace(state, tally=tally), ReadTally()
+            try:
+                whole, states[scanner] = advance(scanner, records, state, line_rules(scanner), final=False)
+            except InputError:
+                # jumping lines are often due to records out of order: then report the order
+                for watch in watches.values():
+                    watch.finish()
+                raise
+            if whole is not None:
+                yield whole
+        check_scanners(len(states), source.path, rules.scanner)
+    for watch in watches.values():
+        watch.finish()
+    yield from _last_lines(source, rules, line_rules, states)
+
+
+def _last_lines(
+    source: RecordSource, rules: GridRules, line_rules: LineRulesOf, states: dict[int, ScanState]
+) -> Iterator[WholeLines]:
+    """Close the open lines of every scanner; if one is refused, yield nothing."""
+    closed: list[WholeLines] = []
+    leftover = ReadTally()
+    for scanner in sorted(states):
+        mine = line_rules(scanner)
+        whole, state = advance(scanner, {}, states[scanner], mine, final=True)
+        if rules.config.order == "require":
+            _check_late(source.path, state)
+        if mine.is_fixed and not rules.pads_last_line:
+            what = "records" if mine.same_shot is None else "shots"
+            check_partial_line(source.path, state.lines.n_shots, mine.points_per_line or 1, what)
+        # counts of a scanner without a single line
+        leftover += state.tally
+        if whole is not None:
+            closed.append(whole)
+    if not closed:
+        raise nothing_placed(source.path)
+    closed[0] = replace(closed[0], tally=closed[0].tally + leftover)
+    yield from closed
+
+
+def _check_late(path: str, state: ScanState) -> None:
+    """Refuse an input in which too many shots belong to lines already complete.
+
+    An earlier drive appended to a later one has a single step back in time, which the share of steps does not show.
+    """
+    n_late, n_seen = state.lines.n_late, state.lines.n_seen
+    if n_late > MAX_LATE * n_seen:
+        problem = f"{n_late} of {n_seen} shots go back to lines before those that they follow"
+        hint = "sort with --sort-by-time, or leave them unclassified with --trust-order"
+        raise OrderError(path, f"{problem}; expected lines in the order they were scanned", hint)
+
+
+def first_records(
+    source: RecordSource, scanner: str | None, names: tuple[str, ...], limit: int, *, to_end: bool
+) -> dict[int, Table]:
+    """Return the first ``limit`` records of every scanner, independent of chunks.
+
+    Unless ``to_end``, reading stops after ``limit`` records of the input, which may miss later scanners.
+    """
+    parts: dict[int, Table] = {}
+    n_seen = 0
+    for chunk in source.chunks(names):
+        table = table_of(chunk, names)
+        if not to_end:
+            table = take(table, slice(0, limit - n_seen))
+        n_seen += n_rows(table)
+        for one, records in split_scanners(table, scanner, source.path):
+            have = parts.get(one, {})
+            left = limit - n_rows(have)
+            if left > 0:
+                more = take(records, slice(0, left))
+                parts[one] = {name: np.concatenate([have[name], more[name]]) for name in more} if have else more
+        check_scanners(len(parts), source.path, scanner)
+        if not to_end and n_seen >= limit:
+            break
+    return dict(sorted(parts.items()))
+
+
+def split_scanners(records: Table, scanner: str | None, path: str) -> Iterator[tuple[int, Table]]:
+    """Yield the records of every scanner in a chunk, by id, in their order."""
+    if scanner is None:
+        yield 0, records
+        return
+    ids = records[scanner]
+    if ids.dtype.kind == "f" and not np.all(ids == np.floor(ids)):
+        i = int(np.argmin(ids == np.floor(ids)))
+        problem = f"record {records[RECORD][i]} has {scanner} {ids[i]}, expected a whole number"
+        raise InputError(path, problem, "choose another dimension for --scanner")
+    found = np.unique(ids)
+    for value in found:
+        yield int(value), records if len(found) == 1 else take(records, ids == value)
+
+
+def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
+    """Refuse a scanner dimension of too many values."""
+    if n_scanners > MAX_SCANNERS:
+        problem = f"{scanner} has more than {MAX_SCANNERS} values, expected one a scanner"
+        raise InputError(path, problem, "choose another dimension for --scanner, or none")
+
+
+def check_partial_line(
+    path: str, n_shots: int, points_per_line: int, what: str = "records", source: RecordSource | None = None
+) -> None:
+    """Refuse a last line that is cut short; the hint names another M where the ranges of a source repeat with it."""
+    n_over = n_shots % points_per_line
+    if not n_over:
+        return
+    problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
+    hint = 'check points_per_line (prc info estimates it), or pad the last line: --set input.partial_line="pad"'
+    if source is not None and "range" in source.dimensions:
+        period = estimate_points_per_line(first_ranges(source))
+        if period.strength >= WEAK_PERIOD and period.points_per_line != points_per_line:
+            hint = f"the ranges repeat after {period.points_per_line} shots: give -M {period.points_per_line}"
+    raise InputError(path, problem, hint)
+
+
+def first_ranges(source: RecordSource) -> F32:
+    """Return ranges at the start of a source, missing ones as NaN, (n,) float32, in the units of the source."""
+    parts: list[F32] = []
+    kept = 0
+    for chunk in source.chunks(("range",)):
+        parts.append(np.asarray(chunk.values["range"], np.float32)[: MAX_SHOTS - kept])
+        kept += parts[-1].size
+        if kept >= MAX_SHOTS:
+            break
+    flat = np.concatenate(parts)
+    return np.where(np.isfinite(flat) & (flat > 0), flat, np.float32(np.nan))
+
+
+def nothing_placed(path: str) -> InputError:
+    """Return the error of an input without a single line."""
+    problem = "no record has a scan line, expected at least one"
+    return InputError(path, problem, "look at the dimensions with prc info and name the one that counts lines")

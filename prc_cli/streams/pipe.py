@@ -6,15 +6,16 @@ import contextlib
 import os
 import time
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanStream
-from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout
-from prc_cli.formats.raw_binary.read import LayoutRecords
-from prc_cli.formats.records import RecordChunk
+from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout, record_dtype
+from prc_cli.formats.raw_binary.read import FORMAT, layout_columns
+from prc_cli.formats.records import FieldSource
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import with_layout
 
@@ -36,7 +37,7 @@ class ByteStream(Protocol):
         """Return available bytes, at least one (waiting for it), at most ``size``; empty at the end."""
 
 
-class PipeSource(LayoutRecords):
+class PipeSource(FieldSource):
     """Records from a pipe as a :class:`prc_cli.formats.records.RecordSource`.
 
     Bytes read before :meth:`seal` are kept, so that :meth:`chunks` can start again; afterwards the records can be read
@@ -47,7 +48,8 @@ class PipeSource(LayoutRecords):
     """Unknown before reading."""
 
     def __init__(self, handle: ByteStream, layout: Layout, name: str = "stdin") -> None:
-        super().__init__(layout, name)
+        super().__init__(name, FORMAT, layout_columns(layout), self)
+        self._dtype, self._header_bytes = record_dtype(layout), layout.header_bytes
         self._handle = handle
         self._kept: list[bytes] = []
         self._n_kept = 0
@@ -60,9 +62,8 @@ class PipeSource(LayoutRecords):
         """Stop keeping bytes: the next :meth:`chunks` is the last."""
         self._sealed = True
 
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode records as they arrive, from the start."""
-        self._check_names(names)
+    def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, NDArray[Any], int]]:
+        """Yield index of the first record, records as they arrive, from the start, and their number."""
         each, n_header, first, rest = self._dtype.itemsize, self._header_bytes, 0, b""
         for piece in self._pieces():
             data = rest + piece if rest else piece
@@ -72,7 +73,7 @@ class PipeSource(LayoutRecords):
             rest = data[n_records * each :]
             if n_records:
                 records = np.frombuffer(data, self._dtype, count=n_records)
-                yield self._decoded(first, records, names)
+                yield first, records, n_records
                 first += n_records
         if not first:
             problem = f"ended before the first record of {each} bytes"

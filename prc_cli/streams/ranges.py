@@ -109,12 +109,7 @@ def open_ranges(
 
 
 def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
-    """Return ranges, not yet cleaned, and sensor-centred coordinates.
-
-    >>> point = {"x": np.array([13.0]), "y": np.array([4.0]), "z": np.array([7.0])}
-    >>> measure_ranges(point, RangeRule(origin_m=(10.0, 0.0, 7.0)))[0]
-    array([5.])
-    """
+    """Return ranges, not yet cleaned, and sensor-centred coordinates."""
     if rule.dimension is not None and not rule.sensor_xyz:
         return values[rule.dimension], None
     xyz: F64 = np.stack([np.asarray(values[name], np.float64) for name in XYZ], axis=1)

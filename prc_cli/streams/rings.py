@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo, cut
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.records import RecordSource
+from prc_cli.streams.columns import INTENSITY, RANGE, RECORD, XYZ, Table, join, n_rows, table_of, take
 from prc_cli.streams.down import wrap
 from prc_cli.streams.ranges import clean_measured, open_ranges
 
@@ -51,18 +52,6 @@ _TURN = 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """Records of a frame with a direction, in file order."""
-
-    record: I64
-    range_m: F32
-    xyz_m: F32
-    intensity: F32 | None
-    ring: I64 | None = None
-    """(n,) int64, number of the ring, where the file has it."""
-
-
-@dataclass(frozen=True, slots=True)
 class Turns:
     """Rings of a frame."""
 
@@ -76,15 +65,15 @@ class Turns:
     """1 = anticlockwise seen from above."""
 
 
-def _elevation(frame: Frame) -> F64:
-    xyz = frame.xyz_m.astype(np.float64)
+def _elevation(xyz_m: F32) -> F64:
+    xyz = xyz_m.astype(np.float64)
     elevation: F64 = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
     return elevation
 
 
-def find_turns(frame: Frame, path: str) -> Turns:
+def find_turns(xyz_m: F32, path: str) -> Turns:
     """Find where rings begin: the azimuth with the least spread of elevation within rings."""
-    azimuth = np.arctan2(frame.xyz_m[:, 1].astype(np.float64), frame.xyz_m[:, 0].astype(np.float64))
+    azimuth = np.arctan2(xyz_m[:, 1].astype(np.float64), xyz_m[:, 0].astype(np.float64))
     step = wrap(np.diff(azimuth))
     way = math.copysign(1.0, float(np.sign(step).sum()))
     step *= way
@@ -99,15 +88,15 @@ def find_turns(frame: Frame, path: str) -> Turns:
                 "column after column, a frame needs the ring of every point: give a PLY or PCD with the property ring"
             )
         raise InputError(path, problem, hint)
-    elevation = _elevation(frame)
+    elevation = _elevation(xyz_m)
     best: tuple[float, Turns] | None = None
-    for cut in _cuts(along, float(np.median(step[step > 0]))):
-        ring, within = _cut_turns(along - cut)
+    for start in _cuts(along, float(np.median(step[step > 0]))):
+        ring, within = _cut_turns(along - start)
         n = np.bincount(ring)
         total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
         spread = float((square - total**2 / np.maximum(n, 1)).sum())
         if best is None or spread < best[0]:
-            best = (spread, Turns(ring, within, float(wrap(np.array([way * cut]))[0]), way))
+            best = (spread, Turns(ring, within, float(wrap(np.array([way * start]))[0]), way))
     if best is None:
         raise InputError(path, "no ring begins", "check x, y, z")
     return best[1]
@@ -125,49 +114,31 @@ def whole_rings(values: NDArray[Any], path: str) -> I64:
     return values.astype(np.int64)
 
 
-def in_ring_order(frame: Frame) -> Frame:
-    """Return a frame sorted by ring and azimuth, as :func:`turns_of_rings` has its rings."""
-    order = _ring_order(frame)[0]
-    return Frame(
-        frame.record[order],
-        frame.range_m[order],
-        frame.xyz_m[order],
-        None if frame.intensity is None else frame.intensity[order],
-        None if frame.ring is None else frame.ring[order],
-    )
-
-
-def turns_of_rings(frame: Frame, path: str) -> Turns:
-    """Return the rings of a frame that numbers them, in any order of its records, sorted by elevation.
+def turns_of_rings(frame: Table, path: str) -> tuple[Table, Turns]:
+    """Return a frame that numbers its rings, sorted by ring and azimuth, and its rings, sorted by elevation.
 
     Records of a ring are sorted by azimuth: rings whose beams are turned against each other (staggered) then meet in
     the lines of their azimuth, not of their time.
     """
-    order, rank, along, way = _ring_order(frame)
-    n_rings = int(rank.max()) + 1
-    if n_rings > MAX_RINGS or 2 * n_rings > len(order):
-        problem = f"found {n_rings} rings in {len(order)} records with a range"
-        raise InputError(path, problem, "check that the dimension ring numbers the beams")
-    return Turns(rank[order], along[order], 0.0, way)
-
-
-def _ring_order(frame: Frame) -> tuple[I64, I64, F64, float]:
-    """Return the order by ring and azimuth, rank of the ring by elevation, azimuth from 0, sense of rotation."""
-    assert frame.ring is not None
-    xyz = frame.xyz_m.astype(np.float64)
+    xyz = frame[XYZ].astype(np.float64)
     azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
-    _, ring = np.unique(frame.ring, return_inverse=True)
+    _, ring = np.unique(frame[RING], return_inverse=True)
     # the sense of rotation from neighbours in the same ring
     by_ring = np.argsort(ring, kind="stable")
     step = wrap(np.diff(azimuth[by_ring]))[np.diff(ring[by_ring]) == 0]
     way = math.copysign(1.0, float(np.sign(step).sum())) if len(step) else 1.0
-    total = np.bincount(ring, _elevation(frame)) / np.bincount(ring)
-    rank = np.empty(len(total), np.int64)
-    rank[np.argsort(total, kind="stable")] = np.arange(len(total))
+    middle = np.bincount(ring, _elevation(frame[XYZ])) / np.bincount(ring)
+    n_rings = len(middle)
+    if n_rings > MAX_RINGS or 2 * n_rings > len(ring):
+        problem = f"found {n_rings} rings in {len(ring)} records with a range"
+        raise InputError(path, problem, "check that the dimension ring numbers the beams")
+    rank = np.empty(n_rings, np.int64)
+    rank[np.argsort(middle, kind="stable")] = np.arange(n_rings)
     along = np.remainder(way * azimuth, _TURN)
     along[along >= _TURN] = 0.0
     rank = rank[ring]
-    return np.lexsort((along, rank)), rank, along, way
+    order = np.lexsort((along, rank))
+    return take(frame, order), Turns(rank[order], along[order], 0.0, way)
 
 
 def _cut_turns(along: F64) -> tuple[I64, F64]:
@@ -201,13 +172,13 @@ def _cuts(along: F64, step: float) -> Iterator[float]:
         yield float((doubled[gap] + doubled[gap + 1] + 1) / 2 / n_bins * _TURN)
 
 
-def ring_columns(frame: Frame, turns: Turns, wanted: int | None, path: str) -> tuple[int, I64]:
+def ring_columns(xyz_m: F32, turns: Turns, wanted: int | None, path: str) -> tuple[int, I64]:
     """Return the number of rings, and the ring of every record, counted from the lowest."""
     n_rings = int(turns.ring[-1]) + 1
     if wanted is not None and n_rings != wanted:
         problem = f"found {n_rings} rings, expected {wanted} as input.points_per_line says"
         raise InputError(path, problem, "leave input.points_per_line out, or check that every ring is there")
-    elevation = _elevation(frame)
+    elevation = _elevation(xyz_m)
     borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
     middle = np.array([np.median(elevation[a:b]) for a, b in pairwise(borders)])
     way = 1 if middle[-1] >= middle[0] else -1
@@ -259,11 +230,7 @@ def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
 
 
 def _longest_rise(values: F64) -> Mask:
-    """Mark the longest non-decreasing subsequence (patience sorting).
-
-    >>> _longest_rise(np.array([1.0, 2.0, 9.0, 3.0, 3.0])).tolist()
-    [True, True, False, True, True]
-    """
+    """Mark the longest non-decreasing subsequence (patience sorting)."""
     tops: list[float] = []
     at: list[int] = []
     before = np.full(len(values), -1, np.int64)
@@ -300,45 +267,13 @@ class RingStream:
     """A frame as a :class:`prc_cli.core.stream.ScanStream`; see :func:`open_rings`."""
 
     info: StreamInfo
-    image: _Image
+    frame: ScanBlock
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Yield the frame, lines in the order of azimuth."""
-        image = self.image
-        n_lines = len(image.range_m)
+        n_lines = self.frame.n_lines
         for first in range(0, n_lines, BLOCK_LINES):
-            part = slice(first, min(first + BLOCK_LINES, n_lines))
-            low, high = np.searchsorted(image.extra_line, (part.start, part.stop))
-            mine = slice(int(low), int(high))
-            yield ScanBlock(
-                first_line=first,
-                range_m=image.range_m[part].copy(),
-                record=image.record[part].copy(),
-                xyz_m=image.xyz_m[part].copy(),
-                intensity=None if image.intensity is None else image.intensity[part].copy(),
-                extra=ExtraReturns(
-                    (image.extra_line[mine] - first).astype(np.int32),
-                    image.extra_column[mine].astype(np.int32),
-                    image.extra_range_m[mine],
-                    image.extra_record[mine],
-                ),
-                tally=image.tally if first == 0 else ReadTally(),
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class _Image:
-    """The whole frame."""
-
-    range_m: F32
-    record: I64
-    xyz_m: F32
-    intensity: F32 | None
-    extra_line: I64
-    extra_column: I64
-    extra_range_m: F32
-    extra_record: I64
-    tally: ReadTally
+            yield cut(self.frame, first, min(first + BLOCK_LINES, n_lines))
 
 
 def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
@@ -346,21 +281,20 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
     _check_rules(config)
     refuse_scale(config, source.path, "its ranges are lengths of x, y, z")
     frame, n_records, tally = _read(source, config)
-    if len(frame.record) < 2:
-        raise InputError(
-            source.path, f"{len(frame.record)} records have a range, too few for rings", "check the layout"
-        )
-    turns = find_turns(frame, source.path) if frame.ring is None else turns_of_rings(frame, source.path)
-    if frame.ring is not None:
-        frame = in_ring_order(frame)
-    n_rings, column = ring_columns(frame, turns, config.points_per_line, source.path)
+    if n_rows(frame) < 2:
+        raise InputError(source.path, f"{n_rows(frame)} records have a range, too few for rings", "check the layout")
+    if RING in frame:
+        frame, turns = turns_of_rings(frame, source.path)
+    else:
+        turns = find_turns(frame[XYZ], source.path)
+    n_rings, column = ring_columns(frame[XYZ], turns, config.points_per_line, source.path)
     step = math.radians(config.azimuth_step) if config.azimuth_step is not None else find_step(turns)
     n_lines = max(round(_TURN / step), 1) if step > 0 else 0
     if not n_lines or n_lines * n_rings > MAX_EMPTY * n_records + SPARE_CELLS:
         problem = f"{n_rings} rings of one shot every {math.degrees(step):.3g} deg are far more cells than records"
         raise InputError(source.path, problem, "give input.azimuth_step")
     line, in_order = ring_lines(turns, n_rings, n_lines)
-    image = _fill(frame, line, column, in_order, (n_lines, n_rings), tally)
+    block = _fill(frame, line, column, in_order, (n_lines, n_rings), tally)
     info = StreamInfo(
         path=source.path,
         format=source.format,
@@ -370,7 +304,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         facts=source.facts,
         assumptions=_assumptions(turns, n_rings, n_lines, config, int(np.count_nonzero(~in_order))),
     )
-    return RingStream(info, image)
+    return RingStream(info, block)
 
 
 def _check_rules(config: InputConfig) -> None:
@@ -387,13 +321,13 @@ def _check_rules(config: InputConfig) -> None:
             raise ConfigError(f"input.{key}", problem, "leave the key out")
 
 
-def _read(source: RecordSource, config: InputConfig) -> tuple[Frame, int, ReadTally]:
+def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTally]:
     """Read the records that have a range; count the others."""
     rule = "sensor-xyz" if config.range == "auto" else config.range
     ranges = open_ranges(rule, source.dimensions, source.path, config, crs_wkt=None)
-    beside = tuple(name for name in ("intensity", RING) if name in source.dimensions)
+    beside = tuple(name for name in (INTENSITY, RING) if name in source.dimensions)
     names = (*ranges.names, *beside)
-    parts: list[Frame] = []
+    parts: list[Table] = []
     tally, n_records, n_unplaced = ReadTally(), 0, 0
     for chunk in source.chunks(names):
         n_records += chunk.n
@@ -409,26 +343,18 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Frame, int, ReadTa
         use = there & ((xyz[:, 0] != 0) | (xyz[:, 1] != 0))
         # with ring numbers, records without range are shots without return: their cells stay empty
         n_unplaced += int(np.count_nonzero((there if RING in names else np.ones(chunk.n, np.bool_)) & ~use))
-        record = chunk.first_record + np.flatnonzero(use) if chunk.record is None else chunk.record[use]
-        intensity = np.asarray(chunk.values["intensity"], np.float32)[use] if "intensity" in names else None
-        ring = whole_rings(chunk.values[RING][use], source.path) if RING in names else None
-        parts.append(Frame(record, range_m[use], xyz[use], intensity, ring))
+        part: Table = {RECORD: table_of(chunk, ())[RECORD][use], RANGE: range_m[use], XYZ: xyz[use]}
+        if INTENSITY in names:
+            part[INTENSITY] = np.asarray(chunk.values[INTENSITY], np.float32)[use]
+        if RING in names:
+            part[RING] = whole_rings(chunk.values[RING][use], source.path)
+        parts.append(part)
     if not parts:
         raise InputError(source.path, "no records, expected a frame", "copy it from the archive again")
-    frame = Frame(
-        np.concatenate([part.record for part in parts]),
-        np.concatenate([part.range_m for part in parts]),
-        np.concatenate([part.xyz_m for part in parts]),
-        np.concatenate([part.intensity for part in parts if part.intensity is not None])
-        if parts[0].intensity is not None
-        else None,
-        np.concatenate([part.ring for part in parts if part.ring is not None]) if parts[0].ring is not None else None,
-    )
-    tally += ReadTally(n_records=n_records, n_unplaced=n_unplaced)
-    return frame, n_records, tally
+    return join(parts), n_records, tally + ReadTally(n_records=n_records, n_unplaced=n_unplaced)
 
 
-def _fill(frame: Frame, line: I64, column: I64, in_order: Mask, shape: tuple[int, int], tally: ReadTally) -> _Image:
+def _fill(frame: Table, line: I64, column: I64, in_order: Mask, shape: tuple[int, int], tally: ReadTally) -> ScanBlock:
     """Put every record into its cell; records in ring order take precedence, then file order."""
     n_cells = shape[0] * shape[1]
     cell = line * shape[1] + column
@@ -437,25 +363,22 @@ def _fill(frame: Frame, line: I64, column: I64, in_order: Mask, shape: tuple[int
     own = first[where]
     other = np.setdiff1d(np.arange(len(cell)), own)
     other = other[np.argsort(line[other], kind="stable")]
-    range_m: F32 = np.full(n_cells, np.nan, np.float32)
-    record: I64 = np.full(n_cells, -1, np.int64)
-    xyz_m: F32 = np.full((n_cells, 3), np.nan, np.float32)
-    range_m[cell[own]], record[cell[own]], xyz_m[cell[own]] = frame.range_m[own], frame.record[own], frame.xyz_m[own]
-    intensity: F32 | None = None
-    if frame.intensity is not None:
-        intensity = np.full(n_cells, np.nan, np.float32)
-        intensity[cell[own]] = frame.intensity[own]
-        intensity = intensity.reshape(shape)
-    return _Image(
-        range_m.reshape(shape),
-        record.reshape(shape),
-        xyz_m.reshape(*shape, 3),
-        intensity,
-        line[other],
-        column[other],
-        frame.range_m[other],
-        frame.record[other],
-        tally + ReadTally(n_collisions=len(other)),
+    cells: Table = {name: np.full((n_cells, *frame[name].shape[1:]), np.nan, np.float32) for name in (RANGE, XYZ)}
+    cells[RECORD] = np.full(n_cells, -1, np.int64)
+    if INTENSITY in frame:
+        cells[INTENSITY] = np.full(n_cells, np.nan, np.float32)
+    for name, values in cells.items():
+        values[cell[own]] = frame[name][own]
+    return ScanBlock(
+        first_line=0,
+        range_m=cells[RANGE].reshape(shape),
+        record=cells[RECORD].reshape(shape),
+        xyz_m=cells[XYZ].reshape(*shape, 3),
+        intensity=cells[INTENSITY].reshape(shape) if INTENSITY in cells else None,
+        extra=ExtraReturns(
+            line[other].astype(np.int32), column[other].astype(np.int32), frame[RANGE][other], frame[RECORD][other]
+        ),
+        tally=tally + ReadTally(n_collisions=len(other)),
     )
 
 

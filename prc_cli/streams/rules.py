@@ -1,20 +1,37 @@
-"""Resolves ``auto``: chooses the rules for lines, columns and ranges of an input, or says which options to give."""
+"""Step one, rules: chooses how lines, columns and ranges of an input are found, or says which options to give.
+
+``auto`` is resolved, and where only the directions to the points tell lines and columns, they are measured:
+
+- ``lines = elevation:DEG``, points with x, y, z alone, without missing shots: the elevation rises along a line and
+  drops to the first point of the next one.
+- ``range = trajectory`` or ``origin`` with times alone: what returns repeats only roughly from line to line; the
+  direction of a shot repeats exactly. So line rate and begin of lines are those of the sweep, also where shots were
+  stamped anew without time for the angles that a scanner does not measure.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
+from functools import cache
+
+import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError, OrderError
+from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.stream import Assumption
+from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_rate
-from prc_cli.formats.ranges import ReturnRule
-from prc_cli.formats.records import STANDARD_NAMES, RecordSource
-from prc_cli.streams.order import Policy
-from prc_cli.streams.ranges import XYZ, is_sensor_xyz
-from prc_cli.streams.record_angles import columns_of_angles, has_sweeps, lacks_shots, turns_round
+from prc_cli.formats.ranges import continues_run, mark_shots
+from prc_cli.formats.records import STANDARD_NAMES, DerivedSource, RecordChunk, RecordSource
+from prc_cli.streams.angles import columns_of_angles, first_shots, has_sweeps, lacks_shots, turns_round
+from prc_cli.streams.columns import Table, take
+from prc_cli.streams.directions import angles_in_planes
+from prc_cli.streams.evidence.periods import TimedScan, measure_sweeps
+from prc_cli.streams.order import judge_first_records, sorted_by_time
+from prc_cli.streams.ranges import XYZ, RangeRule, is_sensor_xyz, measure_ranges, open_ranges
 
 _NO_RANGE = "no slant range"
 _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
@@ -34,12 +51,15 @@ class GridRules:
     """Resolved rules that find the cell of every shot, the same for all scanners of an input."""
 
     path: str
+    config: InputConfig
+    dimensions: tuple[str, ...]
     lines: str
     """``dimension``, ``fixed``, ``angle-wrap`` or ``time``."""
     columns: str
     """``dimension``, ``angle``, ``time`` or ``order``."""
     range: str
     """Resolved ``input.range``."""
+    ranges: RangeRule
     line_dimension: str | None
     column_dimension: str | None
     line_hz: float | None
@@ -48,42 +68,33 @@ class GridRules:
     """Shots per second with ``columns = time``."""
     scanner: str | None
     """Dimension with the scanner id."""
-    has_time: bool
-    has_angle: bool
-    has_returns: bool
-    """Whether the input has the number of returns."""
-    has_return_number: bool
-    has_intensity: bool
-    has_sensor_xyz: bool
-    """Whether there are coordinates relative to the scanner beside ranges."""
     height_names: tuple[str, ...]
     """Dimensions beside the scan angle for finding straight down: range and registered heights, or none."""
-    assumptions: tuple[Assumption, ...]
-    points_per_line: int | None
-    """M if given."""
-    time_origin_s: float | None
-    """Time of line 0, column 0 if given [s]."""
-    angle_start_deg: float | None
-    """Scan angle of column 0 if given [deg]."""
-    angle_step_deg: float | None
-    """Scan angle between columns if given [deg]."""
-    max_gap_lines: int
-    """Most missing lines in a row."""
-    pads_last_line: bool
-    """Whether the last of fixed lines may be cut short."""
-    chosen_return: ReturnRule
-    """Which return of a shot the image shows."""
-    order: Policy
-    """Policy for records out of order."""
-    whole_turn: bool = False
+    whole_turn: bool
     """Whether lines are whole turns, by their times, though no shot of some angles ever returns."""
+    points_per_line: int | None
+    """M if known without reading."""
+    assumptions: tuple[Assumption, ...]
+    geometry: bool
+    """Whether angles and straight down are wanted."""
+    only_ranges: bool
+    """Whether blocks have no times and intensities."""
+
+    def has(self, name: str) -> bool:
+        """Whether the input has a dimension."""
+        return name in self.dimensions
+
+    @property
+    def has_returns(self) -> bool:
+        """Whether the input has the number of returns."""
+        return self.has("number_of_returns")
 
     @property
     def names(self) -> tuple[str, ...]:
         """Dimensions needed for lines, columns and shots."""
         wanted = (
-            ("time", self.has_time),
-            ("return_number", self.has_returns and self.has_return_number),
+            ("time", self.has("time")),
+            ("return_number", self.has_returns and self.has("return_number")),
             ("number_of_returns", self.has_returns),
             ("angle", self.columns == "angle" or self.lines == "angle-wrap"),
             (self.line_dimension, True),
@@ -93,84 +104,123 @@ class GridRules:
         return tuple(dict.fromkeys(name for name, is_wanted in wanted if name is not None and is_wanted))
 
     @property
+    def carried(self) -> tuple[str, ...]:
+        """Dimensions needed beside them, for the cells."""
+        return (*self.ranges.names, *(("intensity",) if self.needs_intensity else ()))
+
+    @property
+    def spent(self) -> tuple[str, ...]:
+        """Dimensions needed only to find shots and lines, which are dropped afterwards to save copying."""
+        kept = {self.column_dimension, "angle", "return_number"}
+        # these may also be the dimension of lines or scanners
+        if not self.only_ranges or self.shot_hz is not None:
+            kept.add("time")
+        if self.needs_intensity:
+            kept.add("intensity")
+        return tuple(name for name in self.names if name not in kept)
+
+    @property
+    def needs_intensity(self) -> bool:
+        """Whether intensities choose between returns, or blocks hold them."""
+        decides = self.has_returns and self.config.return_ == "strongest"
+        return self.has("intensity") and (decides or not self.only_ranges)
+
+    @property
     def gives_angles(self) -> bool:
         """Whether the configuration gives the scan angle of every column."""
-        return self.angle_start_deg is not None and self.angle_step_deg is not None
+        return self.config.angle_start is not None and self.config.angle_step is not None
+
+    @property
+    def pads_last_line(self) -> bool:
+        """Whether the last of fixed lines may be cut short."""
+        return self.config.partial_line == "pad"
 
     @property
     def is_dense(self) -> bool:
         """Whether the records are dense: one per cell, in order."""
         fixed = self.lines == "fixed" and self.columns == "order" and self.range.startswith("dimension:")
-        return (
-            fixed
-            and not self.has_sensor_xyz
-            and self.scanner is None
-            and not self.has_returns
-            and self.order != "sort-time"
-        )
+        plain = fixed and not self.ranges.sensor_xyz and self.scanner is None and not self.has_returns
+        return plain and self.config.order != "sort-time"
 
 
-def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
+def resolve_rules(
+    source: RecordSource, config: InputConfig, *, geometry: bool = True, only_ranges: bool = False
+) -> GridRules:
     """Resolve ``auto`` and check that all named dimensions exist."""
-    has = source.dimensions
     if config.order == "require" and is_order_lost(source, config):
         raise OrderError(source.path, LOST, LOST_HINT)
     if config.lines == "rings":
         problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
     taken: list[Assumption] = []
-    lines, columns, range_ = _auto_rules(source, config, taken)
-    scanner = _scanner(config)
+    scanner = None if config.scanner == "none" else config.scanner
+
+    @cache
+    def first() -> Table:
+        """Return the first shots, read once for all questions."""
+        named = _argument(config.lines)
+        return first_shots(source, scanner, *((named,) if named in source.dimensions else ()))
+
+    try:
+        lines, columns, range_ = _auto_rules(source, config, first, taken)
+    except InputError:
+        # a file without lines is often a tile: then report its order instead
+        if config.order == "require":
+            judge_first_records(source)
+        raise
     for key, rule in (("lines", lines), ("columns", columns), ("range", range_)):
-        if rule.startswith("dimension:"):
-            _check_dimension(f"input.{key}", rule.partition(":")[2], source)
-        elif rule in ("angle", "angle-wrap"):
-            _check_dimension(f"input.{key}", "angle", source)
-        elif rule.startswith("time:"):
-            _check_dimension(f"input.{key}", "time", source)
+        kind, _, name = rule.partition(":")
+        name = {"angle": "angle", "angle-wrap": "angle", "time": "time"}.get(kind, name)
+        if kind in ("dimension", "angle", "angle-wrap", "time"):
+            _check_dimension(f"input.{key}", name, source)
     if scanner is not None:
         _check_dimension("input.scanner", scanner, source)
-    if columns.startswith("time:") and not lines.startswith("time:"):
-        # no source for the start of lines
-        why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
-        taken.append(Assumption("input.columns", "column 0 is the first return of each line", why))
-    if config.columns == "order" and lines != "fixed":
-        why = "given; where shots are left out, the rest of the line moves up"
-        taken.append(Assumption("input.columns", "order", why))
-    if lines.startswith("time:") and config.time_origin is None:
-        why = "line 0, column 0 is taken to be fired then: the phase of the mirror is not in the input"
-        taken.append(Assumption("input.time_origin", "time of the first record", why))
-    if config.return_ != "strongest" and "number_of_returns" not in has:
-        why = "the input does not say how many returns a shot has: every record is a shot"
-        taken.append(Assumption("input.return", "no effect", why))
+    taken += _said(config, lines, columns, source.dimensions)
+    has_sensor_xyz = _has_sensor_xyz(source, range_, taken)
+    ranges = open_ranges(
+        range_, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt, sensor_xyz=has_sensor_xyz
+    )
+    line_hz = parse_rate(lines) if lines.startswith("time:") else None
+    shot_hz = parse_rate(columns) if columns.startswith("time:") else None
+    m, why = _known_points_per_line(source, config, lines, columns, line_hz, shot_hz)
+    told_m = () if why is None else (Assumption("input.points_per_line", str(m), why),)
     return GridRules(
         path=source.path,
+        config=config,
+        dimensions=source.dimensions,
         lines=lines.partition(":")[0],
         columns=columns.partition(":")[0],
         range=range_,
+        ranges=ranges,
         line_dimension=_argument(lines),
         column_dimension=_argument(columns),
-        line_hz=parse_rate(lines) if lines.startswith("time:") else None,
-        shot_hz=parse_rate(columns) if columns.startswith("time:") else None,
+        line_hz=line_hz,
+        shot_hz=shot_hz,
         scanner=scanner,
-        has_time="time" in has,
-        has_angle="angle" in has,
-        has_returns="number_of_returns" in has,
-        has_return_number="return_number" in has,
-        has_intensity="intensity" in has,
-        has_sensor_xyz=_has_sensor_xyz(source, range_, taken),
-        height_names=_height_names(source, config, range_),
-        assumptions=tuple(taken),
-        points_per_line=config.points_per_line,
-        time_origin_s=config.time_origin,
-        angle_start_deg=config.angle_start,
-        angle_step_deg=config.angle_step,
-        max_gap_lines=config.max_gap_lines,
-        pads_last_line=config.partial_line == "pad",
-        chosen_return=config.return_,
-        order=config.order,
-        whole_turn=columns == "angle" and turns_round(source, scanner),
+        height_names=_height_names(source, config, range_) if geometry else (),
+        whole_turn=columns == "angle" and _is_whole_turn(source, first),
+        points_per_line=m,
+        assumptions=(*taken, *ranges.assumptions, *told_m),
+        geometry=geometry,
+        only_ranges=only_ranges,
     )
+
+
+def _said(config: InputConfig, lines: str, columns: str, has: tuple[str, ...]) -> Iterator[Assumption]:
+    """Yield what rules assume that were given."""
+    if columns.startswith("time:") and not lines.startswith("time:"):
+        # no source for the start of lines
+        why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
+        yield Assumption("input.columns", "column 0 is the first return of each line", why)
+    if config.columns == "order" and lines != "fixed":
+        why = "given; where shots are left out, the rest of the line moves up"
+        yield Assumption("input.columns", "order", why)
+    if lines.startswith("time:") and config.time_origin is None:
+        why = "line 0, column 0 is taken to be fired then: the phase of the mirror is not in the input"
+        yield Assumption("input.time_origin", "time of the first record", why)
+    if config.return_ != "strongest" and "number_of_returns" not in has:
+        why = "the input does not say how many returns a shot has: every record is a shot"
+        yield Assumption("input.return", "no effect", why)
 
 
 def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
@@ -187,31 +237,32 @@ def trusting(source: RecordSource | None, config: InputConfig) -> InputConfig:
     return config.model_copy(update={"order": "trust"})
 
 
-def _auto_rules(source: RecordSource, config: InputConfig, taken: list[Assumption]) -> tuple[str, str, str]:
+def _auto_rules(
+    source: RecordSource, config: InputConfig, first: Callable[[], Table], taken: list[Assumption]
+) -> tuple[str, str, str]:
     """Return the rules for lines, columns and ranges with ``auto`` resolved."""
     missing: list[InputError] = []
-    has = source.dimensions
-    lines, columns, range_ = config.lines, config.columns, config.range
-    if lines == "auto":
-        lines = _or_missing(lambda: _auto_lines(source, config, taken), missing)
-    if columns == "auto":
-        # without lines, those by time are the ones that need columns
-        of_lines = lines or ("time:" if "time" in has else "fixed")
-        columns = _or_missing(lambda: _auto_columns(source, of_lines, config, taken), missing)
-    if range_ == "auto":
-        range_ = _or_missing(lambda: _auto_range(source, taken), missing)
+
+    def resolved(key: str, rule: str, ask: Callable[[], tuple[str, str]]) -> str:
+        """Return the rule found, with its reason taken down; empty, with its error kept, where none is."""
+        if rule != "auto":
+            return rule
+        try:
+            rule, why = ask()
+        except InputError as error:
+            missing.append(error)
+            return ""
+        taken.append(Assumption(f"input.{key}", rule, why))
+        return rule
+
+    lines = resolved("lines", config.lines, lambda: _auto_lines(source, config, first))
+    # without lines, those by time are the ones that need columns
+    of_lines = lines or ("time:" if "time" in source.dimensions else "fixed")
+    columns = resolved("columns", config.columns, lambda: _auto_columns(source, of_lines, first))
+    range_ = resolved("range", config.range, lambda: _auto_range(source))
     if missing:
         raise _all_missing(source, missing, config)
     return lines, columns, range_
-
-
-def _or_missing(find: Callable[[], str], missing: list[InputError]) -> str:
-    """Return the rule found; empty, with its error kept, where none is."""
-    try:
-        return find()
-    except InputError as error:
-        missing.append(error)
-        return ""
 
 
 MEASURED = " measures rates from the times and writes the command; or "
@@ -256,39 +307,33 @@ def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tup
     return (range_.partition(":")[2], "z") if is_there and config.nadir is None else ()
 
 
-def _scanner(config: InputConfig) -> str | None:
-    return None if config.scanner == "none" else config.scanner
-
-
 def _argument(rule: str) -> str | None:
     return rule.partition(":")[2] if rule.startswith("dimension:") else None
 
 
-def _implied(source: RecordSource, key: str, taken: list[Assumption]) -> str | None:
-    """Return the rule that the format implies; None if it implies none."""
+def _implied(source: RecordSource, key: str, name: str, *, dimension_first: bool = True) -> tuple[str, str] | None:
+    """Return the rule that a dimension or the format implies, and why; None if neither does."""
     rule = source.facts.rule(key)
-    if rule is None or rule.value == "rings":
-        return None
-    taken.append(Assumption(f"input.{key}", rule.value, rule.why))
-    return rule.value
+    of_format = (rule.value, rule.why) if rule is not None and rule.value != "rings" else None
+    named = (f"dimension:{name}", "the input has a dimension of this name") if name in source.dimensions else None
+    return (named or of_format) if dimension_first else (of_format or named)
 
 
-def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumption]) -> str:
-    if "scan_line" in source.dimensions:
-        taken.append(Assumption("input.lines", "dimension:scan_line", "the input has a dimension of this name"))
-        return "dimension:scan_line"
-    if (implied := _implied(source, "lines", taken)) is not None:
+def _is_whole_turn(source: RecordSource, first: Callable[[], Table]) -> bool:
+    """Whether lines are whole turns, as the format or the times of the shots say."""
+    has_turns = {"time", "angle"} <= set(source.dimensions)
+    return source.facts.rule("turn") is not None or (has_turns and turns_round(first()))
+
+
+def _auto_lines(source: RecordSource, config: InputConfig, first: Callable[[], Table]) -> tuple[str, str]:
+    if (implied := _implied(source, "lines", "scan_line")) is not None:
         return implied
-    m = config.points_per_line
-    if m is not None and not ("angle" in source.dimensions and lacks_shots(source, _scanner(config), m)):
-        why = f"points_per_line = {m} is given and the input has no dimension scan_line"
-        taken.append(Assumption("input.lines", "fixed", why))
-        return "fixed"
-    if "angle" in source.dimensions and has_sweeps(source, _scanner(config)):
+    m, has_angle = config.points_per_line, "angle" in source.dimensions
+    if m is not None and not (has_angle and lacks_shots(first(), source.path, m)):
+        return "fixed", f"points_per_line = {m} is given and the input has no dimension scan_line"
+    if has_angle and has_sweeps(first(), source.path):
         why = "no dimension scan_line, but the scan angle runs in sweeps"
-        why += "" if m is None else f", and they lack some of their {m} shots"
-        taken.append(Assumption("input.lines", "angle-wrap", why))
-        return "angle-wrap"
+        return "angle-wrap", why + ("" if m is None else f", and they lack some of their {m} shots")
     ways = ["-M NUMBER if no shot is left out", "--lines dimension:NAME"]
     if "range" in source.dimensions:
         ways[0] += " (prc info estimates it)"
@@ -301,28 +346,22 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 
-def _auto_columns(source: RecordSource, lines: str, config: InputConfig, taken: list[Assumption]) -> str:
+def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) -> tuple[str, str]:
     if lines == "fixed":
-        taken.append(Assumption("input.columns", "order", "lines are fixed: every shot has its record"))
-        return "order"
-    if (implied := _implied(source, "columns", taken)) is not None:
+        return "order", "lines are fixed: every shot has its record"
+    if (implied := _implied(source, "columns", "column", dimension_first=False)) is not None:
         return implied
-    if "column" in source.dimensions:
-        taken.append(Assumption("input.columns", "dimension:column", "the input has a dimension of this name"))
-        return "dimension:column"
     why = "the input has no dimension column"
     if "angle" in source.dimensions and _argument(lines) in (None, *source.dimensions):
-        gives, why = columns_of_angles(source, _argument(lines), _scanner(config))
+        whole_turn = _is_whole_turn(source, first)
+        gives, why = columns_of_angles(first(), _argument(lines), source.path, whole_turn=whole_turn)
         if gives:
-            taken.append(Assumption("input.columns", "angle", why))
-            return "angle"
+            return "angle", why
     if lines.startswith("time:"):
         ways = ["--columns time:HZ (shots a second)", "--columns order if no shot is left out"]
         problem = "no columns: the file has no dimension column, and lines found by time say nothing of them"
         raise InputError(source.path, problem, f"give {_either(ways)}")
-    why = f"{why}; where shots are left out, the rest of the line moves up"
-    taken.append(Assumption("input.columns", "order", why))
-    return "order"
+    return "order", f"{why}; where shots are left out, the rest of the line moves up"
 
 
 def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
@@ -338,11 +377,8 @@ def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) 
     return True
 
 
-def _auto_range(source: RecordSource, taken: list[Assumption]) -> str:
-    if "range" in source.dimensions:
-        taken.append(Assumption("input.range", "dimension:range", "the input has a dimension of this name"))
-        return "dimension:range"
-    if (implied := _implied(source, "range", taken)) is not None:
+def _auto_range(source: RecordSource) -> tuple[str, str]:
+    if (implied := _implied(source, "range", "range")) is not None:
         return implied
     ways = ["--range dimension:NAME"]
     if set(XYZ) <= set(source.dimensions):
@@ -365,24 +401,140 @@ def _check_dimension(key: str, name: str, source: RecordSource) -> None:
     raise ConfigError(key, problem, f"it has: {', '.join(nearest)}" if nearest else "it has none")
 
 
-def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int | None, Assumption | None]:
-    """Return M if known without reading."""
+def _known_points_per_line(
+    source: RecordSource,
+    config: InputConfig,
+    lines: str,
+    columns: str,
+    line_hz: float | None,
+    shot_hz: float | None,
+) -> tuple[int | None, str | None]:
+    """Return M if known without reading, and why if it is not given."""
+    given, recorded = config.points_per_line, source.facts.points_per_line
     key = "input.points_per_line"
-    if rules.points_per_line is not None:
+    if given is not None:
         # with column numbers in the file another M drops its last columns, or spreads its angles over too many
-        if recorded and recorded != rules.points_per_line and rules.columns == "dimension":
-            problem = f"found {rules.points_per_line}, but {rules.path} records {recorded} shots in a line"
+        if recorded and recorded != given and columns.startswith("dimension:"):
+            problem = f"found {given}, but {source.path} records {recorded} shots in a line"
             raise ConfigError(key, problem, "leave -M out")
-        return rules.points_per_line, None
-    if rules.lines == "fixed" and recorded is not None and recorded > 0:
-        return recorded, Assumption(key, str(recorded), "recorded in the file")
-    if rules.lines == "fixed":
-        hint = f"give -M NUMBER; prc info {rules.path} estimates it"
-        raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {rules.path}", hint)
-    if rules.line_hz is not None and rules.shot_hz is not None:
+        return given, None
+    is_recorded = recorded is not None and recorded > 0
+    if lines == "fixed" and not is_recorded:
+        hint = f"give -M NUMBER; prc info {source.path} estimates it"
+        raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {source.path}", hint)
+    if line_hz is not None and shot_hz is not None:
         # round up: rounding down would drop shots at the end of lines
-        m = max(math.ceil(rules.shot_hz / rules.line_hz - 0.01), 1)
-        return m, Assumption(key, str(m), f"{rules.shot_hz:g} shots and {rules.line_hz:g} lines a second")
-    if recorded is not None and recorded > 0:
-        return recorded, Assumption(key, str(recorded), "recorded in the file")
-    return None, None
+        m = max(math.ceil(shot_hz / line_hz - 0.01), 1)
+        return m, f"{shot_hz:g} shots and {line_hz:g} lines a second"
+    return (recorded, "recorded in the file") if is_recorded else (None, None)
+
+
+_LINE = "line by elevation"
+"""Name of the added column; the blank avoids clashes with dimensions."""
+
+
+def with_elevation(
+    source: RecordSource, config: InputConfig
+) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
+    """Return the source with elevations as ``angle`` [rad] and line numbers, rules to use them, and what is assumed."""
+    drop_deg = parse_rate(config.lines)
+    if not 0 < abs(drop_deg) < 180:
+        raise ConfigError("input.lines", f"found {config.lines!r}, expected elevation:DEG with 0 < |DEG| < 180")
+    if config.range not in ("auto", "sensor-xyz"):
+        problem = f"found {config.range!r}, expected sensor-xyz: the elevation is that of x, y, z from the scanner"
+        raise ConfigError("input.range", problem, "add --range sensor-xyz, or find lines in another way")
+    if not set(XYZ) <= set(source.dimensions):
+        problem = f"found {config.lines!r}, but {source.path} has no x, y, z"
+        raise ConfigError("input.lines", problem, "find lines in another way: --lines")
+    rules = config.model_copy(update={"lines": f"dimension:{_LINE}", "range": "sensor-xyz"})
+    why = "lines end where the elevation of x, y, z jumps back; the scan angle is the elevation"
+    return _WithElevation(source, math.radians(drop_deg)), rules, (Assumption("input.lines", config.lines, why),)
+
+
+@dataclass(frozen=True)
+class _WithElevation(DerivedSource):
+    drop_rad: float
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names of the source, ``angle`` and the line."""
+        return (*dict.fromkeys(("angle", *self.source.dimensions)), _LINE)
+
+    @property
+    def facts(self) -> SourceFacts:
+        """Metadata of the source without notices, and without M, which is that of other lines."""
+        facts = self.source.facts
+        rules = (KnownRule("nadir", "-90", "angles are elevations"), *facts.rules)
+        return replace(facts, points_per_line=None, notes=(), rules=rules)
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named dimensions; a point at the origin has no elevation and stays in the current line."""
+        if not {"angle", _LINE} & set(names):
+            yield from self.source.chunks(names)
+            return
+        own = tuple(name for name in names if name not in ("angle", _LINE))
+        line, last = 0, np.nan
+        for chunk in self.source.chunks(tuple(dict.fromkeys((*own, *XYZ)))):
+            x, y, z = (np.asarray(chunk.values[name], np.float64) for name in XYZ)
+            with np.errstate(over="ignore", invalid="ignore"):
+                flat = np.hypot(x, y)
+                angle = np.where((flat > 0) | (z != 0), np.arctan2(z, flat), np.nan)
+            known = np.flatnonzero(~np.isnan(angle))
+            begins = np.zeros(chunk.n, np.int64)
+            if len(known):
+                seen = angle[known]
+                back = np.append(last, seen[:-1]) - seen
+                begins[known] = back > self.drop_rad if self.drop_rad > 0 else back < self.drop_rad
+                last = seen[-1]
+            number = line + np.cumsum(begins)
+            line = int(number[-1]) if chunk.n else line
+            values = {name: chunk.values[name] for name in own}
+            made = {"angle": angle, _LINE: number}
+            yield replace(chunk, values={name: made[name] if name in made else values[name] for name in names})
+
+
+MAX_SHOTS = 1 << 22
+"""Most shots that are looked at for a sweep."""
+
+
+def with_sweeps(source: RecordSource, config: InputConfig) -> tuple[InputConfig, tuple[Assumption, ...]]:
+    """Return the configuration with lines and columns by time, from the directions, where nothing else tells."""
+    asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
+    knows = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(source.dimensions)
+    if not asks or not knows or not only_times_tell(source) or config.scanner != "none":
+        return config, ()
+    records = sorted_by_time(source) if config.order == "sort-time" else source
+    rule = open_ranges(config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt)
+    found = _rates(records, rule)
+    if found is None:
+        return config, ()
+    rules: dict[str, object] = {"lines": f"time:{found.line_hz:.12g}", "columns": f"time:{found.shot_hz:.12g}"}
+    why = f"the directions from the scanner sweep so, measured over {found.n_lines:.0f} lines"
+    told = [Assumption(f"input.{key}", str(value), why) for key, value in rules.items()]
+    if config.time_origin is None:
+        rules["time_origin"] = found.time_origin_s
+        told.append(Assumption("input.time_origin", f"{found.time_origin_s!r}", "where the sweep has its largest gap"))
+    return config.model_copy(update=rules), tuple(told)
+
+
+def _rates(source: RecordSource, rule: RangeRule) -> TimedScan | None:
+    """Measure the sweep of the first shots."""
+    has_returns = {"return_number", "number_of_returns"} <= set(source.dimensions)
+    names = tuple(
+        dict.fromkeys((*rule.names, "time", *(("return_number", "number_of_returns") if has_returns else ())))
+    )
+    times: list[F64] = []
+    directions: list[F32] = []
+    n = 0
+    for chunk in source.chunks(names):
+        values = chunk.values
+        if has_returns:
+            continues = continues_run((values["time"],), values["number_of_returns"])
+            values = take(values, mark_shots(continues, values["return_number"]))
+        _, xyz = measure_ranges(values, rule)
+        times.append(np.asarray(values["time"], np.float64))
+        directions.append(np.empty((0, 3), np.float32) if xyz is None else xyz)
+        n += len(times[-1])
+        if n >= MAX_SHOTS:
+            break
+    return measure_sweeps(np.concatenate(times), angles_in_planes(np.concatenate(directions))) if times else None

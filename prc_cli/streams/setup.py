@@ -1,4 +1,4 @@
-"""Sets up every scanner before its first block: sweep, column angles, M.
+"""Step two, setup: fixes how every scanner is read before its first block: sweep, column angles, M, down.
 
 From the first records, or from one pass over the needed dimensions where that takes the whole input.
 """
@@ -10,103 +10,194 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption
-from prc_cli.core.types import F64
+from prc_cli.core.types import F64, I64
+from prc_cli.core.window import Window
 from prc_cli.formats.records import RecordSource
-from prc_cli.streams.angles import column_angles
-from prc_cli.streams.columns import AngleGrid, ColumnRule, find_columns
+from prc_cli.streams.angles import Sweep, column_angles, find_angle_grid, find_sweep
+from prc_cli.streams.columns import (
+    LINE,
+    MAX_COLUMN,
+    START,
+    AngleGrid,
+    ColumnRule,
+    Table,
+    columns_by_dimension,
+    find_columns,
+    n_rows,
+    take,
+)
 from prc_cli.streams.down import NoDirectionError, fit_heights, shown_tilt
-from prc_cli.streams.probe import Estimates, estimate_assumptions, line_rules, probe
-from prc_cli.streams.ranges import RangeRule, clean_measured
-from prc_cli.streams.reading import whole_lines
+from prc_cli.streams.lines import (
+    MAX_CELLS_PER_RECORD,
+    MIN_CELLS,
+    USUAL_GAP_LINES,
+    LineRules,
+    ScanState,
+    WholeLines,
+    advance,
+    first_records,
+    nothing_placed,
+    whole_lines,
+    whole_shots,
+)
+from prc_cli.streams.ranges import clean_measured
 from prc_cli.streams.rules import GridRules
-from prc_cli.streams.table import LINE, START, Table, n_rows
-from prc_cli.streams.whole_lines import LineRules, WholeLines, check_found_columns, check_image
-from prc_cli.streams.window import WindowEnd
 
+PROBE_RECORDS = 1 << 18
+"""Number of first records used for estimates."""
+PROBE_RECORDS_EACH = 1 << 16
+"""The same per scanner where several share the input."""
+SLACK = 1
+"""Lines by number or time stay open for one more line: real files have swapped pairs at the border."""
 DOWN_LINES = 64
 """Number of lines with returns used to find straight down."""
 
 
+SPARE_CELLS = 20_000_000
+"""The same while lines are read, when empty lines cost no memory and a second of time at most."""
+_MAX_AHEAD = 10
+"""Neighbours more columns apart than this multiple of the typical step are ignored."""
+_FEW_EQUAL = 0.995
+"""Times count as finer than the time between shots from this share of neighbours with different times on."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShotTiming:
+    """Time between shots and between columns."""
+
+    shot_s: float = 0.0
+    """Time from shot to shot [s], 0 = unknown."""
+    column_s: float = 0.0
+    """Time from column to column if the input has column numbers [s], 0 = unknown."""
+
+
+UNKNOWN = ShotTiming()
+
+
 @dataclass(frozen=True, slots=True)
 class ScannerSetup:
-    """Parameters of the cells of one scanner, fixed before the first block."""
+    """How one scanner is read, fixed before the first block."""
 
     points_per_line: int
-    found: Estimates
-    angle_rad: F64 | None
+    lines: LineRules
+    columns: ColumnRule
+    angle_rad: F64 | None = None
     """(M,) float64, angle of every column [rad], None if unknown."""
     down_rad: float | None = None
     """Scan angle of straight down [rad], None if unknown."""
     cos_tilt: float = 1.0
     """Cosine of the tilt of the scan plane from the vertical."""
-    n_shots: int = 0
-    """Number of shots, if the whole input was read."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Extent:
-    """Size of the image of one scanner."""
+class Estimates:
+    """Estimates for a scanner, as far as its rules need them."""
 
-    n_lines: int = 0
-    n_shots: int = 0
-    longest: int = 0
-    """Number of shots in the longest line."""
-    max_column: int = -1
+    sweep: Sweep | None = None
+    angle_grid: AngleGrid | None = None
+    timing: ShotTiming = UNKNOWN
 
 
-def find_setups(
-    source: RecordSource,
-    rules: GridRules,
-    ranges: RangeRule,
-    points_per_line: int | None,
-    *,
-    geometry: bool = True,
-    end: WindowEnd | None = None,
-) -> tuple[dict[int, ScannerSetup], int | None, tuple[Assumption, ...]]:
-    """Estimate the parameters that the rules need, for every scanner."""
-    if points_per_line is not None and rules.points_per_line is None:
-        check_found_columns(rules.path, points_per_line, source.n_records)
-    estimates, probes = probe(source, rules, points_per_line, geometry=geometry)
+def set_up(
+    source: RecordSource, rules: GridRules, end: WindowEnd | None = None
+) -> tuple[dict[int, ScannerSetup], ScannerSetup | None, int | None, tuple[Assumption, ...]]:
+    """Estimate what the rules need for every scanner.
+
+    Returns the setups, that of scanners that are met while reading (where M is known), the number of lines (where all
+    were counted), and what is assumed.
+    """
+    m = rules.points_per_line
+    if m is not None and rules.config.points_per_line is None:
+        check_found_columns(rules.path, m, source.n_records)
+    estimates, probes = probe(source, rules)
     n_lines: int | None = None
-    extents: dict[int, _Extent] = {}
-    sizes: dict[int, int | None] = dict.fromkeys(estimates, points_per_line)
-    taken = estimate_assumptions(rules, estimates)
-    if points_per_line is None:
+    n_known = source.n_records or 0
+    sizes: dict[int, int | None] = dict.fromkeys(estimates, m)
+    taken = _estimate_assumptions(rules, estimates)
+    if m is None:
         for scanner, found in estimates.items():
             grid = found.angle_grid
             sizes[scanner] = grid.n_columns if grid is not None and grid.whole_turn else None
         if None in sizes.values() or not sizes:
             extents = _survey(source, rules, estimates, end)
-            n_lines = sum(extent.n_lines for extent in extents.values())
-            sizes = {scanner: sizes.get(scanner) or _size(rules, extents[scanner]) for scanner in sorted(extents)}
-            images = {one: (extent.n_lines, sizes[one] or 1, extent.n_shots) for one, extent in extents.items()}
+            n_lines = sum(n for n, _, _ in extents.values())
+            n_known = max(n_known, sum(n for _, n, _ in extents.values()))
+            sizes = {scanner: sizes.get(scanner) or max(extents[scanner][2], 1) for scanner in sorted(extents)}
+            images = {one: (lines, sizes[one] or 1, shots) for one, (lines, shots, _) in extents.items()}
             check_image(rules.path, images, rules.scanner or "")
-        shown = _shown_sizes(rules, sizes)
-        taken.append(
-            Assumption("input.points_per_line", shown, _size_reason(rules, end, whole_pass=n_lines is not None))
-        )
+        why = _size_reason(rules, end, whole_pass=n_lines is not None)
+        taken.append(Assumption("input.points_per_line", _shown_sizes(rules, sizes), why))
     setups = {}
     for scanner, size in sizes.items():
         if size is None:
             continue
-        if points_per_line is None:
+        if m is None:
             check_found_columns(rules.path, size, source.n_records)
-        found = estimates.get(scanner, Estimates())
-        angle = _angles(rules, size, found, probes.get(scanner))
-        down_rad, cos_tilt = None, 1.0
-        if geometry and angle is not None and rules.height_names and scanner in probes:
-            whole = _with_angles(probes[scanner], column_rule(rules, found.angle_grid), angle, rules)
-            down_rad, cos_tilt, assumption = _down(rules, ranges, whole, scanner)
-            taken.append(assumption)
-        n_shots = extents[scanner].n_shots if scanner in extents else 0
-        setups[scanner] = ScannerSetup(size, found, angle, down_rad, cos_tilt, n_shots)
-    return setups, n_lines, tuple(taken)
+        setup, told = _set_up_one(
+            rules, scanner, size, estimates.get(scanner, Estimates()), probes.get(scanner), n_known
+        )
+        setups[scanner] = setup
+        taken += told
+    if m is None:
+        if not setups:
+            raise nothing_placed(rules.path)
+        return setups, None, n_lines, tuple(taken)
+    default, _ = _set_up_one(rules, 0, m, Estimates(timing=_given_timing(rules)), None, source.n_records or 0)
+    return setups, default, n_lines, tuple(taken)
 
 
-def _size(rules: GridRules, extent: _Extent) -> int:
-    size = extent.longest if rules.columns == "order" else extent.max_column + 1
-    return max(size, 1)
+def _set_up_one(
+    rules: GridRules, scanner: int, m: int, found: Estimates, first: WholeLines | None, n_known: int
+) -> tuple[ScannerSetup, list[Assumption]]:
+    """Return the setup of one scanner from its first lines, if they were needed."""
+    columns = column_rule(rules, found.angle_grid)
+    lines = replace(line_rules(rules, m, found), spent=rules.spent, n_known=n_known)
+    # fixed lines: every shot has a cell, no limit needed
+    if rules.lines != "fixed":
+        lines = replace(lines, n_spare=spare_cells(m, rules.config.max_gap_lines, is_alone=rules.scanner is None))
+    angle = _angles(rules, m, found.angle_grid, first)
+    if first is None or angle is None or not rules.height_names:
+        return ScannerSetup(m, lines, columns, angle), []
+    down_rad, cos_tilt, told = _down(rules, _with_angles(first, columns, angle, rules), scanner)
+    return ScannerSetup(m, lines, columns, angle, down_rad, cos_tilt), [told]
+
+
+def most_cells(n_records: int) -> int:
+    """Return the most cells of an image of this many records."""
+    return MIN_CELLS + MAX_CELLS_PER_RECORD * n_records
+
+
+def spare_cells(points_per_line: int, max_gap_lines: int, *, is_alone: bool) -> int:
+    """Return the cells that a scanner may have beside those for its records; a raised ``max_gap_lines`` adds some."""
+    n_spare = SPARE_CELLS if is_alone else MIN_CELLS
+    return n_spare + max_gap_lines * points_per_line if max_gap_lines > USUAL_GAP_LINES else n_spare
+
+
+def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = "") -> None:
+    """Refuse an image that is absurdly empty."""
+    n_cells = sum(n_lines * n_columns for n_lines, n_columns, _ in sizes.values())
+    is_empty = n_cells > most_cells(sum(n_shots for _, _, n_shots in sizes.values()))
+    # name the emptiest scanner
+    for scanner in sorted(sizes, key=lambda one: -sizes[one][0] * sizes[one][1] + most_cells(sizes[one][2])):
+        n_lines, n_columns, n_shots = sizes[scanner]
+        if is_empty or n_columns > MAX_COLUMN:
+            where = f"{path}: {which} {scanner}" if which else path
+            problem = f"{n_lines} lines of {n_columns} columns for {n_shots} shots"
+            cause, hint = "a column number is wrong", "give the shots in a scan line: -M NUMBER"
+            if n_lines > max(n_shots, n_columns):
+                cause, hint = "line numbers or times jump", f"check them, or {hint}"
+            raise InputError(where, f"{problem}: {cause}, expected fewer cells", hint)
+
+
+def check_found_columns(path: str, points_per_line: int, n_records: int | None) -> None:
+    """Refuse an M, found or recorded in the file, that is too large for the number of records."""
+    most = MAX_COLUMN if n_records is None else min(MAX_COLUMN, most_cells(n_records))
+    if points_per_line > most:
+        count = "" if n_records is None else f" for {n_records} records"
+        problem = f"lines of {points_per_line} columns{count}, expected at most {most}"
+        raise InputError(path, problem, "give the shots in a scan line: -M NUMBER")
 
 
 def _shown_sizes(rules: GridRules, sizes: dict[int, int | None]) -> str:
@@ -125,13 +216,6 @@ def _size_reason(rules: GridRules, end: WindowEnd | None, *, whole_pass: bool) -
     return f"highest column in the input{where}"
 
 
-def given_angles(rules: GridRules, points_per_line: int) -> F64 | None:
-    """Return the scan angle of every column if given, (M,) float64 [rad]."""
-    if rules.angle_start_deg is None or rules.angle_step_deg is None:
-        return None
-    return np.deg2rad(rules.angle_start_deg + rules.angle_step_deg * np.arange(points_per_line, dtype=np.float64))
-
-
 def column_rule(rules: GridRules, grid: AngleGrid | None) -> ColumnRule:
     """Return the column rule of a scanner."""
     return ColumnRule(rules.column_dimension, grid, rules.shot_hz, rules.line_hz)
@@ -139,30 +223,25 @@ def column_rule(rules: GridRules, grid: AngleGrid | None) -> ColumnRule:
 
 def _survey(
     source: RecordSource, rules: GridRules, estimates: dict[int, Estimates], end: WindowEnd | None
-) -> dict[int, _Extent]:
-    """Read the input once for the size of the image: the whole of it, or to the end of a window."""
-
-    def of_scanner(scanner: int) -> LineRules:
-        return line_rules(rules, None, estimates.get(scanner, Estimates()))
-
-    extents: dict[int, _Extent] = {}
-    for whole in whole_lines(source, rules, of_scanner):
+) -> dict[int, tuple[int, int, int]]:
+    """Read the input once for lines, shots and M of every scanner: the whole of it, or to the end of a window."""
+    extents: dict[int, tuple[int, int, int]] = {}
+    for whole in whole_lines(source, rules, lambda one: line_rules(rules, None, estimates.get(one, Estimates()))):
         if end is not None and extents and end.passed(whole.first_line, whole.records):
             break
-        extent = extents.get(whole.scanner, _Extent())
+        _, n_shots, size = extents.get(whole.scanner, (0, 0, 0))
         records = whole.records
         if n_rows(records):
-            found = estimates.get(whole.scanner, Estimates())
-            column = find_columns(records, column_rule(rules, found.angle_grid), whole.origin_s)
+            grid = estimates.get(whole.scanner, Estimates()).angle_grid
             line = records[LINE][records[START]]
-            borders = np.flatnonzero(np.diff(line, prepend=-1, append=np.iinfo(np.int64).max))
-            extent = replace(
-                extent,
-                n_shots=extent.n_shots + len(line),
-                longest=max(extent.longest, int(np.diff(borders).max(initial=0))),
-                max_column=max(extent.max_column, int(column.max(initial=-1))),
-            )
-        extents[whole.scanner] = replace(extent, n_lines=whole.stop_line)
+            n_shots += len(line)
+            if rules.columns == "order":
+                borders = np.flatnonzero(np.diff(line, prepend=-1, append=np.iinfo(np.int64).max))
+                size = max(size, int(np.diff(borders).max(initial=0)))
+            else:
+                column = find_columns(records, column_rule(rules, grid), whole.origin_s)
+                size = max(size, int(column.max(initial=-1)) + 1)
+        extents[whole.scanner] = (whole.stop_line, n_shots, size)
     return extents
 
 
@@ -178,10 +257,10 @@ def _with_angles(whole: WholeLines, rule: ColumnRule, angle_rad: F64, rules: Gri
     return {**records, "angle": of_shot[np.cumsum(records[START]) - 1]}
 
 
-def _down(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
+def _down(rules: GridRules, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
     """Find the scan angle of straight down, and the tilt, from heights of the first lines."""
     key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
-    range_m, _, _ = clean_measured(records, replace(ranges, sensor_xyz=False))
+    range_m, _, _ = clean_measured(records, replace(rules.ranges, sensor_xyz=False))
     lines = np.unique(records[LINE][np.isfinite(range_m)])[:DOWN_LINES]
     first = np.isin(records[LINE], lines)
     try:
@@ -193,14 +272,195 @@ def _down(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> 
     return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
 
 
-def _angles(rules: GridRules, size: int, found: Estimates, whole: WholeLines | None) -> F64 | None:
-    if found.angle_grid is not None:
-        return found.angle_grid.angles(size)
-    if (given := given_angles(rules, size)) is not None:
-        return given
-    if whole is None or "angle" not in whole.records or rules.columns not in ("dimension", "order"):
+def _angles(rules: GridRules, size: int, grid: AngleGrid | None, first: WholeLines | None) -> F64 | None:
+    """Return the scan angle of every column, (M,) [rad], None if unknown."""
+    if grid is not None:
+        return grid.angles(size)
+    if rules.gives_angles:
+        start, step = rules.config.angle_start or 0.0, rules.config.angle_step or 0.0
+        return np.deg2rad(start + step * np.arange(size, dtype=np.float64))
+    if first is None or "angle" not in first.records or rules.columns not in ("dimension", "order"):
         return None
     if rules.columns == "order" and rules.lines != "fixed":
         return None
-    angle = whole.records["angle"][whole.records[START]]
-    return column_angles(angle, find_columns(whole.records, column_rule(rules, None), None), size)
+    angle = first.records["angle"][first.records[START]]
+    return column_angles(angle, find_columns(first.records, column_rule(rules, None), None), size)
+
+
+def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) -> LineRules:
+    """Return how the lines of a scanner are found."""
+    half_s, column, column_s = found.timing.shot_s / 2, rules.column_dimension, found.timing.column_s
+    if rules.shot_hz is not None or not column_s > 0:
+        column, column_s = None, 0.0
+    shared = ("time" if rules.has("time") else None, rules.line_dimension, rules.column_dimension)
+    return LineRules(
+        where=f"{rules.path}: {rules.line_dimension or 'lines = ' + rules.lines}",
+        path=rules.path,
+        dimension=rules.line_dimension,
+        line_hz=rules.line_hz,
+        half_shot_s=half_s if rules.shot_hz is None else 0.5 / rules.shot_hz,
+        origin_s=rules.config.time_origin,
+        column_dimension=column,
+        column_s=column_s,
+        sweep=found.sweep,
+        points_per_line=points_per_line,
+        same_shot=tuple(name for name in shared if name is not None) if rules.has_returns else None,
+        shot_hz=rules.shot_hz,
+        max_gap_lines=rules.config.max_gap_lines,
+        refuse_back=rules.line_dimension is not None and rules.config.order == "require",
+        slack=SLACK if rules.lines in ("dimension", "time") else 0,
+    )
+
+
+def _estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> list[Assumption]:
+    """Report the estimates from angles."""
+    taken = []
+    for scanner, found in estimates.items():
+        which = "" if rules.scanner is None else f" of scanner {scanner}"
+        if found.sweep is not None:
+            way = "grows" if found.sweep.direction > 0 else "falls"
+            shown = f"angle {way} over {math.degrees(found.sweep.span_rad):.2f} deg"
+            taken.append(Assumption("input.lines", shown, f"found in the first records{which}"))
+        grid = found.angle_grid
+        if grid is not None and rules.config.angle_start is None:
+            shown = f"{math.degrees(grid.start_rad):.4f}"
+            taken.append(Assumption("input.angle_start", shown, f"earliest angle in the first records{which} [deg]"))
+        if grid is not None and rules.config.angle_step is None:
+            shown = f"{math.degrees(grid.step_rad):.6g}"
+            taken.append(Assumption("input.angle_step", shown, f"from shot to shot in the first records{which} [deg]"))
+    return taken
+
+
+def _given_timing(rules: GridRules) -> ShotTiming:
+    """Return the timing as far as known without reading."""
+    if rules.line_hz is None or rules.points_per_line is None:
+        return UNKNOWN
+    return ShotTiming(1 / (rules.line_hz * rules.points_per_line))
+
+
+def _timing(rules: GridRules, records: Table) -> ShotTiming:
+    """Estimate shot timing from the first records of a scanner."""
+    assert rules.line_hz is not None
+    m, name = rules.points_per_line, rules.column_dimension
+    records, starts, _ = whole_shots(records, ScanState(), line_rules(rules, m, Estimates()), final=True)
+    shots = take(records, starts)
+    column = None if name is None else columns_by_dimension(shots[name])
+    return find_timing(np.asarray(shots["time"], np.float64), column, rules.line_hz, m)
+
+
+def find_timing(time_s: F64, column: I64 | None, line_hz: float, points_per_line: int | None) -> ShotTiming:
+    """Find the timing from the first shots."""
+    given_s = 0.0 if points_per_line is None else 1 / (line_hz * points_per_line)
+    if column is not None:
+        return ShotTiming(given_s, _column_step(time_s, column, 1 / line_hz) or given_s)
+    return ShotTiming(given_s or _shot_step(time_s, 1 / line_hz))
+
+
+def _column_step(time_s: F64, column: I64, period_s: float) -> float:
+    """Return the time from column to column, 0 if columns do not grow with time."""
+    use = np.isfinite(time_s) & (column >= 0)
+    step = np.diff(time_s[use])
+    ahead = np.diff(column[use])
+    # pairs less than a period apart with growing columns are in the same line
+    near = (step >= 0) & (step < period_s)
+    forward = near & (ahead > 0)
+    if not forward.any() or np.count_nonzero(forward) < np.count_nonzero(near & (ahead < 0)):
+        return 0.0
+    forward &= ahead <= _MAX_AHEAD * np.median(ahead[forward])
+    return float(step[forward].sum() / ahead[forward].sum())
+
+
+def _shot_step(time_s: F64, period_s: float) -> float:
+    """Return the typical time between neighbouring shots, 0 if unknown; rather an underestimate."""
+    step = np.diff(time_s[np.isfinite(time_s)])
+    step = step[(step >= 0) & (step < period_s)]
+    ahead = step[step > 0]
+    if not len(ahead):
+        return 0.0
+    if len(ahead) < _FEW_EQUAL * len(step):
+        # shots share time stamps: use the mean
+        return float(step[step < 2.5 * np.median(ahead)].mean())
+    # shots may be missing between most neighbours: use the shortest fifth
+    return float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)]))
+
+
+def probe(source: RecordSource, rules: GridRules) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
+    """Read the first records of every scanner; estimate sweep, column angles and timing."""
+    m, has_angle = rules.points_per_line, rules.has("angle")
+    needs_sweep = rules.lines == "angle-wrap" or rules.columns == "angle"
+    by_column = rules.columns == "dimension" or rules.lines == "fixed"
+    # angles that are given need no records, but heights beside them tell where down is
+    has_heights = bool(rules.height_names) and rules.gives_angles
+    for_angles = rules.geometry and ((has_angle and by_column) or has_heights)
+    needs_timing = rules.line_hz is not None and rules.shot_hz is None
+    needs_timing = needs_timing and (m is None or rules.column_dimension is not None)
+    if not needs_sweep and not for_angles and not needs_timing:
+        return ({0: Estimates(timing=_given_timing(rules))} if rules.scanner is None else {}), {}
+    beside = (*(("angle",) if has_angle else ()), *rules.height_names)
+    names = tuple(dict.fromkeys((*rules.names, *beside)))
+    limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
+    # find every scanner where the rules depend on its angles or timing
+    to_end = rules.scanner is not None and (needs_sweep or needs_timing)
+    first = first_records(source, rules.scanner, names, limit, to_end=to_end)
+    if not first:
+        raise nothing_placed(source.path)
+    estimates: dict[int, Estimates] = {}
+    probes: dict[int, WholeLines] = {}
+    for scanner, records in first.items():
+        where = source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
+        sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
+        found = Estimates(sweep, None, _timing(rules, records) if needs_timing else _given_timing(rules))
+        if needs_sweep or for_angles:
+            # lines that go back are refused while reading, not here
+            lenient = replace(line_rules(rules, m, found), refuse_back=False)
+            whole, _ = advance(scanner, records, ScanState(), lenient, final=True)
+            if whole is not None:
+                probes[scanner] = whole
+                found = _with_grid(rules, found, whole, where)
+        estimates[scanner] = found
+    return estimates, probes
+
+
+def _with_grid(rules: GridRules, found: Estimates, whole: WholeLines, where: str) -> Estimates:
+    """Add the columns of the scan angles, where columns are found by them."""
+    if rules.columns != "angle":
+        return found
+    shots, start, step = take(whole.records, whole.records[START]), rules.config.angle_start, rules.config.angle_step
+    grid = find_angle_grid(
+        shots["angle"],
+        shots[LINE],
+        where,
+        start_rad=None if start is None else math.radians(start),
+        step_rad=None if step is None else math.radians(step),
+        whole_turn=rules.whole_turn,
+    )
+    timing = found.timing
+    if rules.line_hz is not None and rules.points_per_line is None:
+        # where shots are missing, columns give the distance between them better
+        timing = replace(timing, shot_s=min(timing.shot_s, 1 / (rules.line_hz * grid.n_columns)))
+    return Estimates(found.sweep, grid, timing)
+
+
+@dataclass(slots=True)
+class WindowEnd:
+    """Tells whether records of one scanner, in the order of the lines, have passed the end of a window."""
+
+    window: Window
+    line_hz: float | None
+    _origin_s: float | None = None
+
+    def passed(self, first_line: int, records: Table) -> bool:
+        """Whether these whole lines lie behind the window."""
+        if self.window.in_lines:
+            return first_line >= self.window.stop
+        if not n_rows(records):
+            return False
+        if "time" not in records:
+            return self.line_hz is not None and first_line / self.line_hz >= self.window.stop
+        time_s = np.asarray(records["time"], np.float64)
+        known = time_s[np.isfinite(time_s)]
+        if not len(known):
+            return False
+        if self._origin_s is None:
+            self._origin_s = float(known[0])
+        return bool(known[0] >= self.window.bounds(self._origin_s)[1])

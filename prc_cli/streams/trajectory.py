@@ -83,12 +83,7 @@ class Trajectory:
         return float(self.time_s[0]), float(self.time_s[-1])
 
     def positions(self, time_s: F64) -> F64:
-        """Interpolate.
-
-        >>> track = Trajectory("drive.csv", np.array([0.0, 2.0]), np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 1.0]]))
-        >>> track.positions(np.array([0.5]))
-        array([[1., 0., 1.]])
-        """
+        """Interpolate."""
         if len(time_s) == 0:
             return np.empty((0, 3))
         # comparisons with NaN are false, so NaN counts as outside

@@ -18,7 +18,7 @@ from prc_cli.cli import main
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import F32
-from prc_cli.formats.las.check import classes_by_laspy
+from prc_cli.formats.las.read import classes_by_laspy
 from prc_cli.jobs import doctor
 from prc_cli.jobs.classify import ClassifiedRanges
 from prc_cli.jobs.doctor import Check, examine, file_system
@@ -71,6 +71,7 @@ def test_versions_compare_as_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     installed = {"a": "0.10.0", "b": "2.0rc1", "c": "3"}
     monkeypatch.setattr(metadata, "requires", lambda name: ["a>=0.9.1", "b>=2", "c>=3.0.0"])
     monkeypatch.setattr(metadata, "version", lambda name: installed.get(name, "1"))
+    monkeypatch.setattr(doctor, "_broken_packages", lambda names: {})
     assert checks()["packages"].status == "ok"
 
 
@@ -98,7 +99,7 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
         def decompress_many(self, records: object) -> None:
             pass
 
-    monkeypatch.setattr("prc_cli.formats.las.check.lazrs.LasZipDecompressor", Broken)
+    monkeypatch.setattr("prc_cli.formats.las.laz.lazrs.LasZipDecompressor", Broken)
     found = checks()["LAZ"]
     assert found.status == "bad"
     assert "differ" in found.found
@@ -255,7 +256,7 @@ def test_quiet_prints_only_what_is_not_well(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.formats.las.check.classes_by_laspy", lambda path: {2: 1})
+    monkeypatch.setattr("prc_cli.formats.las.read.classes_by_laspy", lambda path: {2: 1})
     (found,) = doctor._end_to_end()
     assert found.status == "bad"
     assert found.found.endswith("laspy reads other classes than were written")

@@ -267,12 +267,8 @@ def test_ranges_beyond_the_reach_are_told_and_keep_a_class(prc: Prc, tmp_path: P
     [
         (("--preset", "street-scan", "--method", "prc"), 2, "--preset street-scan is for --method sequential-angle"),
         (("--preset", "urban", "--method", "sequential-angle"), 2, "--preset urban is for --method prc"),
-        (("--preset", "street-scan", "--set", "sequential_angle.curb.max_lines=2"), 2, "max_lines (2)"),
-        (
-            ("--preset", "street-scan", "--set", "sequential_angle.car.dividers.sudden_from_deg=30"),
-            2,
-            "sudden_from_deg",
-        ),
+        (("--preset", "street-scan", "--set", "sequential_angle.curb.min_lines=201"), 2, "equal to 200"),
+        (("--preset", "street-scan", "--set", "sequential_angle.curb.max_lines=2"), 2, "max_lines = 200"),
     ],
 )
 def test_what_contradicts_itself_is_refused(

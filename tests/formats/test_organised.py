@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import e57_file, ptx
+from prc_cli.formats.organised import e57_read, ptx
 from prc_cli.formats.organised.scans import Pose, is_rotation
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
@@ -37,8 +37,8 @@ def peak_bytes(path: Path) -> int:
 @pytest.mark.parametrize("kind", ["ptx", "e57", "e57 row by row"])
 def test_memory_does_not_grow_with_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", 2048)
-    monkeypatch.setattr(e57_file, "CHUNK_POINTS", 1024)
-    monkeypatch.setattr(ptx, "TEXT_BYTES", 1 << 15)
+    monkeypatch.setattr(e57_read, "CHUNK_POINTS", 1024)
+    monkeypatch.setattr(ptx, "BLOCK_BYTES", 1 << 15)
     peaks = []
     for n_lines in (100, 100, 1000):  # the first one imports
         points = grid_points(n_lines, 64)

@@ -29,7 +29,7 @@ def lines_of(data: bytes) -> list[bytes]:
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("read", [1, 3, 7, 100])
 def test_skipping_lines_equals_reading_them(monkeypatch: pytest.MonkeyPatch, seed: int, read: int) -> None:
-    monkeypatch.setattr(ptx, "TEXT_BYTES", read)
+    monkeypatch.setattr(ptx, "BLOCK_BYTES", read)
     rng = np.random.default_rng(seed)
     data = b"\n".join(b"x" * n for n in rng.integers(0, 6, 9).tolist()) + (b"" if seed % 3 else b"\n")
     every = lines_of(data)
@@ -89,7 +89,7 @@ def test_values_that_do_not_fit_their_type(values: list[int], problem: str | Non
 def test_records_beyond_the_input_have_no_label() -> None:
     put: list[tuple[list[int], list[int]]] = []
     spool = SimpleNamespace(put=lambda record, codes: put.append((record.tolist(), codes.tolist())))
-    writer: Any = SimpleNamespace(path=Path("labels.csv"), _n_records=5, _code_spool=spool, _spools={}, _there=None)
+    writer: Any = SimpleNamespace(path=Path("labels.csv"), _n_records=5, _code_spool=spool, _spools={}, _is_part=False)
     records: I64 = np.array([4, 5, -1, 0])
     ScatterWriter._put(writer, records, np.array([7, MISSING_CODE, 7, 8], np.uint8), {})
     ScatterWriter._put(writer, records[:1], np.array([9], np.uint8), {})

@@ -146,7 +146,7 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     )
     whole = scans_of(PtxStream(path, AUTO))
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
-    monkeypatch.setattr(ptx, "TEXT_BYTES", text_bytes)
+    monkeypatch.setattr(ptx, "BLOCK_BYTES", text_bytes)
     for block, one in zip(scans_of(PtxStream(path, AUTO)), whole, strict=True):
         assert equal(block.range_m, one.range_m)
         assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]

@@ -153,7 +153,7 @@ class Full:
 def test_a_write_that_fails_leaves_nothing(
     tmp_path: Path, out: Path, kind: str, suffix: str, room: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from prc_cli.formats.las.sinks import Target
+    from prc_cli.formats.las.laz import Target
 
     source = source_for(tmp_path, kind)
     full, real = Full(room), Target.write

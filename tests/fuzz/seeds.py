@@ -264,11 +264,18 @@ def _recorded(name: str) -> bytes:
 
     dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "u1"), ("t", "<u4")])
     clouds = messages(drive(60), dtype, every=20)
-    sent = clouds if name == "cloud.db3" else [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
+    stem = name.partition(".")[0]
+    sent = clouds if stem == "cloud" else [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
+    if name.startswith("mixed"):
+        lists = [[[3.0, 5.0 + i], [], [7.0]] for i in range(12)]
+        kind = "sensor_msgs/msg/MultiEchoLaserScan"
+        many = [made.echoes(made.STORES[2], made.START_NS + i, one, one) for i, one in enumerate(lists)]
+        sent = [*clouds, *(made.Sent("/echoes", kind, made.START_NS + i, one) for i, one in enumerate(many))]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         if name.endswith(".mcap"):
-            return made.write_mcap(path, sent, name.partition(".")[0].replace("plain", "none"), 3000).read_bytes()
+            packing = {"plain": "none", "mixed": "zstd"}.get(stem, stem)
+            return made.write_mcap(path, sent, packing, 3000).read_bytes()
         if name.endswith(".db3"):
             return made.write_db3(path, sent, packed=name.startswith("zstd")).read_bytes()
         sent = [*made.lasers(1), *made.lasers(1, "/left", "left", 2), *made.strings(1)]
@@ -286,6 +293,12 @@ def _captured(name: str) -> bytes:
         path = Path(folder) / name
         if name.startswith("ouster"):
             return made.write_pcap(path, made.framed(made.ouster()[1], 7502)).read_bytes()
+        if name.startswith("hesai"):
+            models = ("40P", 0x37), ("OT128", 0x39), ("64", 0x39)
+            every = [made.hesai(model, 6, mode=mode)[0] for model, mode in models]
+            every.append(made.velodyne(9, 0xA1))
+            sources = [made.framed(packets, 2368 + i) for i, packets in enumerate(every)]
+            return made.write_pcap(path, [frame for frames in sources for frame in frames]).read_bytes()
         frames = made.framed(made.vlp16(6))
         body = made.udp(made.vlp16(7)[6])
         for offset in (0, 600):
@@ -391,7 +404,7 @@ def _state() -> dict[str, bytes]:
 
 RECORDINGS = (
     *("plain.bag", "bz2.bag", "lz4.bag", "plain.mcap", "zstd.mcap", "lz4.mcap", "plain.db3", "zstd.db3", "cloud.db3"),
-    *("velodyne.pcap", "velodyne.pcapng", "ouster.pcap"),
+    *("mixed.mcap", "velodyne.pcap", "velodyne.pcapng", "hesai.pcap", "ouster.pcap"),
 )
 
 

@@ -166,9 +166,9 @@ TARGETS: dict[str, Target] = {
         ),
     ),
     "bag": Target(("plain.bag", "bz2.bag", "lz4.bag"), (*RECORDED, ("info", "{case}", "--topic", "/scan"))),
-    "mcap": Target(("plain.mcap", "zstd.mcap", "lz4.mcap"), RECORDED),
+    "mcap": Target(("plain.mcap", "zstd.mcap", "lz4.mcap", "mixed.mcap"), RECORDED),
     "db3": Target(("plain.db3", "zstd.db3", "cloud.db3"), RECORDED),
-    "pcap": Target(("velodyne.pcap", "velodyne.pcapng"), RECORDED),
+    "pcap": Target(("velodyne.pcap", "velodyne.pcapng", "hesai.pcap"), RECORDED),
     "ouster": Target(("ouster.pcap",), tuple((*command, *_META) for command in RECORDED)),
     "metadata": Target(
         ("ouster.json",),

@@ -3,14 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import InputError
 from prc_cli.imaging.pictures import (
     AGREE_COLOUR,
-    class_picture,
     colour_map,
     difference_picture,
-    label_picture,
     mask_picture,
     range_bar,
     range_limits,
@@ -68,16 +65,6 @@ def test_limits_that_make_no_sense(limits: tuple[float, float]) -> None:
         range_picture(np.ones((2, 2)), limits)
 
 
-def test_labels_have_the_colours_of_the_table() -> None:
-    labels = np.array([list(Label)], dtype=np.uint8)
-    assert [tuple(colour) for colour in label_picture(labels)[0].tolist()] == list(LABEL_COLOURS.values())
-
-
-def test_class_codes_are_no_labels() -> None:
-    with pytest.raises(InputError, match="labels: found numbers from 2 to 64, expected labels from 0 to 11"):
-        label_picture(np.array([[2, 64]], dtype=np.uint8))
-
-
 def test_segments_differ_are_stable_and_none_is_black() -> None:
     ids = np.arange(0, 500).reshape(1, -1)
     picture = segment_picture(ids)
@@ -133,4 +120,3 @@ def test_differences_show_what_was_predicted_where_it_is_wrong() -> None:
     predicted, reference = np.array([[1, 1, 0, 2]], np.uint8), np.array([[1, 2, 1, 0]], np.uint8)
     picture = difference_picture(predicted, reference, colours)
     assert picture[0].tolist() == [list(AGREE_COLOUR), [10, 0, 0], [255, 255, 255], [255, 255, 255]]
-    assert class_picture(predicted, colours)[0, 3].tolist() == [0, 20, 0]

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+import zlib
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64
-from prc_cli.imaging.viewer import ClassEntry, Shots, Values, pack, unpack, viewer_page
+from prc_cli.imaging.viewer import ClassEntry, Shots, Values, pack, viewer_page
 
 TITLE = "a <b>&\"'</script>.laz"
 
@@ -118,3 +119,10 @@ def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
     )
     _, planes = decoded(page_of(given))
     assert all(np.isnan(plane).all() for plane in planes.values())
+
+
+def unpack(text: str, n_bytes: int) -> Any:
+    """Return the integers as the page decodes them."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(n_bytes, -1).astype(np.int64)
+    steps = sum(planes[k] << (8 * k) for k in range(n_bytes))
+    return np.cumsum(steps) % 256**n_bytes

@@ -17,9 +17,8 @@ from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.evaluation.scores import gate_value, scores
-from prc_cli.jobs.calibrate.calibrate import SearchOptions, calibrate
-from prc_cli.jobs.calibrate.curves import CurveCounter, Curves, thresholds
-from prc_cli.jobs.calibrate.implied import Advice
+from prc_cli.jobs.calibrate import SearchOptions, calibrate
+from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, thresholds
 from prc_cli.jobs.calibrate.reports import (
     as_json,
     as_markdown,
@@ -94,8 +93,7 @@ def test_curves_rise_and_end_where_the_published_figure_does() -> None:
     curves = count(street()[:30], PrcParams(), 30)
     assert (np.diff(curves.over_zeta_p(1.0)) >= 0).all()
     assert (np.diff(curves.background_share()) <= 0).all()
-    with pytest.raises(KeyError):
-        curves.share(0.123456, 1.0)
+    assert curves.share(0.123456, 1.0) is None
 
 
 def corridor(sigma_m: float, per_m: float, step_deg: float = 0.5, n_lines: int = 120) -> F32:
@@ -253,7 +251,7 @@ def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
     found = calibrate(source, BLOCKS, options, tried=lambda n, best: trials.append((n, best)))
     assert found.search is not None
     before, _, after = found.search.judged
-    assert after.held_out.accuracy > before.held_out.accuracy
+    assert (after.held_out["kappa"] or 0.0) > (before.held_out["kappa"] or 0.0)
     assert len(trials) == found.search.n_trials <= 120
     bests = [best for _, best in trials]
     assert bests == sorted(bests)
@@ -283,8 +281,8 @@ def test_figures_of_the_search_are_those_of_the_classifier(tmp_path: Path) -> No
     np.save(tmp_path / "part.npy", codes.ravel())
     classify(tmp_path / "part.npz", tmp_path / "labels.npy", loaded)
     expected = scores(evaluate(tmp_path / "labels.npy", tmp_path / "part.npy"))
-    for name in ("accuracy", "kappa", "f1.ground", "f1.noise"):
-        assert gate_value(found.search.judged[0].training, name) == pytest.approx(gate_value(expected, name))
+    for name in ("kappa", "f1.ground", "f1.noise"):
+        assert found.search.judged[0].training[name] == pytest.approx(gate_value(expected, name))
 
 
 def test_kept_keys_take_what_the_sensor_implies(tmp_path: Path) -> None:
@@ -409,7 +407,7 @@ def test_oakland_section_helps_the_other_two(real_data: Path, tmp_path: Path) ->
     found = calibrate(first, load_config(preset="urban"), SearchOptions(first, "oakland"))
     assert found.sensor.noise_at(2.5) == pytest.approx(0.0068, rel=0.2)
     assert found.search is not None
-    kappa = [gate_value(item.held_out, "kappa") for item in found.search.judged]
+    kappa = [item.held_out["kappa"] or 0.0 for item in found.search.judged]
     assert kappa[0] < 0.5 < kappa[1] < 0.7 < kappa[2]
     for section, least in zip(others, (0.80, 0.80), strict=True):
         classify(section, tmp_path / "labels.npy", found.config, overwrite=True)

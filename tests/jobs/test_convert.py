@@ -16,12 +16,11 @@ from hypothesis import strategies as st
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats import open_source
 from prc_cli.jobs.classify import Counts, classify, label_blocks, open_stream
-from prc_cli.jobs.convert import Facts, convert
+from prc_cli.jobs.convert import convert
 from tests.formats.organised_files import (
     Scan,
     e57_fields,
@@ -458,12 +457,11 @@ def test_an_interrupt_leaves_no_file_and_no_words(
     assert capfd.readouterr().err == ""
 
 
-def test_facts_add_up_over_blocks() -> None:
-    facts = Facts(Counts.none())
+def test_counts_add_up_over_blocks() -> None:
+    counts = Counts.none()
     for first, n_lines in ((0, 3), (3, 5)):
         ranges = np.ones((n_lines, 7), np.float32)
         ranges[0, :2] = np.nan
-        facts = facts.add(ScanBlock(first, ranges))
-    assert (facts.counts.n_lines, facts.counts.n_shots, facts.n_returned) == (8, 56, 52)
-    assert facts.counts.labels[Label.MISSING] == 4
-    assert facts.scanners == {0: 7}
+        counts = counts.add(ScanBlock(first, ranges))
+    assert (counts.n_lines, counts.n_shots, counts.n_missing) == (8, 56, 4)
+    assert counts.scanners == {0: 7}

@@ -17,11 +17,11 @@ from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.core.findings import CHECK_NAMES
-from prc_cli.formats.las.copy import read_las
+from prc_cli.formats.las.rewrite import read_las
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
 from prc_cli.jobs.thin import CLASSIFY, ThinRule, parse_rules, thin
-from prc_cli.jobs.thin.selection import keep_by_pattern, keep_by_spacing
+from prc_cli.jobs.thin.rules import keep_by_pattern, keep_by_spacing
 from tests.jobs.test_convert import (
     cloud,
     config,

@@ -11,7 +11,6 @@ from numpy.random import Generator
 from prc_cli.core.types import F32, I32
 from prc_cli.methods.sequential_angle.thresholds import (
     ChordThresholds,
-    MarkovModel,
     MarkovThresholds,
     SurfaceThresholds,
 )
@@ -47,7 +46,7 @@ def chord_case(rng: Generator) -> tuple[Any, ...]:
     n_rows, n = shape(rng)
     ranges, xyz = points(rng, n_rows, n)
     thresholds = ChordThresholds(
-        min_chord_m=float(rng.choice([0.0, 0.125, 0.25, 0.3, 1.0])),
+        least_chord_m=float(rng.choice([0.0, 0.125, 0.25, 0.3, 1.0])),
         depth_m=float(rng.choice([0.0, 0.125, 0.2])),
         max_shots=int(rng.choice([1, 2, 5, 256])),
     )
@@ -86,7 +85,6 @@ def line_angle_case(rng: Generator) -> tuple[Any, ...]:
     return ranges, ahead.astype(np.int32), surface, np.minimum(np.cumsum(steps, axis=1), np.pi)
 
 
-FAST = np.full((3, 3), 1 / 3)
 MODELS = [
     ([-90, 0, 90], [30, 30, 30], [[0.05, 0.475, 0.475], [0.05, 0.875, 0.075], [0.05, 0.075, 0.875]]),
     ([-150, 0, 150], [30, 30, 30], [[0.1, 0.8, 0.1]] * 3),
@@ -98,9 +96,14 @@ MODELS = [
 def hmm_case(rng: Generator) -> tuple[Any, ...]:
     means, sigmas, h0 = MODELS[rng.integers(len(MODELS))]
     starts = [[1 / 3, 1 / 3, 1 / 3], [0.2, 0.3, 0.5], [0.05, 0.475, 0.475]]
-    initial_h0, initial_h1 = (np.array(starts[i]) for i in rng.integers(3, size=2))
+    initial_h0, initial_h1 = (starts[i] for i in rng.integers(3, size=2))
     values = signed(rng, *shape(rng))
-    thresholds = MarkovThresholds(
+    return values, MarkovThresholds(
+        means_deg=tuple(map(float, means)),  # type: ignore[arg-type]
+        sigmas_deg=tuple(map(float, sigmas)),  # type: ignore[arg-type]
+        h0=tuple(tuple(map(float, row)) for row in h0),  # type: ignore[arg-type]
+        initial_h0=tuple(initial_h0),  # type: ignore[arg-type]
+        initial_h1=tuple(initial_h1),  # type: ignore[arg-type]
         threshold=float(rng.choice([0.5, 2.5, 10.0])),
         threshold_back=float(rng.choice([0.5, 2.5, 10.0])),
         backdate=bool(rng.random() < 0.5),
@@ -109,8 +112,6 @@ def hmm_case(rng: Generator) -> tuple[Any, ...]:
         reject=float(rng.choice([-1.0, -2.5, -5.0])),
         merge_gap=int(rng.choice([0, 1, 5, 20])),
     )
-    gaussians = (np.array(means, np.float64), np.array(sigmas, np.float64))
-    return values, *gaussians, MarkovModel(np.array(h0), initial_h0), MarkovModel(FAST, initial_h1), thresholds
 
 
 def surface_case(rng: Generator) -> tuple[Any, ...]:

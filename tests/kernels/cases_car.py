@@ -12,8 +12,7 @@ from prc_cli.core.types import F32, F64, I32, U8
 from prc_cli.methods.sequential_angle.thresholds import (
     DividerThresholds,
     FourierThresholds,
-    LayerThresholds,
-    WallThresholds,
+    WindowThresholds,
 )
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)
@@ -37,7 +36,7 @@ def size(rng: Generator) -> tuple[int, int]:
 def trigger_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
     increments = rng.integers(-8, 9, (3, 3)) / 4.0 if rng.random() < 0.5 else rng.normal(0, 1, (3, 3))
-    return surface, n_beams, increments, float(rng.choice([0.0, 1.0, 2.5])), bool(rng.integers(2))
+    return surface, n_beams, increments, float(rng.choice([0.0, 1.0, 2.5]))
 
 
 def geometry(rng: Generator, surface: U8) -> tuple[F32, F32, F32]:
@@ -89,8 +88,8 @@ def divider_thresholds(rng: Generator) -> DividerThresholds:
         glass_m=float(rng.choice([0.0, 0.5, 10.0])),
         sudden_from_deg=-5.0,
         sudden_to_deg=20.0,
-        chord_m=float(rng.choice([0.0, 0.08, 0.25, 0.75])),
-        chord_reach=int(rng.choice([1, 4, 200])),
+        change_chord_m=float(rng.choice([0.0, 0.08, 0.25, 0.75])),
+        change_reach=int(rng.choice([1, 4, 200])),
         under_points=int(rng.choice([0, 1, 30])),
         under_m=float(rng.choice([0.0, 0.01])),
         separation_m=4.0,
@@ -108,7 +107,7 @@ def divider_thresholds(rng: Generator) -> DividerThresholds:
         vertical_open=bool(rng.integers(2)),
         straight_points=int(rng.choice([1, 3, 6])),
         straight_extent_m=float(rng.choice([0.0, 0.25, 1.0, np.inf])),
-        straight_residual_m=float(rng.choice([0.0301, 0.1303])),
+        straight_m=float(rng.choice([0.0301, 0.1303])),
         straight_slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
         relief_m=float(rng.choice([0.0, 0.0301, 0.1303])),
         lean_noise_m=float(rng.choice([0.0, 0.0503])),
@@ -141,7 +140,7 @@ def layer_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
     layered = rng.choice([5.0, 5.25, 5.5, 6.0, 9.0], surface.shape) + rng.choice([0.0, 0.0, 0.25], surface.shape)
     horizontal = np.where(surface == MISSING, np.nan, layered).astype(np.float32)
-    thresholds = LayerThresholds(
+    thresholds = WindowThresholds(
         width_m=float(rng.choice([0.0, 0.25, 0.5])),
         share=float(rng.choice([0.25, 0.5, 0.75, 1.0])),
         min_points=int(rng.choice([1, 4])),
@@ -157,12 +156,12 @@ def wall_case(rng: Generator) -> tuple[Any, ...]:
     stay = rng.random(surface.shape) < 0.7
     for k in range(1, surface.shape[1]):
         horizontal[:, k] = np.where(stay[:, k], horizontal[:, k - 1], horizontal[:, k])
-    thresholds = WallThresholds(
-        extent_m=float(rng.choice([0.0, 0.25, 1.0])),
+    thresholds = WindowThresholds(
+        wall_extent_m=float(rng.choice([0.0, 0.25, 1.0])),
         break_m=float(rng.choice([0.0, 0.25, 1.0])),
-        residual_m=float(rng.choice([0.0301, 0.1303])),
+        straight_m=float(rng.choice([0.0301, 0.1303])),
         slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
-        width_m=float(rng.choice([0.0, 0.125, 0.25])),
+        wall_m=float(rng.choice([0.0, 0.125, 0.25])),
         front_m=float(rng.choice([0.0, 0.25])),
     )
     horizontal[surface == MISSING] = np.nan
@@ -189,7 +188,7 @@ def spectrum_case(rng: Generator) -> tuple[Any, ...]:
         band=float(rng.choice([0.125, 0.25, 0.01, 0.45])),
         ratio=float(rng.choice([0.5, 0.25, 0.9])),
         min_points=int(rng.choice([0, 1, 8])),
-        window_points=int(rng.choice([8, 64, 2048])),
+        window=int(rng.choice([8, 64, 2048])),
         longest=int(rng.choice([0, 20, 33])),
     )
     return signal.astype(np.float32), found, thresholds

@@ -111,7 +111,6 @@ def cast_case(rng: Generator) -> tuple[Any, ...]:
             velocity=velocity,
             number=rng.integers(0, 2**53, n).astype(np.float64),
         ),
-        rng.permutation(n),
         QUANTILES,
     )
 

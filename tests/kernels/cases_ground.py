@@ -8,21 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState
-from prc_cli.methods.sequential_angle.ground import GroundParams
-from prc_cli.methods.sequential_angle.thresholds import GroundState
+from prc_cli.methods.sequential_angle.curb import CurbState
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, GroundState, GroundThresholds
 from prc_cli.reference.sequential_angle import curb as oracle_curb
 from prc_cli.reference.sequential_angle.ground import histogram_of, potential_heights, to_bin
-
-
-def modes_case(rng: Generator) -> tuple[Any, ...]:
-    """Values on and beside the bins of a bandwidth of 1 or another one, in groups that just part, or just do not."""
-    bandwidth = float(rng.choice([1.0, 8.0, 0.3]))
-    n = int(rng.choice([0, 0, 1, 2, 3, 9, 30]))
-    centres = rng.choice([0.0, 1.0, 2.0, 2.125, 2.25, 4.0, 9.0, -3.0], n)
-    spread = rng.choice([0.0, 0.5, 2.0, 6.0])
-    values = centres * bandwidth + rng.integers(-16, 17, n) / 16 * spread * bandwidth
-    return values.astype(np.float64), bandwidth
 
 
 def heights(rng: Generator, n: int) -> Any:
@@ -64,8 +53,8 @@ def rows(rng: Generator) -> tuple[Any, ...]:
     n_beams = rng.integers(max(n - 3, 1), n + 1, n_rows).astype(np.int32)
     first_run = int(rng.choice([3, 4, 10]))
     thresholds = (
-        GroundParams()
-        .thresholds(float(rng.choice([0.0, 0.001, 0.005])))
+        GroundThresholds()
+        .at_noise(float(rng.choice([0.0, 0.001, 0.005])))
         ._replace(
             first_run=first_run,
             lowest_points=int(rng.choice([1, 5])),
@@ -80,7 +69,6 @@ def rows(rng: Generator) -> tuple[Any, ...]:
             resume=bool(rng.random() < 0.7),
             start_heights=int(rng.choice([0, 5, 50])),
             least_heights=int(rng.choice([1, 3])),
-            all_heights=bool(rng.random() < 0.5),
             renew_every=bool(rng.random() < 0.5),
             height_tolerance=float(rng.choice([0.1, 0.05])),
             height_tolerance_m=float(rng.choice([0.0, 0.125])),
@@ -114,12 +102,8 @@ def possible_case(rng: Generator) -> tuple[Any, ...]:
     xyz[surface == 0] = np.nan
     ground = (surface == 2) & (np.arange(shape[1]) < rng.integers(0, shape[1] + 1, (shape[0], 1)))
     z_g = np.full(shape[0], rng.choice([-1.8, -2.5]), np.float32)
-    thresholds = (
-        CurbParams()
-        .thresholds()
-        ._replace(
-            under_points=int(rng.choice([1, 5, 30])), under_m=float(rng.choice([0.01, 0.0078125])), search_height_m=2.0
-        )
+    thresholds = CurbThresholds()._replace(
+        under_points=int(rng.choice([1, 5, 30])), under_m=float(rng.choice([0.01, 0.0078125])), search_height_m=2.0
     )
     return surface, range_m, xyz, ground, z_g, thresholds
 
@@ -141,20 +125,15 @@ def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tu
 def connect_case(rng: Generator) -> tuple[Any, ...]:
     """A call in the middle of a stream: what came before is what the twin itself carried over."""
     n_sides, n = int(rng.integers(1, 3)), int(rng.choice([1, 3, 8, 16]))
-    thresholds = (
-        CurbParams(min_lines=1)
-        .thresholds()
-        ._replace(
-            min_lines=int(rng.choice([1, 2, 3, 5])),
-            grouping_m=float(rng.choice([0.3, 0.25, 0.125])),
-            max_height_m=float(rng.choice([0.2, 0.125])),
-            min_height_m=float(rng.choice([0.0, 0.0, 0.125])),
-            max_lines=int(rng.choice([1, 2, 4, 200])),
-            by_line=bool(rng.random() < 0.5),
-        )
+    thresholds = CurbThresholds()._replace(
+        min_lines=int(rng.choice([1, 2, 3, 5])),
+        grouping_m=float(rng.choice([0.3, 0.25, 0.125])),
+        max_height_m=float(rng.choice([0.2, 0.125])),
+        min_height_m=float(rng.choice([0.0, 0.0, 0.125])),
+        max_lines=int(rng.choice([1, 2, 4, 200])),
     )
     regions, above, angles = (
-        CurbState.start(n_sides, n, CurbParams()).regions,
+        CurbState.start(n_sides, n, CurbThresholds()).regions,
         np.full((n_sides, n, 3), np.nan, np.float32),
         np.full(((thresholds.min_lines - 1) * n_sides, n), np.nan, np.float32),
     )
@@ -171,7 +150,6 @@ def connect_case(rng: Generator) -> tuple[Any, ...]:
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "connect_verticals": connect_case,
-    "find_modes": modes_case,
     "ground_rows": ground_case,
     "main_height": height_case,
     "possible_curbs": possible_case,

@@ -25,8 +25,8 @@ from tests import patience
 MODULE = """
 from prc_cli.kernels.cache import kernel
 
-@kernel("int64(int64)")
-def twice(number):
+@kernel()
+def twice(number: int) -> int:
     return 2 * number
 """
 
@@ -105,8 +105,8 @@ def test_types_of_tuples_are_those_of_their_values() -> None:
 
     Weighed.__annotations__["inner"] = Inner
     value = Weighed(1.0, 2, np.float32(3), Inner(4.0, 5.0), np.ones((2, 2)))
-    assert cache.record(Weighed) == numba.typeof(value)
-    assert cache.record(Inner) == numba.typeof(Inner(4.0, 5.0))
+    assert cache.numba_type(Weighed) == numba.typeof(value)
+    assert cache.numba_type(Inner) == numba.typeof(Inner(4.0, 5.0))
 
 
 def test_what_loops_are_made_of_names_their_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

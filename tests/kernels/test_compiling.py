@@ -78,19 +78,7 @@ def test_no_lock_can_be_made(tmp_path: Path) -> None:
         pass
 
 
-def test_every_module_is_compiled_by_one_process_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled: list[str] = []
-    monkeypatch.setattr(compiling, "writable_cache", lambda: tmp_path)
-    monkeypatch.setattr(compiling, "import_module", compiled.append)
-    monkeypatch.setattr(compiling, "_source", lambda module: Path(__file__))
-    (tmp_path / "b").touch()  # another process has it
-    for _ in range(2):
-        compiling.compile_unclaimed(tmp_path, ["a", "b", "c"])
-    compiling.compile_unclaimed(tmp_path / "gone", ["d"])
-    assert compiled == ["a", "c"]
-
-
-MODULES = ["prc_cli.methods.sequential_angle.labels_loops", "prc_cli.methods.sequential_angle.fourier_loops"]
+MODULES = ["prc_cli.methods.sequential_angle.labels_loops", "prc_cli.methods.sequential_angle.angles_loops"]
 
 
 @needs_compiler
@@ -112,8 +100,7 @@ def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatc
 @needs_compiler
 def test_child_processes_compile_their_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    (tmp_path / "shares").mkdir()
     monkeypatch.setattr(compiling, "PATIENCE_S", patience.HANGS_S)
-    with compiling._children(1, str(tmp_path / "shares"), MODULES[:1]):
+    with compiling._children([MODULES[:1]]):
         pass
     assert compiling.is_compiled(MODULES[0], tmp_path)

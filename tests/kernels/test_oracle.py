@@ -177,7 +177,8 @@ def test_kernel_equals_its_twin(name: str) -> None:
         case = CASES[name](rng)
         found = getattr(kernels, name)(*case)
         assert_equal_bits(found, twin(name)(*case), TOLERANCES.get(name, 0.0))
-        results.add(bool(np.nan_to_num(found[0] if isinstance(found, tuple) else found).any()))
+        values = np.nan_to_num(found[0] if isinstance(found, tuple) else found)
+        results.add(bool(((values != 0) & (values != -1)).any()))  # -1 = none
     assert results == {False, True}, "the data shows only one side"
 
 
@@ -212,7 +213,7 @@ def test_every_kernel_has_a_twin_of_the_same_arguments() -> None:
     for name, module in KERNELS.items():
         function = getattr(import_module(module), name)
         plain = getattr(function, "py_func", function)
-        assert inspect.signature(plain) == inspect.signature(twin(name)), name
+        assert [*inspect.signature(plain).parameters] == [*inspect.signature(twin(name)).parameters], name
 
 
 def test_every_compiled_function_is_in_the_table() -> None:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.formats.las.contexts import _Run, contexts_of
 from prc_cli.methods.prc.urban import Totals
-from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState, _tail
+from prc_cli.methods.sequential_angle.curb import CurbState, _tail
 from prc_cli.methods.sequential_angle.lines import to_columns
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])
@@ -22,7 +22,7 @@ def test_the_last_rows_stay(n: int, n_new: int) -> None:
 
 
 def test_curbs_begin_without_regions() -> None:
-    params = CurbParams()
+    params = CurbThresholds()
     state = CurbState.start(2, 7, params)
     regions = state.regions
     assert regions.n_given == 1
@@ -58,21 +58,3 @@ def test_rows_of_sides_go_back_to_their_columns(columns: list[list[int]]) -> Non
         for k, column in enumerate(columns[row % 2]):
             expected[row // 2, column] = values[k]
     assert to_columns(rows, sides, 6).tolist() == expected.tolist()
-
-
-@pytest.mark.parametrize("n", [0, 1, 2, 7, 8])
-def test_contexts_are_kept_two_to_a_byte(n: int) -> None:
-    values = np.random.default_rng(n).integers(0, 16, n + n % 2)
-    packed = (values[::2] | values[1::2] << 4).astype(np.uint8)
-    assert _Run(n, 0, packed).contexts().tolist() == values[:n].tolist()
-    assert _Run(n, 5, None).contexts().tolist() == [5] * n
-
-
-def test_contexts_are_channel_and_single_return() -> None:
-    records = np.zeros((1024, 30), np.uint8)
-    records[:, 14] = np.arange(1024) % 256
-    records[:, 15] = 0x4F + 16 * (np.arange(1024) // 256)
-    found = contexts_of(records)
-    assert (found & 3).tolist() == (np.arange(1024) // 256).tolist()
-    assert 0x11 in records[found & 4 > 0, 14]
-    assert 0x21 not in records[found & 4 > 0, 14]

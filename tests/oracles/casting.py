@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
+from math import floor, sqrt
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F64, I32, I64, Mask
+from prc_cli.core.types import F64, I32, Mask
 from prc_cli.simulation.thresholds import CastBodies
 
 U64: TypeAlias = NDArray[np.uint64]
@@ -26,7 +28,6 @@ def cast_shots(
     t_min: F64,
     first_shot: int,
     bodies: CastBodies,
-    order: I64,
     quantiles: F64,
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; see :func:`prc_cli.simulation.casting_loops.cast_shots`."""
@@ -219,3 +220,22 @@ def leaves(rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles
             np.where(alive & (side == k), cell[k] + np.where(rays.d[k] > 0.0, 1.0, -1.0), cell[k]) for k in range(3)
         ]
     return t, np.sqrt(uniform(key + add(0x2545F4914F6CDD1D)))
+
+
+def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
+    """Place and turn every shot; see :func:`prc_cli.simulation.casting_loops.aim_shots`."""
+    n_lines, n_knots, m = len(position), position.shape[1] - 1, len(columns)
+    origin, direction = np.empty((n_lines, m, 3)), np.empty((n_lines, m, 3))
+    for line, column in np.ndindex(n_lines, m):
+        share = float(Fraction(column * n_knots, m))
+        k = floor(share)
+        share -= k
+        start, end = position[line, k], position[line, k + 1]
+        origin[line, column] = start + (end - start) * share
+        first, last = (
+            [sum([float(a) * float(b) for a, b in zip(row, columns[column], strict=True)]) for row in turn[line, knot]]
+            for knot in (k, k + 1)
+        )
+        way = np.array(first) + (np.array(last) - np.array(first)) * share
+        direction[line, column] = way / sqrt(sum(float(part) * float(part) for part in way))
+    return origin, direction

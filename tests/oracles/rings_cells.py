@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.core.types import F32, F32_2, F32_3, F64_1, F64_2, I32, I32_1, I32_2, I64_1, U8_2, Mask, Mask_1, Mask_2
 from prc_cli.methods.rings.thresholds import CellThresholds, LonelyThresholds, MarkThresholds, SoilThresholds
 
 SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
@@ -21,8 +21,8 @@ def _points(xyz_m: F32, mask: Mask) -> Iterator[tuple[tuple[int, int], tuple[flo
 
 
 def mark_shots(
-    xyz_m: F32, place: F32, above_m: F32, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
-) -> U8:
+    xyz_m: F32_3, place: F32_2, above_m: F32_2, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
+) -> U8_2:
     marks, (n_lines, m) = np.zeros(place.shape, np.uint8), place.shape
     there = ~np.isnan(place)
     for (line, i), (x, y, z) in _points(xyz_m, there):
@@ -59,7 +59,7 @@ def mark_shots(
     return marks
 
 
-def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyThresholds) -> Mask:
+def lonely_shots(range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds) -> Mask_2:
     found = np.zeros(range_m.shape, np.bool_)
     with np.errstate(invalid="ignore"):
         near_scanner = range_m.astype(np.float64) < thresholds.reach_m
@@ -79,8 +79,8 @@ def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyT
 
 
 def fill_cells(
-    xyz_m: F32, above_m: F32, marks: U8, leave_out: Mask, thresholds: CellThresholds
-) -> tuple[I64, F64, I32, I32, I32]:
+    xyz_m: F32_3, above_m: F32_2, marks: U8_2, leave_out: Mask_2, thresholds: CellThresholds
+) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
     size, half, n = thresholds.cell_m, thresholds.half_m, int(2.0 * thresholds.half_m / thresholds.cell_m)
     grid, cell = np.full((n, n), -1, np.int32), np.full(above_m.shape, -1, np.int32)
     sums: list[NDArray[np.float64]] = []
@@ -123,7 +123,7 @@ def _around(grid: I32, where: I32, c: int, reach: int) -> Iterator[tuple[int, in
                 yield dp, dq, other
 
 
-def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, thresholds: CellThresholds) -> F64:
+def measure_cells(grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds) -> F64_2:
     found = np.zeros((len(where), 8))
     gap = int(thresholds.gap_m / thresholds.storey_m + 0.5)
     for c in range(len(where)):
@@ -155,7 +155,7 @@ def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, thresholds: Cel
     return found
 
 
-def mean_around(grid: I32, where: I32, values: F64, weight: F64) -> F64:
+def mean_around(grid: I32_2, where: I32_2, values: F64_1, weight: F64_1) -> F64_1:
     found = np.empty(len(where))
     for c in range(len(where)):
         total = sum_of = 0.0
@@ -165,7 +165,7 @@ def mean_around(grid: I32, where: I32, values: F64, weight: F64) -> F64:
     return found
 
 
-def join_cells(grid: I32, where: I32, use: Mask) -> I32:
+def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
     body = np.where(use, np.arange(len(where)), -1)
     while True:
         before = body.copy()
@@ -175,7 +175,7 @@ def join_cells(grid: I32, where: I32, use: Mask) -> I32:
             return body.astype(np.int32)
 
 
-def low_plants(xyz_m: F32, above_m: F32, marks: U8, thresholds: SoilThresholds) -> Mask:
+def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresholds) -> Mask_2:
     size, half = thresholds.cell_m, thresholds.half_m
     above = above_m.astype(np.float64)
     found = above > thresholds.soil_m

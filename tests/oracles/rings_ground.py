@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, Mask
+from prc_cli.core.types import F32_2, F32_3, F64_1, F64_2, Mask_2
 from prc_cli.methods.rings.thresholds import GroundThresholds
 
 
-def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32:
+def lowest_heights(xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32_2:
     sector = np.arange(len(place))[:, None] // sector_lines + np.zeros(place.shape, np.int64)
     found = np.full((-(-len(place) // sector_lines), n_bins), np.nan, np.float32)
     for s, b in np.ndindex(*found.shape):
@@ -23,7 +23,7 @@ def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins:
     return found
 
 
-def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, Mask]:
+def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -> tuple[F64_2, Mask_2]:
     n_sectors, n_bins = off_m.shape
     height, seen = np.empty(off_m.shape), np.zeros(off_m.shape, np.bool_)
     at = [(0.0, float(middle_m[0]), 0.0)] * n_sectors  # last height, where, slope
@@ -53,7 +53,7 @@ def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tu
     return height, seen
 
 
-def smooth_surface(height_m: F64, weight: F64, start_m: F64, stiff: float, rounds: int, is_round: bool) -> F64:
+def smooth_surface(height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool) -> F64_2:
     found, (n_sectors, n_bins) = start_m.copy(), start_m.shape
     for _ in range(rounds):
         for s, b in np.ndindex(n_sectors, n_bins):
@@ -68,8 +68,14 @@ def smooth_surface(height_m: F64, weight: F64, start_m: F64, stiff: float, round
 
 
 def heights_above(
-    xyz_m: F32, place: F32, up: float, surface_m: F64, sector_lines: int, root: float, thresholds: GroundThresholds
-) -> tuple[F32, F64, F64]:
+    xyz_m: F32_3,
+    place: F32_2,
+    up: float,
+    surface_m: F64_2,
+    sector_lines: int,
+    root: float,
+    thresholds: GroundThresholds,
+) -> tuple[F32_2, F64_2, F64_2]:
     n_sectors, n_bins = surface_m.shape
     above = np.full(place.shape, np.nan, np.float32)
     total, number = np.zeros(surface_m.shape), np.zeros(surface_m.shape)

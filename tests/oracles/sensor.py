@@ -186,7 +186,7 @@ def _mixed(echoes: list[_Echo], model: SensorModel) -> list[_Echo]:
 
 def _given(t: float, model: SensorModel) -> float:
     given = float(floor(t / model.resolution_m + 0.5)) * model.resolution_m
-    return given if model.nearest_m <= given <= model.farthest_m else nan
+    return given if model.min_range_m <= given <= model.max_range_m else nan
 
 
 def _deviate(uniform: float, quantiles: F64) -> float:
@@ -235,7 +235,7 @@ def _with_background(
     if sky is not None and model.bright_sky_share > 0:
         share += (model.bright_sky_share - share) * sky
     if chance < share:
-        t = _given(place * (model.ambiguity_m or model.farthest_m), model)
+        t = _given(place * (model.ambiguity_m or model.max_range_m), model)
         return [] if isnan(t) else [_Echo(t, model.half_power, 0.0, 2)]
     if found and chance < share + model.cluster_share:
         off = _deviate(place, quantiles) * model.cluster_m

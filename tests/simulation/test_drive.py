@@ -119,4 +119,4 @@ def test_ground_and_room_of_a_place() -> None:
     assert ground_below(near, 0.0, 0.0, 0.3) == pytest.approx(0.0)
     assert ground_below(near, 0.0, 60.0, 0.3) == 0.3
     assert room_around(near, 0.0, 1.0, 0.0) == pytest.approx(4.0)
-    assert room_around(lambda *_: Bodies.none(), 0.0, 0.0, 0.0) == np.inf
+    assert room_around(lambda *_: Bodies.join([]), 0.0, 0.0, 0.0) == np.inf

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from prc_cli.core.classes import Label
 from prc_cli.simulation.forest.params import PRESETS, ForestSceneParams
-from prc_cli.simulation.forest.reference import inside_plot, reference_labels
+from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.forest.terrain import Terrain
 from prc_cli.simulation.forest.trees import Species, Stems
@@ -357,11 +357,6 @@ def test_reference_labels_depend_on_nothing_but_the_point(scene: ForestScene) ->
     np.testing.assert_array_equal(reference_labels(scene, xyz[::-1])[::-1], labels)
     np.testing.assert_array_equal(reference_labels(scene, xyz[1234:1240]), labels[1234:1240])
     assert reference_labels(scene, np.empty((0, 3))).shape == (0,)
-
-
-def test_points_beyond_the_rows_are_outside_the_plot(scene: ForestScene) -> None:
-    xyz = np.array([[-5.1, 0, 0], [-4.9, 0, 0], [44.9, 1e4, 0], [45.1, 0, 0], [np.nan, 0, 0]])
-    assert inside_plot(scene, xyz).tolist() == [False, True, True, False, False]
 
 
 def test_stems_as_csv(scene: ForestScene) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -27,8 +27,7 @@ CW = SCANNERS["photon-80"].changed(
 PULSED = CW.changed(principle="pulsed", ambiguity_m=0.0, pulse_m=0.45, max_returns=4, min_range_m=0.3)
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     t: F64
     body: I32
     facing: F64
@@ -340,9 +339,9 @@ def test_panes_mirror_by_their_number_whatever_else_is_in_sight() -> None:
 
 
 def test_no_lines_and_no_bodies_give_nothing() -> None:
-    found = scan(hits(0.0, -1, lines=0), Bodies.none(), CW, 0, SEED)
+    found = scan(hits(0.0, -1, lines=0), Bodies.join([]), CW, 0, SEED)
     assert found.range_m.shape == (0, 100)
-    found = scan(hits(0.0, -1, lines=2), Bodies.none(), CW, 0, SEED)
+    found = scan(hits(0.0, -1, lines=2), Bodies.join([]), CW, 0, SEED)
     assert np.isnan(found.range_m).all()
 
 

@@ -7,10 +7,9 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.simulation.casting import cast
-from prc_cli.simulation.street import StreetScene, StreetSceneParams
 from prc_cli.simulation.street.movers import TIME_STEP_S
-from prc_cli.simulation.street.params import CHARACTERS, VARIED
-from prc_cli.simulation.street.plan import ROAD_HALF_M, plan_of
+from prc_cli.simulation.street.plan import CHARACTERS, ROAD_HALF_M, VARIED, StreetSceneParams, plan_of
+from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.world import Bodies, Material, Shape
 
 GROUND = [Material.ASPHALT, Material.SIDEWALK, Material.CURB, Material.GRASS, Material.SOIL]
@@ -192,7 +191,7 @@ def test_pieces_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = StreetScene(StreetSceneParams(), seed=1)
     for piece in range(6):
         scene._piece(piece)
-    assert list(scene._pieces) == [3, 4, 5]
+    assert scene._piece.cache_info().currsize == 3
 
 
 def test_oncoming_cars_drive_in_their_lane_at_any_time() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.simulation.upright import is_level, static_labels
+from prc_cli.simulation.drive import is_level, static_labels
 from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
 
 TURNED = np.deg2rad(30.0)

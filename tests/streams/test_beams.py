@@ -12,10 +12,9 @@ from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.streams import beam_finder as module
-from prc_cli.streams import probe as grid_probe
-from prc_cli.streams.beam_finder import from_angles
-from prc_cli.streams.beams import with_beams
+from prc_cli.streams import beams as module
+from prc_cli.streams import setup as grid_setup
+from prc_cli.streams.beams import from_angles, with_beams
 from prc_cli.streams.down import NoDirectionError
 from prc_cli.streams.open import open_input
 from tests.streams.beam_lines import (
@@ -381,7 +380,7 @@ def test_a_scanner_met_late_does_not_take_the_down_of_another(monkeypatch: pytes
     n = len(one["z"])
     records = {name: np.concatenate([values, values]) for name, values in one.items()}
     records["point_source_id"] = np.repeat([3, 8], n)
-    monkeypatch.setattr(grid_probe, "PROBE_RECORDS_EACH", n)
+    monkeypatch.setattr(grid_setup, "PROBE_RECORDS_EACH", n)
     read = open_records(records, scanner="point_source_id", points_per_line=M)
     assert read.info.down(3)[0] == pytest.approx(0.0, abs=1e-3)
     assert read.info.down(8) == (None, 1.0)

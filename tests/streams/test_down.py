@@ -5,7 +5,7 @@ import pytest
 
 from prc_cli.core.types import F64, I64
 from prc_cli.streams.angles import column_angles
-from prc_cli.streams.beam_finder import from_angles
+from prc_cli.streams.beams import from_angles
 from prc_cli.streams.directions import fit_beams, turn_evenly
 from prc_cli.streams.down import (
     LevelLinesError,

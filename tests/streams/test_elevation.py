@@ -12,8 +12,8 @@ from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams.elevation import with_elevation
 from prc_cli.streams.open import open_input
+from prc_cli.streams.rules import with_elevation
 from tests.streams.record_lists import MemorySource
 
 RULES = {"lines": "elevation:20", "columns": "order", "range": "sensor-xyz"}
@@ -67,7 +67,7 @@ def test_chunks_change_nothing_and_points_without_elevation_stay(chunk: int) -> 
     rules = InputConfig(**RULES)
 
     def lines(size: int) -> np.ndarray[Any, Any]:
-        source, changed = with_elevation(MemorySource(given, chunk_records=size), rules)
+        source, changed, _ = with_elevation(MemorySource(given, chunk_records=size), rules)
         name = changed.lines.partition(":")[2]
         return np.concatenate([part.values[name] for part in source.chunks((name, "angle"))])
 

@@ -12,9 +12,8 @@ from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.streams.down import wrap
-from prc_cli.streams.evidence.figures import LineSample, Window
+from prc_cli.streams.evidence.figures import LineSample, Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
-from prc_cli.streams.evidence.seen import Seen
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 STREET = street_lines(200)[0]

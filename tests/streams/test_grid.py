@@ -18,24 +18,7 @@ from prc_cli.core.stream import ReadTally
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
-from prc_cli.streams import (
-    cells as grid_cells,
-)
-from prc_cli.streams import (
-    probe as grid_probe,
-)
-from prc_cli.streams import (
-    reading as grid_read,
-)
-from prc_cli.streams import (
-    rules as grid_rules,
-)
-from prc_cli.streams import (
-    whole_lines as grid_limits,
-)
-from prc_cli.streams import (
-    whole_lines as grid_lines,
-)
+from prc_cli.streams import grid, lines, rules, setup
 from prc_cli.streams.grid import open_grid
 from tests.streams.record_lists import (
     LINE_HZ,
@@ -297,7 +280,7 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
 
 
 def test_gaps_leave_in_bounded_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid_cells, "MAX_BLOCK_CELLS", 100)
+    monkeypatch.setattr(grid, "MAX_BLOCK_CELLS", 100)
     line = np.array([0, 0, 70_000, 70_001])
     records = {"range": np.array([-1.0, 1, 1, 1]), "scan_line": line, "column": np.array([0, 4, 1, 2])}
     whole = read(open_records(records))
@@ -310,7 +293,7 @@ def test_gaps_leave_in_bounded_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_memory_is_bounded_when_a_line_never_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid_lines, "MAX_OPEN_RECORDS", 500)
+    monkeypatch.setattr(lines, "MAX_OPEN_RECORDS", 500)
     endless = {"range": np.ones(5000), "scan_line": np.zeros(5000), "column": np.arange(5000) % 7}
     with pytest.raises(InputError, match="line 0 has more than 500 records and no end, expected scan lines; .*--lines"):
         open_records(endless, 100)
@@ -404,7 +387,7 @@ def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: t
 
 @pytest.mark.parametrize("chunk_records", [1000, 100_000])
 def test_a_gap_early_in_a_long_drive_passes(chunk_records: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid_limits, "SPARE_CELLS", 1_000_000)
+    monkeypatch.setattr(setup, "SPARE_CELLS", 1_000_000)
     line = np.arange(6000) // 2 + np.where(np.arange(6000) < 10, 0, 2000)
     records = {"range": np.ones(6000), "scan_line": line, "column": np.arange(6000) % 2 * 999}
     for kind in (MemorySource, UncountedSource):
@@ -486,7 +469,7 @@ def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_rec
 
 
 def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid_probe, "PROBE_RECORDS", 50)
+    monkeypatch.setattr(setup, "PROBE_RECORDS", 50)
     up = np.tile(np.arange(10) / 10, 20)
     angle = np.concatenate([up, -up])
     records = {"range": np.ones(400), "angle": angle, "point_source_id": np.repeat([1, 2], 200)}
@@ -497,7 +480,7 @@ def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyP
 
 
 def test_too_many_scanners(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid_read, "MAX_SCANNERS", 8)
+    monkeypatch.setattr(lines, "MAX_SCANNERS", 8)
     records = {"range": np.ones(20), "scan_line": np.zeros(20), "column": np.arange(20), "user_data": np.arange(20)}
     with pytest.raises(InputError, match="user_data has more than 8 values, expected one a scanner"):
         open_records(records, scanner="user_data")
@@ -700,8 +683,8 @@ def test_the_first_records_do_not_depend_on_chunks(split: bool) -> None:
     found = []
     for chunk_records in (1, 7, 50, 1000):
         source = MemorySource(records, chunk_records)
-        rules = grid_rules.resolve_rules(source, config)
-        parts = grid_read.first_records(source, rules.scanner, ("angle", *rules.names), 40, to_end=False)
+        resolved = rules.resolve_rules(source, config)
+        parts = lines.first_records(source, resolved.scanner, ("angle", *resolved.names), 40, to_end=False)
         found.append({scanner: table["angle"].tolist() for scanner, table in parts.items()})
         assert sum(len(angles) for angles in found[-1].values()) == 40
     assert all(one == found[0] for one in found)
@@ -894,3 +877,10 @@ class TestRealScans:
             other = read(open_grid(source, InputConfig(**options)))
             assert np.array_equal(named.range_m, other.range_m, equal_nan=True)
             assert np.array_equal(named.record, other.record)
+
+
+@pytest.mark.parametrize("names", [("range", "angle"), ("range", "angle", "time"), ("range", "scan_line", "angle")])
+def test_rules_read_the_first_shots_once_for_all_questions(names: tuple[str, ...]) -> None:
+    source = MemorySource(only(scene()[1], *names))
+    assert rules.resolve_rules(source, InputConfig(order="trust")).columns == "angle"
+    assert len(source.reads) == 1

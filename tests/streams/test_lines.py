@@ -7,22 +7,23 @@ import pytest
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import I64, Mask
-from prc_cli.streams.angles import Sweep, find_sweep
+from prc_cli.streams.angles import Sweep, WrapState, find_sweep, lines_by_wrap
 from prc_cli.streams.lines import (
+    LineRules,
     LineState,
+    admit_lines,
     lines_by_dimension,
     lines_by_time,
-    lines_by_wrap,
     lines_fixed,
+    most_lines,
 )
-from prc_cli.streams.whole_lines import Admission, CellLimit, admit_lines
 
 NAN, INF = np.nan, np.inf
 WHERE = "drive.laz: scan_line"
-RULE = Admission(WHERE, max_gap_lines=5, refuse_back=True, slack=1)
+RULE = LineRules(WHERE, max_gap_lines=5, refuse_back=True, slack=1)
 
 
-def admit(lines: list[int], rule: Admission = RULE, state: LineState | None = None) -> list[bool]:
+def admit(lines: list[int], rule: LineRules = RULE, state: LineState | None = None) -> list[bool]:
     line = np.array(lines, np.int64)
     known: Mask = np.ones(len(line), np.bool_)
     record: I64 = np.arange(100, 100 + len(line))
@@ -62,10 +63,9 @@ def test_wrap_of_a_profiler_with_missing_shots(direction: int, size: int) -> Non
     angle[rng.random(len(angle)) < 0.05] = NAN
     sweep = find_sweep(angle, "drive.laz")
     assert sweep.direction == direction
-    found, state = [], LineState()
+    found, state = [], WrapState()
     for start in range(0, len(angle), size):
-        part, known, state = lines_by_wrap(angle[start : start + size], sweep, state)
-        assert known.all()
+        part, state = lines_by_wrap(angle[start : start + size], sweep, state)
         found.extend(part.tolist())
     # a shot without angle at the end of a line cannot be told from one at its begin
     finite = np.isfinite(angle)
@@ -76,13 +76,13 @@ def test_wrap_follows_lines_that_become_short() -> None:
     """At the corner of a flight lines shrink from 60 to 1.2 degrees: each is a line."""
     lengths = np.linspace(100, 4, 60).astype(int)
     angle = np.concatenate([-np.arange(n) * 0.6 for n in lengths])
-    line, _, _ = lines_by_wrap(angle, find_sweep(angle, "strip.laz"), LineState())
+    line, _ = lines_by_wrap(angle, find_sweep(angle, "strip.laz"), WrapState())
     assert np.array_equal(line, np.repeat(np.arange(60), lengths))
 
 
 def test_wrap_overlooks_noise() -> None:
     angle = np.array([0.0, 0.1, 0.09, 0.2, 0.19, 0.5, 1.0, 0.98, 0.0, 0.01, 0.0, 0.5])
-    line, _, _ = lines_by_wrap(angle, Sweep(1, 1.0, 0.03), LineState())
+    line, _ = lines_by_wrap(angle, Sweep(1, 1.0, 0.03), WrapState())
     assert line.tolist() == [0] * 8 + [1] * 4
 
 
@@ -144,7 +144,7 @@ def test_lines_may_go_back_by_the_slack_alone() -> None:
 
 
 def test_trusted_lines_that_come_late_are_left_out() -> None:
-    trusted = Admission(WHERE, max_gap_lines=5, refuse_back=False, slack=1)
+    trusted = LineRules(WHERE, max_gap_lines=5, refuse_back=False, slack=1)
     assert admit([0, 1, 2, 0, 3, -1, 2], trusted) == [True, True, True, False, True, False, True]
     assert admit([0, -1], trusted) == [True, False]
 
@@ -166,5 +166,5 @@ def test_shots_without_line_are_not_admitted() -> None:
 
 
 def test_one_line_is_always_allowed() -> None:
-    limit = CellLimit(points_per_line=1000, n_known=0, n_spare=10)
-    assert limit.most_lines(np.array([0, 1, 2])).tolist() == [1, 1, 2]
+    rules = LineRules(WHERE, points_per_line=1000, n_spare=10)
+    assert most_lines(np.array([0, 1, 2]), rules).tolist() == [1, 1, 2]

@@ -89,7 +89,7 @@ def test_share_of_swapped_pairs(n_back: int, refused: bool) -> None:
     for k in range(n_back):
         times[[100 * k + 10, 100 * k + 11]] = times[[100 * k + 11, 100 * k + 10]]
     watch = watch_in_chunks(times, 5000)
-    assert watch.n_back == n_back
+    assert watch.evidence().n_back == n_back
     assert watch.evidence().is_chronological is not refused
 
 
@@ -126,7 +126,7 @@ def test_week_turnover_has_its_own_hint() -> None:
 def test_other_policies_only_count(policy: str) -> None:
     watch = watch_in_chunks(np.arange(20_000.0)[::-1], 700, policy)
     watch.finish()
-    assert watch.n_back == 19_999
+    assert watch.evidence().n_back == 19_999
 
 
 def test_sentence_of_an_input_in_order() -> None:

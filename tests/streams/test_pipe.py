@@ -131,7 +131,7 @@ def test_a_pipe_that_breaks() -> None:
 def test_what_would_need_the_whole_input_first() -> None:
     with pytest.raises(ConfigError, match="cannot be sorted by time"):
         open_pipe(Pieces(b"", [1]), InputConfig(points_per_line=3, order="sort-time"), RANGES)
-    with pytest.raises(ConfigError, match="no dimension 'time' in the layout"):
+    with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range"):
         next(PipeSource(Pieces(b"", [1]), RANGES).chunks(("time",)))
 
 

@@ -136,9 +136,7 @@ def test_lines_of_rings_rise_and_stay_near_their_azimuth(seed: int) -> None:
 def frame(elevation_deg: list[float], n: int = 5) -> tuple[Any, Turns]:
     elevation = np.deg2rad(np.repeat(elevation_deg, n))
     xyz = np.stack([np.cos(elevation), 0 * elevation, np.sin(elevation)], axis=1)
-    return type("Frame", (), {"xyz_m": xyz})(), Turns(
-        np.repeat(np.arange(len(elevation_deg)), n), np.zeros(len(xyz)), 0.0, 1.0
-    )
+    return xyz, Turns(np.repeat(np.arange(len(elevation_deg)), n), np.zeros(len(xyz)), 0.0, 1.0)
 
 
 def test_rings_are_counted_from_the_lowest() -> None:

@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.streams.lines import (
-    UNKNOWN,
-    LineState,
-    ShotTiming,
-    find_timing,
-    lines_by_time,
-    time_in_line,
-)
+from prc_cli.streams.lines import LineState, lines_by_time, time_in_line
+from prc_cli.streams.setup import UNKNOWN, ShotTiming, find_timing
 
 HZ, M = 48.0, 120
 LINE, COLUMN = np.divmod(np.arange(50 * M), M)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.formats.records import RecordChunk
-from prc_cli.streams.sorting import sorted_by_time
+from prc_cli.streams.order import sorted_by_time
 
 
 @dataclass

@@ -15,9 +15,10 @@ from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams import order
-from prc_cli.streams.elevation import _WithElevation
-from prc_cli.streams.lines import _column_step, _shot_step, find_timing, time_in_line
+from prc_cli.streams.lines import time_in_line
 from prc_cli.streams.order import OrderEvidence, OrderWatch, StepBack, WatchedStream, WeekState, order_hint, unwrap_week
+from prc_cli.streams.rules import _WithElevation
+from prc_cli.streams.setup import _column_step, _shot_step, find_timing
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 

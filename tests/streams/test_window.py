@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.window import parse_window
-from prc_cli.streams.window import WindowedStream
+from prc_cli.streams.open import WindowedStream
 
 
 @dataclass

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +13,16 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
-from prc_cli.core.stream import Assumption, ReadTally, ScanBlock, StreamInfo
-from prc_cli.core.types import F32, F64
+from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
+from prc_cli.core.types import F64
 from prc_cli.formats.arrays.rows import ArrayFile, NpyHeader, Rows
 from prc_cli.formats.names import ZENITH, angle_rules, split_unit, usual_names
 from prc_cli.formats.options import FACTORS, InputConfig
+from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE, check_width, filled, lengths, refuse_rules, to_float32
 from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
 
 CHUNK_SHOTS = 1 << 19
 """Shots read at a time."""
-MAX_POINTS_PER_LINE = 10_000_000
-"""Longest line, as for ``input.points_per_line``."""
-
 FEWEST_POINTS_PER_LINE = 8
 """A longer image of shorter lines is refused: every line takes some time, however few shots it has."""
 MANY_LINES = 100_000
@@ -49,8 +46,7 @@ class ArrayStream:
 
     ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as ``range_m`` or
     the only array of two dimensions, and, where present, ``angle_deg``, ``angle_rad``, ``angle_gon`` or ``zenith_deg``
-    (M,), ``time_s``
-    (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
+    (M,), ``time_s`` (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
     Without an array of ranges, the range is the length of ``xyz``. Integers are taken as metres. One time per line
     applies to all its shots.
     """
@@ -62,53 +58,40 @@ class ArrayStream:
         self._range, why = _find_ranges(self._file, config)
         turned = _why_turned(self._file, self._range, config)
         if turned:
-            _exchange(self._file, self._file.headers[self._range].shape[:2])
+            self._file.exchange(self._file.headers[self._range].shape[:2])
         header = self._file.headers[self._range]
         header.check_numbers()
         self._n_lines, self._m, self._n_records = _find_shape(header, self._file, config)
-        self._flat = len(header.shape) == 1
+        n_missing = self._n_lines * self._m - self._n_records
         n_lines = max(1, chunk_shots // self._m)
         self._chunk_lines = max(1, n_lines // lines_at_once) * min(n_lines, lines_at_once)
         self._names = self._find_beside()
-        self._angles: str | None = None
-        angle_rad, angle_why = self._find_angles()
-        assumed = [Assumption("input.range", self._range or "the array", why), *angle_why]
+        assumed = [Assumption("input.range", self._range or "the array", why)]
+        angles, self._angle_rad = self._find_angles(assumed)
         assumed += scale_told(config.range_scale)
         if turned:
             assumed.append(Assumption("input.lines", "columns of the arrays", turned))
         if self._range == XYZ:
             refuse_scale(config, str(path), "its ranges are lengths of x, y, z")
-        if self._is_padded:
-            missing = self._n_lines * self._m - self._n_records
-            assumed.append(Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots"))
-        used = (self._range, *self._names, self._angles, CLASS)
+        if n_missing:
+            assumed.append(Assumption("input.partial_line", "pad", f"the last line lacks {n_missing} shots"))
+        used = (self._range, *self._names, angles, CLASS)
         if ignored := [name for name in self._file.headers if name not in used]:
             assumed.append(Assumption("input", f"not read: {', '.join(ignored[:20])}", "they are not needed"))
-        self._info = StreamInfo(
+        has_line_times = TIME in self._names and len(self._file.headers[TIME].shape) == 1
+        self.info = StreamInfo(
             path=str(path),
             format="array",
             points_per_line=self._m,
             n_records=self._n_records,
             n_lines=self._n_lines,
-            angle_rad=angle_rad,
+            angle_rad=self._angle_rad,
             line_hz=self._find_line_hz(),
-            down_rad=math.pi if angle_rules(self._angles) else None,
+            down_rad=math.pi if angle_rules(angles) else None,
             assumptions=tuple(assumed),
-            facts=SourceFacts(time_name=TIME, has_line_times=self._has_line_times),
+            facts=SourceFacts(time_name=TIME, has_line_times=has_line_times),
         )
-
-    @property
-    def info(self) -> StreamInfo:
         """What is known before reading."""
-        return self._info
-
-    @property
-    def _is_padded(self) -> bool:
-        return self._n_lines * self._m != self._n_records
-
-    @property
-    def _has_line_times(self) -> bool:
-        return TIME in self._names and len(self._file.headers[TIME].shape) == 1
 
     def _find_beside(self) -> tuple[str, ...]:
         """Return the names of the arrays beside the ranges, their shapes and types checked."""
@@ -128,20 +111,20 @@ class ArrayStream:
                 raise InputError(header.where, problem, "give it the shape of the ranges or another name")
         return present
 
-    def _find_angles(self) -> tuple[F64 | None, list[Assumption]]:
-        """Return the scan angle of every column [rad] and where it comes from."""
+    def _find_angles(self, assumed: list[Assumption]) -> tuple[str | None, F64 | None]:
+        """Return the array of scan angles and the angle of every column [rad]; say where they come from."""
         start, step = self._config.angle_start, self._config.angle_step
         if (start is None) != (step is None):
             missing = "angle_step" if step is None else "angle_start"
             raise ConfigError(f"input.{missing}", "not given, expected angle_start and angle_step together")
         if start is not None and step is not None:
-            return np.deg2rad(start + step * np.arange(self._m, dtype=np.float64)), []
+            return None, np.deg2rad(start + step * np.arange(self._m, dtype=np.float64))
         # other directions may be those of lines, or of every shot
         headers = self._file.headers.items()
         names = [name for name, one in headers if one.shape == (self._m,) or split_unit(name)[0] in ("angle", ZENITH)]
         usual = usual_names((RANGE, *names)).get("angle")
         if usual is None:
-            return None, []
+            return None, None
         name, unit = usual.name, usual.unit or "deg"
         header = self._file.headers[name]
         header.check_numbers()
@@ -156,11 +139,11 @@ class ArrayStream:
             column = int(np.flatnonzero(~np.isfinite(given))[0])
             problem = f"column {column}: found {given[column]}, expected an angle in {word}"
             raise InputError(header.where, problem, "give every column its angle or leave the array out")
-        self._angles = name
         why = f"the array {name!r} is in the file, in {word}"
         # degrees as numpy converts them, bit for bit
         angle_rad: F64 = np.deg2rad(given) if unit == "deg" else given * FACTORS[unit]
-        return angle_rad, [Assumption("input.angle_start", f"{np.rad2deg(angle_rad[0]):g} deg", why)]
+        assumed.append(Assumption("input.angle_start", f"{np.rad2deg(angle_rad[0]):g} deg", why))
+        return name, angle_rad
 
     def _find_line_hz(self) -> float | None:
         """Return the line frequency [Hz] from the first lines' times, None if they do not tell."""
@@ -187,59 +170,42 @@ class ArrayStream:
                 each.finish()
 
     def _block(self, rows: dict[str, Rows], first: int, n: int) -> ScanBlock:
-        stored_xyz = _to_float32(rows[XYZ].read(n)) if XYZ in rows else None
-        if self._range == XYZ and stored_xyz is not None:
-            ranges, tally = self._lengths(stored_xyz)
+        xyz = to_float32(rows[XYZ].read(n)) if XYZ in rows else None
+        if self._range == XYZ and xyz is not None:
+            stored: NDArray[Any] = lengths(xyz.reshape(-1, 3).astype(np.float64))
         else:
-            ranges, tally = self._read_ranges(rows[self._range], first, n)
-        block = ScanBlock(first, ranges, angle_rad=self._info.angle_rad, tally=tally)
+            is_flat = len(self._file.headers[self._range].shape) == 1
+            n_left = min(n * self._m, self._n_records - first * self._m)
+            stored = rows[self._range].read(n_left if is_flat else n)
+            if self._config.range_scale != 1.0:
+                stored = stored * np.float64(self._config.range_scale)
+        ranges, tally = clean_ranges(stored.ravel(), self._config.min_range, self._config.max_range)
+        ranges = filled(ranges, n * self._m).reshape(n, self._m)
+        record = time_s = None
         if self._file.headers[self._range].turned:
             # records are counted as the file has them
             line = np.arange(first, first + n, dtype=np.int64)[:, None]
-            block = replace(block, record=np.arange(self._m, dtype=np.int64) * self._n_lines + line)
-        if self._is_padded:
-            record = np.arange(first * self._m, (first + n) * self._m, dtype=np.int64)
+            record = np.arange(self._m, dtype=np.int64) * self._n_lines + line
+        elif self._n_lines * self._m != self._n_records:
+            record = np.arange(first * self._m, (first + n) * self._m, dtype=np.int64).reshape(n, self._m)
             record[record >= self._n_records] = -1
-            block = replace(block, record=record.reshape(n, self._m))
         if TIME in rows:
             times = rows[TIME].read(n).astype(np.float64)
-            every = np.repeat(times[:, None], self._m, axis=1) if self._has_line_times else times
-            block = replace(block, time_s=every)
-        if stored_xyz is not None:
-            stored_xyz[np.isnan(ranges)] = np.nan
-            block = replace(block, xyz_m=stored_xyz)
-        if INTENSITY in rows:
-            block = replace(block, intensity=_to_float32(rows[INTENSITY].read(n)))
-        return block
-
-    def _lengths(self, xyz: F32) -> tuple[F32, ReadTally]:
-        length = np.sqrt((xyz.astype(np.float64) ** 2).sum(axis=-1))
-        return clean_ranges(length, self._config.min_range, self._config.max_range)
-
-    def _read_ranges(self, rows: Rows, first: int, n: int) -> tuple[F32, ReadTally]:
-        shots = n if not self._flat else min(n * self._m, self._n_records - first * self._m)
-        stored = rows.read(shots)
-        if self._config.range_scale != 1.0:
-            stored = stored * np.float64(self._config.range_scale)
-        ranges, tally = clean_ranges(stored, self._config.min_range, self._config.max_range)
-        if ranges.size < n * self._m:
-            padding = np.full(n * self._m - ranges.size, np.nan, np.float32)
-            ranges = np.concatenate([ranges, padding])
-        return ranges.reshape(n, self._m), tally
+            time_s = np.repeat(times[:, None], self._m, axis=1) if times.ndim == 1 else times
+        if xyz is not None:
+            xyz[np.isnan(ranges)] = np.nan
+        intensity = to_float32(rows[INTENSITY].read(n)) if INTENSITY in rows else None
+        return ScanBlock(
+            first, ranges, record, time_s=time_s, xyz_m=xyz, intensity=intensity, angle_rad=self._angle_rad, tally=tally
+        )
 
 
 def _check_rules(path: Path, config: InputConfig) -> None:
     """Refuse options that do not apply to a range image, which holds its lines, columns and ranges."""
-    allowed = {
-        "lines": (config.lines, ("auto", "fixed")),
-        "columns": (config.columns, ("auto", "order")),
-        "scanner": (config.scanner, ("none",)),
-        "order": (config.order, ("require", "trust")),
-    }
-    for key, (value, values) in allowed.items():
-        if value not in values:
-            problem = f"found {value!r}, expected {' or '.join(values)}: {path.name} is a range image"
-            raise ConfigError(f"input.{key}", problem, "leave the key out")
+    refuse_rules(
+        path, config, "is a range image", lines=("auto", "fixed"), columns=("auto", "order"), scanner=("none",),
+        order=("require", "trust"),
+    )  # fmt: skip
     rule = config.range
     if rule != "auto" and not (rule.startswith("dimension:") and path.suffix.lower() == ".npz"):
         problem = f"found {rule!r}, expected auto, or dimension:NAME in an .npz: {path.name} is a range image"
@@ -299,13 +265,6 @@ def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
     return "rows are rings: each keeps its elevation" if within < LEVEL * between else ""
 
 
-def _exchange(file: ArrayFile, shape: tuple[int, ...]) -> None:
-    """Exchange rows and columns of all arrays of the shape of an image."""
-    for name, header in file.headers.items():
-        if header.shape[:2] == shape:
-            file.headers[name] = header.exchanged()
-
-
 def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tuple[int, int, int]:
     """Return lines, points per line and shots of the ranges."""
     shape, wanted = header.shape, config.points_per_line
@@ -321,9 +280,7 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
     if 0 in shape:
         raise InputError(header.where, f"no shots, found shape {shape}", "copy it from the archive again")
     if len(shape) == 2:
-        if wanted is not None and wanted != shape[1]:
-            problem = f"found {shape[1]} points per line, expected {wanted} as input.points_per_line says"
-            raise InputError(header.where, problem, "leave input.points_per_line out")
+        check_width(header.where, shape[1], config)
         if shape[1] > MAX_POINTS_PER_LINE:
             problem = f"found {shape[1]} points per line, expected at most {MAX_POINTS_PER_LINE}"
             raise InputError(header.where, problem, "save one row a scan line")
@@ -344,14 +301,6 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
         hint = "check input.points_per_line, or set input.partial_line to pad"
         raise InputError(header.where, problem, hint)
     return n_lines + bool(rest), wanted, shape[0]
-
-
-def _to_float32(stored: NDArray[Any]) -> F32:
-    """Return a new float32 array; NaN where a value is not finite."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        values: F32 = np.array(stored, dtype=np.float32)
-    values[~np.isfinite(values)] = np.nan
-    return values
 
 
 def open_array(path: Path, config: InputConfig, lines_at_once: int) -> ArrayStream:

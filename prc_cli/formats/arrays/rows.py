@@ -1,7 +1,7 @@
 """Arrays in ``.npy`` and ``.npz`` files, read a few rows at a time.
 
-numpy maps a ``.npy`` file or loads it whole, and loads a member of an ``.npz`` archive whole; here both are
-read like any other stream, so that memory does not grow with the file. Pickled objects are never loaded.
+numpy loads a member of an ``.npz`` archive whole; here both kinds of file are read like any other stream, so that
+memory does not grow with the file. Pickled objects are never loaded.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ _DAMAGED = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, NotImplementedError, RuntimeError, ValueError,
 )  # fmt: skip
 """Exceptions of zipfile for damaged archives; ValueError: a name that is not valid UTF-8."""
+_KINDS = {"O": "Python objects", "c": "complex numbers", "U": "text", "S": "text", "b": "true/false values"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,38 +44,29 @@ class NpyHeader:
 
     where: str
     """File, and the name of the array in an archive, for messages."""
-    shape: tuple[int, ...]
+    stored_shape: tuple[int, ...]
+    """Shape as the file has it."""
     dtype: np.dtype[Any]
     fortran: bool
     """Fortran order: the first index runs fastest, so rows are not contiguous."""
     offset: int
     """Bytes before the first number."""
     turned: bool = False
-    """Whether rows and columns are exchanged: ``shape`` is that of the rows that are read."""
+    """Whether rows and columns are exchanged when they are read."""
 
     @property
-    def stored_shape(self) -> tuple[int, ...]:
-        """Shape as the file has it."""
-        return (self.shape[1], self.shape[0], *self.shape[2:]) if self.turned else self.shape
-
-    def exchanged(self) -> NpyHeader:
-        """Return the header with rows and columns exchanged."""
-        return replace(self, shape=(self.shape[1], self.shape[0], *self.shape[2:]), turned=not self.turned)
-
-    @property
-    def is_scattered(self) -> bool:
-        """Whether the numbers of a row lie apart in the file."""
-        return self.turned or (self.fortran and len(self.shape) > 1)
-
-    @property
-    def n_bytes(self) -> int:
-        """Bytes of numbers."""
-        return math.prod(self.shape) * self.dtype.itemsize
+    def shape(self) -> tuple[int, ...]:
+        """Shape of what is read, rows first."""
+        shape = self.stored_shape
+        return (shape[1], shape[0], *shape[2:]) if self.turned else shape
 
     def check_numbers(self, kinds: str = "iuf", expected: str = "floats or integers") -> None:
         """Refuse arrays of anything but numbers."""
         if self.dtype.kind not in kinds:
-            problem = f"found an array of {_type_name(self.dtype)}, expected {expected}"
+            names = self.dtype.names
+            found = _KINDS.get(self.dtype.kind, f"type {self.dtype.name}")
+            found = found if names is None else f"records with the fields {', '.join(names[:8])}"
+            problem = f"found an array of {found}, expected {expected}"
             raise InputError(self.where, problem, "save it as numbers, for example array.astype('f4')")
 
 
@@ -89,53 +81,36 @@ class Rows:
 
     def read(self, n: int) -> NDArray[Any]:
         """Return the next ``n`` rows, (n, ...) in the array's type."""
-        header = self.header
-        try:
+        header, first = self.header, self._n_read
+        with _damage(header.where, f"rows {first} to {first + n - 1} cannot be read"):
             raw = self._handle.read(n * self._row_bytes)
-        except _DAMAGED as error:
-            problem = f"rows {self._n_read} to {self._n_read + n - 1} cannot be read ({error})"
-            raise InputError(header.where, problem, _COPY) from error
         if len(raw) < n * self._row_bytes:
-            at = self._n_read + len(raw) // self._row_bytes
-            problem = f"the numbers end in row {at}, expected {header.shape[0]} rows"
+            problem = f"the numbers end in row {first + len(raw) // self._row_bytes}, expected {header.shape[0]} rows"
             raise InputError(header.where, problem, _COPY)
         self._n_read += n
         return np.frombuffer(raw, header.dtype).reshape(n, *header.shape[1:])
 
     def finish(self) -> None:
         """Check that nothing follows; in an archive, zipfile compares the checksum here."""
-        try:
+        with _damage(self.header.where, "the numbers are damaged"):
             more = self._handle.read(1)
-        except _DAMAGED as error:
-            raise InputError(self.header.where, f"the numbers are damaged ({error})", _COPY) from error
         if more:
             raise InputError(self.header.where, f"more bytes than {self._n_read} rows take", _COPY)
 
 
-class _GatheredRows(Rows):
-    """Reads rows that are not contiguous: of arrays in Fortran order, or with rows and columns exchanged."""
+class _MappedRows(Rows):
+    """Reads rows whose numbers lie apart: of arrays in Fortran order, or with rows and columns exchanged."""
 
     def read(self, n: int) -> NDArray[Any]:
-        header = self.header
-        shape = header.stored_shape
-        # axes from the slowest to the fastest in the file, and the one whose indices are rows
-        axes = list(range(len(shape)))[:: -1 if header.fortran else 1]
-        place = axes.index(1 if header.turned else 0)
-        n_outer = math.prod(shape[axis] for axis in axes[:place])
-        each = math.prod(shape[axis] for axis in axes[place + 1 :])
-        found = np.empty((n_outer, n * each), header.dtype)
-        size = header.dtype.itemsize
-        try:
-            for outer in range(n_outer):
-                self._handle.seek(header.offset + (outer * header.shape[0] + self._n_read) * each * size)
-                found[outer] = np.frombuffer(self._handle.read(n * each * size), header.dtype)
-        except (OSError, ValueError) as error:
-            problem = f"rows {self._n_read} to {self._n_read + n - 1} cannot be read ({error})"
-            raise InputError(header.where, problem, _COPY) from error
+        header, first = self.header, self._n_read
+        with _damage(header.where, f"rows {first} to {first + n - 1} cannot be read"):
+            # mapped anew every time: pages that were read do not stay in memory
+            stored: NDArray[Any] = np.memmap(
+                self._handle, header.dtype, "r", header.offset, header.stored_shape, "F" if header.fortran else "C"
+            )
+            rows = np.ascontiguousarray((stored.swapaxes(0, 1) if header.turned else stored)[first : first + n])
         self._n_read += n
-        sizes = [n if axis == axes[place] else shape[axis] for axis in axes]
-        wanted = [1, 0, *range(2, len(shape))] if header.turned else range(len(shape))
-        return found.reshape(sizes).transpose([axes.index(axis) for axis in wanted])
+        return rows
 
     def finish(self) -> None:
         """Do nothing: the size was checked when the file was opened."""
@@ -149,75 +124,77 @@ class ArrayFile:
         self.is_archive = path.suffix.lower() == ".npz"
         self.headers: dict[str, NpyHeader] = {}
         """By name, in the order of the file."""
-        if not self.is_archive:
-            with open_to_read(path) as handle:
-                size = handle.seek(0, 2)
-                handle.seek(0)
-                self.headers[""] = _read_header(str(path), handle, size)
-            return
-        with _archive(path) as archive:
-            members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
-            if len(members) > MAX_MEMBERS:
-                raise InputError(str(path), f"{len(members)} arrays, expected at most {MAX_MEMBERS}")
-            for info in members:
-                name = info.filename.removesuffix(".npy")
-                with _member(path, archive, name) as handle:
-                    self.headers[name] = _read_header(_where(path, name), handle, info.file_size)
+        with self._archive() as archive:
+            files = [""] if archive is None else archive.namelist()
+            names = [file.removesuffix(".npy") for file in files if archive is None or file.endswith(".npy")]
+            if len(names) > MAX_MEMBERS:
+                raise InputError(str(path), f"{len(names)} arrays, expected at most {MAX_MEMBERS}")
+            for name in names:
+                with self._member(archive, name) as (self.headers[name], _):
+                    pass
+
+    def exchange(self, shape: tuple[int, ...]) -> None:
+        """Exchange rows and columns of all arrays of the shape of an image."""
+        for name, header in self.headers.items():
+            if header.shape[:2] == shape:
+                self.headers[name] = replace(header, turned=not header.turned)
 
     @contextmanager
     def open(self, *names: str) -> Iterator[list[Rows]]:
         """Open arrays to be read side by side."""
         with ExitStack() as stack:
-            archive = stack.enter_context(_archive(self.path)) if self.is_archive else None
+            archive = stack.enter_context(self._archive())
             rows = []
             for name in names:
                 header = self.headers[name]
-                handle: IO[bytes]
-                if archive is None:
-                    handle = stack.enter_context(open_to_read(self.path))
-                    size = handle.seek(0, 2)
-                    handle.seek(0)
-                else:
-                    handle = stack.enter_context(_member(self.path, archive, name))
-                    size = archive.getinfo(f"{name}.npy").file_size
-                found = _read_header(header.where, handle, size)
-                if (found.exchanged() if header.turned else found) != header:
+                found, handle = stack.enter_context(self._member(archive, name))
+                if replace(found, turned=header.turned) != header:
                     raise InputError(header.where, "the array has changed since the file was opened", "try again")
-                if archive is not None and header.is_scattered:
+                is_scattered = header.turned or (header.fortran and len(header.shape) > 1)
+                if archive is not None and is_scattered:
                     handle = stack.enter_context(_unpacked(header, handle))
-                rows.append((_GatheredRows if header.is_scattered else Rows)(header, handle))
+                rows.append((_MappedRows if is_scattered else Rows)(header, handle))
             yield rows
 
+    @contextmanager
+    def _archive(self) -> Iterator[zipfile.ZipFile | None]:
+        """Open an archive; None for a single array."""
+        if not self.is_archive:
+            yield None
+            return
+        with open_to_read(self.path) as handle:
+            hint = f"{_COPY}, or write it with numpy.savez_compressed"
+            with _damage(str(self.path), "not a whole npz archive, which is a zip file", hint):
+                archive = zipfile.ZipFile(handle)
+            with archive:
+                yield archive
 
-def _where(path: Path, name: str) -> str:
-    return f"{path}: {name}"
+    @contextmanager
+    def _member(self, archive: zipfile.ZipFile | None, name: str) -> Iterator[tuple[NpyHeader, IO[bytes]]]:
+        """Open an array behind its header."""
+        if archive is None:
+            with open_to_read(self.path) as handle:
+                size = handle.seek(0, 2)
+                handle.seek(0)
+                yield _read_header(str(self.path), handle, size), handle
+            return
+        where, info = f"{self.path}: {name}", archive.getinfo(f"{name}.npy")
+        if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            found = "encryption" if info.flag_bits & 1 else f"compression method {info.compress_type}"
+            raise InputError(where, f"found {found}, expected deflate or none", "write it with numpy.savez_compressed")
+        with _damage(where, "the array cannot be read"):
+            handle = archive.open(info)
+        with handle:
+            yield _read_header(where, handle, info.file_size), handle
 
 
 @contextmanager
-def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
-    with open_to_read(path) as handle:
-        try:
-            archive = zipfile.ZipFile(handle)
-        except _DAMAGED as error:
-            problem = f"not a whole npz archive, which is a zip file ({error})"
-            raise InputError(str(path), problem, f"{_COPY}, or write it with numpy.savez_compressed") from error
-        with archive:
-            yield archive
-
-
-@contextmanager
-def _member(path: Path, archive: zipfile.ZipFile, name: str) -> Iterator[IO[bytes]]:
-    where = _where(path, name)
-    info = archive.getinfo(f"{name}.npy")
-    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        found = "encryption" if info.flag_bits & 1 else f"compression method {info.compress_type}"
-        raise InputError(where, f"found {found}, expected deflate or none", "write it with numpy.savez_compressed")
+def _damage(where: str, problem: str, hint: str = _COPY) -> Iterator[None]:
+    """Say in a line what the system or zipfile finds."""
     try:
-        handle = archive.open(info)
+        yield
     except _DAMAGED as error:
-        raise InputError(where, f"the array cannot be read ({error})", _COPY) from error
-    with handle:
-        yield handle
+        raise InputError(where, f"{problem} ({error})", hint) from error
 
 
 @contextmanager
@@ -225,47 +202,33 @@ def _unpacked(header: NpyHeader, handle: IO[bytes]) -> Iterator[IO[bytes]]:
     """Copy an array from an archive to an unnamed temporary file, where any row can be reached."""
     with tempfile.TemporaryFile(prefix="prc-array-") as copy:
         copy.seek(header.offset)
-        try:
+        with _damage(header.where, "the array cannot be unpacked"):
             while data := handle.read(_COPIED_BYTES):
                 copy.write(data)
-        except _DAMAGED as error:
-            raise InputError(header.where, f"the array cannot be unpacked ({error})", _COPY) from error
+        copy.flush()
         yield copy
 
 
 def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
     """Read the header of an array that takes ``size`` bytes, header included."""
     try:
-        version, (shape, fortran, dtype) = _parse_header(handle)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # headers written by Python 2 are read all the same
+            version = npy_format.read_magic(handle)
+            read = _VERSIONS.get(version)
+            shape, fortran, dtype = ((), False, np.dtype("f4")) if read is None else read(handle)
     except Exception as error:  # numpy parses the header as Python: a damaged one can raise anything
         problem = f"no npy header ({' '.join(str(error).split())[:120]})"
         raise InputError(where, problem, f"{_COPY}, or write it with numpy.save") from error
-    if version not in _VERSIONS:
+    if read is None:
         problem = f"found npy format {version[0]}.{version[1]}, expected 1.0 or 2.0, plain numbers"
         raise InputError(where, problem, "save it as numbers, without named fields")
-    header = NpyHeader(where, shape, dtype, fortran, handle.tell())
     if min(shape, default=0) < 0:
         raise InputError(where, f"found shape {shape}, expected no negative size", _COPY)
+    header = NpyHeader(where, shape, dtype, fortran, handle.tell())
+    n_bytes = math.prod(shape) * dtype.itemsize
     # object arrays are pickles of any length: refused by their type
-    if not dtype.hasobject and size - header.offset != header.n_bytes:
-        problem = f"found {size - header.offset} bytes of numbers, expected {header.n_bytes} for shape {shape}"
+    if not dtype.hasobject and size - header.offset != n_bytes:
+        problem = f"found {size - header.offset} bytes of numbers, expected {n_bytes} for shape {shape}"
         raise InputError(where, problem, _COPY)
     return header
-
-
-def _parse_header(handle: IO[bytes]) -> tuple[tuple[int, int], tuple[tuple[int, ...], bool, np.dtype[Any]]]:
-    """Return the version of the format, and shape, order and type (placeholders for unknown versions)."""
-    with warnings.catch_warnings():
-        # headers written by Python 2 are read all the same
-        warnings.simplefilter("ignore")
-        version = npy_format.read_magic(handle)
-        read = _VERSIONS.get(version)
-        return version, read(handle) if read is not None else ((), False, np.dtype(np.float32))
-
-
-def _type_name(dtype: np.dtype[Any]) -> str:
-    """Return a type in words."""
-    if dtype.names is not None:
-        return f"records with the fields {', '.join(dtype.names[:8])}"
-    kinds = {"O": "Python objects", "c": "complex numbers", "U": "text", "S": "text", "b": "true/false values"}
-    return kinds.get(dtype.kind, f"type {dtype.name}")

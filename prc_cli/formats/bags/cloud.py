@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.formats.bags.cursor import Cursor, ShortMessageError
+from prc_cli.formats.bags.messages import Cursor, expect
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.packets.columns import MAX_EMPTY, SPARE_CELLS, ColumnLines, Columns, choose_of_two
+from prc_cli.formats.packets.columns import MAX_EMPTY, MAX_SHIFT, SPARE_CELLS, ColumnLines, Columns, choose
 
 CLOUD = "sensor_msgs/PointCloud2"
 RINGS = ("ring", "channel", "laser_id")
@@ -37,11 +37,12 @@ _LEAST_PERIOD_S = 1e-6
 _TURN = 2 * math.pi
 _NEAR_COLUMNS = 8
 """Azimuths are compared over fewer columns than this."""
-_MOST_SHIFT = 512
 _MOST_WAITING = 1 << 20
 """Most points that wait for others to tell their columns."""
 _MOST_COLUMNS = 1e9
 """Most columns of a message."""
+_FITS = 0.1
+"""Points of a later message lie within this share of the period of the columns that the clock gives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,8 @@ class Cloud:
     """(n,) float64 [s]."""
     xyz_m: F32
     """(n, 3) float32 [m]; NaN = no return."""
+    range_m: F32
+    """(n,) float32 [m]."""
     intensity: F32
     """(n,) float32, NaN where there is none."""
 
@@ -69,68 +72,62 @@ def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     height, width, n_fields = (cursor.number("I") for _ in range(3))
-    if n_fields > _MAX_FIELDS:
-        message = f"says that a point has {n_fields} fields, expected at most {_MAX_FIELDS}"
-        raise ShortMessageError(message)
-    fields: dict[str, tuple[int, int]] = {}
+    expect(n_fields <= _MAX_FIELDS, f"says that a point has {n_fields} fields, expected at most {_MAX_FIELDS}")
+    fields = {}
     for _ in range(n_fields):
-        name = cursor.text()
-        offset, kind, _ = cursor.number("I"), cursor.number("B"), cursor.number("I")
+        name, offset, kind, _ = cursor.text(), cursor.number("I"), cursor.number("B"), cursor.number("I")
         fields[name] = (offset, kind)
-    is_big = bool(cursor.number("B"))
+    order = ">" if cursor.number("B") else "<"
     step, row_step = cursor.number("I"), cursor.number("I")
     raw = cursor.array("u1")
-    if height > 1 and row_step < width * step:
-        message = f"says that {width} points of {step} bytes are a row of {row_step}"
-        raise ShortMessageError(message)
-    row_step = max(row_step, width * step)
-    if height and row_step * (height - 1) + width * step > len(raw):
-        message = f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes"
-        raise ShortMessageError(message)
-    names = _find_fields(fields, step)
-    kinds = {name: (">" if is_big else "<") + _TYPES[fields[name][1]] for name in names if name}
-    offsets = [fields[name][0] for name in kinds]
-    if any(at + np.dtype(kind).itemsize > step for at, kind in zip(offsets, kinds.values(), strict=True)):
-        message = f"has fields beyond the {step} bytes of a point"
-        raise ShortMessageError(message)
-    point = np.dtype({"names": list(kinds), "formats": list(kinds.values()), "offsets": offsets, "itemsize": step})
-    shape = (height, width * step) if width else (0, step)
-    # rows may be longer than their points; their bounds are checked above
-    rows = np.lib.stride_tricks.as_strided(raw, shape, (row_step, 1), writeable=False)
-    table = np.frombuffer(rows.tobytes(), point)
-    return _cloud(frame, stamp_s, table, names)
+    n_row = width * step
+    expect(height <= 1 or row_step >= n_row, f"says that {width} points of {step} bytes are a row of {row_step}")
+    row_step = max(row_step, n_row)
+    is_whole = not height or row_step * (height - 1) + n_row <= len(raw)
+    expect(is_whole, f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes")
+    # rows may be longer than their points
+    rows = np.lib.stride_tricks.as_strided(raw, (height, n_row) if n_row else (0, step), (row_step, 1), writeable=False)
+    return _decoded(frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)))
 
 
-def _find_fields(fields: dict[str, tuple[int, int]], step: int) -> tuple[str, str, str, str, str, str]:
-    """Return the names of x, y, z, ring, time and intensity (empty: none)."""
-    ring = next((name for name in RINGS if name in fields), "")
-    time = next((name for name in TIMES if name in fields), "")
-    light = next((name for name in LIGHTS if name in fields), "")
-    lacking = [name for name in "xyz" if name not in fields]
-    lacking += [what for what, name in (("ring", ring), ("time", time)) if not name]
-    if lacking or not step:
-        message = f"has points without {', '.join(lacking) or 'bytes'} (fields: {', '.join(fields)[:200]})"
-        raise ShortMessageError(message)
-    if any(fields[name][1] not in _TYPES for name in ("x", "y", "z", ring, time, light) if name):
-        message = "has fields of a type that is not there"
-        raise ShortMessageError(message)
-    return "x", "y", "z", ring, time, light
+def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
+    """Return the type of a point, with what is read of it: x, y, z, ring, time, light (missing where there is none)."""
+    names = {"x": ("x",), "y": ("y",), "z": ("z",), "ring": RINGS, "time": TIMES, "light": LIGHTS}
+    held = {part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()}
+    lacking = [part for part, found in held.items() if not found and part != "light"]
+    has_all = bool(step) and not lacking
+    expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {', '.join(fields)[:200]})")
+    parts = {part: found[0] for part, found in held.items() if found}
+    expect(all(kind in _TYPES for _, kind in parts.values()), "has fields of a type that is not there")
+    kinds = [np.dtype(order + _TYPES[kind]) for _, kind in parts.values()]
+    offsets = [offset for offset, _ in parts.values()]
+    inside = all(at + kind.itemsize <= step for at, kind in zip(offsets, kinds, strict=True))
+    expect(inside, f"has fields beyond the {step} bytes of a point")
+    return np.dtype({"names": list(parts), "formats": kinds, "offsets": offsets, "itemsize": step})
 
 
-def _cloud(frame: str, stamp_s: float, table: NDArray[np.void], names: tuple[str, str, str, str, str, str]) -> Cloud:
-    x, y, z, ring, time, light = names
+def _decoded(frame: str, stamp_s: float, table: NDArray[np.void]) -> Cloud:
+    xyz: F32 = np.empty((len(table), 3), np.float32)
     with np.errstate(all="ignore"):
-        xyz: F32 = np.stack([table[name].astype(np.float32) for name in (x, y, z)], axis=1)
-        xyz[~np.isfinite(xyz).all(axis=1) | ~xyz.any(axis=1)] = np.nan
-        times = table[time].astype(np.float64)
-        if table.dtype[time].kind in "iu":
+        for axis, name in enumerate("xyz"):
+            xyz[:, axis] = table[name]
+        squares = xyz.astype(np.float64) ** 2
+        ranges: F32 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]).astype(np.float32)
+        is_missing = ~(np.isfinite(ranges) & (ranges > 0))
+        if is_missing.any():
+            xyz[is_missing], ranges[is_missing] = np.nan, np.nan
+        times = table["time"].astype(np.float64)
+        if table.dtype["time"].kind in "iu":
             times *= 1e-9
         is_absolute = bool(np.nanmax(np.abs(times), initial=0.0) > _ABSOLUTE_S)
         times = times if is_absolute else times + stamp_s
-        stored = table[ring].astype(np.float64)
-        rings: I64 = np.where(np.isfinite(stored), stored, -1).clip(-1, 1 << 20).astype(np.int64)
-        lit = table[light].astype(np.float32) if light else np.full(len(table), np.nan, np.float32)
-    return Cloud(frame, rings, times, xyz, lit)
+        stored = table["ring"]
+        if stored.dtype.kind == "f":
+            stored = np.where(np.isfinite(stored), stored, -1).clip(-1, 1 << 20)
+        rings: I64 = stored.astype(np.int64).clip(-1, 1 << 20)
+        has_light = "light" in (table.dtype.names or ())
+        lit = table["light"].astype(np.float32) if has_light else np.full(len(table), np.nan, np.float32)
+    return Cloud(frame, rings, times, xyz, ranges, lit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +141,20 @@ class Timing:
     """(n,) int64, column of every point, from 0."""
     late_s: F64
     """(rings,) float64, by ring: how long after the first of a column its laser fires [s]."""
+    is_together: bool = False
+    """Whether all lasers of a column fire at one time."""
+
+    def again(self, ring: I64, time_s: F64, n_first: int) -> Timing | None:
+        """Return the columns of later points, the first of which are one column; None where the clock does not fit."""
+        if self.is_together or not n_first or ring.max() >= len(self.late_s):
+            return None
+        after_s = time_s - self.late_s[ring]
+        start = float(np.median(after_s[:n_first]))
+        exact = (after_s - start) / self.period_s
+        number = np.rint(exact)
+        if not (number.min() == 0 and number.max() < _MOST_WAITING and np.abs(exact - number).max() < _FITS):
+            return None
+        return Timing(self.period_s, start, number.astype(np.int64), self.late_s)
 
 
 def find_columns(ring: I64, time_s: F64) -> Timing | None:
@@ -156,23 +167,26 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
     >>> find_columns(np.array([0, 0, 0, 1, 1, 1]), time_s).column.tolist()
     [0, 1, 3, 0, 1, 2]
     """
+    start = float(time_s.min())
+    every, which = _unique_times(time_s - start)
+    if len(every) <= 2 * int(np.bincount(ring).max()):
+        steps = np.diff(every) * _LEAST_PERIOD_S
+        period = _usual(steps[steps > _LEAST_PERIOD_S])
+        if not period or not every[-1] * _LEAST_PERIOD_S < _MOST_COLUMNS * period:
+            return None
+        number = np.cumsum(np.rint(np.diff(every, prepend=0.0) * (_LEAST_PERIOD_S / period))).astype(np.int64)
+        return Timing(period, start, number[which], np.zeros(int(ring.max()) + 1), is_together=True)
     order = np.lexsort((time_s, ring))
     own, at = ring[order], time_s[order]
     steps = np.diff(at)
-    steps = steps[(np.diff(own) == 0) & (steps > _LEAST_PERIOD_S)]
-    if not len(steps):
+    period = _usual(steps[(np.diff(own) == 0) & (steps > _LEAST_PERIOD_S)])
+    if not period or not float(time_s.max()) - start < _MOST_COLUMNS * period:
         return None
-    low = float(np.percentile(steps, 10))
-    period = float(np.median(steps[steps < 1.5 * low]))
-    if not float(time_s.max() - time_s.min()) < _MOST_COLUMNS * period:
-        return None
-    every, which = np.unique(np.rint((time_s - at.min()) / _LEAST_PERIOD_S), return_inverse=True)
-    if len(every) <= 2 * int(np.bincount(ring).max()):
-        number = np.cumsum(np.rint(np.diff(every, prepend=0.0) * (_LEAST_PERIOD_S / period))).astype(np.int64)
-        return Timing(period, float(at.min()), number[which.ravel()], np.zeros(int(ring.max()) + 1))
-    period = _refined(own, at, period)
-    start = float(at.min())
-    present, first = np.unique(own, return_index=True)
+    present, first, counts = np.unique(own, return_index=True, return_counts=True)
+    # exact from the first to the last shot of the ring with the most points
+    fullest = slice(first[counts.argmax()], first[counts.argmax()] + counts.max())
+    n_steps = int(np.rint(np.diff(at[fullest]) / period).sum())
+    period = float(np.ptp(at[fullest])) / n_steps if n_steps else period
     turned = np.exp(1j * _TURN * ((at - start) / period))
     of_ring = np.angle(np.add.reduceat(turned, first)) / _TURN % 1.0
     # the lasers begin to fire after the longest pause
@@ -186,13 +200,22 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
     return Timing(period, start + (begin + least) * period, column - least, late * period)
 
 
-def _refined(ring: I64, at: F64, period: float) -> float:
-    """Return the period from the first to the last shots of the ring with the most points."""
-    _, first, counts = np.unique(ring, return_index=True, return_counts=True)
-    best = int(counts.argmax())
-    own = at[first[best] : first[best] + counts[best]]
-    n = int(np.rint(np.diff(own) / period).sum())
-    return float(own[-1] - own[0]) / n if n else period
+def _unique_times(after_s: F64) -> tuple[F64, I64]:
+    """Return the times in whole steps of :data:`_LEAST_PERIOD_S`, and which of them every time is."""
+    ticks = np.rint(after_s / _LEAST_PERIOD_S)
+    span = float(ticks.max()) + 1
+    if not span <= _MOST_WAITING:
+        every, which = np.unique(ticks, return_inverse=True)
+        return every, which.ravel()
+    whole = ticks.astype(np.int64)
+    seen = np.zeros(int(span), np.int64)
+    seen[whole] = 1
+    return np.flatnonzero(seen).astype(np.float64), (np.cumsum(seen) - 1)[whole]
+
+
+def _usual(steps: F64) -> float:
+    """Return the usual one of the short steps; 0 without any."""
+    return float(np.median(steps[steps < 1.5 * float(np.percentile(steps, 10))])) if len(steps) else 0.0
 
 
 class _Points(NamedTuple):
@@ -201,28 +224,13 @@ class _Points(NamedTuple):
     ring: I64
     time_s: F64
     xyz_m: F32
+    range_m: F32
     intensity: F32
     record: I64
-
-    @classmethod
-    def none(cls) -> _Points:
-        """No points."""
-        whole = np.zeros(0, np.int64)
-        return cls(whole, np.zeros(0), np.zeros((0, 3), np.float32), np.zeros(0, np.float32), whole)
 
     def part(self, where: NDArray[Any]) -> _Points:
         """Return some of the points."""
         return _Points(*(values[where] for values in self))
-
-    def and_then(self, other: _Points) -> _Points:
-        """Return these points and others behind them."""
-        return _Points(
-            np.concatenate([self.ring, other.ring]),
-            np.concatenate([self.time_s, other.time_s]),
-            np.concatenate([self.xyz_m, other.xyz_m]),
-            np.concatenate([self.intensity, other.intensity]),
-            np.concatenate([self.record, other.record]),
-        )
 
 
 class CloudLines:
@@ -230,99 +238,106 @@ class CloudLines:
 
     def __init__(self, where: str, scanner: int, first: Cloud, config: InputConfig) -> None:
         self._where, self._config = where, config
-        has = np.isfinite(first.xyz_m[:, 0]) & (first.ring >= 0) & np.isfinite(first.time_s)
+        has = np.isfinite(first.range_m) & (first.ring >= 0) & np.isfinite(first.time_s)
         if not has.any() or first.ring[has].max() >= MAX_RINGS:
             found = "no point" if not has.any() else f"ring {int(first.ring[has].max())}"
             problem = f"found {found} in the first message, expected points of rings 0 to {MAX_RINGS - 1}"
             raise InputError(where, problem, "record the scanner's own topic")
         n_rings = int(first.ring[has].max()) + 1
         self.points_per_line = next(width for width in _WIDTHS if width >= n_rings)
+        self.has_returns = False
         timing = find_columns(first.ring[has], first.time_s[has])
         if timing is None:
             problem = "the points of a ring have one time, expected a time a point"
             raise InputError(where, problem, "let the driver write the times of the points")
         self._place, shift = _geometry(first.ring[has], timing, first.xyz_m[has], self.points_per_line)
-        self.lines = ColumnLines(where, scanner, shift, config)
-        self._rest = _Points.none()
+        self._lines = ColumnLines(where, scanner, shift, config)
+        self._rest: _Points | None = None
         """Points of the last column: the next message may have more of it."""
         self._rest_line = 0
-        self._late_s: F64 = np.zeros(MAX_RINGS)
+        self._timing = timing
 
     def add(self, cloud: Cloud, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield the lines that are complete."""
         m = self.points_per_line
-        use = np.flatnonzero((cloud.ring >= 0) & np.isfinite(cloud.time_s))
-        if len(use) and cloud.ring[use].max() >= m:
-            problem = f"found ring {int(cloud.ring[use].max())}, expected {m} rings as in the first message"
+        points = _Points(
+            cloud.ring, cloud.time_s, cloud.xyz_m, cloud.range_m, cloud.intensity,
+            np.arange(first_record, first_record + cloud.n_records),
+        )  # fmt: skip
+        use = (cloud.ring >= 0) & np.isfinite(cloud.time_s)
+        if not use.all():
+            points = points.part(use)
+        if len(points.ring) and points.ring.max() >= m:
+            problem = f"found ring {int(points.ring.max())}, expected {m} rings as in the first message"
             raise InputError(self._where, problem, "record every set-up in a bag of its own")
-        self.lines.count_not_fired(cloud.n_records - len(use))
-        new = _Points(cloud.ring[use], cloud.time_s[use], cloud.xyz_m[use], cloud.intensity[use], use + first_record)
-        points = self._rest.and_then(new)
-        timing = find_columns(points.ring, points.time_s) if len(points.ring) else None
+        n_new, n_rest = len(points.ring), 0 if self._rest is None else len(self._rest.ring)
+        self._lines.count_not_fired(cloud.n_records - n_new)
+        if self._rest is not None:
+            points = _Points(*(np.concatenate([a, b]) for a, b in zip(self._rest, points, strict=True)))
+        if not len(points.ring):
+            return
+        timing = self._timing.again(points.ring, points.time_s, n_rest) or find_columns(points.ring, points.time_s)
         if timing is None:
             self._rest = points
             if len(points.ring) > _MOST_WAITING:
                 problem = f"the times of {len(points.ring)} points tell no columns, expected a time a firing"
                 raise InputError(self._where, problem, "let the driver write the times of the points")
             return
-        n, n_rest = int(timing.column.max()) + 1, len(self._rest.ring)
+        n = int(timing.column.max()) + 1
         if n * m > MAX_EMPTY * len(points.ring) + SPARE_CELLS:
-            problem = f"{len(use)} points lie in {n} columns of {timing.period_s:.3g} s, expected many to a column"
+            problem = f"{n_new} points lie in {n} columns of {timing.period_s:.3g} s, expected many to a column"
             raise InputError(self._where, problem, "look at the times of the points")
         base = self._rest_line - (int(np.median(timing.column[:n_rest])) if n_rest else 0)
-        self._late_s[: len(timing.late_s)] = timing.late_s
-        last = timing.column == n - 1
-        self._rest, self._rest_line = points.part(last), base + n - 1
+        is_last = timing.column == n - 1
+        self._rest, self._rest_line, self._timing = points.part(is_last), base + n - 1, timing
         if n > 1:
-            yield from self.lines.add(self._columns(points.part(~last), timing, timing.column[~last], base))
+            yield from self._lines.add(self._columns(points, ~is_last, n - 1, base))
 
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
         rest = self._rest
-        if len(rest.ring):
-            start_s = float((rest.time_s - self._late_s[rest.ring]).min())
-            timing = Timing(0.0, start_s, np.zeros(len(rest.ring), np.int64), self._late_s)
-            yield from self.lines.add(self._columns(rest, timing, timing.column, self._rest_line))
-            self._rest = _Points.none()
-        yield from self.lines.finish()
+        if rest is not None and len(rest.ring):
+            late_s = self._timing.late_s
+            start_s = float((rest.time_s - late_s[rest.ring.clip(max=len(late_s) - 1)]).min())
+            self._timing = replace(self._timing, start_s=start_s, column=np.zeros(len(rest.ring), np.int64))
+            yield from self._lines.add(self._columns(rest, np.ones(len(rest.ring), np.bool_), 1, self._rest_line))
+            self._rest = None
+        yield from self._lines.finish()
 
-    def _columns(self, points: _Points, timing: Timing, column: I64, base: int) -> Columns:
-        """Put points into cells; the second of a cell is its further return."""
-        m, n = self.points_per_line, int(column.max()) + 1
-        cell = column * m + self._place[points.ring]
-        order = np.argsort(cell, kind="stable")
-        points, cell = points.part(order), cell[order]
-        again: Mask = np.append(False, cell[1:] == cell[:-1])
-        second = again & ~np.append(False, again[:-1])
-        self.lines.count_not_fired(int(np.count_nonzero(again & ~second)))
-        one, two = np.full((2, n * m), -1, np.intp)
-        one[cell[~again]] = np.flatnonzero(~again)
-        two[cell[second]] = np.flatnonzero(second)
-        length = np.sqrt((points.xyz_m.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
+    def lost(self) -> str:
+        """Return a sentence on columns that did not arrive, empty if all did."""
+        return self._lines.lost()
 
-        def pick(values: NDArray[Any], point: NDArray[np.intp], fill: float) -> NDArray[Any]:
-            found = values[point]
-            found[point < 0] = fill
-            return found.reshape(n, m, *values.shape[1:])
+    def _columns(self, points: _Points, use: Mask, n: int, base: int) -> Columns:
+        """Put points into the cells of ``n`` columns; the second of a cell is its further return."""
+        m, timing = self.points_per_line, self._timing
+        point = np.flatnonzero(use)
+        cell = (timing.column * m + self._place[points.ring])[point]
+        # of several points of a cell, the first one is written last
+        first, second = np.full((2, n * m), -1, np.intp)
+        first[cell[::-1]] = point[::-1]
+        again = first[cell] != point
+        second[cell[again][::-1]] = point[again][::-1]
+        self._lines.count_not_fired(int(np.count_nonzero(again)) - int(np.count_nonzero(second >= 0)))
+        returns = [first, second] if again.any() else [first]
+        cells = np.stack(returns, axis=-1).reshape(n, m, -1)
 
-        ranges = [pick(length, point, np.nan) for point in (one, two)]
-        lights = [pick(points.intensity, point, np.nan) for point in (one, two)]
-        swap = choose_of_two(ranges[0], ranges[1], (lights[0], lights[1]), self._config.return_).ravel()
-        own, other = np.where(swap, two, one), np.where(swap, one, two)
+        def pick(values: NDArray[Any], which: NDArray[np.intp], fill: float) -> NDArray[Any]:
+            found: NDArray[Any] = values[which]
+            found[which < 0] = fill
+            return found
+
+        ranges, lights = pick(points.range_m, cells, np.nan), pick(points.intensity, cells, np.nan)
+        range_m, light, own, (further_m, other) = choose(ranges, lights, cells, self._config.return_)
         late: F64 = np.zeros(m)
         late[self._place[: len(timing.late_s)]] = timing.late_s[:m]
-        fired = timing.start_s + np.arange(n)[:, None] * timing.period_s + late
         time_s = pick(points.time_s, own, np.nan)
+        fired = timing.start_s + np.arange(n)[:, None] * timing.period_s + late
         return Columns(
-            line=base + np.arange(n),
-            range_m=pick(length, own, np.nan),
-            record=pick(points.record, own, -1),
-            time_s=np.where(np.isnan(time_s), fired, time_s),
-            xyz_m=pick(points.xyz_m, own, np.nan),
-            intensity=pick(points.intensity, own, np.nan),
-            further_m=pick(length, other, np.nan),
-            further_record=pick(points.record, other, -1),
-        )
+            base + np.arange(n), range_m, pick(points.record, own, -1), np.where(np.isnan(time_s), fired, time_s),
+            pick(points.xyz_m, own, np.nan), light, further_m,
+            None if other is None else pick(points.record, other, -1),
+        )  # fmt: skip
 
 
 def _geometry(ring: I64, timing: Timing, xyz_m: F32, m: int) -> tuple[I64, I64]:
@@ -363,7 +378,7 @@ def _stagger(ring: I64, timing: Timing, azimuth: F64, place: I64) -> I64:
             # what a laser fires later, it looks ahead: that is no staggering
             late = (timing.late_s[one] - timing.late_s[fullest]) / timing.period_s
             shift[place[one]] = round(float(np.median(ahead[use])) - late)
-    return shift.clip(-_MOST_SHIFT, _MOST_SHIFT)
+    return shift.clip(-MAX_SHIFT, MAX_SHIFT)
 
 
 def _wrap(angle: F64) -> F64:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.formats.bags.cursor import Cursor, ShortMessageError
+from prc_cli.formats.bags.messages import Cursor, expect
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE, lines_per_block
 from prc_cli.formats.ranges import choose_returns, clean_ranges
@@ -35,14 +35,14 @@ class LaserScan:
     angle_step_rad: float
     shot_s: float
     """Time between beams [s]."""
-    range_min_m: float
-    range_max_m: float
     range_m: F32
-    """(echoes,) float32, echoes of the beams one after the other [m]."""
+    """(echoes,) float32, echoes of the beams one after the other [m]; NaN = none."""
     intensity: F32
     """(echoes,) float32, or empty."""
     n_echoes: I64 | None
     """(M,) int64, echoes of every beam; None = one each."""
+    n_beyond: int
+    """Echoes out of the scanner's own range."""
 
     @property
     def points_per_line(self) -> int:
@@ -60,39 +60,40 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     first, _, step, shot_s, _, low, high = cursor.numbers("f", 7)
-    if not math.isfinite(first + step + shot_s) or step == 0:
-        message = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}, expected finite numbers"
-        raise ShortMessageError(message)
+    found = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}"
+    expect(math.isfinite(first + step + shot_s) and step != 0, f"{found}, expected finite numbers")
     if not is_multi:
         ranges, n_echoes = cursor.array("f4"), None
         intensity = cursor.array("f4")
     else:
         ranges, n_echoes = _echoes(cursor)
-        intensity, n_of = _echoes(cursor, n_echoes)
+        intensity, n_of = _echoes(cursor)
         if not np.array_equal(n_of, n_echoes):
             intensity = np.empty(0, np.float32)
     m = len(ranges) if n_echoes is None else len(n_echoes)
-    if not 1 <= m <= MAX_POINTS_PER_LINE:
-        message = f"holds {m} ranges, expected 1 to {MAX_POINTS_PER_LINE}"
-        raise ShortMessageError(message)
+    expect(1 <= m <= MAX_POINTS_PER_LINE, f"holds {m} ranges, expected 1 to {MAX_POINTS_PER_LINE}")
     if len(intensity) != len(ranges):
         intensity = np.empty(0, np.float32)
     # copies: the message may be much longer than what is kept of it
-    return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges.copy(), intensity.copy(), n_echoes)
+    ranges, intensity = ranges.astype(np.float32), intensity.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        # a scanner says by inf, or by its own reach, that nothing came back
+        is_beyond = np.isfinite(ranges) & ((ranges < low) | (ranges >= high))
+    ranges[is_beyond | np.isinf(ranges)] = np.nan
+    n_beyond = int(np.count_nonzero(is_beyond))
+    return LaserScan(stamp_s, frame, first, step, shot_s, ranges, intensity, n_echoes, n_beyond)
 
 
-def _echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
-    """Read a list of lists, whose lengths may be known; return them in a row, and their lengths."""
+def _echoes(cursor: Cursor) -> tuple[F32, I64]:
+    """Read a list of lists; return their values in a row, and their lengths."""
     n = cursor.number("I")
-    if n > len(cursor.data) // 4:
-        message = f"says it holds {n} beams, which it is too short for"
-        raise ShortMessageError(message)
-    words = cursor.rest("u4")
-    counts = likely if likely is not None and len(likely) == n else _lengths(words, n)
-    starts = np.cumsum(counts + 1) - counts - 1
-    if likely is counts and n and (starts[-1] + counts[-1] >= len(words) or not np.array_equal(words[starts], counts)):
-        counts = _lengths(words, n)
-        starts = np.cumsum(counts + 1) - counts - 1
+    expect(n <= len(cursor.data) // 4, f"says it holds {n} beams, which it is too short for")
+    words = cursor.rest("u4")[: n * (1 + MAX_ECHOES)]
+    starts = _starts(words, n)
+    counts = words[starts[starts < len(words)]].astype(np.int64)
+    found, most = f"holds {counts.max(initial=0)} echoes of a beam", f"at most {MAX_ECHOES}, and no more than there are"
+    is_whole = len(counts) == n and (not n or starts[-1] + counts[-1] < len(words))
+    expect(is_whole and counts.max(initial=0) <= MAX_ECHOES, f"{found}, expected {most}")
     is_value: Mask = np.ones(n + int(counts.sum()), np.bool_)
     is_value[starts] = False
     cursor.at += 4 * len(is_value)
@@ -100,21 +101,26 @@ def _echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
     return values, counts
 
 
-def _lengths(words: NDArray[np.uint32], n: int) -> I64:
-    """Return the lengths of lists that follow each other, each behind its length.
+def _starts(words: NDArray[np.uint32], n: int) -> I64:
+    """Return where lists begin that follow each other, each behind its length; the number of words beyond the end.
 
-    >>> _lengths(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
-    [2, 0, 1]
+    Words that are as small as a length are lengths, where the lists then follow each other. Else, as for values of
+    zero, the way to the next list is followed for all words at once, then twice as far, and so on.
+
+    >>> _starts(np.array([2, 7, 8, 0, 1, 9], np.uint32), 3).tolist()
+    [0, 3, 4]
     """
-    counts, at, listed = [], 0, words[: n * (1 + MAX_ECHOES)].tolist()
-    for _ in range(n):
-        count = listed[at] if at < len(listed) else 0
-        at += 1 + count
-        if count > MAX_ECHOES or at > len(listed):
-            message = f"holds {count} echoes of a beam, expected at most {MAX_ECHOES}, and no more than there are"
-            raise ShortMessageError(message)
-        counts.append(count)
-    return np.array(counts, np.int64)
+    likely = np.flatnonzero(words <= MAX_ECHOES)[:n]
+    if len(likely) == n and n and likely[0] == 0 and (np.diff(likely) == words[likely[:-1]] + np.uint32(1)).all():
+        return likely
+    end = len(words)
+    after = np.arange(1, end + 1) + np.minimum(words, MAX_ECHOES + 1)
+    after = np.append(np.minimum(after, end), end)
+    starts: I64 = np.zeros(min(n, 1), np.int64)
+    while len(starts) < n:
+        starts = np.append(starts, after[starts])
+        after = after[after]
+    return starts[:n]
 
 
 class LaserLines:
@@ -123,6 +129,7 @@ class LaserLines:
     def __init__(self, where: str, scanner: int, first: LaserScan, config: InputConfig) -> None:
         self._where, self._scanner, self._config = where, scanner, config
         self.points_per_line = first.points_per_line
+        self.has_returns = first.n_echoes is not None
         self._first = (first.angle_min_rad, first.angle_step_rad)
         column = np.arange(self.points_per_line, dtype=np.float64)
         self.angle_rad: F64 = first.angle_min_rad + first.angle_step_rad * column
@@ -132,18 +139,17 @@ class LaserLines:
 
     def add(self, scan: LaserScan, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield a block when there is enough for one."""
-        number = self._n_lines + len(self._waiting)
-        if scan.points_per_line != self.points_per_line:
-            problem = f"found {scan.points_per_line} ranges, expected {self.points_per_line} as in the first message"
-            raise InputError(f"{self._where}: message {number}", problem, "record every set-up in a bag of its own")
-        found = (scan.angle_min_rad, scan.angle_step_rad)
-        start, step = self._first
-        if not (abs(found[0] - start) <= _NEAR * abs(step) and abs(found[1] - step) <= _SAME * abs(step)):
-            problem = (
-                f"found angle_min {found[0]:g} and angle_increment {found[1]:g}, expected {self._first[0]:g} and "
-                f"{self._first[1]:g} as in the first message"
-            )
-            raise InputError(f"{self._where}: message {number}", problem, "record every set-up in a bag of its own")
+        m, (start, step) = self.points_per_line, self._first
+        near = abs(scan.angle_min_rad - start) <= _NEAR * abs(step)
+        near &= abs(scan.angle_step_rad - step) <= _SAME * abs(step)
+        if scan.points_per_line != m or not near:
+            found, wanted = f"{scan.points_per_line} ranges", str(m)
+            if scan.points_per_line == m:
+                found = f"angle_min {scan.angle_min_rad:g} and angle_increment {scan.angle_step_rad:g}"
+                wanted = f"{start:g} and {step:g}"
+            where = f"{self._where}: message {self._n_lines + len(self._waiting)}"
+            problem = f"found {found}, expected {wanted} as in the first message"
+            raise InputError(where, problem, "record every set-up in a bag of its own")
         self._waiting.append((scan, first_record))
         if len(self._waiting) == self._enough:
             yield from self.finish()
@@ -155,81 +161,68 @@ class LaserLines:
             self._n_lines += len(self._waiting)
             self._waiting = []
 
+    def lost(self) -> str:
+        """Return what is lacking: nothing, a scan that was not recorded leaves no gap."""
+        return ""
+
     def _block(self) -> ScanBlock:
         scans = [scan for scan, _ in self._waiting]
         m = self.points_per_line
         first = np.array([record for _, record in self._waiting], np.int64)
-        bounds = np.array([(scan.range_min_m, scan.range_max_m) for scan in scans])
-        ranges, intensity, record, extra, n_extra = self._one_each(scans, first)
-        with np.errstate(invalid="ignore"):
-            beyond: Mask = (ranges < bounds[:, :1]) | (ranges >= bounds[:, 1:])
-        finite = np.isfinite(ranges)
-        ranges[beyond & finite] = np.nan
-        # inf is how a scanner says that nothing came back
-        ranges[np.isinf(ranges)] = np.nan
+        ranges, intensity, record, extra = (self._echoes if self.has_returns else self._single)(scans, first)
         cleaned, tally = clean_ranges(ranges, self._config.min_range, self._config.max_range)
         if intensity is not None:
             intensity[np.isnan(cleaned)] = np.nan
-        stamps = np.array([scan.stamp_s for scan in scans])
-        steps = np.array([scan.shot_s for scan in scans])
+        stamps, steps = (np.array([getattr(scan, name) for scan in scans])[:, None] for name in ("stamp_s", "shot_s"))
+        counted = ReadTally(
+            n_records=sum(scan.n_records for scan in scans),
+            n_beyond=sum(scan.n_beyond for scan in scans),
+            n_extra_returns=len(extra),
+        )
         return ScanBlock(
             first_line=self._n_lines,
             range_m=cleaned,
             record=record,
             scanner=self._scanner,
-            time_s=stamps[:, None] + steps[:, None] * np.arange(m),
+            time_s=stamps + steps * np.arange(m),
             intensity=intensity,
             angle_rad=self.angle_rad,
             extra=extra,
-            tally=tally
-            + ReadTally(
-                n_records=sum(scan.n_records for scan in scans),
-                n_beyond=int(np.count_nonzero(beyond & finite)),
-                n_extra_returns=n_extra,
-            ),
+            tally=tally + counted,
         )
 
-    def _one_each(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns, int]:
+    def _single(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns]:
+        """Return range, intensity and record of every cell, and no further echoes."""
+        lit = np.stack([scan.intensity for scan in scans]) if all(len(scan.intensity) for scan in scans) else None
+        ranges = np.stack([scan.range_m for scan in scans])
+        return ranges, lit, first[:, None] + np.arange(self.points_per_line), ExtraReturns.none()
+
+    def _echoes(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns]:
         """Return range, intensity and record of every cell, and the further echoes."""
         n, m = len(scans), self.points_per_line
-        lit = all(len(scan.intensity) for scan in scans)
-        if all(scan.n_echoes is None for scan in scans):
-            ranges = np.stack([scan.range_m for scan in scans]).astype(np.float32)
-            intensity = np.stack([scan.intensity for scan in scans]).astype(np.float32) if lit else None
-            return ranges, intensity, first[:, None] + np.arange(m), ExtraReturns.none(), 0
-        counts = np.concatenate([_counts(scan) for scan in scans])
+        counts = np.concatenate([scan.n_echoes for scan in scans if scan.n_echoes is not None])
         held = np.maximum(counts, 1)
-        starts = np.cumsum(held) - held
-        flat = _spread(np.concatenate([scan.range_m for scan in scans]), counts, held)
-        value = _spread(np.concatenate([scan.intensity for scan in scans]), counts, held) if lit else None
-        record = np.concatenate(
-            [at + np.arange(scan.n_records) for at, scan in zip(first, scans, strict=True)], dtype=np.int64
-        )
-        cell = np.repeat(np.arange(n * m), held)
-        low = np.repeat([scan.range_min_m for scan in scans], [scan.n_records for scan in scans])
-        high = np.repeat([scan.range_max_m for scan in scans], [scan.n_records for scan in scans])
-        with np.errstate(invalid="ignore"):
-            usable = np.isfinite(flat) & (flat >= low) & (flat < high) & (flat > 0)
-        flat[~usable] = np.nan
-        begins: Mask = np.zeros(len(flat), np.bool_)
-        begins[starts] = True
-        stands = choose_returns(begins, flat, value, None, self._config.return_)
+        begins: Mask = np.zeros(int(held.sum()), np.bool_)
+        begins[np.cumsum(held) - held] = True
+        # a beam without an echo holds a place
+        is_echo = np.repeat(counts > 0, held)
+
+        def spread(values: list[F32]) -> F32:
+            spread: F32 = np.full(len(begins), np.nan, np.float32)
+            spread[is_echo] = np.concatenate(values)
+            return spread
+
+        flat = spread([scan.range_m for scan in scans])
+        flat[flat <= 0] = np.nan
+        lit = None
+        if all(len(scan.intensity) or not len(scan.range_m) for scan in scans):
+            lit = spread([scan.intensity for scan in scans])
+        stands = choose_returns(begins, flat, lit, None, self._config.return_)
+        n_of = np.array([scan.n_records for scan in scans])
+        record = np.arange(len(flat)) + np.repeat(first - (np.cumsum(n_of) - n_of), n_of)
+        others = np.flatnonzero(~stands & ~np.isnan(flat))
+        cell = (np.cumsum(begins) - 1)[others]
+        extra = ExtraReturns((cell // m).astype(np.int32), (cell % m).astype(np.int32), flat[others], record[others])
         own = np.flatnonzero(stands)
-        others = np.flatnonzero(usable & ~stands)
-        extra = ExtraReturns(
-            (cell[others] // m).astype(np.int32), (cell[others] % m).astype(np.int32), flat[others], record[others]
-        )
-        shape = (n, m)
-        intensity = None if value is None else value[own].reshape(shape)
-        return flat[own].reshape(shape), intensity, record[own].reshape(shape), extra, len(others)
-
-
-def _counts(scan: LaserScan) -> I64:
-    return np.ones(len(scan.range_m), np.int64) if scan.n_echoes is None else scan.n_echoes
-
-
-def _spread(values: F32, counts: I64, held: I64) -> F32:
-    """Return values with a NaN for every beam without an echo."""
-    spread: F32 = np.full(int(held.sum()), np.nan, np.float32)
-    spread[np.repeat(counts > 0, held)] = values
-    return spread
+        intensity = None if lit is None else lit[own].reshape(n, m)
+        return flat[own].reshape(n, m), intensity, record[own].reshape(n, m), extra

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, TypeVar
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
 from prc_cli.formats.bags.containers import Bag, Message, Topic
-from prc_cli.formats.bags.cursor import ShortMessageError
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, parse_laser
-from prc_cli.formats.bags.packed import OUSTER, PACKED, parse_packets
+from prc_cli.formats.bags.messages import OUSTER, PACKED, ShortMessageError, parse_packets
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import check_rules, check_width
-from prc_cli.formats.packets.ouster import read_metadata
-from prc_cli.formats.packets.scanners import PacketLines, is_scan
+from prc_cli.formats.packets.read import PacketLines, find_metadata, is_scan
+from prc_cli.formats.packets.spinning import KNOWN, NEEDED, describe
 
 MAX_SCANNERS = 256
 """Most scanners of a bag."""
 LASERS = (LASER, ECHOES)
-GROUPS = (PACKED, LASERS, (CLOUD,))
-"""Types of messages that hold scans, best first; those of the best group that a bag has are read by default."""
-READABLE = tuple(kind for group in GROUPS for kind in group)
+READABLE = (*PACKED, *LASERS, CLOUD)
+"""Types of messages that hold scans."""
 
 
 class BagStream:
@@ -35,9 +33,11 @@ class BagStream:
         self._path, self._config = path, config
         self._bag = Bag(path)
         self._firsts = self._first_messages()
+        self._frames = self._readable()
         self._chosen = self._choose()
         self._notes: list[str] = []
-        self._numbers = _Numbers()
+        self._numbers: dict[str, int] = {}
+        """Numbers of scanners, in the order they are met."""
         self._has_returns = False
         self._widest = self._look()
         check_width(path, self._widest, config)
@@ -47,13 +47,13 @@ class BagStream:
         """What is known before reading, and afterwards also what was found while reading."""
         counts = self._bag.counts
         names = ", ".join(topic.name for topic in self._chosen)
-        others = [topic.name for topic in counts if topic not in self._chosen and self._can(topic)]
+        others = [topic.name for topic in counts if topic not in self._chosen and topic in self._frames]
         why = "the bag has no other scans" if not others else f"other scans: {', '.join(others[:10])} (input.topic)"
         if self._config.topic is not None:
             why = "input.topic names it"
         assumed = [Assumption("input.topic", names, why)]
-        if len(self._numbers.of) > 1:
-            shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.of.items())
+        if len(self._numbers) > 1:
+            shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.items())
             assumed.append(Assumption("input.scanner", "one a topic and frame", shown[:500]))
         notes = list(self._notes)
         if self._bag.problem:
@@ -69,6 +69,7 @@ class BagStream:
             facts=SourceFacts(
                 has_line_times=not lasers,
                 has_returns=self._has_returns,
+                scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
                 notes=tuple(notes),
                 describe=self._describe,
             ),
@@ -89,16 +90,19 @@ class BagStream:
                 break
         return found
 
-    def _can(self, topic: Topic) -> bool:
-        """Whether a topic holds scans: of clouds, only those with ring and time."""
-        first = self._firsts.get(topic)
-        if first is None or topic.kind != CLOUD:
-            return first is not None
-        try:
-            parse_cloud(first.data, is_cdr=topic.is_cdr)
-        except ShortMessageError:
-            return False
-        return True
+    def _readable(self) -> dict[Topic, str]:
+        """Return the topics that hold scans, with their frames; of clouds only those with ring and time."""
+        frames = dict.fromkeys(self._firsts, "")
+        for topic, first in self._firsts.items():
+            try:
+                if topic.kind == CLOUD:
+                    frames[topic] = parse_cloud(first.data, is_cdr=topic.is_cdr).frame
+                elif topic.kind in LASERS:
+                    frames[topic] = parse_laser(first.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES).frame
+            except ShortMessageError:
+                if topic.kind == CLOUD:
+                    del frames[topic]
+        return frames
 
     def _choose(self) -> tuple[Topic, ...]:
         """Return the topics to read."""
@@ -115,33 +119,34 @@ class BagStream:
                     raise ConfigError("input.topic", problem, f"the bag has: {shown}")
                 chosen.append(topic)
             return tuple(chosen)
-        for group in GROUPS:
-            chosen = [topic for topic in topics.values() if topic.kind in group and self._can(topic)]
-            if chosen:
-                return tuple(sorted(chosen, key=lambda topic: topic.name))
+        # drivers publish clouds of packets, and laser scans of clouds, in the frame of the scanner
+        clouds = {frame for topic, frame in self._frames.items() if topic.kind == CLOUD}
+        packed = [topic for topic in self._frames if topic.kind in PACKED]
+        others = [one for one, frame in self._frames.items() if one.kind == CLOUD or frame not in clouds]
+        if packed or others:
+            return tuple(sorted(packed or others, key=lambda topic: topic.name))
         ended = f" ({self._bag.problem})" if self._bag.problem else ""
         problem = f"no topic with scans{ended}, expected {', '.join(READABLE)}; it has: {shown}"
         raise InputError(str(self._path), problem, "record the scanner's own topic")
 
     def _look(self) -> int:
         """Return the longest line, from the first message of every topic."""
-        widest = 0
+        widest, why = 0, ("no message with shots, expected scans", "name another topic: --topic NAME")
         for topic in self._chosen:
-            message = self._firsts.get(topic)
-            if message is not None:
-                reader = self._reader(message.topic)
-                for _ in reader.add(message, 0):
+            if topic in self._firsts:
+                reader = self._reader(topic)
+                for _ in reader.add(self._firsts[topic], 0):
                     pass
-                widest = max(widest, reader.points_per_line)
-                self._has_returns = self._has_returns or reader.has_returns
+                widest = max([widest, *(lines.points_per_line for lines in reader.frames.values())])
+                self._has_returns = self._has_returns or any(lines.has_returns for lines in reader.frames.values())
+                why = reader.nothing()
         if not widest:
             names = ", ".join(topic.name for topic in self._chosen)
-            raise InputError(f"{self._path}: {names}", "no message with shots, expected scans", "record it again")
+            raise InputError(f"{self._path}: {names}", *why)
         return widest
 
     def _reader(self, topic: Topic) -> _TopicReader:
-        kinds: dict[str, type[_TopicReader]] = {LASER: _LaserReader, ECHOES: _LaserReader, CLOUD: _CloudReader}
-        return kinds.get(topic.kind, _PacketReader)(f"{self._path}: {topic.name}", self._numbers, self._config)
+        return _TopicReader(self._path, topic, self._numbers, self._config)
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""
@@ -156,145 +161,87 @@ class BagStream:
         self._notes = [note for reader in readers.values() for note in reader.notes()]
 
 
-class _Numbers:
-    """Numbers of scanners, in the order they are met."""
-
-    def __init__(self) -> None:
-        self.of: dict[str, int] = {}
-
-    def number(self, name: str) -> int:
-        """Return the number of a scanner; a new one if it is new."""
-        if name not in self.of and len(self.of) == MAX_SCANNERS:
-            problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
-            raise InputError(name, problem, "name the topics: --topic NAME")
-        return self.of.setdefault(name, len(self.of))
+_L = TypeVar("_L", CloudLines, LaserLines, PacketLines)
 
 
-class _TopicReader(ABC):
+class _TopicReader:
     """Turns the messages of a topic into blocks; every frame of it is a scanner."""
 
-    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
-        self._where, self._numbers, self._config = where, numbers, config
-        self._n = 0
+    def __init__(self, path: Path, topic: Topic, numbers: dict[str, int], config: InputConfig) -> None:
+        self._where, self._topic = f"{path}: {topic.name}", topic
+        self._numbers, self._config = numbers, config
+        self._metadata = find_metadata(None, config) if topic.kind in PACKED else None
+        self.frames: dict[str, Any] = {}
+        """What gathers the scans of every frame into blocks."""
+        self._n = self._n_other = 0
+        self._other = ""
         self.n_taken = 0
         """Records of the last message."""
-        self.points_per_line = 0
-        self.has_returns = False
-        """Whether shots may have several returns."""
-
-    def _of(self, frame: str) -> str:
-        """Return the name of a scanner."""
-        topic = self._where.rpartition(": ")[2]
-        return f"{topic} ({frame})" if frame else topic
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield blocks as there is enough for one."""
+        kind, is_cdr = self._topic.kind, self._topic.is_cdr
         try:
-            yield from self._add(message, first_record)
+            if kind in PACKED:
+                yield from self._packets(message, first_record)
+            elif kind == CLOUD:
+                cloud = parse_cloud(message.data, is_cdr=is_cdr)
+                self.n_taken = cloud.n_records
+                yield from self._scanner(cloud.frame, CloudLines, cloud).add(cloud, first_record)
+            else:
+                scan = parse_laser(message.data, is_cdr=is_cdr, is_multi=kind == ECHOES)
+                self.n_taken = scan.n_records
+                yield from self._scanner(scan.frame, LaserLines, scan).add(scan, first_record)
         except ShortMessageError as error:
             problem = f"the message {error}"
             raise InputError(f"{self._where}: message {self._n}", problem, "copy the bag again") from None
         self._n += 1
 
-    @abstractmethod
-    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        """Take a message."""
+    def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
+        """Return what gathers the scans of a frame."""
+        if frame not in self.frames:
+            name, n = self._name(frame), len(self._numbers)
+            if name not in self._numbers and n == MAX_SCANNERS:
+                problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
+                raise InputError(name, problem, "name the topics: --topic NAME")
+            self.frames[frame] = gather(self._where, self._numbers.setdefault(name, n), *first, self._config)
+        lines: _L = self.frames[frame]
+        return lines
 
-    @abstractmethod
-    def finish(self) -> Iterator[ScanBlock]:
-        """Yield what waits."""
+    def _name(self, frame: str) -> str:
+        return f"{self._topic.name} ({frame})" if frame else self._topic.name
 
-    def notes(self) -> list[str]:
-        """Return sentences on what was unusual."""
-        return []
-
-
-class _LaserReader(_TopicReader):
-    """``LaserScan`` and ``MultiEchoLaserScan``."""
-
-    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
-        super().__init__(where, numbers, config)
-        self._frames: dict[str, LaserLines] = {}
-
-    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        self.has_returns = message.topic.kind == ECHOES
-        scan = parse_laser(message.data, is_cdr=message.topic.is_cdr, is_multi=self.has_returns)
-        lines = self._frames.get(scan.frame)
-        if lines is None:
-            number = self._numbers.number(self._of(scan.frame))
-            lines = self._frames[scan.frame] = LaserLines(self._where, number, scan, self._config)
-            self.points_per_line = max(self.points_per_line, lines.points_per_line)
-        self.n_taken = scan.n_records
-        yield from lines.add(scan, first_record)
-
-    def finish(self) -> Iterator[ScanBlock]:
-        for lines in self._frames.values():
-            yield from lines.finish()
-
-
-class _CloudReader(_TopicReader):
-    """``PointCloud2`` with ring and time."""
-
-    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
-        super().__init__(where, numbers, config)
-        self._frames: dict[str, CloudLines] = {}
-
-    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        cloud = parse_cloud(message.data, is_cdr=message.topic.is_cdr)
-        lines = self._frames.get(cloud.frame)
-        if lines is None:
-            number = self._numbers.number(self._of(cloud.frame))
-            lines = self._frames[cloud.frame] = CloudLines(self._where, number, cloud, self._config)
-            self.points_per_line = max(self.points_per_line, lines.points_per_line)
-        self.n_taken = cloud.n_records
-        yield from lines.add(cloud, first_record)
-
-    def finish(self) -> Iterator[ScanBlock]:
-        for lines in self._frames.values():
-            yield from lines.finish()
-
-    def notes(self) -> list[str]:
-        return [f"{self._of(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lines.lost())]
-
-
-class _PacketReader(_TopicReader):
-    """Messages that hold packets."""
-
-    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
-        super().__init__(where, numbers, config)
-        self._frames: dict[str, PacketLines] = {}
-        self._metadata = None if config.metadata is None else read_metadata(Path(config.metadata).expanduser())
-        self._n_other = 0
-
-    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        topic = message.topic
+    def _packets(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
+        topic, self.n_taken = self._topic, 0
         frame, packets = parse_packets(topic.kind, message.data, message.time_ns * 1e-9, is_cdr=topic.is_cdr)
         if topic.kind in OUSTER and self._metadata is None:
             raise InputError(self._where, "packets of an Ouster need its metadata", "give --metadata FILE.json")
-        self.n_taken = 0
         for time_s, data in packets:
             if not is_scan(data, self._metadata):
                 self._n_other += 1
+                self._other = describe(data)
                 continue
-            lines = self._frames.get(frame)
-            if lines is None:
-                number = self._numbers.number(self._of(frame))
-                lines = PacketLines(self._where, number, data, self._metadata, self._config)
-                self._frames[frame] = lines
-                self.has_returns = self.has_returns or lines.decoder.n_returns > 1
-                self.points_per_line = max(self.points_per_line, lines.points_per_line)
+            lines = self._scanner(frame, PacketLines, data, self._metadata)
             yield from lines.add(data, time_s, first_record + self.n_taken)
             self.n_taken += lines.n_records
 
     def finish(self) -> Iterator[ScanBlock]:
-        for lines in self._frames.values():
+        """Yield what waits."""
+        for lines in self.frames.values():
             yield from lines.finish()
 
     def notes(self) -> list[str]:
-        found = [f"{self._of(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lines.lost())]
+        """Return sentences on what was unusual."""
+        found = [f"{self._name(frame)}: {lost}" for frame, lines in self.frames.items() if (lost := lines.lost())]
         if self._n_other:
-            found.append(f"{self._where.rpartition(': ')[2]}: {self._n_other:,} packets of another kind left out")
+            found.append(f"{self._topic.name}: {self._n_other:,} packets of another kind left out ({self._other})")
         return found
+
+    def nothing(self) -> tuple[str, str]:
+        """Return why the messages hold no shots, and what to do."""
+        if self._other:
+            return f"packets of a scanner that is not known ({self._other}), expected {KNOWN} or Ouster", NEEDED
+        return "no message with shots, expected scans", "name another topic: --topic NAME"
 
 
 def open_bag(path: Path, config: InputConfig, lines_at_once: int) -> BagStream:

@@ -1,11 +1,11 @@
-"""Reader of PCD files: text, binary and compressed (LZF); every count is checked against the size of the file."""
+"""Reader of PCD files: text, binary and compressed (LZF)."""
 
 from __future__ import annotations
 
 import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,21 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule
 from prc_cli.core.files import open_to_read
 from prc_cli.formats.clouds.source import (
-    CHUNK_BYTES,
-    CHUNK_RECORDS,
+    MAX_PROPERTIES,
     OWN_COMMENT,
-    BinaryBody,
-    Body,
     CloudHead,
     CloudSource,
     Columns,
+    binary_body,
+    header_lines,
+    text_body,
+    whole_number,
 )
 from prc_cli.formats.options import Layout
-from prc_cli.formats.text.body import TextBody
-from prc_cli.formats.text.dialect import shorten, to_number
+from prc_cli.formats.organised.scans import MAX_POINTS_PER_LINE
+from prc_cli.formats.raw_binary.read import CHUNK_RECORDS
+from prc_cli.formats.records import Body, shorten
+from prc_cli.formats.text.dialect import to_number
 
 MAX_RATIO = 264 / 3
 """Most bytes that a byte of LZF can stand for: the longest match is 264 bytes in three."""
@@ -75,55 +78,107 @@ def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
     return out if len(out) == n_bytes else None
 
 
-MAX_HEADER_BYTES = 1 << 20
-"""Longest header."""
-MAX_FIELDS = 10_000
-"""Most numbers of a point."""
 MAX_UNPACKED_BYTES = 4 << 30
 """Largest compressed cloud when unpacked: it is held in memory."""
-MAX_PER_LINE = 10_000_000
-"""Longest line, as for ``input.points_per_line``."""
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-_KINDS = {"I": "i", "U": "u", "F": "f"}
-_SIZES = {"I": (1, 2, 4, 8), "U": (1, 2, 4, 8), "F": (4, 8)}
-_AGAIN = "export it again"
+_KINDS = {"I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8)), "F": ("f", (4, 8))}
+"""Letter and sizes of a numpy type."""
+_AGAIN, _COPY = "export it again", "copy it from the archive again"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class PcdHeader:
     """What the header says."""
 
-    names: tuple[str, ...]
-    """A name for every number of a point; empty names are padding."""
-    types: tuple[np.dtype[Any], ...]
-    width: int
-    height: int
-    viewpoint_m: tuple[float, ...]
-    """Position of the sensor and its direction as a quaternion."""
-    data: str
-    n_lines: int
-    n_bytes: int
-    comments: tuple[str, ...] = ()
+    path: Path
+    lines: dict[str, tuple[int, list[str]]] = field(default_factory=dict)
+    """Number of the line, and the words behind the key, by key."""
+    comments: list[str] = field(default_factory=list)
+    n_lines: int = 0
+    n_bytes: int = 0
 
-    @property
-    def n_points(self) -> int:
-        """Number of points."""
-        return self.width * self.height
+    def where(self, key: str) -> str:
+        """Return file and line, for messages."""
+        return f"{self.path}: line {self.lines[key][0]}" if key in self.lines else str(self.path)
 
-    @property
-    def dtype(self) -> np.dtype[np.void]:
-        """Record type, little-endian."""
-        size = [each.itemsize for each in self.types]
-        at = [sum(size[:index]) for index in range(len(size))]
-        kept = [index for index, name in enumerate(self.names) if name]
-        return np.dtype(
-            {
-                "names": [self.names[index] for index in kept],
-                "formats": [self.types[index] for index in kept],
-                "offsets": [at[index] for index in kept],
-                "itemsize": sum(size),
-            }
-        )
+    def words(self, key: str, usual: str = "") -> list[str]:
+        """Return the words of a line."""
+        return self.lines[key][1] if key in self.lines else usual.split()
+
+    def numbers(self, key: str, most: int, usual: str = "") -> list[int]:
+        """Return whole numbers of a line."""
+        return [whole_number(self.where(key), cell, most) for cell in self.words(key, usual)]
+
+    def number(self, key: str, usual: int = 1) -> int:
+        """Return the one whole number of a line."""
+        return whole_number(self.where(key), " ".join(self.words(key, str(usual))), 1 << 53)
+
+
+def read_pcd_header(path: Path) -> PcdHeader:
+    """Read the header of a PCD file."""
+    header = PcdHeader(path)
+    for number, line, n_bytes in header_lines(path, "DATA", "check that this is a PCD file"):
+        header.n_lines, header.n_bytes = number, n_bytes
+        if line.startswith("#"):
+            header.comments.append(line.removeprefix("#").strip())
+        elif line:
+            key, *cells = line.split()
+            key = "FIELDS" if key == "COLUMNS" else key
+            if key not in _KEYS or key in header.lines:
+                problem = f"found {shorten(line)!r}, expected each of {' '.join(_KEYS)} once"
+                raise InputError(f"{path}: line {number}", problem, "check that this is a PCD file")
+            header.lines[key] = (number, cells)
+    for key in ("FIELDS", "SIZE", "TYPE", "WIDTH"):
+        if key not in header.lines:
+            raise InputError(str(path), f"the header has no line {key}", _AGAIN)
+    return header
+
+
+def _fields(header: PcdHeader) -> list[tuple[str, np.dtype[Any]]]:
+    """Return name and type of every number of a point; empty names are padding."""
+    fields, kinds, sizes = header.words("FIELDS"), header.words("TYPE"), header.numbers("SIZE", 8)
+    counts = header.numbers("COUNT", MAX_PROPERTIES, "1 " * len(fields))
+    if not len(fields) == len(counts) == len(sizes) == len(kinds) or not fields:
+        problem = f"{len(fields)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT"
+        raise InputError(str(header.path), f"{problem}, expected as many", _AGAIN)
+    if sum(counts) > MAX_PROPERTIES:
+        raise InputError(header.where("COUNT"), f"more than {MAX_PROPERTIES} numbers a point", _AGAIN)
+    found: list[tuple[str, np.dtype[Any]]] = []
+    for name, count, size, kind in zip(fields, counts, sizes, kinds, strict=True):
+        letter, known = _KINDS.get(kind, ("", ()))
+        if size not in known:
+            problem = f"field {shorten(name)!r} is of type {shorten(kind)} and {size} bytes, expected I, U or F"
+            raise InputError(header.where("TYPE"), problem, _AGAIN)
+        own = "" if name == "_" else name
+        names = [own if count == 1 or not own else f"{own}_{index}" for index in range(count)]
+        found += [(each, np.dtype(f"<{letter}{size}")) for each in names]
+    named = [name for name, _ in found if name]
+    if not named or len(set(named)) != len(named):
+        raise InputError(header.where("FIELDS"), "fields without names or of equal names", _AGAIN)
+    return found
+
+
+def _size(header: PcdHeader) -> tuple[int, int]:
+    """Return width and height; they must agree with the number of points."""
+    width, height = header.number("WIDTH"), header.number("HEIGHT")
+    points = header.number("POINTS", width * height)
+    if width * height != points:
+        problem = f"WIDTH {width} x HEIGHT {height} = {width * height} points, but POINTS {points}"
+        raise InputError(header.where("WIDTH"), problem, "correct the header or export it again")
+    if not points:
+        raise InputError(str(header.path), "no points, expected scan data", _AGAIN)
+    if height > 1 and width > MAX_POINTS_PER_LINE:
+        raise InputError(str(header.path), f"rows of {width} points, expected at most {MAX_POINTS_PER_LINE}", _AGAIN)
+    return width, height
+
+
+def _viewpoint(header: PcdHeader) -> list[float]:
+    """Return the place of the sensor and its direction as a quaternion."""
+    values = [to_number(cell) for cell in header.words("VIEWPOINT", "0 0 0 1 0 0 0")]
+    kept = [value for value in values if value is not None and math.isfinite(value)]
+    if len(values) != 7 or len(kept) != 7:
+        raise InputError(header.where("VIEWPOINT"), "VIEWPOINT needs seven numbers, x y z and a quaternion", _AGAIN)
+    return kept
 
 
 def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
@@ -132,170 +187,81 @@ def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
     An organised cloud (height above 1) has a line in every row, and NaN where a shot has no return.
     """
     header = read_pcd_header(path)
-    body: Body
-    if header.data == "ascii":
+    fields = _fields(header)
+    data = " ".join(header.words("DATA"))
+    if data not in ("ascii", "binary", "binary_compressed"):
+        problem = f"found DATA {shorten(data)!r}, expected ascii, binary or binary_compressed"
+        raise InputError(header.where("DATA"), problem, _AGAIN)
+    width, height = _size(header)
+    viewpoint = _viewpoint(header)
+    types = {name: np.dtype("f8") if data == "ascii" else kind for name, kind in fields if name}
+    keys = tuple(types)
+    if data == "ascii":
         # padding has no name of its own
-        columns = tuple(name or f"_{index}" for index, name in enumerate(header.names))
-        body = TextBody(path, columns, header.n_lines + 1, header.n_points)
-    elif header.data == "binary":
+        body: Body = text_body(path, tuple(name for name, _ in fields), header.n_lines + 1, width * height)
+        keys = tuple(str(index) for index, (name, _) in enumerate(fields) if name)
+    elif data == "binary":
         hint = "correct width and height, or copy it from the archive again"
-        body = BinaryBody.within(path, header.dtype, header.n_bytes, header.n_points, hint)
+        body = binary_body(path, _dtype(fields), header.n_bytes, width * height, hint)
     else:
-        body = _compressed(path, header)
-    kept = tuple(name for name in header.names if name)
-    types = {} if header.data == "ascii" else {name: header.dtype[name] for name in kept}
-    organised = header.height > 1
+        body = _compressed(header, fields, width * height)
     head = CloudHead(
-        path, f"PCD, {header.data.replace('_', ' ')}", kept, types,
-        rules=_rules(header, kept), points_per_line=header.width if organised else None,
+        path=path, format=f"PCD, {data.replace('_', ' ')}", types=types, keys=keys,
+        rules=_rules(viewpoint, width, height, {name.lower() for name in types}),
+        points_per_line=width if height > 1 else None,
         comments=tuple(text for text in header.comments if text.startswith(OWN_COMMENT)),
         described={
-            "width": header.width, "height": header.height, "points": header.n_points, "data": header.data,
-            "viewpoint": list(header.viewpoint_m), "fields": list(kept),
+            "width": width, "height": height, "points": width * height, "data": data, "viewpoint": viewpoint,
+            "fields": list(types),
         },
     )  # fmt: skip
     return CloudSource(head, body, layout)
 
 
-def _rules(header: PcdHeader, names: tuple[str, ...]) -> tuple[KnownRule, ...]:
+def _dtype(fields: list[tuple[str, np.dtype[Any]]]) -> np.dtype[np.void]:
+    """Return the record of a point, padding left out."""
+    ends = np.cumsum([kind.itemsize for _, kind in fields]).tolist()
+    named = [(name, kind, end - kind.itemsize) for (name, kind), end in zip(fields, ends, strict=True) if name]
+    names, formats, offsets = zip(*named, strict=True)
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": ends[-1]})
+
+
+def _rules(viewpoint: list[float], width: int, height: int, names: set[str]) -> tuple[KnownRule, ...]:
     rules = []
-    lowered = {name.lower() for name in names}
-    x, y, z = header.viewpoint_m[:3]
-    if "range" not in lowered and {"x", "y", "z"} <= lowered:
-        is_origin = (x, y, z) == (0.0, 0.0, 0.0)
-        value = "sensor-xyz" if is_origin else f"origin:{x!r},{y!r},{z!r}"
+    x, y, z = viewpoint[:3]
+    if "range" not in names and {"x", "y", "z"} <= names:
+        value = f"origin:{x!r},{y!r},{z!r}" if any((x, y, z)) else "sensor-xyz"
         rules.append(KnownRule("range", value, "the viewpoint of the header is the place of the sensor"))
-    if header.height > 1 and "ring" not in lowered:
-        why = f"the cloud is organised: {header.height} rows of {header.width} points"
-        rules.append(KnownRule("lines", "fixed", why))
+    if height > 1 and "ring" not in names:
+        rules.append(KnownRule("lines", "fixed", f"the cloud is organised: {height} rows of {width} points"))
     return tuple(rules)
 
 
-def read_pcd_header(path: Path) -> PcdHeader:
-    """Read the header of a PCD file."""
-    with open_to_read(path) as handle:
-        head = handle.read(MAX_HEADER_BYTES)
-    found: dict[str, tuple[int, list[str]]] = {}
-    at = number = 0
-    comments: list[str] = []
-    while "DATA" not in found:
-        end = head.find(b"\n", at)
-        if end < 0:
-            problem = f"no line DATA in the first {len(head)} bytes"
-            raise InputError(f"{path}: line {number + 1}", problem, "check that this is a PCD file")
-        line = head[at:end].decode("utf-8", errors="replace").strip()
-        at, number = end + 1, number + 1
-        if line.startswith("#"):
-            comments.append(line.removeprefix("#").strip())
-        if not line or line.startswith("#"):
-            continue
-        cells = line.split()
-        key = "FIELDS" if cells[0] == "COLUMNS" else cells[0]
-        if key not in _KEYS or key in found:
-            problem = f"found {shorten(line)!r}, expected each of {' '.join(_KEYS)} once"
-            raise InputError(f"{path}: line {number}", problem, "check that this is a PCD file")
-        found[key] = (number, cells[1:])
-    return replace(_parse(path, found, number, at), comments=tuple(comments))
-
-
-def _parse(path: Path, found: dict[str, tuple[int, list[str]]], n_lines: int, n_bytes: int) -> PcdHeader:
-    lacking = [key for key in ("FIELDS", "SIZE", "TYPE", "WIDTH", "DATA") if key not in found]
-    if lacking:
-        raise InputError(str(path), f"the header has no line {lacking[0]}", _AGAIN)
-    fields = found["FIELDS"][1]
-    counts = [1] * len(fields)
-    if "COUNT" in found:
-        counts = [_whole(path, found["COUNT"][0], cell, MAX_FIELDS) for cell in found["COUNT"][1]]
-    sizes = [_whole(path, found["SIZE"][0], cell, 8) for cell in found["SIZE"][1]]
-    kinds = found["TYPE"][1]
-    if not len(fields) == len(counts) == len(sizes) == len(kinds) or not fields:
-        problem = (
-            f"{len(fields)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT, expected as many"
-        )
-        raise InputError(str(path), problem, _AGAIN)
-    if sum(counts) > MAX_FIELDS:
-        raise InputError(f"{path}: line {found['COUNT'][0]}", f"more than {MAX_FIELDS} numbers a point", _AGAIN)
-    names: list[str] = []
-    types: list[np.dtype[Any]] = []
-    for field, count, size, kind in zip(fields, counts, sizes, kinds, strict=True):
-        if kind not in _KINDS or size not in _SIZES[kind]:
-            problem = f"field {shorten(field)!r} is of type {shorten(kind)} and {size} bytes, expected I, U or F"
-            raise InputError(f"{path}: line {found['TYPE'][0]}", problem, _AGAIN)
-        own = "" if field == "_" else field
-        names += [own if count == 1 or not own else f"{own}_{index}" for index in range(count)]
-        types += [np.dtype(f"<{_KINDS[kind]}{size}")] * count
-    named = [name for name in names if name]
-    if not named or len(set(named)) != len(named):
-        raise InputError(f"{path}: line {found['FIELDS'][0]}", "fields without names or of equal names", _AGAIN)
-    data = " ".join(found["DATA"][1])
-    if data not in ("ascii", "binary", "binary_compressed"):
-        problem = f"found DATA {shorten(data)!r}, expected ascii, binary or binary_compressed"
-        raise InputError(f"{path}: line {found['DATA'][0]}", problem, _AGAIN)
-    width, height = _size(path, found)
-    return PcdHeader(tuple(names), tuple(types), width, height, _viewpoint(path, found), data, n_lines, n_bytes)
-
-
-def _size(path: Path, found: dict[str, tuple[int, list[str]]]) -> tuple[int, int]:
-    """Return width and height; they must agree with the number of points."""
-
-    def number(key: str, usual: int) -> int:
-        line, cells = found.get(key, (0, [str(usual)]))
-        return _whole(path, line, cells[0] if len(cells) == 1 else " ".join(cells), 1 << 53)
-
-    width = number("WIDTH", 0)
-    height = number("HEIGHT", 1)
-    points = number("POINTS", width * height)
-    if width * height != points:
-        problem = f"WIDTH {width} x HEIGHT {height} = {width * height} points, but POINTS {points}"
-        raise InputError(f"{path}: line {found['WIDTH'][0]}", problem, "correct the header or export it again")
-    if not points:
-        raise InputError(str(path), "no points, expected scan data", _AGAIN)
-    if height > 1 and width > MAX_PER_LINE:
-        raise InputError(str(path), f"rows of {width} points, expected at most {MAX_PER_LINE}", _AGAIN)
-    return width, height
-
-
-def _viewpoint(path: Path, found: dict[str, tuple[int, list[str]]]) -> tuple[float, ...]:
-    line, cells = found.get("VIEWPOINT", (0, ["0", "0", "0", "1", "0", "0", "0"]))
-    values = [to_number(cell) for cell in cells]
-    kept = tuple(value for value in values if value is not None and math.isfinite(value))
-    if len(values) != 7 or len(kept) != 7:
-        raise InputError(f"{path}: line {line}", "VIEWPOINT needs seven numbers, x y z and a quaternion", _AGAIN)
-    return kept
-
-
-def _whole(path: Path, line: int, cell: str, most: int) -> int:
-    if not (cell.isascii() and cell.isdecimal()) or len(cell) > 16 or int(cell) > most:
-        raise InputError(f"{path}: line {line}", f"found {shorten(cell)!r}, expected a whole number", _AGAIN)
-    return int(cell)
-
-
-def _compressed(path: Path, header: PcdHeader) -> Body:
+def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: int) -> Body:
     """Unpack a compressed cloud, which holds its fields one after the other."""
-    wanted = header.n_points * header.dtype.itemsize
+    path, start = header.path, header.n_bytes
+    wanted = n * sum(kind.itemsize for _, kind in fields)
     with open_to_read(path) as handle:
-        there = handle.seek(0, 2) - header.n_bytes
-        handle.seek(header.n_bytes)
+        there = handle.seek(0, 2) - start
+        handle.seek(start)
         sizes = handle.read(8)
         n_packed, n_unpacked = struct.unpack("<II", sizes) if len(sizes) == 8 else (0, 0)
         if n_unpacked != wanted:
-            problem = f"unpacks to {n_unpacked} bytes, the header says {header.n_points} points = {wanted} bytes"
-            raise InputError(f"{path}: byte {header.n_bytes}", problem, "correct width and height, or export it again")
+            problem = f"unpacks to {n_unpacked} bytes, the header says {n} points = {wanted} bytes"
+            raise InputError(f"{path}: byte {start}", problem, "correct width and height, or export it again")
         if n_packed > there - 8 or wanted > n_packed * MAX_RATIO or wanted > MAX_UNPACKED_BYTES:
             problem = f"{n_packed} packed bytes of {max(there - 8, 0)} in the file, for {wanted} bytes of points"
-            raise InputError(f"{path}: byte {header.n_bytes}", problem, "copy it from the archive again")
-        packed = handle.read(n_packed)
-    unpacked = decode_lzf(memoryview(packed), wanted)
+            raise InputError(f"{path}: byte {start}", problem, _COPY)
+        unpacked = decode_lzf(memoryview(handle.read(n_packed)), wanted)
     if unpacked is None:
-        problem = f"the compressed points do not unpack to {wanted} bytes"
-        raise InputError(f"{path}: byte {header.n_bytes + 8}", problem, "copy it from the archive again")
+        raise InputError(f"{path}: byte {start + 8}", f"the compressed points do not unpack to {wanted} bytes", _COPY)
     columns: Columns = {}
     at = 0
-    for name, kind in zip(header.names, header.types, strict=True):
+    for name, kind in fields:
         if name:
-            columns[name] = np.frombuffer(unpacked, kind, header.n_points, at)
-        at += header.n_points * kind.itemsize
-    return _Held(columns, header.n_points)
+            columns[name] = np.frombuffer(unpacked, kind, n, at)
+        at += n * kind.itemsize
+    return _Held(columns, n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,9 +271,8 @@ class _Held:
     columns: Columns
     n_records: int
 
-    def chunks(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
+    def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
         """Yield index of the first record, stored values by property, and number of records."""
-        each = min(CHUNK_RECORDS, CHUNK_BYTES // 8)
-        for first in range(0, self.n_records, each):
-            stop = min(first + each, self.n_records)
-            yield first, {name: self.columns[name][first:stop] for name in names}, stop - first
+        for first in range(0, self.n_records, CHUNK_RECORDS):
+            stop = min(first + CHUNK_RECORDS, self.n_records)
+            yield first, {key: self.columns[key][first:stop] for key in keys}, stop - first

@@ -1,240 +1,230 @@
-"""Clouds of named properties (PLY, PCD): which property is what, returns of a shot, and decoding in chunks."""
+"""Clouds of named properties (PLY, PCD): lines of headers, which property is what, returns of a shot."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64, Mask
-from prc_cli.formats.names import NAMES, angle_rules, usual_names
-from prc_cli.formats.options import Layout, LayoutField, check_fields, decode
-from prc_cli.formats.records import STANDARD_NAMES, RecordChunk, standard_first
+from prc_cli.formats.names import NAMES, angle_rules, find_columns
+from prc_cli.formats.options import Layout
+from prc_cli.formats.raw_binary.read import BinaryBody
+from prc_cli.formats.records import AXES, Body, FieldSource, RecordChunk, Stored, check_names, shorten
+from prc_cli.formats.text.dialect import BLANKS, TextFormat
+from prc_cli.formats.text.read import TextBody
 
-CHUNK_RECORDS = 1 << 18
-"""Records decoded at a time."""
-CHUNK_BYTES = 16 << 20
-"""Most bytes decoded at a time: long records make shorter chunks."""
+MAX_HEADER_BYTES = 1 << 20
+"""Longest header."""
+MAX_PROPERTIES = 10_000
+"""Most numbers of a point."""
 MAX_RUN = 255
 """Most rows of a shot: longer runs of equal times and angles are no returns."""
-XYZ = ("x", "y", "z")
 NO_CELL = 0xFFFFFFFF
 """Line and column of a point without a cell, in files of this program."""
 OWN_COMMENT = "prc points_per_line "
 """Comment of files of this program, with M behind it."""
+_RETURN, _RETURNS = "return_number", "number_of_returns"
 
 Columns = dict[str, NDArray[Any]]
 
 
-class Body(Protocol):
-    """The records of a cloud, wherever they lie in the file."""
-
-    @property
-    def n_records(self) -> int:
-        """Number of records, checked against the size of the file where it is binary."""
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
-        """Yield index of the first record, stored values by property, and number of records."""
-
-
-@dataclass(frozen=True, slots=True)
-class BinaryBody:
-    """Records of fixed size, one after the other."""
-
-    path: Path
-    dtype: np.dtype[np.void]
-    start: int
-    """First byte."""
-    n_records: int
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
-        """Yield index of the first record, stored values by property, and number of records."""
-        each = max(1, min(CHUNK_RECORDS, CHUNK_BYTES // self.dtype.itemsize))
-        with open_to_read(self.path) as handle:
-            handle.seek(self.start)
-            for first in range(0, self.n_records, each):
-                found = self._read(handle, first, min(each, self.n_records - first))
-                # contiguous and in native order: faster from here on, and the records can be freed
-                yield (
-                    first,
-                    {name: np.ascontiguousarray(found[name], found.dtype[name].newbyteorder("=")) for name in names},
-                    len(found),
-                )
-
-    @classmethod
-    def within(cls, path: Path, dtype: np.dtype[np.void], start: int, n: int, hint: str) -> BinaryBody:
-        """Return the body after a look at the size of the file."""
-        there = max(path.stat().st_size - start, 0)
-        if n * dtype.itemsize > there:
-            problem = f"the file ends in point {there // dtype.itemsize}, the header says {n} of {dtype.itemsize} bytes"
-            raise InputError(str(path), problem, hint)
-        return cls(path, dtype, start, n)
-
-    def _read(self, handle: IO[bytes], first: int, wanted: int) -> NDArray[Any]:
-        try:
-            found = np.fromfile(handle, self.dtype, wanted)
-        except OSError as error:
-            problem = f"record {first} and on cannot be read ({error.strerror or error})"
-            raise InputError(str(self.path), problem, "check the disk or copy the file again") from error
-        if len(found) < wanted:
-            problem = f"the file ends after {first + len(found)} points, expected {self.n_records} as when opened"
-            raise InputError(str(self.path), problem, "it was cut while being read; wait until its writer is done")
-        return found
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CloudHead:
     """What the header of a cloud says."""
 
     path: Path
     format: str
-    names: tuple[str, ...]
-    """Properties of a point, in order."""
     types: Mapping[str, np.dtype[Any]]
-    """Stored type by property; empty for text."""
+    """Stored type by property, in order."""
+    keys: tuple[str, ...] = ()
+    """What the body calls the properties, if not as the header."""
     offsets_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """To be added to x, y, z, where a comment says so."""
     rules: tuple[KnownRule, ...] = ()
     points_per_line: int | None = None
     notes: tuple[str, ...] = ()
     comments: tuple[str, ...] = ()
-    described: Mapping[str, Any] | None = None
+    described: Mapping[str, Any] = field(default_factory=dict)
 
 
-class CloudSource:
+def header_lines(path: Path, last: str, hint: str) -> Iterator[tuple[int, str, int]]:
+    """Yield number, text and end of every line of a header, up to the one that begins with a word."""
+    with open_to_read(path) as handle:
+        head = handle.read(MAX_HEADER_BYTES)
+    at = number = 0
+    line = ""
+    while line.split()[:1] != [last]:
+        end, number = head.find(b"\n", at), number + 1
+        if end < 0:
+            raise InputError(f"{path}: line {number}", f"no line {last} in the first {len(head)} bytes", hint)
+        line, at = head[at:end].decode("utf-8", errors="replace").strip(), end + 1
+        yield number, line, at
+
+
+def whole_number(where: str, cell: str, most: int) -> int:
+    """Return the number in a cell of a header."""
+    if not (cell.isascii() and cell.isdecimal()) or len(cell) > 16 or int(cell) > most:
+        raise InputError(where, f"found {shorten(cell)!r}, expected a whole number", "export it again")
+    return int(cell)
+
+
+def text_body(path: Path, names: tuple[str, ...], first_line: int, n: int) -> TextBody:
+    """Return rows of numbers behind a header."""
+    return TextBody(path, TextFormat(BLANKS, b"", first_line - 1, first_line, names, False), n_records=n)
+
+
+def binary_body(path: Path, dtype: np.dtype[np.void], start: int, n: int, hint: str) -> BinaryBody:
+    """Return records behind a header, after a look at the size of the file."""
+    there = max(path.stat().st_size - start, 0)
+    if n * dtype.itemsize > there:
+        problem = f"the file ends in point {there // dtype.itemsize}, the header says {n} of {dtype.itemsize} bytes"
+        raise InputError(str(path), problem, hint)
+    return BinaryBody(path, dtype, start, n)
+
+
+class CloudSource(FieldSource):
     """A cloud as a :class:`prc_cli.formats.records.RecordSource`."""
 
     def __init__(self, head: CloudHead, body: Body, layout: Layout | None = None) -> None:
-        self.path = str(head.path)
-        """File name, for messages."""
-        self.format = head.format
-        """Reader name."""
-        self.n_records: int = body.n_records
-        """Number of records, from the header."""
-        self._body = body
+        names = tuple(head.types)
+        super().__init__(head.path, head.format, find_columns(str(head.path), names, layout, head.keys), body)
         self.head = head
         """What the header says."""
-        given = layout is not None and bool(layout.fields)
-        found = _given_fields(head, layout) if given and layout is not None else _known_fields(head.names)
-        notes, rules = list(head.notes), list(head.rules)
+        has_layout = layout is not None and bool(layout.fields)
         own_m = _own_points_per_line(head.comments)
-        looked_at = ("time", "angle", "range", *XYZ, "return_number", "number_of_returns")
-        first = _first_rows(body, tuple(dict.fromkeys(found[name][0] for name in looked_at if name in found)))
-        if not given:
-            found = _with_units(found, head, first, notes)
+        notes, found = list(head.notes), self.columns
+        looked_at = ("time", "angle", "range", *AXES, _RETURN, _RETURNS)
+        first = self._first_rows([found[name].key for name in looked_at if name in found])
+        if not has_layout:
+            self._find_units(first, notes)
         if own_m is not None:
-            for name in ("scan_line", "column"):
-                if name in found:
-                    own, item = found[name]
-                    found[name] = (own, item.model_copy(update={"missing": float(NO_CELL)}))
-        self._own: dict[str, tuple[str, LayoutField]] = found
-        self._has_pulses = {"return_number", "number_of_returns"} <= set(found) and "time" in found
-        if self._has_pulses and len(first[found["time"][0]]):
-            runs = self._runs(first)
-            n_copies = int(np.count_nonzero(runs.is_copy))
-            n_rows = len(runs.is_copy)
+            self._change(("scan_line", "column"), missing=float(NO_CELL))
+        self._has_pulses = {_RETURN, _RETURNS, "time"} <= set(found)
+        if self._has_pulses and len(first[found["time"].key]):
+            is_copy = self._runs(first).is_copy
+            n_copies = int(np.count_nonzero(is_copy))
             if n_copies:
                 notes.append(
-                    f"{n_copies} of the first {n_rows} rows repeat a return of their shot that stands before: they are "
-                    "taken as further returns, not as shots"
+                    f"{n_copies} of the first {len(is_copy)} rows repeat a return of their shot that stands before: "
+                    "they are taken as further returns, not as shots"
                 )
             # other programs list every return once
-            self._has_pulses = n_copies > 0 or found["return_number"][0].lower() == "num_echo"
-        renamed = [f"{own} as {name}" for name, (own, _) in found.items() if own != name and name in NAMES]
-        if renamed and not given:
+            self._has_pulses = n_copies > 0 or found[_RETURN].name.lower() == "num_echo"
+        renamed = [f"{one.name} as {name}" for name, one in found.items() if one.name != name and name in NAMES]
+        if renamed and not has_layout:
             notes.append(f"properties taken under another name: {', '.join(renamed)}")
         has_own_lines = "scan_line" in found and own_m is None
-        if "ring" in found and set(XYZ) <= set(found) and not has_own_lines and "angle" not in found:
+        rules = list(head.rules)
+        if {"ring", *AXES} <= set(found) and not has_own_lines and "angle" not in found:
             rings = (
                 KnownRule("lines", "rings", "the points have a ring, and x, y, z from the scanner"),
                 KnownRule("range", "sensor-xyz", "rings turn around the origin of x, y, z"),
             )
             rules += [rule for rule in rings if rule.key not in {one.key for one in head.rules}]
-        rules += angle_rules(found["angle"][0] if "angle" in found else None)
+        rules += angle_rules(found["angle"].name if "angle" in found else None)
         self.facts = SourceFacts(
             points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
             rules=tuple(rules),
             notes=tuple(notes),
-            describe=lambda: dict(head.described or {}),
+            describe=lambda: dict(head.described),
         )
-        """Metadata of the file."""
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver, standard names first."""
-        return standard_first(self._own)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named properties in bounded memory, in the order of the file."""
-        unknown = [name for name in names if name not in self._own]
-        if unknown:
-            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the file", f"it has: {_shown(self._own)}")
-        wanted = {name: self._own[name] for name in names}
-        grouped = self._has_pulses and bool({"return_number", "number_of_returns"} & set(names))
-        keys = self._key_names if grouped else ()
-        stored = tuple(dict.fromkeys((*(own for own, _ in wanted.values()), *keys)))
-        chunks = self._body.chunks(stored or self.head.names[:1])
-        if not grouped:
-            for first, columns, n in chunks:
-                yield RecordChunk(first, {name: decode(columns[own], item) for name, (own, item) in wanted.items()}, n)
+        if not (self._has_pulses and {_RETURN, _RETURNS} & set(names)):
+            yield from super().chunks(names)
             return
-        for first, columns, runs in self._whole_runs(chunks):
-            made = {"return_number": runs.ordinal, "number_of_returns": runs.n_rows}
-            values = {
-                name: made[name] if name in made else decode(columns[own], item) for name, (own, item) in wanted.items()
-            }
-            yield RecordChunk(first, values, len(runs.ordinal))
-
-    @property
-    def own_names(self) -> tuple[tuple[str, str, str], ...]:
-        """Standard name, property, and unit and offset as TOML, of the properties that are known."""
-        found = []
-        for name, (own, item) in self._own.items():
-            if name in (*STANDARD_NAMES, "ring"):
-                unit = f', unit = "{item.unit}"' if item.unit else ""
-                offset = f", offset = {item.offset!r}" if item.offset else ""
-                found.append((name, own, unit + offset))
-        return tuple(found)
+        check_names(self, names)
+        keys = [self.columns[name].key for name in ("time", "angle", "range", *AXES, *names) if name in self.columns]
+        keys += [self.columns[_RETURN].key, self.columns[_RETURNS].key]
+        own = tuple(name for name in names if name not in (_RETURN, _RETURNS))
+        for first, stored, runs in self._whole_runs(self.body.stored(tuple(dict.fromkeys(keys)))):
+            chunk = self.decoded(first, stored, own, len(runs.ordinal))
+            made = {_RETURN: runs.ordinal, _RETURNS: runs.n_rows}
+            yield replace(chunk, values={name: made[name] if name in made else chunk.values[name] for name in names})
 
     def stored(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
         """Yield index of the first record, stored values by property, and number of records."""
-        return self._body.chunks(names or self.head.names[:1])
+        keys = dict(zip(self.head.types, self.head.keys or self.head.types, strict=True))
+        wanted = tuple(keys[name] for name in names or tuple(keys)[:1])
+        for first, stored, n in self.body.stored(wanted):
+            yield first, {name: stored[keys[name]] for name in names}, n
 
-    @property
-    def _key_names(self) -> tuple[str, ...]:
-        """Properties that tell shots apart."""
-        keys = [self._own[name][0] for name in ("time", "angle", "range", *XYZ) if name in self._own]
-        return (*keys, self._own["return_number"][0], self._own["number_of_returns"][0])
+    def _first_rows(self, keys: list[str]) -> Columns:
+        """Return the first rows as stored."""
+        with closing(self.body.stored(tuple(keys))) as chunks:  # type: ignore[type-var]
+            stored = next(chunks, (0, {key: np.empty(0) for key in keys}, 0))[1] if keys else {}
+        return {key: stored[key] for key in keys}
 
-    def _runs(self, columns: Columns) -> _Runs:
-        same = [columns[self._own[name][0]] for name in ("time", "angle") if name in self._own]
-        place = [columns[self._own[name][0]] for name in ("range", *XYZ) if name in self._own][:1]
-        number = columns[self._own["return_number"][0]]
-        return find_runs(same, place, number, columns[self._own["number_of_returns"][0]])
+    def _change(self, names: tuple[str, ...], **values: Any) -> None:
+        """Change how columns are decoded."""
+        for name in names:
+            if name in self.columns:
+                one = self.columns[name]
+                self.columns[name] = replace(one, item=one.item.model_copy(update=values))
 
-    def _whole_runs(self, chunks: Iterator[tuple[int, Columns, int]]) -> Iterator[tuple[int, Columns, _Runs]]:
+    def _find_units(self, first: Columns, notes: list[str]) -> None:
+        """Find the units of ranges and times that are stored as whole numbers; add the offsets of coordinates."""
+        found = self.columns
+        for axis, offset in zip(AXES, self.head.offsets_m, strict=True):
+            if offset:
+                self._change((axis, f"{axis}_origin"), offset=offset)
+        if any(self.head.offsets_m):
+            notes.append("a comment gives an offset of the coordinates: added to x, y, z")
+        time, range_ = found.get("time"), found.get("range")
+        if time is not None and first[time.key].dtype.kind in "iu" and time.name.lower() == "t":
+            self._change(("time",), unit="ns")
+            notes.append(f"{time.name} holds whole numbers: taken as nanoseconds")
+        if range_ is not None and first[range_.key].dtype.kind in "iu" and set(AXES) <= set(found):
+            with np.errstate(over="ignore", invalid="ignore"):  # a NaN that signals warns when it is cast
+                xyz = np.stack([np.asarray(first[found[axis].key], np.float64) for axis in AXES], axis=1)
+                stored = np.asarray(first[range_.key], np.float64)
+                length = np.sqrt((xyz * xyz).sum(axis=1))
+                use = np.isfinite(length) & (length > 0) & (stored > 0)
+                scale = float(np.median(length[use] / stored[use])) if use.any() else 1.0
+            for unit, factor in (("mm", 1e-3), ("cm", 1e-2)):
+                if abs(scale / factor - 1) < 0.02:
+                    self._change(("range",), unit=unit)
+                    told = f"{round(1 / factor)} to a metre of x, y, z: taken as {unit}"
+                    notes.append(f"{range_.name} holds whole numbers, {told}")
+
+    def _runs(self, stored: Stored) -> _Runs:
+        columns = self.columns
+        same = [stored[columns[name].key] for name in ("time", "angle") if name in columns]
+        place = [stored[columns[name].key] for name in ("range", *AXES) if name in columns][:1]
+        return find_runs(same, place, stored[columns[_RETURN].key], stored[columns[_RETURNS].key])
+
+    def _whole_runs(self, chunks: Iterator[tuple[int, Stored, int]]) -> Iterator[tuple[int, Stored, _Runs]]:
         """Yield the chunks with the rows of a shot never apart."""
-        held: tuple[int, Columns] | None = None
-        for first, columns, n in chunks:
+        held: tuple[int, Stored] | None = None
+        for first, stored, n in chunks:
             if held is not None:
-                columns = {name: np.concatenate([held[1][name], column]) for name, column in columns.items()}
+                stored = _each(lambda old, new: np.concatenate([old, new]), held[1], stored)
                 first, n = held[0], n + first - held[0]
-            runs = self._runs(columns)
+            runs = self._runs(stored)
             # the last shot may go on in the next chunk
             cut = n - int(runs.ordinal[-1])
             if cut:
-                yield first, {name: column[:cut] for name, column in columns.items()}, runs.until(cut)
-            held = (first + cut, {name: column[cut:].copy() for name, column in columns.items()})
+                yield first, _each(lambda column, cut=cut: column[:cut], stored), runs.until(cut)
+            held = (first + cut, _each(lambda column, cut=cut: column[cut:].copy(), stored))
         if held is not None:
             yield held[0], held[1], self._runs(held[1])
+
+
+def _each(change: Any, *stored: Stored) -> Stored:
+    """Return a change of records, or of every column of a table."""
+    if isinstance(stored[0], np.ndarray):
+        return change(*stored)  # type: ignore[no-any-return]
+    return {name: change(*(one[name] for one in stored)) for name in stored[0]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,86 +282,8 @@ def find_runs(same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArr
     return _Runs(position - begin + 1, size[of_shot].astype(np.int64), is_copy)
 
 
-def _known_fields(names: tuple[str, ...]) -> dict[str, tuple[str, LayoutField]]:
-    """Map standard names to properties by their usual names; all other properties keep theirs."""
-    found: dict[str, tuple[str, LayoutField]] = {
-        standard: (one.name, LayoutField.model_validate({"name": standard, "unit": one.unit}))
-        for standard, one in usual_names(names).items()
-    }
-    taken = {own for own, _ in found.values()}
-    for own in names:
-        # properties keep their own name beside the standard one
-        if own not in found and own not in taken:
-            found[own] = (own, LayoutField(name=own))
-    return found
-
-
-def _given_fields(head: CloudHead, layout: Layout) -> dict[str, tuple[str, LayoutField]]:
-    """Map the fields of a layout to properties; all other properties keep their name."""
-    check_fields(layout)
-    plain = {name.lower().removeprefix("scalar_"): name for name in reversed(head.names)}
-    found: dict[str, tuple[str, LayoutField]] = {}
-    for item in layout.fields:
-        source = item.source
-        if isinstance(source, int):
-            own = head.names[source] if 0 <= source < len(head.names) else None
-        else:
-            usual = usual_names(head.names).get(item.name) if source is None else None
-            name = item.name if source is None else source
-            own = name if name in head.names else plain.get(name.lower(), None if usual is None else usual.name)
-        if own is None:
-            problem = f"no property {item.source if item.source is not None else item.name!r} for field {item.name!r}"
-            raise InputError(str(head.path), problem, f"it has: {_shown(dict.fromkeys(head.names))}")
-        found[item.name] = (own, item)
-    taken = {own for own, _ in found.values()}
-    found.update({own: (own, LayoutField(name=own)) for own in head.names if own not in found and own not in taken})
-    return found
-
-
-def _first_rows(body: Body, names: tuple[str, ...]) -> Columns:
-    """Return the first rows as stored."""
-    with closing(body.chunks(names)) as chunks:  # type: ignore[type-var]
-        return next(chunks, (0, {name: np.empty(0) for name in names}, 0))[1] if names else {}
-
-
-def _with_units(
-    found: dict[str, tuple[str, LayoutField]], head: CloudHead, first: Columns, notes: list[str]
-) -> dict[str, tuple[str, LayoutField]]:
-    """Find the units of ranges and times that are stored as whole numbers; add the offsets of coordinates."""
-    found = dict(found)
-    for axis, offset in zip(XYZ, head.offsets_m, strict=True):
-        for name in (axis, f"{axis}_origin"):
-            if offset and name in found:
-                own, item = found[name]
-                found[name] = (own, item.model_copy(update={"offset": offset}))
-    if any(head.offsets_m):
-        notes.append("a comment gives an offset of the coordinates: added to x, y, z")
-    if "time" in found and first[found["time"][0]].dtype.kind in "iu" and found["time"][0].lower() == "t":
-        own, item = found["time"]
-        found["time"] = (own, item.model_copy(update={"unit": "ns"}))
-        notes.append(f"{own} holds whole numbers: taken as nanoseconds")
-    if "range" in found and first[found["range"][0]].dtype.kind in "iu" and set(XYZ) <= set(found):
-        own, item = found["range"]
-        with np.errstate(over="ignore", invalid="ignore"):  # a NaN that signals warns when it is cast
-            xyz = np.stack([np.asarray(first[found[axis][0]], np.float64) for axis in XYZ], axis=1)
-            stored = np.asarray(first[own], np.float64)
-            length = np.sqrt((xyz * xyz).sum(axis=1))
-            use = np.isfinite(length) & (length > 0) & (stored > 0)
-            scale = float(np.median(length[use] / stored[use])) if use.any() else 1.0
-        for unit, factor in (("mm", 1e-3), ("cm", 1e-2)):
-            if abs(scale / factor - 1) < 0.02:
-                found["range"] = (own, item.model_copy(update={"unit": unit}))
-                notes.append(f"{own} holds whole numbers, {round(1 / factor)} to a metre of x, y, z: taken as {unit}")
-    return found
-
-
 def _own_points_per_line(comments: tuple[str, ...]) -> int | None:
     """Return M as this program wrote it; None in other files."""
     told = [text.removeprefix(OWN_COMMENT) for text in comments if text.startswith(OWN_COMMENT)]
     m = told[-1].strip() if told else ""
     return int(m) if m.isascii() and m.isdecimal() and 0 < len(m) <= 8 and int(m) else None
-
-
-def _shown(names: Mapping[str, Any]) -> str:
-    listed = list(names)
-    return ", ".join(listed[:40]) + (", ..." if len(listed) > 40 else "")

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
-from prc_cli.formats.clouds.source import CHUNK_RECORDS, NO_CELL, OWN_COMMENT, CloudSource
+from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
+from prc_cli.formats.raw_binary.read import CHUNK_RECORDS
 from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import (
     NO_CODE,
@@ -223,13 +224,13 @@ class CloudRewriter(ScatterWriter):
 
     def __init__(self, labels: LabelOutput, source: CloudSource) -> None:
         asked = [column for column in asked_columns(labels.options) if column.dimension is not RANGE]
-        own = {name.lower() for name in source.head.names}
+        own = {name.lower() for name in source.head.types}
         added = [_RANGE] if "range" not in source.dimensions else []
         super().__init__(labels, [*_CELLS, *added, *asked], source.n_records)
         self._own_comment = f"{OWN_COMMENT}{labels.points_per_line}"
         self._source = source
         self._kept = tuple(
-            name for name in source.head.names
+            name for name in source.head.types
             if name.lower() not in (_CLASS, *_CELL_NAMES) and name not in {column.name for column in (*added, *asked)}
         )  # fmt: skip
         replaced = sorted(own & {_CLASS, *_CELL_NAMES})
@@ -252,8 +253,8 @@ class CloudRewriter(ScatterWriter):
                 for column in self._optional:
                     found[column.name] = self._spools[column.name].span(first, first + n)
                 found[_CLASS] = self._code_spool.span(first, first + n)
-                if self._there is not None:
-                    found = found[self._there.span(first, first + n) != 0]
+                if self._is_part:
+                    found = found[self._holds(first, first + n)]
                 self._count(np.ascontiguousarray(found[_CLASS]))
                 handle.write(found.data)
                 total -= len(found)
@@ -265,7 +266,7 @@ class CloudRewriter(ScatterWriter):
         return self._completed(record)
 
     def _type(self, name: str) -> np.dtype[Any]:
-        kind = self._source.head.types.get(name, np.dtype("f8")).newbyteorder("<")
+        kind = self._source.head.types[name].newbyteorder("<")
         if kind.str[1:] not in PLY_TYPES:
             raise OutputError(str(self.path), f"cannot hold {name} of type {kind.str}", "write .laz instead")
         return kind

@@ -6,10 +6,9 @@ extra bytes, with scan line and column.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,10 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.las.copy import RECORD_TEXT
-from prc_cli.formats.las.crs import vlr_of_crs
-from prc_cli.formats.las.header import LASZIP_KEY, RECORD_KEY, Vlr, make_vlr
-from prc_cli.formats.las.lookup import lookup_vlr
-from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
-from prc_cli.formats.las.sinks import LasSink, LazSink, PointSink, Target, batch_size, new_laszip_payload
+from prc_cli.formats.las.header import COMPRESSED, LASZIP_KEY, RECORD_KEY, make_vlr, new_header, standard_bytes
+from prc_cli.formats.las.laz import LasSink, LazSink, PointSink, Target, batch_size, new_laszip
+from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr, standard_columns
+from prc_cli.formats.las.vlrs import RECORD_TEXT, lookup_vlr, vlr_of_crs
 from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, asked_columns
 from prc_cli.formats.writing.coordinates import LinesApart
@@ -38,7 +35,6 @@ SCALE_M = 0.001
 OFFSET_STEP_M = 1000.0
 """Registered coordinates are kept relative to a whole multiple of this [m]."""
 _POINT_FORMAT = 6
-_CREATION_DATE = slice(90, 94)
 
 
 class LasBuilder(StagedWriter):
@@ -78,30 +74,28 @@ class LasBuilder(StagedWriter):
 
     def _begin(self) -> None:
         dimensions = [RANGE, SCAN_LINE, COLUMN, *(column.dimension for column in self._optional)]
-        self._header = _new_header(dimensions)
-        self._header.are_points_compressed = self._compress
-        self._dtype = self._header.point_format.dtype()
+        more = [(dimension.name, dimension.dtype.str) for dimension in dimensions]
+        self._dtype = np.dtype([*standard_columns(_POINT_FORMAT), *more])
+        n_bytes = self._dtype.itemsize
         vlrs = [extra_bytes_vlr(dimensions)]
-        if self._crs and (crs := vlr_of_crs(self._crs)) is not None:
+        if self._crs and (crs := vlr_of_crs(self._crs)[0]) is not None:
             vlrs.append(crs)
         if self._compress:
-            payload = new_laszip_payload(self.path, _POINT_FORMAT, self._header.point_format.num_extra_bytes)
-            vlrs.append(make_vlr(LASZIP_KEY, payload, "laszip (lazrs)"))
+            laszip = new_laszip(str(self.path), _POINT_FORMAT, n_bytes - standard_bytes(_POINT_FORMAT))
+            vlrs.append(make_vlr(LASZIP_KEY, laszip, "laszip (lazrs)"))
         if self._user_names:
             vlrs.append(lookup_vlr(self._user_names))
-        self._header.vlrs.extend(_as_laspy_has_it(vlr) for vlr in vlrs)
+        self._fields = new_header()
+        self._fields.set("system_id", b"prc-cli")
+        self._fields.set("software", f"prc-cli {__version__}"[:32].encode("ascii"))
+        self._fields.set("point_offset", len(self._fields.data) + sum(len(vlr.raw) for vlr in vlrs))
+        self._fields.set("n_vlrs", len(vlrs))
+        self._fields.set("point_format", _POINT_FORMAT | (COMPRESSED if self._compress else 0))
+        self._fields.set("record_length", n_bytes)
         self._target = Target(self._handle)
-        self._write_header()
-        sink: PointSink = LasSink(self._target)
-        self._sink = LazSink(self._target, payload) if self._compress else sink
-
-    def _write_header(self) -> None:
-        """Write header and VLRs at the current position of the target."""
-        written = io.BytesIO()
-        self._header.write_to(written)
-        # laspy writes today's date; without it, equal runs give equal bytes
-        written.getbuffer()[_CREATION_DATE] = bytes(4)
-        self._target.write(written.getvalue())
+        for part in (self._fields.data, *(vlr.raw for vlr in vlrs)):
+            self._target.write(part)
+        self._sink: PointSink = LazSink(self._target, laszip) if self._compress else LasSink(self._target)
 
     def _add(self, item: StreamItem) -> None:
         scan, block = item.block, item.labelled
@@ -151,7 +145,7 @@ class LasBuilder(StagedWriter):
         points["range"] = shots.range_m
         points["scan_line"] = _fits(self.path, "scan line", scan.first_line + shots.line, 1 << 32)
         points["column"] = shots.column
-        points["bit_fields"] = shots.number | (shots.count << 4)
+        points["bit_fields"] = shots.number | (shots.n_returns << 4)
         points["point_source_id"] = _fits(self.path, "scanner", np.array([scan.scanner]), 1 << 16)
         self._by_return += np.bincount(shots.number, minlength=16)[1:16]
         if scan.angle_rad is not None:
@@ -199,38 +193,42 @@ class LasBuilder(StagedWriter):
             self._notice(f"{self._n_timeless} records have no time; their gps_time is 0")
         self._sink.close()
         record = self._completed(record)
-        header = self._header
-        header.start_of_first_evlr, header.number_of_evlrs = self._target.tell(), 1
-        self._target.write(_evlr(record))
-        header.offsets = self._offset_m
-        header.point_count = int(self._by_return.sum())
-        header.number_of_points_by_return = self._by_return
+        fields = self._fields
+        fields.set("evlr_start", self._target.tell())
+        fields.set("n_evlrs", 1)
+        self._target.write(make_vlr(RECORD_KEY, record.to_json(), RECORD_TEXT, extended=True).raw)
+        fields.set("scales", *[SCALE_M] * 3)
+        fields.set("offsets", *self._offset_m)
+        fields.set("n_points", int(self._by_return.sum()))
+        fields.set("by_return", *self._by_return.tolist())
         if self._by_return.any():
-            header.mins, header.maxs = (steps * SCALE_M + self._offset_m for steps in (self._low, self._high))
+            bounds = np.stack([self._high, self._low], axis=1) * SCALE_M + self._offset_m[:, None]
+            fields.set("bounds", *bounds.ravel())
         self._target.seek(0)
-        self._write_header()
+        self._target.write(fields.data)
+        self._target.flush()
         self._handle.close()
         return record
 
 
-class Returns:
+class Returns(NamedTuple):
     """Returns of some lines of a block, chronological; the returns of a shot by range."""
 
-    def __init__(self, line: I64, column: I64, range_m: F32, extra: I64) -> None:
-        self.line = line
-        self.column = column
-        self.range_m = range_m
-        self.extra = extra
-        """Index into the extra returns of the block, -1 = the chosen return of the shot."""
-        self.number: U8 = np.ones(len(line), np.uint8)
-        self.count: U8 = np.ones(len(line), np.uint8)
+    line: I64
+    column: I64
+    range_m: F32
+    extra: I64
+    """Index into the extra returns of the block, -1 = the chosen return of the shot."""
+    number: U8
+    n_returns: U8
 
 
 def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) -> Returns:
     """Gather the returns of some lines in record order; a shot without range that lost its cell is none."""
     line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
     line += rows.start
-    found = Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64))
+    one = np.ones(len(line), np.uint8)
+    found = Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64), one, one)
     of_lines = (scan.extra.line >= rows.start) & (scan.extra.line < rows.stop)
     chosen = np.flatnonzero(of_lines & ~np.isnan(scan.extra.range_m))
     if not len(chosen):
@@ -240,51 +238,18 @@ def gather_returns(scan: ScanBlock, rows: slice, *, chosen_first: bool = False) 
     range_m = np.concatenate([found.range_m, scan.extra.range_m[chosen]])
     extra = np.concatenate([found.extra, chosen])
     order = np.lexsort((extra, range_m, column, line))
-    found = Returns(line[order], column[order], range_m[order], extra[order])
-    shot = found.line * scan.points_per_line + found.column
-    first = np.flatnonzero(np.concatenate(([True], shot[1:] != shot[:-1])))
+    shot: I64 = (line * scan.points_per_line + column)[order]
+    first = np.flatnonzero(np.diff(shot, prepend=-1))
     size = np.diff(np.append(first, len(shot)))
     rank = np.arange(len(shot)) - np.repeat(first, size)
     # four bits each; more than 15 returns of a shot share the last number
-    found.number = np.minimum(rank + 1, 15).astype(np.uint8)
-    found.count = np.minimum(np.repeat(size, size), 15).astype(np.uint8)
-    if chosen_first:
-        order = np.lexsort((found.number, found.extra >= 0, found.column, found.line))
-        for name in ("line", "column", "range_m", "extra", "number", "count"):
-            setattr(found, name, getattr(found, name)[order])
-    return found
-
-
-def _new_header(dimensions: list[ExtraDimension]) -> Any:
-    """Return the header of a file without points, as laspy has it."""
-    import laspy
-
-    header = laspy.LasHeader(version="1.4", point_format=_POINT_FORMAT)
-    header.global_encoding.wkt = True
-    header.system_identifier = "prc-cli"
-    header.generating_software = f"prc-cli {__version__}"[:32]
-    header.scales = np.full(3, SCALE_M)
-    for dimension in dimensions:
-        # not through the header of laspy, which would add a minimum and a maximum
-        params = laspy.ExtraBytesParams(dimension.name, dimension.dtype, dimension.description)
-        header.point_format.add_extra_dimension(params)
-    return header
-
-
-def _as_laspy_has_it(vlr: Vlr) -> Any:
-    import laspy
-
-    return laspy.VLR(vlr.user_id, vlr.record_id, vlr.description, vlr.data)
-
-
-def _evlr(record: RunRecord) -> bytes:
-    """Return the run record as an extended VLR, which has no length limit."""
-    import laspy
-    from laspy.vlrs.vlrlist import VLRList
-
-    written = io.BytesIO()
-    VLRList([laspy.VLR(*RECORD_KEY, RECORD_TEXT, record.to_json())]).write_to(written, as_extended=True)
-    return written.getvalue()
+    number = np.minimum(rank + 1, 15).astype(np.uint8)
+    count = np.minimum(np.repeat(size, size), 15).astype(np.uint8)
+    found = Returns(line[order], column[order], range_m[order], extra[order], number, count)
+    if not chosen_first:
+        return found
+    order = np.lexsort((number, found.extra >= 0, shot))
+    return Returns._make(values[order] for values in found)
 
 
 def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[Any]:

@@ -1,14 +1,13 @@
 """Reads header, VLRs and extended VLRs of a LAS file, with the position of every part.
 
 Every count and length is compared with the size of the file first, so that a damaged or hostile file costs neither
-memory nor time; then laspy reads the header. Records keep their bytes, because a rewritten file must not lose any. What
-the fields mean follows the LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in LAZ files.
+memory nor time. Records keep their bytes, because a rewritten file must not lose any. What the fields mean follows the
+LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in LAZ files.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import logging
 import struct
@@ -51,7 +50,8 @@ _EVLR_HEAD = struct.Struct("<H16sHQ32s")
 
 _FIELDS = {
     "global_encoding": (6, "<H"),
-    "version": (24, "<2B"),
+    "system_id": (26, "<32s"),
+    "software": (58, "<32s"),
     "header_size": (94, "<H"),
     "point_offset": (96, "<I"),
     "n_vlrs": (100, "<I"),
@@ -59,6 +59,8 @@ _FIELDS = {
     "record_length": (105, "<H"),
     "legacy_n_points": (107, "<I"),
     "legacy_by_return": (111, "<5I"),
+    "scales": (131, "<3d"),
+    "offsets": (155, "<3d"),
     "bounds": (179, "<6d"),
     "waveform_start": (227, "<Q"),
     "evlr_start": (235, "<Q"),
@@ -87,14 +89,15 @@ class HeaderFields:
 
     def get(self, name: str) -> int:
         """Return a field that holds one integer; 0 where the version has no such field."""
-        offset, form = _FIELDS[name]
-        return int(struct.unpack_from(form, self.data, offset)[0]) if self.has(name) else 0
+        return int(self.values(name)[0]) if self.has(name) else 0
 
-    def set(self, name: str, *values: int | float) -> None:
+    def values(self, name: str) -> tuple[Any, ...]:
+        """Return all values of a field."""
+        offset, form = _FIELDS[name]
+        return struct.unpack_from(form, self.data, offset)
+
+    def set(self, name: str, *values: float | bytes) -> None:
         """Set all values of a field."""
-        if not self.has(name):
-            message = f"LAS 1.{self.data[25]} has no header field {name}"
-            raise KeyError(message)
         offset, form = _FIELDS[name]
         struct.pack_into(form, self.data, offset, *values)
 
@@ -159,9 +162,20 @@ class Vlr:
         return Vlr(self.head[:20] + len(data).to_bytes(2, "little") + self.head[22:], data)
 
 
-def make_vlr(key: tuple[str, int], data: bytes, description: str) -> Vlr:
-    """Return a plain VLR of at most 65535 bytes."""
-    return Vlr(_VLR_HEAD.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data)
+def make_vlr(key: tuple[str, int], data: bytes, description: str, *, extended: bool = False) -> Vlr:
+    """Return a VLR; a plain one has at most 65535 bytes."""
+    head = _EVLR_HEAD if extended else _VLR_HEAD
+    return Vlr(head.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data)
+
+
+def new_header() -> HeaderFields:
+    """Return the header of a new LAS 1.4 file with its coordinate system as WKT; no date, so that bytes are equal."""
+    fields = HeaderFields(bytes(STANDARD_HEADER[4]))
+    fields.data[:4], fields.data[25] = b"LASF", 4
+    fields.data[24] = 1
+    fields.set("global_encoding", WKT_BIT)
+    fields.set("header_size", len(fields.data))
+    return fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,10 +200,6 @@ class LasHeader:
     """First byte behind the VLRs; user bytes may follow up to the records."""
     scales: tuple[float, ...]
     offsets: tuple[float, ...]
-    mins: tuple[float, ...]
-    maxs: tuple[float, ...]
-    system_id: str
-    software: str
     vlrs: tuple[Vlr, ...]
     evlrs: tuple[Vlr, ...]
     """Extended VLRs."""
@@ -204,6 +214,16 @@ class LasHeader:
         """LAS: bytes between the last record and the extended VLRs or the end of the file; 0 for LAZ."""
         stop = self.evlrs[0].start if self.evlrs else self.file_bytes
         return 0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
+
+    @property
+    def mins(self) -> tuple[float, ...]:
+        """Least x, y, z as the header has them."""
+        return self.fields().values("bounds")[1::2]
+
+    @property
+    def maxs(self) -> tuple[float, ...]:
+        """Largest x, y, z as the header has them."""
+        return self.fields().values("bounds")[::2]
 
     def fields(self) -> HeaderFields:
         """Return a copy of the header's bytes, to be changed."""
@@ -220,54 +240,44 @@ class LasHeader:
 
 
 class Source:
-    """An input opened for reading; its failures become input errors, not output errors."""
+    """An input opened for reading, also by lazrs; its failures become input errors, not output errors."""
 
     def __init__(self, path: Path, handle: BinaryIO) -> None:
         self.path = path
         self.error: InputError | None = None
+        """The last failure, because lazrs hides it."""
+        self.seek = handle.seek
+        self.tell = handle.tell
         self._handle = handle
-
-    def seek(self, position: int, whence: int = 0) -> int:
-        """Go to a position (also called by lazrs)."""
-        return self._handle.seek(position, whence)
 
     def state(self) -> tuple[int, int, int, int]:
         """Return what changes when the file does (:func:`prc_cli.core.files.file_state`)."""
         return file_state(self._handle.fileno())
 
-    def tell(self) -> int:
-        """Return the position."""
-        return self._handle.tell()
-
     def read(self, n: int = -1) -> bytes:
-        """Read up to ``n`` bytes (also called by lazrs, which hides errors: they are kept here)."""
-        try:
+        """Read up to ``n`` bytes."""
+        with self._errors():
             return self._handle.read(n)
-        except OSError as error:
-            self.error = damaged(self.path, self.tell(), f"cannot be read ({error.strerror})")
-            raise self.error from error
 
     def into(self, view: memoryview) -> int:
         """Read into a buffer; return the number of bytes read, less at the end of the file."""
-        done = 0
-        while done < len(view):
-            try:
-                got = self._handle.readinto(view[done:])  # type: ignore[attr-defined]
-            except OSError as error:
-                raise damaged(self.path, self.tell(), f"cannot be read ({error.strerror})") from error
-            if not got:
-                break
-            done += got
-        return done
+        with self._errors():
+            return int(self._handle.readinto(view))  # type: ignore[attr-defined]
 
     def exact(self, n: int, what: str) -> bytes:
         """Read ``n`` bytes, or raise an error that names the part that is cut off."""
-        start = self.tell()
-        data = self.read(n)
+        start, data = self.tell(), self.read(n)
         if len(data) != n:
-            problem = f"{what} is cut off: found {len(data)} bytes, expected {n}"
-            raise damaged(self.path, start, problem)
+            raise damaged(self.path, start, f"{what} is cut off: found {len(data)} bytes, expected {n}")
         return data
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.error = damaged(self.path, self.tell(), f"cannot be read ({error.strerror})")
+            raise self.error from error
 
 
 @contextlib.contextmanager
@@ -300,38 +310,29 @@ def standard_bytes(point_format: int) -> int:
 
 
 def read_header(path: Path) -> LasHeader:
-    """Read and check header, VLRs and extended VLRs.
-
-    A file without records is accepted.
-    """
+    """Read and check header, VLRs and extended VLRs; a file without records is accepted."""
     with open_source(path) as source:
-        return _read(source)
-
-
-def _read(source: Source) -> LasHeader:
-    path, file_bytes = source.path, source.state()[0]
-    fields = _read_fields(source, file_bytes)
-    minor = fields.data[25]
-    header_bytes, data_offset = fields.get("header_size"), fields.get("point_offset")
-    _check_frame(path, file_bytes, (header_bytes, STANDARD_HEADER[minor]), data_offset)
-    compressed = bool(fields.get("point_format") & COMPRESSED)
-    point_format = fields.get("point_format") & ~COMPRESSED
-    record_bytes = fields.get("record_length")
-    _check_format(path, point_format, record_bytes)
-    n_records, is_legacy_count = _count(fields, point_format)
-    if not n_records and fields.get("legacy_n_points"):
-        raise no_records(path, fields, file_bytes - data_offset)
-    vlrs, vlr_end = _read_vlrs(source, (header_bytes, data_offset), fields.get("n_vlrs"))
-    n_evlrs, evlr_start = fields.get("n_evlrs"), fields.get("evlr_start")
-    if not compressed:
-        _check_count(path, n_records, record_bytes, data_offset, (file_bytes, evlr_start if n_evlrs else None))
-    evlrs = _read_evlrs(source, (evlr_start, data_offset, file_bytes), n_evlrs) if n_evlrs else ()
-    said = _read_by_laspy(fields, point_format)
+        file_bytes = source.state()[0]
+        fields = _read_fields(source, file_bytes)
+        point_format = fields.get("point_format") & ~COMPRESSED
+        compressed = bool(fields.get("point_format") & COMPRESSED)
+        n_records, is_legacy_count = fields.get("legacy_n_points"), False
+        if fields.has("n_points"):
+            # some LAS 1.4 writers leave the new count 0; formats 6 and up must not use the old one
+            is_legacy_count = not fields.get("n_points") and n_records > 0 and point_format < 6
+            n_records = n_records if is_legacy_count else fields.get("n_points")
+        data_offset, record_bytes = fields.get("point_offset"), fields.get("record_length")
+        if not n_records and fields.get("legacy_n_points"):
+            raise no_records(path, fields, file_bytes - data_offset)
+        vlrs, vlr_end = _read_vlrs(source, fields)
+        if not compressed:
+            _check_count(path, n_records, fields, file_bytes)
+        evlrs = _read_evlrs(source, fields, file_bytes) if fields.get("n_evlrs") else ()
     return LasHeader(
         path=path,
         file_bytes=file_bytes,
         raw=bytes(fields.data),
-        version=(1, minor),
+        version=(1, fields.data[25]),
         point_format=point_format,
         compressed=compressed,
         record_bytes=record_bytes,
@@ -339,47 +340,45 @@ def _read(source: Source) -> LasHeader:
         is_legacy_count=is_legacy_count,
         data_offset=data_offset,
         vlr_end=vlr_end,
-        scales=tuple(said.scales.tolist()),
-        offsets=tuple(said.offsets.tolist()),
-        mins=tuple(said.mins.tolist()),
-        maxs=tuple(said.maxs.tolist()),
-        system_id=text_of(said.system_identifier),
-        software=text_of(said.generating_software),
+        scales=fields.values("scales"),
+        offsets=fields.values("offsets"),
         vlrs=vlrs,
         evlrs=evlrs,
     )
 
 
 def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
-    """Read the header, user bytes at its end included."""
-    where = str(source.path)
+    """Read the header, user bytes at its end included, and compare its sizes with each other and with the file."""
+    path, where = source.path, str(source.path)
     if file_bytes == 0:
         raise InputError(where, "empty file, expected a LAS header of at least 227 bytes", DAMAGED)
     head = source.read(STANDARD_HEADER[4])
     if head[:4] != b"LASF"[: len(head)]:
         problem = f"begins with {head[:4]!r}, expected b'LASF': not a LAS or LAZ file"
         raise InputError(where, problem, "give raw dumps a [layout] and one of the suffixes .bin .raw .dat")
-    minor = head[25] if len(head) > 25 else 0
-    if len(head) > 25 and (head[24] != 1 or minor not in STANDARD_HEADER):
-        raise damaged(source.path, 24, f"LAS version {head[24]}.{minor}, expected 1.0 to 1.4")
+    major, minor = head[24:26] if len(head) > 25 else (1, 0)
+    if major != 1 or minor not in STANDARD_HEADER:
+        raise damaged(path, 24, f"LAS version {major}.{minor}, expected 1.0 to 1.4")
     least = STANDARD_HEADER[minor]
     if len(head) < least:
-        problem = f"header cut short: {len(head)} bytes, expected at least {least}"
-        raise InputError(where, problem, DAMAGED)
-    n_bytes = struct.unpack_from("<H", head, 94)[0]
+        raise InputError(where, f"header cut short: {len(head)} bytes, expected at least {least}", DAMAGED)
+    fields = HeaderFields(head[:least])
+    size, start, record_bytes = fields.get("header_size"), fields.get("point_offset"), fields.get("record_length")
+    point_format = fields.get("point_format") & ~COMPRESSED
+    if size < least:
+        raise damaged(path, 94, f"header size {size}, expected at least {least}")
+    if not size <= start <= file_bytes:
+        problem = f"records begin at byte {start}, expected between the header's end ({size}) and the file's"
+        raise damaged(path, 96, f"{problem} ({file_bytes}): the file is cut short or damaged")
+    if start > MAX_HEAD_BYTES:
+        raise damaged(path, 96, f"{start} bytes before the first record, expected at most {MAX_HEAD_BYTES}")
+    if point_format >= N_POINT_FORMATS:
+        raise damaged(path, 104, f"point format {point_format}, expected 0 to {N_POINT_FORMATS - 1}")
+    if record_bytes < (least := standard_bytes(point_format)):
+        problem = f"records of {record_bytes} bytes, expected at least {least} for point format {point_format}"
+        raise damaged(path, 105, problem)
     source.seek(0)
-    return HeaderFields(source.read(max(n_bytes, least)))
-
-
-def _count(fields: HeaderFields, point_format: int) -> tuple[int, bool]:
-    """Return the number of records, and whether it is the legacy count of a LAS 1.4 file."""
-    legacy = fields.get("legacy_n_points")
-    if not fields.has("n_points"):
-        return legacy, False
-    count = fields.get("n_points")
-    # some LAS 1.4 writers leave the new count 0; formats 6 and up must not use the old one
-    is_legacy = count == 0 and legacy > 0 and point_format < 6
-    return (legacy if is_legacy else count), is_legacy
+    return HeaderFields(source.read(size))
 
 
 def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
@@ -402,22 +401,6 @@ def check_decodable(header: LasHeader) -> None:
         raise no_records(header.path, header.fields(), header.file_bytes - header.data_offset)
 
 
-def _read_by_laspy(fields: HeaderFields, point_format: int) -> Any:
-    """Let laspy read a copy of the header without the parts that it would refuse.
-
-    Left out are the VLRs, because laspy requires UTF-8 texts and extra bytes that fill the record, and the compression
-    bit, because it requires lazrs.
-    """
-    laspy = load_laspy()
-    copy = HeaderFields(bytes(fields.data[: STANDARD_HEADER[fields.data[25]]]))
-    copy.set("header_size", len(copy.data))
-    copy.set("point_offset", len(copy.data))
-    copy.set("n_vlrs", 0)
-    copy.set("point_format", point_format)
-    copy.set("record_length", standard_bytes(point_format))
-    return laspy.LasHeader.read_from(io.BytesIO(copy.data))
-
-
 def refused_by_laspy(header: LasHeader) -> str:
     """Return why laspy refuses a header or its VLRs, which are copied as they are; empty if it does not.
 
@@ -434,38 +417,17 @@ def refused_by_laspy(header: LasHeader) -> str:
     return ""
 
 
-def _check_frame(path: Path, file_bytes: int, header_bytes: tuple[int, int], data_offset: int) -> None:
-    found, least = header_bytes
-    if found < least:
-        raise damaged(path, 94, f"header size {found}, expected at least {least}")
-    if not found <= data_offset <= file_bytes:
-        problem = f"records begin at byte {data_offset}, expected between the header's end ({found}) and the file's"
-        raise damaged(path, 96, f"{problem} ({file_bytes}): the file is cut short or damaged")
-    if data_offset > MAX_HEAD_BYTES:
-        problem = f"{data_offset} bytes before the first record, expected at most {MAX_HEAD_BYTES}"
-        raise damaged(path, 96, problem)
-
-
-def _check_format(path: Path, point_format: int, record_bytes: int) -> None:
-    if point_format >= N_POINT_FORMATS:
-        raise damaged(path, 104, f"point format {point_format}, expected 0 to {N_POINT_FORMATS - 1}")
-    least = standard_bytes(point_format)
-    if record_bytes < least:
-        problem = f"records of {record_bytes} bytes, expected at least {least} for point format {point_format}"
-        raise damaged(path, 105, problem)
-
-
-def _check_count(path: Path, n_records: int, record_bytes: int, data_offset: int, ends: tuple[int, int | None]) -> None:
-    file_bytes, evlr_start = ends
-    needed = data_offset + n_records * record_bytes
+def _check_count(path: Path, n_records: int, fields: HeaderFields, file_bytes: int) -> None:
+    """Compare the count of uncompressed records with the bytes there are."""
+    start, size, evlr_start = (fields.get(name) for name in ("point_offset", "record_length", "evlr_start"))
+    needed = start + n_records * size
     if needed > file_bytes:
-        found = (file_bytes - data_offset) // record_bytes
         problem = (
             f"the header promises {n_records} records, {needed} bytes in all; found {file_bytes} bytes, "
-            f"room for {found} records"
+            f"room for {(file_bytes - start) // size} records"
         )
         raise InputError(str(path), problem, "the file is cut short or its header lies; " + DAMAGED)
-    if evlr_start is not None and data_offset <= evlr_start < needed:
+    if fields.get("n_evlrs") and start <= evlr_start < needed:
         problem = (
             f"the header promises {n_records} records up to byte {needed}, but extended VLRs begin at byte "
             f"{evlr_start}, expected after the records"
@@ -473,53 +435,49 @@ def _check_count(path: Path, n_records: int, record_bytes: int, data_offset: int
         raise InputError(str(path), problem, DAMAGED)
 
 
-def _read_vlrs(source: Source, bounds: tuple[int, int], count: int) -> tuple[tuple[Vlr, ...], int]:
+def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], int]:
     """Read the VLRs; return where the last one ends, too."""
-    path, (start, end) = source.path, bounds
-    if count * _VLR_HEAD.size > end - start:
-        most = (end - start) // _VLR_HEAD.size
+    start, end, count = (fields.get(name) for name in ("header_size", "point_offset", "n_vlrs"))
+    most = (end - start) // _VLR_HEAD.size
+    if count > most:
         problem = f"{count} VLRs in {end - start} bytes before the records, expected at most {most}"
-        raise damaged(path, 100, problem)
+        raise damaged(source.path, 100, problem)
     source.seek(start)
     data = source.read(end - start)
-    vlrs = []
-    position = 0
+    vlrs, position = [], 0
     for index in range(count):
-        content = position + _VLR_HEAD.size
+        content, what = position + _VLR_HEAD.size, f"VLR {index + 1} of {count}"
         if content > len(data):
-            problem = f"VLR {index + 1} of {count} lies beyond the start of the records (byte {end})"
-            raise damaged(path, start + position, problem)
-        length = int.from_bytes(data[position + 20 : position + 22], "little")
-        if length > len(data) - content:
-            problem = f"VLR {index + 1} of {count} claims {length} bytes, {len(data) - content} are left"
-            raise damaged(path, start + position, f"{problem} before the records")
-        vlrs.append(Vlr(data[position:content], data[content : content + length]))
-        position = content + length
+            problem = f"{what} lies beyond the start of the records (byte {end})"
+            raise damaged(source.path, start + position, problem)
+        vlr = Vlr(data[position:content], None)
+        if vlr.n_bytes > len(data) - content:
+            problem = f"{what} claims {vlr.n_bytes} bytes, {len(data) - content} are left before the records"
+            raise damaged(source.path, start + position, problem)
+        position = content + vlr.n_bytes
+        vlrs.append(Vlr(vlr.head, data[content:position]))
     return tuple(vlrs), start + position
 
 
-def _read_evlrs(source: Source, bounds: tuple[int, int, int], count: int) -> tuple[Vlr, ...]:
-    path, (position, data_offset, file_bytes) = source.path, bounds
-    if not data_offset <= position <= file_bytes:
-        problem = (
-            f"extended VLRs begin at byte {position}, expected between {data_offset} and the file's end {file_bytes}"
-        )
-        raise damaged(path, 235, problem, "the file is cut short; " + DAMAGED)
+def _read_evlrs(source: Source, fields: HeaderFields, file_bytes: int) -> tuple[Vlr, ...]:
+    position, first, count = (fields.get(name) for name in ("evlr_start", "point_offset", "n_evlrs"))
+    hint = "the file is cut short; " + DAMAGED
+    if not first <= position <= file_bytes:
+        problem = f"extended VLRs begin at byte {position}, expected between {first} and the file's end {file_bytes}"
+        raise damaged(source.path, 235, problem, hint)
     most = min((file_bytes - position) // _EVLR_HEAD.size, MAX_EVLRS)
     if count > most:
-        raise damaged(path, 243, f"{count} extended VLRs, expected at most {most}")
+        raise damaged(source.path, 243, f"{count} extended VLRs, expected at most {most}")
     vlrs = []
     for index in range(count):
         source.seek(position)
-        head = source.read(_EVLR_HEAD.size)
+        vlr = Vlr(source.read(_EVLR_HEAD.size).ljust(_EVLR_HEAD.size, b"\0"), None, position)
         left = file_bytes - position - _EVLR_HEAD.size
-        vlr = Vlr(head, None, position)
-        if len(head) < _EVLR_HEAD.size or vlr.n_bytes > left:
-            length = vlr.n_bytes if len(head) == _EVLR_HEAD.size else 0
-            problem = f"extended VLR {index + 1} of {count} claims {length} bytes, {max(left, 0)} are left in the file"
-            raise damaged(path, position, problem, "the file is cut short; " + DAMAGED)
+        if vlr.n_bytes > left:
+            problem = f"extended VLR {index + 1} of {count} claims {vlr.n_bytes} bytes, {max(left, 0)} are left"
+            raise damaged(source.path, position, f"{problem} in the file", hint)
         content = source.read(vlr.n_bytes) if vlr.n_bytes <= MAX_KEPT_EVLR_BYTES else None
-        vlrs.append(Vlr(head, content, position))
+        vlrs.append(Vlr(vlr.head, content, position))
         position = vlr.stop
     return tuple(vlrs)
 
@@ -532,20 +490,20 @@ def text_of(raw: bytes | str) -> str:
 
 def find_dropped(header: LasHeader) -> str:
     """Return what the run record in the file says of shots that were left out; empty = nothing."""
-    for data in header.find(RECORD_KEY):
-        with contextlib.suppress(ValueError, RecursionError):
-            if told := dropped_of(json.loads(data.rstrip(b"\0"))):
-                return told
-    return ""
+    return next(filter(None, map(dropped_of, _run_records(header))), "")
 
 
 def find_points_per_line(header: LasHeader) -> int | None:
-    """Return M from the provenance VLR of this program, None if the file has none."""
-    for data in header.find(RECORD_KEY):
-        try:
-            value = json.loads(data.rstrip(b"\0"))["stream"]["points_per_line"]
-        except (ValueError, LookupError, TypeError, RecursionError):
-            continue
-        if isinstance(value, int) and not isinstance(value, bool) and value > 0:
-            return value
+    """Return M from the run record of this program, None if the file has none."""
+    for record in _run_records(header):
+        with contextlib.suppress(LookupError, TypeError):
+            value = record["stream"]["points_per_line"]
+            if isinstance(value, int) and not isinstance(value, bool) and value > 0:
+                return value
     return None
+
+
+def _run_records(header: LasHeader) -> Iterator[Any]:
+    for data in header.find(RECORD_KEY):
+        with contextlib.suppress(ValueError, RecursionError):
+            yield json.loads(data.rstrip(b"\0"))

@@ -1,8 +1,7 @@
-"""Reads raw records of LAS and LAZ files in batches; the chunk table of a LAZ file is checked first.
+"""Reads and writes raw records of LAS and LAZ files in batches (lazrs).
 
 A LAZ file is a sequence of independently compressed chunks and a table of their sizes. The table is compared with the
 file and with the count in the header before decoding, so that a wrong number gives an error and not a huge allocation.
-Chunks are decoded in parallel (lazrs).
 """
 
 from __future__ import annotations
@@ -10,47 +9,173 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import cycle
-from typing import Any
+from itertools import pairwise, repeat
+from typing import Any, BinaryIO, TypeAlias
 
 import lazrs
 import numpy as np
 
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import InputError, OutputError, PrcError
+from prc_cli.core.files import begin_flush
 from prc_cli.core.threads import default_threads, read_ahead
 from prc_cli.core.types import I64, U8
-from prc_cli.formats.las.header import DAMAGED, LASZIP_KEY, LasHeader, Source, damaged, open_source
+from prc_cli.formats.las.header import DAMAGED, LASZIP_KEY, LasHeader, Source, Vlr, damaged, make_vlr, open_source
+from prc_cli.formats.writing.disk import WRITE_BYTES
 
-CHUNK_SIZE_AT = 12
-"""Byte of the chunk size in the laszip VLR."""
-ITEMS_AT = 32
-"""Byte where the items of a record begin: their number, then type, size and version of each."""
 LAYERED_FORMATS = 6
 """From this point format on, chunks are compressed in layers, one per field."""
-
-_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Number of compressed layers by item type; extra bytes (14) have one per byte."""
-_POINT10, _TIME, _RGB, _WAVE, _POINT14 = (6, 20), (7, 8), (8, 6), (9, 29), (10, 30)
-_RGB14, _RGBNIR14, _WAVE14 = (11, 6), (12, 8), (13, 29)
-_ITEMS = {
-    0: (_POINT10,), 1: (_POINT10, _TIME), 2: (_POINT10, _RGB), 3: (_POINT10, _TIME, _RGB),
-    4: (_POINT10, _TIME, _WAVE), 5: (_POINT10, _TIME, _RGB, _WAVE),
-    6: (_POINT14,), 7: (_POINT14, _RGB14), 8: (_POINT14, _RGBNIR14), 9: (_POINT14, _WAVE14),
-    10: (_POINT14, _RGBNIR14, _WAVE14),
-}  # fmt: skip
-"""Items of a record, (type, bytes), by point format; extra bytes follow as type 0, in layered chunks as type 14."""
+LARGE_CHUNK_BYTES = 32 << 20
+"""Chunks that unpack to more than this are coded piece by piece: the parallel coders of lazrs hold whole chunks."""
+_CHUNK_SIZE_AT = 12
+"""Byte of the chunk size in the laszip VLR."""
+_VARIABLE_CHUNKS = 0xFFFFFFFF
+_ITEMS_AT = 32
+"""Byte where the items of a record begin: their number, then type, size and version of each."""
+_WAVEPACKET13 = 9  # laszip's item type
+_LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}
+"""Number of compressed layers by point format; extra bytes have one per byte."""
 _TOGETHER_BYTES = 16 << 20
 """Most bytes of records decoded at a time, however many the cores."""
 _ONE_RETURN = 0x1F
 """Highest value of the returns byte for at most one return; the upper half holds the number of returns."""
-_AHEAD = 1
-"""Batches decoded ahead of the consumer."""
-_SERIAL_BYTES = 256 << 20
-"""Chunks that unpack to more than this are decoded piece by piece on one core."""
-_SHARED_BYTES = 32 << 20
-"""The same limit where several chunks are held at a time."""
+_BATCH_RECORDS = 400_000
+_BATCH_BYTES = 16 << 20
+_PLAIN_BYTES = 1 << 19
+_FLUSH_BYTES = 16 << 20
+"""Bytes after which writing to disk is started, so that little is left to wait for at the end."""
+
+
+class Target:
+    """An output being written, also by lazrs."""
+
+    def __init__(self, handle: BinaryIO) -> None:
+        self._handle = handle
+        self._n_unflushed = 0
+        self.error: BaseException | None = None
+        """The last error of the system or interrupt, because lazrs hides it."""
+        self.tell = handle.tell
+
+    def write(self, data: Any) -> int:
+        """Write all bytes."""
+        view = memoryview(data).cast("B")
+        with self._errors():
+            # keep writes aligned to pages: others make the system handle a page twice and take 1.5 times as long
+            head = WRITE_BYTES - self._handle.tell() % WRITE_BYTES if len(view) > WRITE_BYTES else len(view)
+            for first, last in pairwise((0, *range(head, len(view), WRITE_BYTES), len(view))):
+                self._handle.write(view[first:last])
+            self._n_unflushed += len(view)
+            if self._n_unflushed >= _FLUSH_BYTES:
+                stop = self._handle.tell()
+                # after a seek back to a header, most of the bytes counted lie elsewhere
+                begin_flush(self._handle, max(0, stop - self._n_unflushed), stop)
+                self._n_unflushed = 0
+        return len(view)
+
+    def seek(self, position: int, whence: int = 0) -> int:
+        """Go to a position; this flushes the buffer, so it may fail on a full disk."""
+        with self._errors():
+            return self._handle.seek(position, whence)
+
+    def flush(self) -> None:
+        """Flush the buffer."""
+        with self._errors():
+            self._handle.flush()
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException as error:
+            self.error = error
+            raise
+
+
+@contextlib.contextmanager
+def _coding(stream: Source | Target, refusal: Callable[[BaseException], PrcError]) -> Iterator[None]:
+    """Raise the error of the system that lazrs hides, else turn what lazrs raises into one of ours."""
+    try:
+        yield
+    except BaseException as error:
+        if stream.error is not None:
+            raise stream.error from error
+        # pyo3's PanicException is no Exception and cannot be imported; Ctrl-C must pass
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        raise refusal(error) from error
+
+
+def decoding(source: Source, problem: str) -> contextlib.AbstractContextManager[None]:
+    """Turn any exception or panic of the decompressor into :class:`InputError`."""
+    return _coding(source, lambda error: InputError(str(source.path), f"{problem} ({error})", DAMAGED))
+
+
+def encoding(target: Target) -> contextlib.AbstractContextManager[None]:
+    """Turn any exception or panic of the compressor into :class:`OutputError`."""
+    hint = "write .las instead of .laz"
+    return _coding(target, lambda error: OutputError("LAZ compression", f"failed ({error})", hint))
+
+
+def new_laszip(where: str, point_format: int, n_extra_bytes: int) -> bytes:
+    """Return the content of the laszip VLR of a new file, with chunks of 50 000 records."""
+    try:
+        content = bytearray(lazrs.LazVlr.new_for_compression(point_format, n_extra_bytes).record_data())
+    except lazrs.LazrsError as error:
+        problem = f"point format {point_format} with {n_extra_bytes} extra bytes cannot be compressed ({error})"
+        raise OutputError(where, problem, "write .las instead of .laz") from error
+    for at in range(_ITEMS_AT + 2, len(content) - 5, 6):
+        # lazrs writes 2 as the version of waveform packets in formats 4 and 5; LASzip accepts only 1, and the bytes are
+        # the same
+        if struct.unpack_from("<H", content, at)[0] == _WAVEPACKET13:
+            struct.pack_into("<H", content, at + 4, 1)
+    return bytes(content)
+
+
+def laszip_vlr(header: LasHeader, point_format: int, n_extra_bytes: int, *, keep: bool) -> Vlr:
+    """Return the laszip VLR of an output: that of the input where records and items stay the same (``keep``)."""
+    old, new = header.vlr(LASZIP_KEY), new_laszip(str(header.path), point_format, n_extra_bytes)
+    if old is None or old.data is None:
+        return make_vlr(LASZIP_KEY, new, "laszip (lazrs)")
+    if not header.compressed or has_variable_chunks(old.data):
+        return old.with_data(new)
+    # lazrs 0.8.2 reads other versions of laszip's items, but does not write all of them correctly (version 1 of RGB)
+    if keep and old.data[_ITEMS_AT:] == new[_ITEMS_AT:]:
+        return old
+    # other records, same chunk size
+    return old.with_data(with_chunk_size(new, _chunk_size(old.data)))
+
+
+def with_chunk_size(laszip: bytes, n: int) -> bytes:
+    """Return the content of a laszip VLR with another number of records in a chunk."""
+    return laszip[:_CHUNK_SIZE_AT] + struct.pack("<I", n) + laszip[_CHUNK_SIZE_AT + 4 :]
+
+
+def _chunk_size(laszip: bytes) -> int:
+    return int(struct.unpack_from("<I", laszip, _CHUNK_SIZE_AT)[0])
+
+
+def has_variable_chunks(laszip: bytes) -> bool:
+    """Whether compressed chunks differ in length (for example COPC)."""
+    return _chunk_size(laszip) == _VARIABLE_CHUNKS
+
+
+def _items(laszip: bytes) -> list[tuple[int, int]]:
+    """Return type and bytes of the items of a record, as far as the VLR holds them."""
+    n_items = struct.unpack_from("<H", laszip, _ITEMS_AT)[0]
+    return [
+        struct.unpack_from("<HH", laszip, at)
+        for at in range(_ITEMS_AT + 2, min(_ITEMS_AT + 2 + 6 * n_items, len(laszip) - 5), 6)
+    ]
+
+
+def chunk_head(point_format: int, n_extra_bytes: int) -> struct.Struct:
+    """Return the format of the head behind the first record of a chunk: record count, bytes per layer.
+
+    >>> chunk_head(6, 4).format
+    '<14I'
+    """
+    return struct.Struct(f"<{1 + _LAYERS[point_format] + n_extra_bytes}I")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +195,7 @@ class ChunkTable:
 
 
 class LazRecords:
-    """Raw records of a LAZ file in batches, from the start."""
+    """Chunks of a LAZ file."""
 
     def __init__(self, source: Source, header: LasHeader) -> None:
         self._where = str(header.path)
@@ -79,35 +204,32 @@ class LazRecords:
         """Of the file."""
         found = header.vlr(LASZIP_KEY)
         if found is None or found.data is None:
-            problem = "the records are compressed but the laszip VLR is missing"
-            raise InputError(self._where, problem, DAMAGED)
-        self.vlr_data = found.data
-        """Content of the laszip VLR."""
-        self._items = self._read_items()
+            raise InputError(self._where, "the records are compressed but the laszip VLR is missing", DAMAGED)
+        self._laszip = found.data
+        self._check_laszip()
         with decoding(source, "the laszip VLR cannot be read"):
-            self.vlr = lazrs.LazVlr(self.vlr_data)
+            self.vlr = lazrs.LazVlr(self._laszip)
         self.table = self._read_table()
 
-    def _read_items(self) -> list[tuple[int, int]]:
-        """Return (type, bytes) of the items of a record, after checking the VLR."""
-        data, where = self.vlr_data, f"{self._where}: laszip VLR"
-        n_items = struct.unpack_from("<H", data, ITEMS_AT)[0] if len(data) >= ITEMS_AT + 2 else 0
-        least = ITEMS_AT + 2 + 6 * max(n_items, 1)
+    def _check_laszip(self) -> None:
+        """Refuse items that are not those of the point format: others make a decoder take a gigabyte."""
+        data, where, las = self._laszip, f"{self._where}: laszip VLR", self.header
+        n_items = struct.unpack_from("<H", data, _ITEMS_AT)[0] if len(data) >= _ITEMS_AT + 2 else 0
+        least = _ITEMS_AT + 2 + 6 * max(n_items, 1)
         if n_items == 0 or len(data) < least:
-            problem = f"{len(data)} bytes for {n_items} items, expected at least {least}"
-            raise InputError(where, problem, DAMAGED)
-        items = [struct.unpack_from("<HH", data, ITEMS_AT + 2 + 6 * i) for i in range(n_items)]
+            raise InputError(where, f"{len(data)} bytes for {n_items} items, expected at least {least}", DAMAGED)
+        items, usual = _items(data), _items(new_laszip(self._where, las.point_format, las.n_extra_bytes))
         n_bytes = sum(size for _, size in items)
-        if n_bytes != self.header.record_bytes:
-            problem = f"records of {n_bytes} bytes, expected the {self.header.record_bytes} of the header"
+        if n_bytes != las.record_bytes:
+            raise InputError(
+                where, f"records of {n_bytes} bytes, expected the {las.record_bytes} of the header", DAMAGED
+            )
+        if items != usual:
+            found, expected = (", ".join(map(str, each)) for each in (items, usual))
+            problem = f"items (type, bytes) {found}, expected {expected} for point format {las.point_format}"
             raise InputError(where, problem, DAMAGED)
-        if not _are_items_of(items, self.header.point_format):
-            found, core = ", ".join(map(str, items)), _ITEMS[self.header.point_format]
-            problem = f"items (type, bytes) {found}, expected {', '.join(map(str, core))} and extra bytes at most"
-            raise InputError(where, f"{problem} for point format {self.header.point_format}", DAMAGED)
-        if struct.unpack_from("<I", data, CHUNK_SIZE_AT)[0] == 0:
+        if _chunk_size(data) == 0:
             raise InputError(where, "chunks of 0 records, expected at least 1", DAMAGED)
-        return [(int(kind), int(size)) for kind, size in items]
 
     def _read_table(self) -> ChunkTable:
         header, path = self.header, self.header.path
@@ -168,95 +290,102 @@ class LazRecords:
             raise InputError(self._where, f"{problem}; expected it after the {header.n_records} records", DAMAGED)
         return position, stop
 
+    @property
+    def n_chunks(self) -> int:
+        """Chunks that hold records which the header counts."""
+        return len(self.table.first_byte) - 1
+
+    @property
+    def largest(self) -> int:
+        """Records that a decoder makes room for: those of the declared chunk size, whether full or not."""
+        found = int(np.diff(self.table.first_record).max())
+        return found if self.vlr.uses_variable_size_chunks() else max(found, self.vlr.chunk_size())
+
+    def sizes(self, first: int = 0, end: int | None = None) -> I64:
+        """Return the numbers of records and of bytes of some chunks, (n, 2) int64."""
+        some = slice(first, None if end is None else end + 1)
+        return np.stack([np.diff(self.table.first_record[some]), np.diff(self.table.first_byte[some])], axis=1)
+
+    def is_usual(self) -> bool:
+        """Whether compressor, items and their versions are those that lazrs writes."""
+        usual = new_laszip(self._where, self.header.point_format, self.header.n_extra_bytes)
+        return self._laszip[:2] == usual[:2] and self._laszip[_ITEMS_AT:] == usual[_ITEMS_AT:]
+
     def batches(
-        self, n_max: int, selection: int, several: int | None = None, n_buffers: int = 1
-    ) -> Iterator[tuple[int, memoryview]]:
-        """Decode from the start."""
+        self, n_max: int, selection: int, several: int | None = None, *, reuse: bool = False
+    ) -> Iterator[tuple[int, U8]]:
+        """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8.
+
+        ``several`` is the selection from the first shot of several returns on; with ``reuse``, records are valid until
+        the next ones: memory that is new takes a tenth of the time.
+        """
         if not self.header.n_records:
             return
-        size = self.header.record_bytes
-        largest = int(np.diff(self.table.first_record).max())
-        # the parallel decoder allocates the declared chunk size, whether full or not
-        declared = self.vlr.chunk_size()
-        limit = _SERIAL_BYTES if n_buffers == 1 else _SHARED_BYTES
-        whole = largest * size <= limit and (declared * size <= limit or self.vlr.uses_variable_size_chunks())
+        size, bounds = self.header.record_bytes, self.table.first_record
+        whole = self.largest * size <= LARGE_CHUNK_BYTES
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
         if several is not None and not (whole and self.header.point_format >= LAYERED_FORMATS):
             selection, several = several, None
         decoder = self.open(self._source, kind, selection)
-        n_chunks = len(self.table.first_record) - 1
         # one chunk per core
-        n_together = max(n_max, min(default_threads() * largest, _TOGETHER_BYTES // size))
-        buffers = _Buffers(n_buffers)
-        chunk = 0
-        while chunk < n_chunks:
-            first = int(self.table.first_record[chunk])
-            end = max(int(np.searchsorted(self.table.first_record, first + n_together, side="right")) - 1, chunk + 1)
+        n_together = max(n_max, min(default_threads() * int(np.diff(bounds).max()), _TOGETHER_BYTES // size))
+        chunk, room = 0, np.empty((0, size), np.uint8)
+        while chunk < self.n_chunks:
+            first = int(bounds[chunk])
+            end = max(int(np.searchsorted(bounds, first + n_together, side="right")) - 1, chunk + 1)
             # a second handle: the decoder needs the position of the first one unchanged
             with open_source(self.header.path) as source:
                 self._check_layers(source, chunk, end)
-            stop = int(self.table.first_record[end])
+            stop = int(bounds[end])
             # decode whole chunks even if longer than a batch: only then is damage noticed
             step = stop - first if whole else n_max
             for begin in range(first, stop, step):
-                raw = buffers.next(min(step, stop - begin) * size)
-                if not self._decode(decoder, raw):
-                    raise self._damage(chunk, end, begin, kind)
-                if several is not None and _has_several(raw, size):
-                    decoder = self.open(self._source, kind, several)
-                    with decoding(self._source, "the compressed records cannot be opened"):
-                        decoder.seek(begin)
+                n = min(step, stop - begin)
+                room = room if reuse and n <= len(room) else np.empty((n, size), np.uint8)
+                raw: U8 = room[:n]
+                self._decode(decoder, raw, chunk, end)
+                if several is not None and raw[:, 14].max(initial=0) > _ONE_RETURN:
+                    decoder = self.open(self._source, kind, several, begin)
                     several = None
-                    if not self._decode(decoder, raw):
-                        raise self._damage(chunk, end, begin, kind)
-                for start in range(0, len(raw), n_max * size):
-                    yield begin + start // size, raw[start : start + n_max * size]
+                    self._decode(decoder, raw, chunk, end)
+                for start in range(0, len(raw), n_max):
+                    yield begin + start, raw[start : start + n_max]
             chunk = end
 
-    def open(self, source: Source, kind: Any, selection: int) -> Any:
-        """Return a decoder of some layers, at the first record of a source."""
+    def open(self, source: Source, kind: Any, selection: int, first: int = 0) -> Any:
+        """Return a decoder of some layers, at a record of a source."""
         source.seek(self.header.data_offset)
         with decoding(source, "the compressed records cannot be opened"):
-            return kind(source, self.vlr_data, lazrs.DecompressionSelection(selection))
+            decoder = kind(source, self._laszip, lazrs.DecompressionSelection(selection))
+            if first:
+                decoder.seek(first)
+        return decoder
 
-    def _decode(self, decoder: Any, raw: memoryview) -> bool:
+    def _decode(self, decoder: Any, raw: U8, chunk: int, end: int) -> None:
+        """Decode records of some chunks; name the first chunk that cannot be decoded."""
         try:
             with decoding(self._source, ""):
-                decoder.decompress_many(raw)
+                decoder.decompress_many(raw.reshape(-1))
+            return
         except InputError:
             if self._source.error is not None:
                 raise
-            return False
-        return True
-
-    def _damage(self, chunk: int, end: int, begin: int, kind: Any) -> InputError:
-        """Find the first chunk that cannot be decoded and say where it lies."""
-        bounds = self.table.first_record
-        if kind is lazrs.ParLasZipDecompressor:
-            with contextlib.suppress(InputError), decoding(self._source, ""):
-                decoder = self.open(self._source, kind, lazrs.SELECTIVE_DECOMPRESS_ALL)
-                decoder.seek(begin)
-                while chunk < end - 1:
-                    decoder.decompress_many(
-                        bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self.header.record_bytes)
-                    )
-                    chunk += 1
-            begin = int(bounds[chunk])
+        bounds, first_byte = self.table.first_record, self.table.first_byte
+        with contextlib.suppress(InputError), decoding(self._source, ""):
+            again = self.open(self._source, type(decoder), lazrs.SELECTIVE_DECOMPRESS_ALL, int(bounds[chunk]))
+            while chunk < end - 1:
+                again.decompress_many(bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self.header.record_bytes))
+                chunk += 1
         problem = (
-            f"records {begin} to {bounds[chunk + 1] - 1} cannot be decompressed (LAZ chunk {chunk} at byte "
-            f"{self.table.first_byte[chunk]}): its {self.table.first_byte[chunk + 1] - self.table.first_byte[chunk]} "
-            f"bytes do not hold the {bounds[chunk + 1] - bounds[chunk]} records expected"
+            f"records {bounds[chunk]} to {bounds[chunk + 1] - 1} cannot be decompressed (LAZ chunk {chunk} at byte "
+            f"{first_byte[chunk]}): its {first_byte[chunk + 1] - first_byte[chunk]} bytes do not hold the "
+            f"{bounds[chunk + 1] - bounds[chunk]} records expected"
         )
-        return InputError(self._where, problem, DAMAGED)
-
-    @property
-    def n_layers(self) -> int:
-        """Compressed layers of a chunk of point formats 6-10."""
-        return chunk_head(self._items).size // 4 - 1
+        raise InputError(self._where, problem, DAMAGED)
 
     def heads(self, source: Source, first: int, end: int) -> Iterator[tuple[int, int]]:
         """Yield the declared number of records and bytes of every chunk of point formats 6-10."""
-        layout = chunk_head(self._items)
+        layout = chunk_head(self.header.point_format, self.header.n_extra_bytes)
         for begin in self.table.first_byte[first:end].tolist():
             source.seek(begin + self.header.record_bytes)
             head = source.read(layout.size)
@@ -265,27 +394,18 @@ class LazRecords:
 
     def _check_layers(self, source: Source, first: int, end: int) -> None:
         """Compare the sizes declared in chunks of point formats 6-10 with the chunk table."""
-        if self._items[0][0] < 10:
+        if self.header.point_format < LAYERED_FORMATS:
             return
         path, table = self.header.path, self.table
-        for chunk, (held, claimed) in enumerate(self.heads(source, first, end), start=first):
-            begin, n_bytes = int(table.first_byte[chunk]), int(table.first_byte[chunk + 1] - table.first_byte[chunk])
-            n_records = int(table.first_record[chunk + 1] - table.first_record[chunk])
+        found = zip(self.heads(source, first, end), self.sizes(first, end).tolist(), strict=True)
+        for chunk, ((held, claimed), (n_records, n_bytes)) in enumerate(found, start=first):
+            begin = int(table.first_byte[chunk])
             what = f"LAZ chunk {chunk} (from record {table.first_record[chunk]})"
-            if held < n_records or (held > n_records and chunk < len(table.first_byte) - 2):
+            if held < n_records or (held > n_records and chunk < self.n_chunks - 1):
                 where = begin + self.header.record_bytes
                 raise damaged(path, where, f"{what} holds {held} records, expected {n_records}")
             if claimed > n_bytes:
                 raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
-
-
-def _are_items_of(items: Sequence[tuple[int, int]], point_format: int) -> bool:
-    """Whether the items of a record are those of its point format: others make a decoder take a gigabyte."""
-    core = _ITEMS.get(point_format)
-    if core is None or tuple(items[: len(core)]) != core:
-        return False
-    extra = 14 if point_format >= LAYERED_FORMATS else 0
-    return [kind for kind, _ in items[len(core) :]] in ([], [extra])
 
 
 def read_batches(
@@ -293,59 +413,51 @@ def read_batches(
     header: LasHeader,
     n_max: int,
     layers: tuple[int, int | None] = (lazrs.SELECTIVE_DECOMPRESS_ALL, None),
-    n_buffers: int = 1,
-) -> Iterator[tuple[int, memoryview]]:
-    """Yield the index of the first record and the raw records, up to ``n_max`` at a time, compressed or not."""
+    *,
+    reuse: bool = False,
+) -> Iterator[tuple[int, U8]]:
+    """Yield the index of the first record and raw records, ``n_max`` at most, (n, bytes) uint8, compressed or not."""
     if header.compressed:
-        yield from LazRecords(source, header).batches(n_max, *layers, n_buffers=n_buffers)
+        yield from LazRecords(source, header).batches(n_max, *layers, reuse=reuse)
         return
-    size = header.record_bytes
     source.seek(header.data_offset)
-    buffers = _Buffers(n_buffers)
     for first in range(0, header.n_records, n_max):
-        batch = buffers.next(min(n_max, header.n_records - first) * size)
-        found = source.into(batch)
-        if found < len(batch):
-            record = first + found // size
+        raw: U8 = np.empty((min(n_max, header.n_records - first), header.record_bytes), np.uint8)
+        found = source.into(raw.reshape(-1).data)
+        if found < raw.size:
+            record = first + found // header.record_bytes
             problem = f"the file ends at record {record}, expected {header.n_records}: it changed while read"
             raise InputError(str(header.path), problem, DAMAGED)
-        yield first, batch
+        yield first, raw
 
 
 def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
-    """Yield all raw records, ``n`` at a time; the caller may change an array until it asks for the next.
+    """Yield all raw records, ``n`` at a time, (n, bytes) uint8; the caller may change them.
 
     Compressed records are decoded ahead in a thread; close the iterator before the source.
     """
+    batches = recut((raw for _, raw in read_batches(source, header, n)), repeat(n))
     # uncompressed records are read faster than one thread can hand them to another
-    ahead = header.compressed and header.n_records > n
-    # arrays that wait for the caller are copies: a batch may be decoded while nothing is taken, and reuse their buffer
-    batches = _exactly(read_batches(source, header, n, n_buffers=2 if ahead else 1), header, n, copied=ahead)
-    yield from read_ahead(batches, depth=_AHEAD) if ahead else batches
+    yield from read_ahead(batches, depth=1) if header.compressed and header.n_records > n else batches
 
 
-def _exactly(batches: Iterator[tuple[int, memoryview]], header: LasHeader, n: int, *, copied: bool) -> Generator[U8]:
-    """Join and cut batches to ``n`` records each, fewer in the last; ``copied``: into memory of their own."""
-    n_left, n_held = header.n_records, 0
-    for _, raw in batches:
-        rows = np.frombuffer(raw, np.uint8).reshape(-1, header.record_bytes)
-        while len(rows):
-            wanted = min(n, n_left)
-            if n_held == 0 and len(rows) >= wanted:
-                yield rows[:wanted].copy() if copied else rows[:wanted]
-                rows = rows[wanted:]
-                n_left -= wanted
-                continue
-            if n_held == 0:
-                held: U8 = np.empty((wanted, header.record_bytes), np.uint8)
-            taken = rows[: wanted - n_held]
-            held[n_held : n_held + len(taken)] = taken
-            n_held += len(taken)
-            rows = rows[len(taken) :]
-            if n_held == wanted:
-                yield held
-                n_left -= wanted
-                n_held = 0
+def recut(parts: Iterable[U8], sizes: Iterable[int]) -> Generator[U8]:
+    """Cut consecutive arrays into others of given lengths; the last one may be shorter.
+
+    >>> [part.tolist() for part in recut([np.arange(3), np.arange(2), np.arange(1)], [1, 3, 4])]
+    [[0], [1, 2, 0], [1, 0]]
+    """
+    held, left = None, iter(parts)
+    for size in sizes:
+        pieces, n_held = ([], 0) if held is None else ([held], len(held))
+        while n_held < size and (part := next(left, None)) is not None:
+            pieces.append(part)
+            n_held += len(part)
+        if not n_held:
+            return
+        whole = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        yield whole[:size]
+        held = whole[size:] if n_held > size else None
 
 
 def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
@@ -371,47 +483,77 @@ def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
     return (header.evlrs[0].start if header.evlrs else stop), stop
 
 
-class _Buffers:
-    """Buffers used in turn: allocating each time would take as long as reading."""
+class LasSink:
+    """Uncompressed records."""
 
-    def __init__(self, n: int) -> None:
-        self._turns = cycle(range(n))
-        self._buffers: list[U8] = [np.empty(0, np.uint8)] * n
+    def __init__(self, target: Target) -> None:
+        self._target = target
 
-    def next(self, n_bytes: int) -> memoryview:
-        """Return the next buffer; it is used again after all others."""
-        turn = next(self._turns)
-        if len(self._buffers[turn]) < n_bytes:
-            self._buffers[turn] = np.empty(n_bytes, np.uint8)
-        return self._buffers[turn][:n_bytes].data
+    def write(self, records: U8) -> None:
+        """Append (n, bytes) uint8 records."""
+        self._target.write(np.ascontiguousarray(records).reshape(-1).data)
+
+    def close(self) -> None:
+        """Do nothing: no records are buffered."""
 
 
-def chunk_head(items: Iterable[tuple[int, int]]) -> struct.Struct:
-    """Return the format of the head behind the first record of a chunk: record count, bytes per layer.
+class LazSink:
+    """Records compressed by laszip; the same bytes whatever the batches and the number of threads."""
 
-    Point format 6 with four extra bytes:
+    def __init__(self, target: Target, laszip: bytes) -> None:
+        self._target = target
+        with encoding(target):
+            vlr = lazrs.LazVlr(laszip)
+            is_large = vlr.chunk_size() * vlr.item_size() > LARGE_CHUNK_BYTES
+            self._compressor = (lazrs.LasZipCompressor if is_large else lazrs.ParLasZipCompressor)(target, vlr)
 
-    >>> chunk_head([(10, 30), (14, 4)]).format
-    '<14I'
+    def write(self, records: U8) -> None:
+        """Append (n, bytes) uint8 records."""
+        with encoding(self._target):
+            self._compressor.compress_many(np.ascontiguousarray(records).reshape(-1))
+
+    def close(self) -> None:
+        """Write the last chunk and the chunk table; the target is then positioned behind them."""
+        with encoding(self._target):
+            self._compressor.done()
+        self._target.flush()
+        self._target.seek(0, 2)
+
+
+PointSink: TypeAlias = LasSink | LazSink
+
+
+def batch_size(record_bytes: int, *, compressed: bool) -> int:
+    """Return the number of records per batch, limited in number and bytes.
+
+    Compression takes several chunks at a time to keep every core busy; uncompressed records are faster in a buffer that
+    fits the processor's cache.
     """
-    return struct.Struct(f"<{1 + sum(_LAYERS.get(kind, n_bytes) for kind, n_bytes in items)}I")
+    return max(1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_bytes))
 
 
-def _has_several(raw: memoryview, record_bytes: int) -> bool:
-    """Whether any shot among records of point formats 6-10 has several returns."""
-    returns = np.frombuffer(raw, np.uint8)[14::record_bytes]
-    return bool(returns.max(initial=0) > _ONE_RETURN)
+def batch_records(header: LasHeader, *, compressed: bool) -> int:
+    """Return the number of input records per batch; whole chunks if compressed."""
+    n = batch_size(header.record_bytes, compressed=compressed)
+    laszip = header.vlr(LASZIP_KEY) if header.compressed else None
+    chunk = n + 1 if laszip is None or laszip.data is None else _chunk_size(laszip.data)
+    return n // chunk * chunk if chunk <= n else n
 
 
-@contextlib.contextmanager
-def decoding(source: Source, problem: str) -> Iterator[None]:
-    """Turn any exception or panic of the decompressor into :class:`InputError`."""
-    try:
-        yield
-    except BaseException as error:
-        if source.error is not None:  # raise the error of the system, which the library rewords
-            raise source.error from error
-        # pyo3's PanicException is no Exception and cannot be imported; Ctrl-C must pass
-        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
-            raise
-        raise InputError(str(source.path), f"{problem} ({error})", DAMAGED) from error
+def check_laz() -> str:
+    """Compress records of every coder of laszip and decompress them again; return their point formats."""
+    for point_format, n_bytes in ((1, 28), (6, 30), (10, 67)):
+        where = f"LAZ round trip of point format {point_format}"
+        laszip, memory = new_laszip(where, point_format, 0), io.BytesIO()
+        # a chunk is one whole record, then differences: here all zero except in the first bytes, as in a scan
+        records = np.zeros((2_000, n_bytes), np.uint8)
+        records[:, :4] = np.random.default_rng(1).integers(0, 256, (2_000, 4), np.uint8)
+        sink = LazSink(Target(memory), laszip)
+        sink.write(records)
+        sink.close()
+        memory.seek(0)
+        back: U8 = np.empty_like(records)
+        lazrs.LasZipDecompressor(memory, laszip).decompress_many(back.reshape(-1))
+        if not np.array_equal(back, records):
+            raise OutputError(where, "the records that came back differ", "install lazrs anew")
+    return "1, 6, 10"

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OutputError
-from prc_cli.core.types import I64, U8
+from prc_cli.core.types import U8
 from prc_cli.formats.las.header import DAMAGED, EXTRA_BYTES_KEY, LasHeader, Vlr, make_vlr, standard_bytes, text_of
+from prc_cli.formats.las.vlrs import VLR_LIMIT
 from prc_cli.formats.names import usual_names
 from prc_cli.formats.options import FACTORS
 from prc_cli.formats.writing.columns import ExtraDimension
@@ -29,8 +30,6 @@ FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
 """For formats with five-bit classes: the format with eight-bit classes that holds all their fields."""
 SCAN_ANGLE_STEP_DEG = 0.006
 """Unit of the scan angle in formats 6-10 [deg]."""
-VLR_LIMIT = 65_535
-"""Largest content of a VLR [bytes]."""
 _EXTRA_TEXT = "Extra Bytes Record"
 DESCRIPTOR_BYTES = 192
 """Length of the descriptor of a dimension in an Extra Bytes VLR (LAS 1.4 R15, table 23)."""
@@ -87,9 +86,10 @@ class ExtraBytes:
     dtype: np.dtype[Any]
     """Type of one element; undocumented raw bytes have one element per byte."""
     n_values: int
-    scale: float | None
-    offset: float | None
-    no_data: float | int | None
+    scale: float | None = None
+    """None = stored as it is."""
+    offset: float = 0.0
+    no_data: float | int | None = None
     place: int = 0
     """Its first byte in the record."""
 
@@ -97,11 +97,6 @@ class ExtraBytes:
     def n_bytes(self) -> int:
         """Bytes of a record."""
         return self.dtype.itemsize * self.n_values
-
-    @property
-    def is_scaled(self) -> bool:
-        """Whether it has a scale or an offset."""
-        return self.scale is not None or self.offset is not None
 
     @property
     def type_name(self) -> str:
@@ -124,13 +119,6 @@ class RecordLayout:
     """Notices about extra bytes."""
     angle_name: str | None = None
     """Extra dimension that holds the scan angles; None = a field of the point format, if any."""
-
-    def describe_extra(self) -> list[dict[str, Any]]:
-        """Return name, type, description and scaling of all extra bytes, ready for JSON."""
-        return [
-            {"name": one.name, "type": one.type_name, "description": one.description, "scaled": one.is_scaled}
-            for one in self.extra
-        ]
 
 
 @cache
@@ -178,9 +166,8 @@ def read_layout(header: LasHeader) -> RecordLayout:
         found.append(replace(extra, name=name, place=header.record_bytes - left))
         left -= extra.n_bytes
         if extra.data_type and one:  # raw bytes and vectors are not one number per record
-            factor = (1.0 if extra.scale is None else extra.scale) if extra.is_scaled else None
             as_float = name in _AS_FLOAT
-            fields[name] = Field(column, None, factor, extra.offset or 0.0, extra.no_data, as_float=as_float)
+            fields[name] = Field(column, None, extra.scale, extra.offset, extra.no_data, as_float=as_float)
             described[name] = extra
     taken = _take_usual(fields, described)
     if renamed := [f"{own} as {name}" for name, own in taken.items() if own != name]:
@@ -236,25 +223,17 @@ def _extra_bytes(where: str, said: Any) -> ExtraBytes:
         problem = f"{name!r} has data type {said.data_type}, expected 0 to {_LAST_DATA_TYPE}"
         raise InputError(where, problem, DAMAGED)
     if said.data_type == 0:
-        return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options, None, None, None)
+        return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options)
     number, n_values = said.dtype().base, said.num_elements()
-    scale, offset = said.scale, said.offset
-    extra = ExtraBytes(
-        name=name,
-        data_type=said.data_type,
-        description=text_of(said.description),
-        dtype=number,
-        n_values=n_values,
-        scale=None if scale is None else float(scale[0]),
-        offset=None if offset is None else float(offset[0]),
-        no_data=_no_data(said, number),
-    )
-    if n_values == 1 and extra.is_scaled:
-        factor, shift = (1.0 if scale is None else scale[0]), (0.0 if offset is None else offset[0])
-        if not (0 < abs(factor) < math.inf and abs(shift) < math.inf):
-            problem = f"{name!r} has scale {factor} and offset {shift}"
-            raise InputError(where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED)
-    return extra
+    scale, offset = (None if found is None else float(found[0]) for found in (said.scale, said.offset))
+    if scale is None and offset is not None:
+        scale = 1.0
+    offset = 0.0 if offset is None else offset
+    if n_values == 1 and scale is not None and not (0 < abs(scale) < math.inf and abs(offset) < math.inf):
+        problem = f"{name!r} has scale {scale} and offset {offset}"
+        raise InputError(where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED)
+    no_data = _no_data(said, number)
+    return ExtraBytes(name, said.data_type, text_of(said.description), number, n_values, scale, offset, no_data)
 
 
 def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
@@ -268,38 +247,25 @@ def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
         return float(number.type(value))
 
 
+_LAYER = {
+    **dict.fromkeys(("x", "y", "return_number", "number_of_returns", "scanner_channel"), "XY_RETURNS_CHANNEL"),
+    **dict.fromkeys(
+        ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line"), "FLAGS"
+    ),
+    **dict.fromkeys(("red", "green", "blue"), "RGB"),
+    "extra": "ALL_EXTRA_BYTES",
+}
+"""Compressed layer of a dimension where it has another name."""
+
+
 def layers_of(fields: Iterable[Field]) -> int:
     """Return which compressed layers hold these fields, as lazrs wants it (point formats 6-10)."""
     selection = int(lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
     for one in fields:
-        layer = _LAYER.get(one.layer)
-        if layer is None:
-            # no layer known for this dimension: decode all
-            layer = "ALL_EXTRA_BYTES" if one.layer == "extra" else "ALL"
-        if layer:
-            selection |= int(getattr(lazrs, f"SELECTIVE_DECOMPRESS_{layer}"))
+        name = _LAYER.get(one.layer, one.layer.upper())
+        # where no layer is known for a dimension, all are decoded
+        selection |= int(getattr(lazrs, f"SELECTIVE_DECOMPRESS_{name}", lazrs.SELECTIVE_DECOMPRESS_ALL))
     return selection
-
-
-_LAYER = {
-    **dict.fromkeys(("x", "y", "return_number", "number_of_returns", "scanner_channel"), ""),
-    "z": "Z",
-    "classification": "CLASSIFICATION",
-    **dict.fromkeys(
-        ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line"), "FLAGS"
-    ),
-    "intensity": "INTENSITY",
-    "scan_angle": "SCAN_ANGLE",
-    "user_data": "USER_DATA",
-    "point_source_id": "POINT_SOURCE_ID",
-    "gps_time": "GPS_TIME",
-    **dict.fromkeys(("red", "green", "blue"), "RGB"),
-    "nir": "NIR",
-    **dict.fromkeys(
-        ("wavepacket_index", "wavepacket_offset", "wavepacket_size", "return_point_wave_location", "x_t", "y_t", "z_t"),
-        "WAVEPACKET",
-    ),
-}
 
 
 def descriptor(dimension: ExtraDimension) -> bytes:
@@ -414,8 +380,3 @@ def append_bytes(records: U8, columns: list[NDArray[Any]]) -> U8:
         little = np.ascontiguousarray(column, column.dtype.newbyteorder("<"))
         parts.append(little.view(np.uint8).reshape(len(records), -1))
     return np.concatenate(parts, axis=1)
-
-
-def count_returns(records: U8) -> I64:
-    """Count records of formats 6-10 by return number, (15,) int64: returns 1 to 15."""
-    return np.bincount(records[:, 14] & 0x0F, minlength=16)[1:16].astype(np.int64)

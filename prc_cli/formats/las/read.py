@@ -11,11 +11,11 @@ from typing import Any
 import lazrs
 import numpy as np
 
-from prc_cli.core.errors import ConfigError
+from prc_cli.core.bytewise import count_bytes
+from prc_cli.core.errors import ConfigError, OutputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import read_ahead
-from prc_cli.formats.las.contexts import LazContexts, contexts_of
-from prc_cli.formats.las.crs import find_crs
+from prc_cli.core.types import U8
 from prc_cli.formats.las.header import (
     LasHeader,
     check_decodable,
@@ -24,9 +24,12 @@ from prc_cli.formats.las.header import (
     open_source,
     read_header,
     refused_by_laspy,
+    text_of,
 )
 from prc_cli.formats.las.laz import LazRecords, read_batches
 from prc_cli.formats.las.points import layers_of, read_layout
+from prc_cli.formats.las.splice import LazContexts, contexts_of
+from prc_cli.formats.las.vlrs import find_crs
 from prc_cli.formats.names import angle_rules
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordChunk, standard_first
@@ -77,24 +80,9 @@ class LasSource:
         return self.header.n_records
 
     @property
-    def point_format(self) -> int:
-        """Point format, 0 to 10."""
-        return self.header.point_format
-
-    @property
-    def version(self) -> str:
-        """LAS version, for example ``1.4``."""
-        return "{}.{}".format(*self.header.version)
-
-    @property
     def crs_wkt(self) -> str | None:
         """Coordinate system: WKT, else ``EPSG:CODE`` from GeoTIFF keys, else None."""
         return find_crs(self.header)
-
-    @property
-    def points_per_line_hint(self) -> int | None:
-        """M, if this program wrote the file."""
-        return find_points_per_line(self.header)
 
     @cached_property
     def dimensions(self) -> tuple[str, ...]:
@@ -135,7 +123,7 @@ class LasSource:
     def facts(self) -> SourceFacts:
         """Metadata of the file."""
         return SourceFacts(
-            points_per_line=self.points_per_line_hint,
+            points_per_line=find_points_per_line(self.header),
             crs_wkt=self.crs_wkt,
             time_name="gps_time",
             rules=angle_rules(self._layout.angle_name),
@@ -185,15 +173,14 @@ class LasSource:
         fields = self._layout.fields
         for first, raw in self._batches(names):
             if self.laz_contexts is not None and first == self.laz_contexts.n_seen:
-                rows = np.frombuffer(raw, np.uint8).reshape(-1, self.header.record_bytes)
-                self.laz_contexts.see(first, contexts_of(rows))
+                self.laz_contexts.see(first, contexts_of(raw))
             if self.laz_contexts is not None and self._checks_layers:
-                self.laz_contexts.check(first, len(raw) // self.header.record_bytes)
-            records = np.frombuffer(raw, dtype=self._layout.dtype)
+                self.laz_contexts.check(first, len(raw))
+            records = raw.view(self._layout.dtype)[:, 0]
             yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))
 
-    def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, memoryview]]:
-        """Yield the index of the first record and the raw records; valid until the next batch."""
+    def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, U8]]:
+        """Yield the index of the first record and the raw records."""
         asked = [self._layout.fields[name] for name in names]
         layers, several = layers_of(asked), None
         if self._spares_intensity and "intensity" in names:
@@ -202,13 +189,13 @@ class LasSource:
         if self._checks_layers:
             layers, several = lazrs.SELECTIVE_DECOMPRESS_ALL, None
         with open_source(self._path) as source:
-            yield from read_batches(source, self.header, self._chunk_records, (layers, several))
+            yield from read_batches(source, self.header, self._chunk_records, (layers, several), reuse=True)
 
     def describe(self) -> dict[str, Any]:
         """Return the header as plain values for JSON, for ``prc info``."""
         header = self.header
         return {
-            "version": self.version,
+            "version": "{}.{}".format(*header.version),
             "point_format": header.point_format,
             "compressed": header.compressed,
             "records": header.n_records,
@@ -216,10 +203,14 @@ class LasSource:
             "scales": list(header.scales),
             "offsets": list(header.offsets),
             "bounds": {"min": list(header.mins), "max": list(header.maxs)},
-            "system_id": header.system_id,
-            "generating_software": header.software,
+            "system_id": text_of(header.fields().values("system_id")[0]),
+            "generating_software": text_of(header.fields().values("software")[0]),
             "crs": self.crs_wkt,
-            "extra_bytes": self._layout.describe_extra(),
+            "extra_bytes": [
+                {"name": one.name, "type": one.type_name, "description": one.description,
+                 "scaled": one.scale is not None}
+                for one in self._layout.extra
+            ],
             "vlrs": [
                 {"user_id": v.user_id, "record_id": v.record_id, "bytes": v.n_bytes, "description": v.description,
                  "extended": v.extended}
@@ -232,3 +223,16 @@ class LasSource:
 def open_las(path: Path, layout: Layout | None) -> LasSource:
     """Open a LAS or LAZ file, which no layout describes."""
     return LasSource(path)
+
+
+def classes_by_laspy(path: Path) -> dict[int, int]:
+    """Read a LAS or LAZ file with the reader of laspy, which ours does not use."""
+    # imported here: costs 20 MiB and a tenth of a second
+    import laspy
+
+    try:
+        points = laspy.read(path)
+    except Exception as error:  # laspy raises errors of its own, and any others on damaged files
+        raise OutputError(str(path), f"laspy does not read it ({error})", "report it, with laspy's version") from error
+    counts = count_bytes(np.ascontiguousarray(points.classification, np.uint8))
+    return {int(code): int(counts[code]) for code in np.flatnonzero(counts)}

@@ -1,12 +1,17 @@
-"""Writes classes into a copy of a LAS or LAZ file; nothing else changes except as ``[output]`` asks."""
+"""Writes LAS or LAZ files again with other classes, or with some of their records; all other bytes stay the same.
+
+Header, VLRs, user bytes, points and what follows them are copied in order. Only the points change, and with them the
+offsets in the header; where records are left out, its counts and bounds too; and what ``[output]`` asks for.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,41 +19,368 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import output_errors
-from prc_cli.core.types import I64, U8
-from prc_cli.formats.las import SUFFIXES
+from prc_cli.core.types import I64, U8, Mask
+from prc_cli.formats.las import LAZ, SUFFIXES
 from prc_cli.formats.las.build import LasBuilder
-from prc_cli.formats.las.copc import Copc, find_copc, move_index, splice_copc
-from prc_cli.formats.las.copy import (
-    COPC_USER,
-    Plan,
-    Seen,
-    check_compressed,
-    check_copied,
-    has_waveform_file,
-    read_las,
-    with_laszip,
-    with_record,
-    write_again,
+from prc_cli.formats.las.header import (
+    COMPRESSED,
+    LASZIP_KEY,
+    RECORD_KEY,
+    STANDARD_HEADER,
+    WKT_BIT,
+    HeaderFields,
+    LasHeader,
+    Source,
+    Vlr,
+    damaged,
+    open_source,
+    read_header,
+    standard_bytes,
 )
-from prc_cli.formats.las.crs import with_wkt
-from prc_cli.formats.las.header import RECORD_KEY, HeaderFields, LasHeader, Source, Vlr, open_source, standard_bytes
-from prc_cli.formats.las.laz import read_records
-from prc_cli.formats.las.lookup import with_lookup
+from prc_cli.formats.las.laz import (
+    LasSink,
+    LazRecords,
+    LazSink,
+    PointSink,
+    Target,
+    batch_records,
+    has_variable_chunks,
+    laszip_vlr,
+    read_records,
+    tail_bounds,
+)
 from prc_cli.formats.las.points import (
     FORMAT_FOR_CODES,
     append_bytes,
-    count_returns,
     data_type_of,
     read_layout,
     set_classes,
     upgrade,
     with_extra_dimensions,
 )
-from prc_cli.formats.las.sinks import PointSink, Target, batch_records, crc
-from prc_cli.formats.las.splice import find_chunks, splice_classes, splice_records
+from prc_cli.formats.las.splice import COPC_USER, find_chunks, move_index, splice_classes
+from prc_cli.formats.las.vlrs import with_lookup, with_record, with_wkt
 from prc_cli.formats.writing.base import Columns, ScatterWriter, StagedWriter
-from prc_cli.formats.writing.columns import FIVE_BIT_LIMIT, OPTIONAL_COLUMNS, LabelOutput, asked_columns
+from prc_cli.formats.writing.columns import (
+    FIVE_BIT_LIMIT,
+    OPTIONAL_COLUMNS,
+    LabelOutput,
+    OptionalColumn,
+    asked_columns,
+)
 from prc_cli.formats.writing.record import RunRecord
+
+Masks: TypeAlias = Callable[[int], Iterator[Mask]]
+"""Called with a batch size; yields a mask of the records to keep for every batch of the input; where they end, no
+further record is read."""
+CARRIED = tuple(column.name for column in OPTIONAL_COLUMNS)
+"""Dimensions of this program that can be written along with the class."""
+_COPY_BYTES = 4 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Differences between an output and its input."""
+
+    las: LasHeader
+    """The input."""
+    point_format: int
+    """Point format written."""
+    compress: bool
+    """LAZ."""
+    is_part: bool = False
+    """Whether records are left out."""
+    appended: tuple[OptionalColumn, ...] = ()
+    """Columns appended to every record, in order."""
+    replaced: tuple[tuple[OptionalColumn, int], ...] = ()
+    """Columns present in the records whose values are replaced, each with its first byte."""
+
+    @property
+    def n_appended(self) -> int:
+        """Bytes appended to every record."""
+        return sum(column.dtype.itemsize for column in self.appended)
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether the compressed records are read back and compared: waveform packets are sometimes damaged."""
+        return self.compress and self.point_format in (9, 10)
+
+    @property
+    def upgrades(self) -> bool:
+        """Whether the point format changes."""
+        return self.point_format != self.las.point_format
+
+    @property
+    def only_classes(self) -> bool:
+        """Whether only the classes change, in the same point format."""
+        changed = self.appended or self.replaced or self.upgrades or self.is_part
+        return not changed and self.compress == self.las.compressed
+
+    @property
+    def batch(self) -> int:
+        """Records per batch."""
+        return batch_records(self.las, compressed=self.las.compressed or self.compress)
+
+
+def read_las(path: Path) -> LasHeader:
+    """Read header, VLRs and EVLRs of a LAS or LAZ file with their positions, and check its chunk table."""
+    las = read_header(path)
+    if las.compressed:
+        with open_source(path) as source:
+            LazRecords(source, las)
+    return las
+
+
+def check_copied(las: LasHeader) -> None:
+    """Refuse points that cannot be copied as bytes."""
+    if any(vlr.user_id == "lascompatible" for vlr in las.vlrs):
+        problem = "found LAS 1.4 points in LASzip's compatibility mode, whose classes lie in extra bytes"
+        raise InputError(str(las.path), problem, "write it again as plain LAS 1.4, e.g. with las2las or PDAL")
+
+
+def copy_las(
+    las: LasHeader, output: Path, temporary: Path, masks: Masks | None = None, record: RunRecord | None = None
+) -> tuple[str, ...]:
+    """Write a LAS or LAZ file again under a temporary name, with the records of the masks; return notices."""
+    plan = Plan(las, las.point_format, output.suffix.lower() == LAZ, is_part=masks is not None)
+    notices: list[str] = []
+    vlrs = _planned_vlrs(plan, notices.append)
+    drop = (COPC_USER,) if record is None else (COPC_USER, RECORD_KEY[0])
+    points = _Points(plan)
+
+    def write_points(source: Source, target: Target, sink: Callable[[], PointSink]) -> None:
+        with contextlib.closing(read_records(source, las, plan.batch)) as batches:
+            # the masks first: where they end, no further batch is decoded
+            pairs = (
+                ((None, each) for each in batches) if masks is None else zip(masks(plan.batch), batches, strict=False)
+            )
+            points.write(sink(), (batch if mask is None else batch[mask] for mask, batch in pairs))
+
+    _write_again(plan, vlrs if record is None else with_record(vlrs, record), temporary, write_points, points, drop)
+    points.check(temporary, output)
+    return tuple(notices)
+
+
+def _planned_vlrs(plan: Plan, notice: Callable[[str], None], *, keeps_index: bool = False) -> list[Vlr]:
+    """Return the VLRs of an output, still with the old run record, and say what is unusual about them."""
+    las, vlrs = plan.las, list(plan.las.vlrs)
+    if keeps_index:
+        return vlrs
+    if any(vlr.user_id == COPC_USER for vlr in vlrs):
+        notice("the COPC index does not fit the rewritten chunks and was left out: the output is plain LAS/LAZ")
+        vlrs = [vlr for vlr in vlrs if vlr.user_id != COPC_USER]
+    options = dict.fromkeys(column.option for column in plan.appended)
+    hint = "set [output] " + " and ".join(f"{option} = false" for option in options)
+    vlrs = with_extra_dimensions(las, vlrs, [column.dimension for column in plan.appended], hint)
+    if plan.upgrades:
+        vlrs, told = with_wkt(vlrs, plan.point_format)
+        if told:
+            notice(told)
+    fields = las.fields()
+    if fields.get("global_encoding") & 4 and fields.has("waveform_start"):
+        name = f"{las.path.stem}.wdp"
+        notice(f"waveforms lie in a file of their own beside the input; copy {name} beside the output")
+    if not plan.compress:
+        return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)]
+    same = not plan.upgrades and not plan.appended
+    new, old = laszip_vlr(las, plan.point_format, las.n_extra_bytes + plan.n_appended, keep=same), las.vlr(LASZIP_KEY)
+    if old is None or old.data is None:
+        return [*vlrs, new]
+    if has_variable_chunks(old.data):
+        notice("compressed chunks of differing length were written as chunks of equal length")
+    elif same and new.data != old.data:
+        text = "the points were compressed with a version of laszip's items that is not written"
+        notice(f"{text}; the usual one is used")
+    return [new if vlr.has(LASZIP_KEY) else vlr for vlr in vlrs]
+
+
+class _Points:
+    """Writes records, and collects counts, bounds and checksum for the header and the check."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._checksum = 0
+        self._n = 0
+        self._by_return = np.zeros(16, np.int64)
+        self._low = np.full(3, np.iinfo(np.int64).max)
+        self._high = np.full(3, np.iinfo(np.int64).min)
+
+    def write(self, sink: PointSink, batches: Iterable[U8]) -> None:
+        """Write all records of batches, (n, bytes) uint8."""
+        for records in batches:
+            if not len(records):
+                continue
+            if self._plan.is_part or self._plan.upgrades:
+                self._n += len(records)
+                number = records[:, 14] & (0x0F if self._plan.point_format >= 6 else 0x07)
+                self._by_return += np.bincount(number, minlength=16)
+            if self._plan.is_part:
+                xyz = np.ascontiguousarray(records[:, :12]).view("<i4")
+                self._low = np.minimum(self._low, xyz.min(axis=0))
+                self._high = np.maximum(self._high, xyz.max(axis=0))
+            if self._plan.is_checked:
+                self._checksum = zlib.crc32(np.ascontiguousarray(records).data, self._checksum)
+            sink.write(records)
+        sink.close()
+
+    def finish(self, fields: HeaderFields) -> None:
+        """Set counts, and bounds of a part, in a header; legacy counts that are zero in the input stay zero."""
+        plan = self._plan
+        if not plan.is_part and not plan.upgrades:
+            return
+        if fields.get("legacy_n_points"):
+            fields.set("legacy_n_points", self._n)
+            fields.set("legacy_by_return", *self._by_return[1:6].tolist())
+        if fields.has("n_points"):
+            fields.set("n_points", self._n)
+            fields.set("by_return", *self._by_return[1:].tolist())
+        if plan.is_part and self._n:
+            scale, offset = np.array(plan.las.scales), np.array(plan.las.offsets)
+            bounds = np.stack([self._high * scale + offset, self._low * scale + offset], axis=1)
+            fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
+
+    def check(self, written: Path, output: Path) -> None:
+        """Decompress what was written and compare its CRC-32, where it has waveform packets (formats 9 and 10).
+
+        Version 3 of laszip's coder damages those of several scanner channels (seen with lazrs 0.8.2).
+        """
+        if not self._plan.is_checked:
+            return
+        las, found = read_header(written), 0
+        with open_source(written) as source:
+            for records in read_records(source, las, self._plan.batch):
+                found = zlib.crc32(np.ascontiguousarray(records).data, found)
+        if found != self._checksum:
+            form = self._plan.point_format
+            problem = f"LAZ does not hold the waveform packets of these point format {form} records unchanged"
+            raise OutputError(str(output), problem, "write .las instead of .laz")
+
+
+def _write_again(
+    plan: Plan,
+    vlrs: list[Vlr],
+    temporary: Path,
+    write_points: Callable[[Source, Target, Callable[[], PointSink]], None],
+    points: _Points,
+    drop: tuple[str, ...],
+) -> Tail:
+    """Copy a file: header, VLRs and user bytes, points, what follows them, and the final header."""
+    las = plan.las
+    with open_source(las.path) as source, temporary.open("w+b") as writing:
+        target = Target(writing)
+        fields = _new_fields(plan, vlrs)
+        target.write(fields.data)
+        for vlr in vlrs:
+            target.write(vlr.raw)
+        _copy_bytes(source, target, las.vlr_end, las.data_offset)
+
+        def open_sink() -> PointSink:
+            if not plan.compress:
+                return LasSink(target)
+            return LazSink(target, next(vlr.data or b"" for vlr in vlrs if vlr.has(LASZIP_KEY)))
+
+        write_points(source, target, open_sink)
+        tail = plan_tail(las, tail_bounds(source, las), target.tell(), drop=drop)
+        for start, stop in tail.spans:
+            _copy_bytes(source, target, start, stop)
+        _set_tail(fields, las, tail)
+        points.finish(fields)
+        target.seek(0)
+        target.write(fields.data)
+        target.flush()
+    return tail
+
+
+def _copy_bytes(source: Source, target: Target, start: int, stop: int) -> None:
+    source.seek(start)
+    for at in range(start, stop, _COPY_BYTES):
+        target.write(source.exact(min(_COPY_BYTES, stop - at), "the file"))
+
+
+def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
+    """Return the header with the changes of the plan; the offsets behind the points are set later."""
+    las, fields = plan.las, plan.las.fields()
+    if plan.upgrades:
+        minor = fields.data[25]
+        if minor < 4:
+            # user bytes at its end stay there
+            standard = STANDARD_HEADER[minor]
+            fields = HeaderFields(las.raw[:standard] + bytes(375 - standard) + las.raw[standard:])
+            fields.data[25] = 4
+            fields.set("header_size", len(fields.data))
+        fields.set("legacy_n_points", 0)
+        fields.set("legacy_by_return", 0, 0, 0, 0, 0)
+        fields.set("global_encoding", fields.get("global_encoding") | WKT_BIT)
+    if plan.upgrades or plan.compress != las.compressed:
+        fields.set("point_format", plan.point_format | (COMPRESSED if plan.compress else 0))
+    added = standard_bytes(plan.point_format) - standard_bytes(las.point_format) + plan.n_appended
+    fields.set("record_length", las.record_bytes + added)
+    fields.set("n_vlrs", len(vlrs))
+    offset = len(fields.data) + sum(len(vlr.raw) for vlr in vlrs) + las.data_offset - las.vlr_end
+    if offset >= 1 << 32:
+        raise OutputError(str(las.path), f"points would begin at byte {offset}, LAS allows 4294967295")
+    fields.set("point_offset", offset)
+    return fields
+
+
+@dataclass(frozen=True, slots=True)
+class Tail:
+    """Spans of the input that follow the points of the output."""
+
+    spans: tuple[tuple[int, int], ...]
+    """First byte and end of every copied span of the input, in order."""
+    start: int
+    """First byte behind the points of the output."""
+    evlr_start: int
+    """First EVLR of the output; 0 = none."""
+    n_evlrs: int
+    """EVLRs of the output."""
+
+    def moved(self, position: int) -> int:
+        """Return where a byte of the input lies in the output; the same number where it is not copied.
+
+        >>> Tail(((100, 120), (150, 160)), 300, 0, 0).moved(155)
+        325
+        """
+        at = self.start
+        for first, stop in self.spans:
+            if first <= position < stop:
+                return at + position - first
+            at += stop - first
+        return position
+
+
+def plan_tail(las: LasHeader, bounds: tuple[int, int], start: int, drop: tuple[str, ...]) -> Tail:
+    """Plan the copy of everything behind the points, without the EVLRs of some user ids."""
+    cursor, end = bounds
+    if las.evlrs and las.evlrs[0].start < cursor:
+        problem = f"found the first EVLR at byte {las.evlrs[0].start}, expected it behind the points (byte {cursor})"
+        raise damaged(las.path, 235, problem)
+    spans: list[tuple[int, int]] = []
+    kept = [evlr for evlr in las.evlrs if evlr.user_id not in drop]
+    for evlr in las.evlrs:
+        if evlr.user_id in drop:
+            spans.append((cursor, evlr.start))
+            cursor = evlr.stop
+    spans.append((cursor, max(cursor, end)))
+    tail = Tail(tuple((first, stop) for first, stop in spans if first < stop), start, 0, len(kept))
+    return replace(tail, evlr_start=tail.moved(kept[0].start) if kept else 0)
+
+
+def _set_tail(fields: HeaderFields, las: LasHeader, tail: Tail) -> None:
+    """Set the header fields that point behind the points."""
+    before = las.fields()
+    if fields.has("waveform_start") and before.get("waveform_start"):
+        fields.set("waveform_start", tail.moved(before.get("waveform_start")))
+    if not fields.has("evlr_start"):
+        return
+    if before.has("evlr_start"):
+        fields.set("evlr_start", tail.evlr_start if tail.n_evlrs or las.evlrs else before.get("evlr_start"))
+        fields.set("n_evlrs", tail.n_evlrs)
+    elif fields.get("waveform_start") and fields.get("global_encoding") & 2:
+        # LAS 1.3 has its waveforms in an EVLR, but only LAS 1.4 has a count of EVLRs
+        fields.set("evlr_start", fields.get("waveform_start"))
+        fields.set("n_evlrs", 1)
 
 
 class LasRewriter(ScatterWriter):
@@ -61,7 +393,7 @@ class LasRewriter(ScatterWriter):
         self._state = self._source_state()
         self._las = read_las(labels.source)
         super().__init__(labels, asked_columns(labels.options), self._las.n_records)
-        self._compress = labels.path.suffix.lower() == ".laz"
+        self._compress = labels.path.suffix.lower() == LAZ
 
     def _source_state(self) -> tuple[int, int, int, int]:
         """Size, times of the last change and number of the input file: if one differs, the file has changed."""
@@ -73,41 +405,50 @@ class LasRewriter(ScatterWriter):
         if (las.raw, las.vlrs, las.evlrs, las.file_bytes) != (before.raw, before.vlrs, before.evlrs, before.file_bytes):
             problem = "found another header than at the start of the run, expected the same file"
             raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
+        check_copied(las)
         for columns in self._columns(las.n_records):
             self._count(columns.codes)
         plan = self._plan(las)
-        copc = self._copc(las, plan)
-        vlrs = self._vlrs(las, plan, keeps_index=copc is not None)
+        with open_source(self._source_path) as source:
+            splice = find_chunks(source, las) if plan.only_classes else None
+        is_copc = splice is not None and bool(splice.pages)
+        vlrs = _planned_vlrs(plan, self._notice, keeps_index=is_copc)
+        if not is_copc:
+            vlrs, notices = with_lookup(las, vlrs, self._user_names)
+            for notice in notices:
+                self._notice(notice)
         record = self._completed(record)
-        points = _Points(las, plan, is_part=self._is_part)
-
+        points = _Points(plan)
         moved: dict[int, tuple[int, int]] = {}
 
         def write_points(source: Source, target: Target, open_sink: Callable[[], PointSink]) -> None:
-            if copc is not None:
-                n = batch_records(las, compressed=True)
-                codes = (columns.codes for columns in self._columns(las.n_records, n))
-                moved.update(splice_copc(source, target, copc, codes, self._laz_contexts))
+            values = self._columns(las.n_records, plan.batch)
+            if splice is not None:
+                codes = (columns.codes for columns in values)
+                moved.update(splice_classes(source, target, splice, codes, self._laz_contexts))
                 return
-            chunks = find_chunks(source, las) if plan.only_classes(las) and not self._is_part else None
-            if chunks is None:
-                n = batch_records(las, compressed=las.compressed or plan.compress)
-                points.write(source, open_sink(), n, self._columns(las.n_records, n))
-                return
-            codes = (columns.codes for columns in self._columns(las.n_records, splice_records(chunks)))
-            splice_classes(source, target, chunks, codes, self._laz_contexts)
+            with contextlib.closing(read_records(source, las, plan.batch)) as batches:
+                points.write(open_sink(), self._changed(plan, values, batches))
 
-        drop = (RECORD_KEY[0],) if copc is not None else (RECORD_KEY[0], COPC_USER)
-        write_again(las, plan, with_record(vlrs, record), self._temporary, write_points, points.finish, drop)
-        if copc is not None:
-            with open_source(self._source_path) as source:
-                move_index(self._temporary, source, copc, moved)
-        if plan.is_checked:
-            check_compressed(self._temporary, self.path, points.checksum)
+        drop = (RECORD_KEY[0],) if is_copc else (RECORD_KEY[0], COPC_USER)
+        tail = _write_again(plan, with_record(vlrs, record), self._temporary, write_points, points, drop)
+        if splice is not None and is_copc:
+            place = {at: tail.moved(at) for at, _ in splice.pages}
+            move_index(self._temporary, las, splice, moved, place)
+        points.check(self._temporary, self.path)
         if self._source_state() != self._state:
             problem = "changed while it was read"
             raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
         return record
+
+    def _changed(self, plan: Plan, values: Iterator[Columns], batches: Iterator[U8]) -> Iterator[U8]:
+        """Yield the records of the output; of a part, read no farther than to the last of them."""
+        # the columns first: where they end, no further batch is decoded
+        for k, (columns, records) in enumerate(zip(values, batches, strict=not plan.is_part)):
+            if plan.is_part:
+                records = records[columns.record - k * plan.batch]
+            if len(records):
+                yield changed(records, columns, plan)
 
     def _plan(self, las: LasHeader) -> Plan:
         used = np.flatnonzero(self._counts)
@@ -133,101 +474,18 @@ class LasRewriter(ScatterWriter):
             else:
                 self._notice(f"the input has {column.name} already; its values were replaced")
                 replaced.append((column, found.place + moved))
-        plan = Plan(form, self._compress, tuple(appended), tuple(replaced))
+        plan = Plan(las, form, self._compress, self._is_part, tuple(appended), tuple(replaced))
         length = las.record_bytes + moved + plan.n_appended
         if length > 65_535:
-            raise OutputError(
-                str(las.path), f"records would take {length} bytes, LAS allows 65535", "add no extra bytes"
-            )
+            problem = f"records would take {length} bytes, LAS allows 65535"
+            raise OutputError(str(las.path), problem, "add no extra bytes")
         return plan
 
-    def _copc(self, las: LasHeader, plan: Plan) -> Copc | None:
-        """Return the index of a COPC input that the output keeps."""
-        if self._is_part or not plan.only_classes(las) or not any(vlr.user_id == COPC_USER for vlr in las.vlrs):
-            return None
-        with open_source(self._source_path) as source:
-            return find_copc(source, las)
 
-    def _vlrs(self, las: LasHeader, plan: Plan, *, keeps_index: bool) -> list[Vlr]:
-        """VLRs of the output, still with the old run record."""
-        vlrs = list(las.vlrs)
-        if keeps_index:
-            check_copied(las)
-            return vlrs
-        if any(vlr.user_id == COPC_USER for vlr in vlrs):
-            self._notice(
-                "the COPC index does not fit the rewritten chunks and was left out: the output is plain LAS/LAZ"
-            )
-            vlrs = [vlr for vlr in vlrs if vlr.user_id != COPC_USER]
-        check_copied(las)
-        options = dict.fromkeys(column.option for column in plan.appended)
-        hint = "set [output] " + " and ".join(f"{option} = false" for option in options)
-        vlrs = with_extra_dimensions(las, vlrs, [column.dimension for column in plan.appended], hint)
-        if plan.upgrades(las):
-            vlrs, notice = with_wkt(vlrs, plan.point_format)
-            if notice:
-                self._notice(notice)
-        if has_waveform_file(las):
-            self._notice(
-                f"waveforms lie in a file of their own beside the input; copy {las.path.stem}.wdp beside the output"
-            )
-        vlrs, notice = with_laszip(las, plan, vlrs)
-        if notice:
-            self._notice(notice)
-        vlrs, notices = with_lookup(las, vlrs, self._user_names)
-        for notice in notices:
-            self._notice(notice)
-        return vlrs
-
-
-class _Points:
-    """Writes every record with its class, and collects counts and checksum for the header and the check."""
-
-    def __init__(self, las: LasHeader, plan: Plan, *, is_part: bool = False) -> None:
-        self._las = las
-        self._plan = plan
-        self.checksum = 0
-        self._is_part = is_part
-        self._seen = Seen(replace(las, point_format=plan.point_format), is_part)
-        self._returns = np.zeros(15, np.int64)
-
-    def write(self, source: Source, sink: PointSink, n: int, columns: Iterator[Columns]) -> None:
-        """Write all records, ``n`` at a time; of a part, those of its records."""
-        with contextlib.closing(read_records(source, self._las, n)) as batches:
-            pairs = _of_part(batches, columns, n) if self._is_part else zip(batches, columns, strict=True)
-            for old, values in pairs:
-                records = changed(old, values, self._las, self._plan)
-                if self._is_part:
-                    self._seen.see(records)
-                if self._plan.upgrades(self._las):
-                    self._returns += count_returns(records)
-                if self._plan.is_checked:
-                    self.checksum = crc(records, self.checksum)
-                sink.write(records)
-        sink.close()
-
-    def finish(self, fields: HeaderFields) -> None:
-        """Set the counts of a header that was of an older version, or of a part; and the bounds of a part."""
-        if self._is_part:
-            self._seen.set_counts(fields)
-            return
-        if self._plan.upgrades(self._las):
-            fields.set("n_points", self._las.n_records)
-            fields.set("by_return", *self._returns.tolist())
-
-
-def _of_part(batches: Iterator[U8], columns: Iterator[Columns], n: int) -> Iterator[tuple[U8, Columns]]:
-    """Yield the records of a part with their values, and read no farther than to the last of them."""
-    # the columns first: where they end, no further batch is decoded
-    for k, (values, old) in enumerate(zip(columns, batches, strict=False)):
-        if len(values.record):
-            yield old[values.record - k * n], values
-
-
-def changed(records: U8, columns: Columns, las: LasHeader, plan: Plan) -> U8:
+def changed(records: U8, columns: Columns, plan: Plan) -> U8:
     """Return records as the output holds them; may change the given ones in place."""
-    if plan.upgrades(las):
-        records = upgrade(records, las.point_format)
+    if plan.upgrades:
+        records = upgrade(records, plan.las.point_format)
     set_classes(records, plan.point_format, columns.codes)
     for column, at in plan.replaced:
         values = columns.values[column.name].view(np.uint8).reshape(len(records), -1)
@@ -235,10 +493,6 @@ def changed(records: U8, columns: Columns, las: LasHeader, plan: Plan) -> U8:
     if plan.appended:
         records = append_bytes(records, [columns.values[column.name] for column in plan.appended])
     return records
-
-
-CARRIED = tuple(column.name for column in OPTIONAL_COLUMNS)
-"""Dimensions of this program that can be written along with the class."""
 
 
 class LasRecoder(LasRewriter):

@@ -1,10 +1,13 @@
-"""Replaces the classes in LAZ chunks of point formats 6-8 without recompressing other layers.
+"""Replaces the classes in LAZ chunks of point formats 6-8 without recompressing other layers; COPC stays COPC.
 
 A layered chunk of LASzip holds its first record uncompressed, the number of records, the size of every layer and the
 layers, each with its own arithmetic coder (Isenburg 2013; the ASPRS LAZ specification 1.4, sections on POINT14). The
-layer of classes depends only on the classes, the return numbers and the scanner channels, so records that are zero
-elsewhere give the same layer. lazrs compresses such records; their layer replaces the old one, all other bytes are
-copied. So that no damage is copied with them, every layer is decoded once before, by the reader or here.
+layer of classes depends only on the classes, the return numbers and the scanner channels (the context), so records that
+are zero elsewhere give the same layer. lazrs compresses such records; their layer replaces the old one, all other bytes
+are copied. So that no damage is copied with them, every layer is decoded once before, by the reader or here.
+
+A COPC file (COPC 1.0: hobu, 2021) is LAZ with a chunk for every node of an octree; the index names the first byte and
+the length of every chunk, which change; nothing else does.
 """
 
 from __future__ import annotations
@@ -12,7 +15,11 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
-from collections.abc import Generator, Iterator
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import repeat
+from pathlib import Path
 
 import lazrs
 import numpy as np
@@ -20,61 +27,201 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import ClassContexts
 from prc_cli.core.types import U8
-from prc_cli.formats.las.contexts import contexts_of, records_of
 from prc_cli.formats.las.header import DAMAGED, LasHeader, Source, open_source, standard_bytes
-from prc_cli.formats.las.laz import CHUNK_SIZE_AT, ITEMS_AT, LazRecords, chunk_head, decoding
-from prc_cli.formats.las.sinks import (
+from prc_cli.formats.las.laz import (
+    LARGE_CHUNK_BYTES,
+    LazRecords,
     Target,
     batch_records,
-    codec_errors,
-    has_variable_chunks,
-    large_chunks,
-    new_laszip_payload,
+    chunk_head,
+    encoding,
+    new_laszip,
+    recut,
+    with_chunk_size,
 )
 
 _POINT_FORMATS = (6, 7, 8)
 _CLASS_LAYER = 2
 """Index of the layer of classes: behind x and y with returns and channel, and z."""
-CLASS_AT = 16
+_RETURNS_AT, _CHANNEL_AT, _CLASS_AT = 14, 15, 16
+_ONLY = 4
+"""Bit of a context: single return; the two bits below hold the channel."""
+KEPT_BYTES = 32 << 20
+"""Memory limit for contexts that differ from record to record."""
+COPC_USER = "copc"
+_COPC_KEY, _HIERARCHY_KEY = (COPC_USER, 1), (COPC_USER, 1000)
+_INFO_BYTES = 160
+_ROOT_AT = 40
+"""Byte of the root page's position and length in the info record."""
+_INFO_OFFSET = 375 + 54
+"""Where the content of the info record must lie."""
+_ENTRY = struct.Struct("<4iQii")
+"""Level and place of a node, position, length, and number of points, -1 = another page."""
 
 
-def find_chunks(source: Source, las: LasHeader) -> LazRecords | None:
+def contexts_of(records: U8) -> U8:
+    """Return the contexts of raw records.
+
+    Return 1 of 1 in channel 2, return 1 of 3 in channel 0:
+
+    >>> records = np.zeros((2, 30), np.uint8)
+    >>> records[:, 14], records[:, 15] = (0x11, 0x31), (0x20, 0x00)
+    >>> contexts_of(records)
+    array([6, 0], dtype=uint8)
+    """
+    # return 1 of at most 1
+    only = (records[:, _RETURNS_AT] & np.uint8(0xEF)) == 1
+    channel = (records[:, _CHANNEL_AT] >> np.uint8(4)) & np.uint8(3)
+    contexts: U8 = channel | (only.view(np.uint8) << np.uint8(2))
+    return contexts
+
+
+def records_of(contexts: U8) -> U8:
+    """Return raw records of point format 6 with these contexts, else zero; the inverse of :func:`contexts_of`."""
+    records = np.zeros((len(contexts), standard_bytes(6)), np.uint8)
+    records[:, _RETURNS_AT] = np.where(contexts & _ONLY, 0x11, 0x21)
+    records[:, _CHANNEL_AT] = (contexts & 3) << np.uint8(4)
+    return records
+
+
+class LazContexts:
+    """Contexts of the records of one file, from the first record on, as far as read and within the memory limit.
+
+    They are known once a file was decoded for its ranges; keeping them saves the writer a second decompression of
+    coordinates and returns, the slowest layer. Nobody takes them before reading has finished.
+
+    >>> kept = LazContexts()
+    >>> kept.see(0, np.array([4, 4, 4], np.uint8))
+    >>> kept.see(3, np.array([4, 0, 1], np.uint8))
+    >>> kept.see(0, np.array([7], np.uint8))  # read a second time
+    >>> kept.n_seen, list(kept.take(4))
+    (6, [array([4, 4, 4, 4], dtype=uint8), array([0, 1], dtype=uint8)])
+    """
+
+    def __init__(self) -> None:
+        self.n_seen = 0
+        self.n_checked = 0
+        """Records of which every layer was decoded, from the first one."""
+        self._parts: list[U8] = []
+        self._n_bytes = 0
+        self._lock = threading.Lock()
+
+    def see(self, first: int, contexts: U8) -> None:
+        """Keep the contexts of records that follow those seen so far; others are ignored."""
+        if not np.any(contexts != contexts[:1]):
+            contexts = np.broadcast_to(contexts[:1].copy(), contexts.shape)  # one byte of memory
+        n_bytes = len(contexts) * contexts.strides[0]
+        with self._lock:
+            if first == self.n_seen and self._n_bytes + n_bytes <= KEPT_BYTES:
+                self._parts.append(contexts)
+                self._n_bytes += n_bytes
+                self.n_seen += len(contexts)
+
+    def check(self, first: int, n: int) -> None:
+        """Note that every layer of ``n`` records could be decoded; only those that follow the last ones count."""
+        with self._lock:
+            if first == self.n_checked:
+                self.n_checked += n
+
+    def take(self, n: int) -> Iterator[U8]:
+        """Yield the contexts kept, ``n`` at a time, fewer at the end."""
+        yield from recut(self._parts, repeat(n))
+
+
+@dataclass(frozen=True, slots=True)
+class Splice:
+    """A file whose classes can be replaced."""
+
+    chunks: LazRecords
+    pages: tuple[tuple[int, int], ...] = ()
+    """COPC: position in the file and length of every page of the hierarchy, the root first."""
+
+
+def find_chunks(source: Source, las: LasHeader) -> Splice | None:
     """Return the chunks of a file if their classes can be replaced, else None.
 
-    None where the file is not LAZ of point format 6-8, chunks differ in length or are large, the laszip VLR is unusual,
-    or chunk table, heads of chunks and header contradict each other.
+    None where the file is not LAZ of point format 6-8, chunks are large or differ in length without a COPC index, the
+    laszip VLR is unusual, or chunk table, heads of chunks, index and header contradict each other.
     """
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
-    records = LazRecords(source, las)
-    found, usual = records.vlr_data, new_laszip_payload(las.path, las.point_format, las.n_extra_bytes)
-    # the compressor (layered chunks) and the items with their versions
-    if has_variable_chunks(found) or found[:2] != usual[:2] or found[ITEMS_AT:] != usual[ITEMS_AT:]:
+    chunks = LazRecords(source, las)
+    if not chunks.is_usual() or chunks.table.n_unread or chunks.largest * las.record_bytes > LARGE_CHUNK_BYTES:
         return None
-    n_chunks, n = len(records.table.first_byte) - 1, records.vlr.chunk_size()
-    if large_chunks(records.vlr) or records.table.n_unread or n_chunks != -(-las.n_records // n):
+    if list(chunks.heads(source, 0, chunks.n_chunks)) != list(map(tuple, chunks.sizes().tolist())):
         return None
-    sizes = zip(np.diff(records.table.first_record), np.diff(records.table.first_byte), strict=True)
-    return records if list(records.heads(source, 0, n_chunks)) == list(sizes) else None
+    if not chunks.vlr.uses_variable_size_chunks():
+        return Splice(chunks)
+    pages = _find_pages(source, las)
+    return Splice(chunks, pages) if pages and _names_chunks(source, pages, chunks) else None
+
+
+def _find_pages(source: Source, las: LasHeader) -> tuple[tuple[int, int], ...]:
+    """Return all pages of a COPC index; none if there is no index, or one lies outside it, is cut, or comes twice."""
+    info, hierarchy = las.vlr(_COPC_KEY), [evlr for evlr in las.evlrs if evlr.has(_HIERARCHY_KEY)]
+    if info is None or info.data is None or len(info.data) != _INFO_BYTES or las.vlrs[0] is not info:
+        return ()
+    at, size = struct.unpack_from("<QQ", info.data, _ROOT_AT)
+    pages, seen, n_bytes = [(int(at), int(size))], {at}, 0
+    for at, size in pages:
+        n_bytes += size
+        # pages that share bytes would be more than the records hold
+        is_sound = size > 0 and size % _ENTRY.size == 0 and n_bytes <= sum(evlr.n_bytes for evlr in hierarchy)
+        if not is_sound or not any(evlr.start + len(evlr.head) <= at and at + size <= evlr.stop for evlr in hierarchy):
+            return ()
+        more = [(entry[4], entry[5]) for entry in _entries(source, at, size) if entry[6] == -1]
+        for offset, _ in more:
+            if offset in seen:
+                return ()
+            seen.add(offset)
+        pages += more
+    return tuple(pages)
+
+
+def _entries(source: Source, at: int, size: int) -> Iterator[tuple[int, ...]]:
+    source.seek(at)
+    yield from _ENTRY.iter_unpack(source.exact(size, "the COPC hierarchy"))
+
+
+def _names_chunks(source: Source, pages: Iterable[tuple[int, int]], chunks: LazRecords) -> bool:
+    """Whether the nodes with points are the chunks, each once."""
+    places = zip(chunks.table.first_byte.tolist(), chunks.sizes().tolist(), strict=False)
+    wanted = sorted((first, length, n) for first, (n, length) in places)
+    nodes = (entry[4:] for at, size in pages for entry in _entries(source, at, size))
+    return sorted(node for node in nodes if node[2] > 0) == wanted
 
 
 def splice_classes(
-    source: Source, target: Target, chunks: LazRecords, codes: Iterator[U8], kept: ClassContexts | None = None
-) -> None:
-    """Write all chunks with new classes, and their table; the target is then positioned behind it."""
-    n, n_chunk = splice_records(chunks), chunks.vlr.chunk_size()
-    with chunk_table(target, chunks.vlr) as table, contextlib.closing(_contexts(chunks, n, kept)) as contexts:
-        for batch, (context, new) in enumerate(zip(contexts, codes, strict=True)):
-            records = records_of(context, standard_bytes(6))
-            records[:, CLASS_AT] = new
-            first = batch * (n // n_chunk)
-            for chunk, layer in enumerate(class_layers(target, n_chunk, records), start=first):
-                code = int(new[(chunk - first) * n_chunk])
-                table.append((n_chunk, write_chunk(source, target, chunks, chunk, layer, code)))
+    source: Source, target: Target, splice: Splice, codes: Iterator[U8], kept: ClassContexts | None = None
+) -> dict[int, tuple[int, int]]:
+    """Write all chunks with new classes, and their table; the target is then positioned behind it.
+
+    Returns the new position and length of every chunk by its old position.
+    """
+    chunks = splice.chunks
+    sizes, places = chunks.sizes()[:, 0].tolist(), chunks.table.first_byte.tolist()
+    # some chunks per core where they are equal
+    n = 1 if splice.pages else max(1, batch_records(chunks.header, compressed=True) // sizes[0])
+    groups = [sizes[first : first + n] for first in range(0, len(sizes), n)]
+    totals = [sum(group) for group in groups]
+    moved: dict[int, tuple[int, int]] = {}
+    with (
+        _chunk_table(target, chunks.vlr) as table,
+        contextlib.closing(recut(_contexts(chunks, kept), totals)) as contexts,
+    ):
+        for group, context, new in zip(groups, contexts, recut(codes, totals), strict=True):
+            records = records_of(context)
+            records[:, _CLASS_AT] = new
+            layers = _class_layers(target, group[0], records)
+            for n_records, layer, first in zip(group, layers, range(0, len(new), group[0]), strict=True):
+                at, chunk = target.tell(), len(table)
+                table.append((n_records, _write_chunk(source, target, chunks, chunk, layer, int(new[first]))))
+                moved[places[chunk]] = (at, table[-1][1])
+    return moved
 
 
 @contextlib.contextmanager
-def chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, int]]]:
+def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, int]]]:
     """Leave room for the position of the chunk table, and write the table behind the chunks.
 
     Gives the table to fill: records and bytes of every chunk. The target is then positioned behind it.
@@ -84,7 +231,7 @@ def chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, i
     table: list[tuple[int, int]] = []
     yield table
     table_at = target.tell()
-    with codec_errors(target):
+    with encoding(target):
         lazrs.write_chunk_table(target, table, vlr)
     end = target.tell()
     target.seek(start)
@@ -92,56 +239,34 @@ def chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, i
     target.seek(end)
 
 
-def write_chunk(source: Source, target: Target, chunks: LazRecords, chunk: int, layer: memoryview, code: int) -> int:
-    """Write a chunk with a new layer of classes and a new class of its first record; return its number of bytes."""
-    first, stop = (int(at) for at in chunks.table.first_byte[chunk : chunk + 2])
-    source.seek(first)
-    old = source.exact(stop - first, f"LAZ chunk {chunk}")
-    return sum(target.write(part) for part in _with_layer(chunks, old, layer, code))
-
-
-def splice_records(chunks: LazRecords) -> int:
-    """Return the number of records per batch of :func:`splice_classes`: some whole chunks per core."""
-    n_chunk: int = chunks.vlr.chunk_size()
-    return max(1, batch_records(chunks.header, compressed=True) // n_chunk) * n_chunk
-
-
-def _contexts(chunks: LazRecords, n: int, kept: ClassContexts | None) -> Generator[U8]:
-    """Yield the contexts of the classes of ``n`` records at a time, kept or decoded.
+def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
+    """Yield the contexts of the classes, kept or decoded.
 
     Layers that nobody has decoded yet are decoded with them: a damaged one is refused here.
     """
     las = chunks.header
-    is_sound = kept is not None and kept.n_checked == las.n_records
+    n, is_sound = batch_records(las, compressed=True), kept is not None and kept.n_checked == las.n_records
     if kept is not None and is_sound and kept.n_seen == las.n_records:
         yield from kept.take(n)
         return
+    layers = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL if is_sound else lazrs.SELECTIVE_DECOMPRESS_ALL
+    # a handle of its own: the decoder needs its position unchanged
     with open_source(las.path) as source:
-        layers = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL if is_sound else lazrs.SELECTIVE_DECOMPRESS_ALL
-        decompressor = chunks.open(source, lazrs.ParLasZipDecompressor, layers)
-        whole = np.empty((min(n, las.n_records), las.record_bytes), np.uint8)
-        for first in range(0, las.n_records, n):
-            records = whole[: las.n_records - first]
-            with decoding(source, f"record {first} and what follows cannot be decompressed"):
-                decompressor.decompress_many(records.reshape(-1))
+        for _, records in LazRecords(source, las).batches(n, layers):
             yield contexts_of(records)
 
 
-def class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[memoryview]:
-    """Compress records of format 6 and yield the layer of classes of every chunk."""
+def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[memoryview]:
+    """Compress records of point format 6 and yield the layer of classes of every chunk."""
     buffer = io.BytesIO()
-    with codec_errors(target):
-        payload = bytearray(lazrs.LazVlr.new_for_compression(6, 0).record_data())
-        struct.pack_into("<I", payload, CHUNK_SIZE_AT, chunk_points)
-        vlr = lazrs.LazVlr(bytes(payload))
+    with encoding(target):
+        vlr = lazrs.LazVlr(with_chunk_size(new_laszip("classes", 6, 0), chunk_points))
         compressor = lazrs.ParLasZipCompressor(buffer, vlr)
         compressor.compress_many(records.reshape(-1))
         compressor.done()
         buffer.seek(0)
         table = lazrs.read_chunk_table(buffer, vlr)
-    view = buffer.getbuffer()
-    head = chunk_head([(10, standard_bytes(6))])
-    at = 8
+    view, head, at = buffer.getbuffer(), chunk_head(6, 0), 8
     for _, n_bytes in table:
         _, *sizes = head.unpack_from(view, at + standard_bytes(6))
         first = at + standard_bytes(6) + head.size + sum(sizes[:_CLASS_LAYER])
@@ -149,19 +274,42 @@ def class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[mem
         at += n_bytes
 
 
-def _with_layer(
-    chunks: LazRecords, old: bytes, layer: memoryview, code: int
-) -> tuple[bytearray, memoryview, memoryview, memoryview]:
-    """Return the parts of a chunk with a new layer of classes and a new class of its first record."""
-    sizes_at = chunks.header.record_bytes + 4
-    head_bytes = sizes_at + 4 * chunks.n_layers
-    head = bytearray(old[:head_bytes])
-    sizes = struct.unpack_from(f"<{chunks.n_layers}I", head, sizes_at)
-    if head_bytes + sum(sizes) != len(old):
-        problem = f"found a chunk of {head_bytes + sum(sizes)} bytes, expected {len(old)} as at the start of the run"
-        raise InputError(f"{chunks.header.path}: LAZ chunks", problem, DAMAGED)
-    head[CLASS_AT] = code
-    struct.pack_into("<I", head, sizes_at + 4 * _CLASS_LAYER, len(layer))
-    first = head_bytes + sum(sizes[:_CLASS_LAYER])
-    view = memoryview(old)
-    return head, view[head_bytes:first], layer, view[first + sizes[_CLASS_LAYER] :]
+def _write_chunk(source: Source, target: Target, chunks: LazRecords, chunk: int, layer: memoryview, code: int) -> int:
+    """Write a chunk with a new layer of classes and a new class of its first record; return its number of bytes."""
+    las = chunks.header
+    first, stop = chunks.table.first_byte[chunk : chunk + 2].tolist()
+    source.seek(first)
+    old = memoryview(source.exact(stop - first, f"LAZ chunk {chunk}"))
+    head = chunk_head(las.point_format, las.n_extra_bytes)
+    n_records, *sizes = head.unpack_from(old, las.record_bytes)
+    layers_at = las.record_bytes + head.size
+    if layers_at + sum(sizes) != len(old):
+        problem = f"found a chunk of {layers_at + sum(sizes)} bytes, expected {len(old)} as at the start of the run"
+        raise InputError(f"{las.path}: LAZ chunks", problem, DAMAGED)
+    before = layers_at + sum(sizes[:_CLASS_LAYER])
+    behind = before + sizes[_CLASS_LAYER]
+    sizes[_CLASS_LAYER] = len(layer)
+    new = bytearray(old[:layers_at])
+    new[_CLASS_AT] = code
+    head.pack_into(new, las.record_bytes, n_records, *sizes)
+    return sum(target.write(part) for part in (new, old[layers_at:before], layer, old[behind:]))
+
+
+def move_index(
+    written: Path, las: LasHeader, splice: Splice, moved: dict[int, tuple[int, int]], place: dict[int, int]
+) -> None:
+    """Let the index of a COPC output point to its chunks and pages; ``place``: where the pages lie now."""
+    with open_source(las.path) as source, written.open("r+b") as handle:
+        for at, size in splice.pages:
+            entries = []
+            for *key, offset, length, count in _entries(source, at, size):
+                if count > 0:
+                    offset, length = moved[offset]
+                elif count == -1:
+                    offset = place[offset]
+                entries.append(_ENTRY.pack(*key, offset, length, count))
+            handle.seek(place[at])
+            handle.write(b"".join(entries))
+        root_at, root_bytes = splice.pages[0]
+        handle.seek(_INFO_OFFSET + _ROOT_AT)
+        handle.write(struct.pack("<QQ", place[root_at], root_bytes))

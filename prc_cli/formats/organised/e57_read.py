@@ -7,6 +7,9 @@ by columns in a temporary file.
 
 from __future__ import annotations
 
+import contextlib
+import os
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,25 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.files import open_to_read
+from prc_cli.core.process import step
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised.e57_file import (
-    CARTESIAN,
-    CARTESIAN_STATE,
-    COLUMN,
-    INTENSITY,
-    RETURN,
-    ROW,
-    SPHERICAL,
-    SPHERICAL_STATE,
-    E57File,
-    E57Scan,
-)
 from prc_cli.formats.organised.scans import (
     INTENSITY_STEPS,
     MAX_LINES,
     MAX_POINTS_PER_LINE,
+    MAX_SCANS,
     Pose,
     ScanShape,
     check_rules,
@@ -51,12 +45,25 @@ from prc_cli.formats.organised.scans import (
 from prc_cli.formats.ranges import choose_returns, clean_ranges
 from prc_cli.formats.writing.disk import scratch_errors, scratch_file
 
+CHUNK_POINTS = 1 << 17
+"""Points decoded at a time."""
 MAX_RETURNS = 64
 """Most points per cell, averaged over a line: the points of a line are held in memory."""
 MAX_SPARSE = 1000
 """Most cells per point: more means damaged indices."""
 SPARE_CELLS = 10_000_000
 """Number of cells always allowed, however few the points."""
+
+ROW, COLUMN, RETURN, INTENSITY = "rowIndex", "columnIndex", "returnIndex", "intensity"
+CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
+SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+CARTESIAN_STATE, SPHERICAL_STATE = "cartesianInvalidState", "sphericalInvalidState"
+
+_HEAD = struct.Struct("<8sIIQ")
+"""Signature, version and length of the file."""
+_COPY, _AGAIN = "copy it from the archive again", "export the scan again"
+_NOT_AS_EXPECTED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+"""Exceptions of the library for nodes of a type other than the standard's."""
 
 _POINT = np.dtype(
     [
@@ -69,6 +76,152 @@ _POINT = np.dtype(
         ("return", np.float32),
     ]
 )
+
+
+@dataclass(frozen=True, slots=True)
+class E57Scan:
+    """Metadata of a scan from the XML section."""
+
+    index: int
+    fields: tuple[str, ...]
+    """Names of the fields of a point."""
+    n_points: int
+    bounds: tuple[tuple[int, int], tuple[int, int]] | None
+    """First and last row, first and last column in the header; None if absent."""
+    intensity_limits: tuple[float, float] | None
+    """Intensity limits in the header; None if absent or not a range."""
+    quaternion: tuple[float, ...] | None
+    """Rotation of the pose, w x y z; None without a pose."""
+
+
+class E57File:
+    """An E57 file that is open for reading."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            from pye57 import libe57
+        except ImportError:
+            problem = "reading E57 needs pye57, which is not installed"
+            raise InputError(str(path), problem, "pip install prc-cli[e57]") from None
+        self._library = libe57
+        _check_frame(path)
+        with self._errors(), step(path):
+            self._image = libe57.ImageFile(os.fsencode(path), "r")  # a name need not be UTF-8
+
+    def __enter__(self) -> E57File:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(self._library.E57Exception):
+            self._image.close()
+
+    @contextlib.contextmanager
+    def _errors(self, what: str = "") -> Iterator[None]:
+        """Turn exceptions of the library into one-line errors."""
+        try:
+            yield
+        except (self._library.E57Exception, *_NOT_AS_EXPECTED) as error:
+            text = (str(error).strip().splitlines() or [type(error).__name__])[0].strip(" *")
+            where = f"{self._path}: {what}" if what else str(self._path)
+            problem = f"the E57 structure is damaged or not as the standard has it ({text})"
+            raise InputError(where, problem, "copy it from the archive again or export it again") from error
+
+    def scans(self) -> list[E57Scan]:
+        """Return the metadata of every scan from the XML section."""
+        with self._errors():
+            root = self._image.root()
+            n = root["data3D"].childCount() if root.isDefined("data3D") else 0
+        if n > MAX_SCANS:
+            raise InputError(str(self._path), f"found {n} scans, expected at most {MAX_SCANS}", "split the file")
+        size = self._path.stat().st_size
+        found = []
+        for index in range(n):
+            with self._errors(f"scan {index}"):
+                found.append(self._scan(index))
+            if found[-1].n_points > 8 * size:
+                problem = (
+                    f"found {found[-1].n_points} points in a file of {size} bytes, expected a bit a point at least"
+                )
+                raise InputError(f"{self._path}: scan {index}", problem, _AGAIN)
+        return found
+
+    def _scan(self, index: int) -> E57Scan:
+        node = self._image.root()["data3D"][index]
+        points = node["points"]
+        prototype = self._library.StructureNode(points.prototype())
+        fields = tuple(prototype.get(i).elementName() for i in range(prototype.childCount()))
+        quaternion = None
+        if node.isDefined("pose") and node["pose"].isDefined("rotation"):
+            quaternion = tuple(_value(node["pose"]["rotation"][key]) for key in "wxyz")
+        return E57Scan(index, fields, int(points.childCount()), _bounds(node), _limits(node), quaternion)
+
+    def chunks(self, scan: E57Scan, names: tuple[str, ...]) -> Iterator[dict[str, F64]]:
+        """Decode the named fields of all points of a scan, scaled to metres and radians."""
+        what = f"scan {scan.index}"
+        n_all = 0
+        with self._errors(what):
+            reader, buffers = self._reader(scan, names)
+        try:
+            while True:
+                with self._errors(f"{what}, after point {n_all}"), step(self._path):
+                    n = reader.read()
+                n_all += n
+                if not n or n_all > scan.n_points:
+                    break
+                yield {name: buffers[name][:n].copy() for name in names}
+        finally:
+            with contextlib.suppress(self._library.E57Exception):
+                reader.close()
+        if n_all != scan.n_points:
+            problem = f"found {n_all} points, the file's XML section says {scan.n_points}"
+            raise InputError(f"{self._path}: {what}", problem, _COPY)
+
+    def _reader(self, scan: E57Scan, names: tuple[str, ...]) -> tuple[Any, dict[str, F64]]:
+        capacity = max(1, min(CHUNK_POINTS, scan.n_points))
+        buffers: dict[str, F64] = {name: np.zeros(capacity) for name in names}
+        wrapped = self._library.VectorSourceDestBuffer()
+        for name, values in buffers.items():
+            wrapped.append(self._library.SourceDestBuffer(self._image, name, values, capacity, True, True))
+        return self._image.root()["data3D"][scan.index]["points"].reader(wrapped), buffers
+
+
+def _check_frame(path: Path) -> None:
+    """Refuse a file that is not E57 or is cut short; the library says the rest."""
+    size = path.stat().st_size
+    with open_to_read(path) as handle:
+        head = handle.read(_HEAD.size)
+    if not head.startswith(b"ASTM-E57"):
+        problem = f"begins with {head[:8]!r}, expected the signature b'ASTM-E57'"
+        raise InputError(str(path), problem, "check that this is an E57 file")
+    *_, length = _HEAD.unpack(head.ljust(_HEAD.size, b"\0"))
+    if length != size:
+        raise InputError(str(path), f"the file has {size} bytes, its header says {length}", _COPY)
+
+
+def _value(node: Any) -> float:
+    return float(node.scaledValue()) if hasattr(node, "scaledValue") else float(node.value())
+
+
+def _values(node: Any, table: str, *names: str) -> list[float] | None:
+    """Return the numbers of a table; None where one is absent or not finite."""
+    if not node.isDefined(table) or not all(node[table].isDefined(name) for name in names):
+        return None
+    values = [_value(node[table][name]) for name in names]
+    return values if np.isfinite(values).all() else None
+
+
+def _bounds(node: Any) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    values = _values(node, "indexBounds", "rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
+    if values is None:
+        return None
+    row_low, row_high, column_low, column_high = map(int, values)
+    return (row_low, row_high), (column_low, column_high)
+
+
+def _limits(node: Any) -> tuple[float, float] | None:
+    low, high = _values(node, "intensityLimits", "intensityMinimum", "intensityMaximum") or (0.0, 0.0)
+    return (low, high) if np.isfinite(high - low) and high > low else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,14 +299,14 @@ class E57Stream:
         self._spare_cells -= max(shape.n_cells - MAX_SPARSE * table.n_points, 0)
         if self._spare_cells < 0:
             problem = f"found {table.n_points} points in {shape.n_lines} columns x {shape.points_per_line} rows"
-            raise InputError(self._where(table.index), f"{problem}, expected a denser scan", "export the scan again")
+            raise InputError(self._where(table.index), f"{problem}, expected a denser scan", _AGAIN)
         counts = np.zeros(shape.n_lines, np.int64)
         at = tally.columns[0] - column_low
         counts[at : at + tally.columns[1] - tally.columns[0] + 1] = tally.counts
         if counts.max() > MAX_RETURNS * shape.points_per_line:
             column = column_low + int(counts.argmax())
             problem = f"found {counts.max()} points in column {column}, which has {shape.points_per_line} rows"
-            raise InputError(self._where(table.index), problem, "export the scan again")
+            raise InputError(self._where(table.index), problem, _AGAIN)
         return _Scan(table, shape, row_low, column_low, counts, tally.in_order, pose)
 
     def _check_fields(self, table: E57Scan) -> None:
@@ -165,7 +318,7 @@ class E57Stream:
             raise InputError(where, problem, "export it as a structured (gridded) E57 or PTX, with row and column")
         if not any(set(names) <= set(table.fields) for names in (CARTESIAN, SPHERICAL)):
             problem = f"expected {', '.join(CARTESIAN)} or {', '.join(SPHERICAL)}, found {shown}"
-            raise InputError(where, problem, "export the scan again")
+            raise InputError(where, problem, _AGAIN)
 
     def _pose(self, table: E57Scan) -> Pose:
         if table.quaternion is None:
@@ -175,7 +328,7 @@ class E57Stream:
             length = float(np.sqrt(w * w + x * x + y * y + z * z))
         if not 0.9 < length < 1.1:
             problem = f"the pose's rotation is ({w:g}, {x:g}, {y:g}, {z:g}), expected a quaternion of length 1"
-            raise InputError(self._where(table.index), problem, "export the scan again")
+            raise InputError(self._where(table.index), problem, _AGAIN)
         w, x, y, z = w / length, x / length, y / length, z / length
         turn = np.array(
             [
@@ -341,7 +494,7 @@ class _IndexTally:
         for name, (low, high), limit in ((ROW, rows, MAX_POINTS_PER_LINE), (COLUMN, columns, MAX_LINES)):
             if high - low >= limit:
                 problem = f"found {name} from {low} to {high}, expected at most {limit} of them"
-                raise InputError(self._where, problem, "export the scan again")
+                raise InputError(self._where, problem, _AGAIN)
         if columns != self.columns:
             grown = np.zeros(columns[1] - columns[0] + 1, np.int64)
             at = self.columns[0] - columns[0]
@@ -362,7 +515,7 @@ class _IndexTally:
             is_whole = abs(low) < 2**52 and abs(high) < 2**52 and (index == np.rint(index)).all()
         if not is_whole:
             problem = f"found {name} from {low:g} to {high:g}, expected whole numbers"
-            raise InputError(self._where, problem, "export the scan again")
+            raise InputError(self._where, problem, _AGAIN)
         return (int(low), int(high)) if before[1] < before[0] else (min(before[0], int(low)), max(before[1], int(high)))
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
-from prc_cli.core.types import F64, I64
-from prc_cli.formats.tables.write import number_returns
+from prc_cli.core.types import F64
+from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
 
 POINTS_AT_ONCE = 1 << 17
@@ -130,39 +130,27 @@ class E57Stream(StreamWriter):
 
     def _points(self, item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
         """Return the fields of the points of some lines; the chosen return of a shot comes first."""
-        block = item.block
-        m = block.points_per_line
-        line, column = np.divmod(np.arange(rows.start * m, rows.stop * m), m)
-        ranges = block.range_m[rows].ravel().astype(np.float64)
-        inside = np.flatnonzero((block.extra.line >= rows.start) & (block.extra.line < rows.stop))
-        cell = (block.extra.line[inside] - rows.start).astype(np.int64) * m + block.extra.column[inside]
-        owner: I64 = np.concatenate([np.arange(len(ranges)), cell])
-        ranges = np.concatenate([ranges, block.extra.range_m[inside]])
-        values: dict[str, NDArray[Any]] = {"range_m": ranges}
-        order = np.arange(len(owner))
-        if len(inside):
-            number_returns(values, owner)
-            order = np.argsort(owner, kind="stable")
-            owner, ranges = owner[order], ranges[order]
+        block, m = item.block, item.block.points_per_line
+        values = stream_rows(item, rows)
+        line, ranges = values["line"] - block.first_line, values["range_m"].astype(np.float64)
+        cell = (line - rows.start) * m + values["column"]
         gone = np.isnan(ranges)
-        places = self._directions(item, rows)[owner] * ranges[:, None]
+        places = self._directions(item, rows)[cell] * ranges[:, None]
         places[gone] = 0.0
-        values |= {name: places[:, axis].copy() for axis, name in enumerate(_DOUBLES[:3])}
-        values["cartesianInvalidState"] = gone * INVALID
+        points = {name: places[:, axis].copy() for axis, name in enumerate(_DOUBLES[:3])}
+        points["cartesianInvalidState"] = gone * INVALID
         first = 0 if self._scan is None else self._scan.first_line
-        values["rowIndex"], values["columnIndex"] = column[owner], block.first_line - first + line[owner]
-        own = np.zeros(block.range_m[rows].size, np.float32)
+        points["rowIndex"], points["columnIndex"] = values["column"], block.first_line - first + line
+        own = np.zeros(len(cell), np.float32)
         if block.intensity is not None:
-            own = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)
+            own = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)[cell]
         # the stream has the intensity of the chosen return of a shot only
-        further = order >= len(line)
-        values["intensity"] = np.where(further, np.minimum(own[owner], 0.0), own[owner])
-        if self.shape.returns:
-            values["returnIndex"] = values["return_number"][order] - 1 if len(inside) else np.zeros(len(owner))
-            values["returnCount"] = values["number_of_returns"][order] if len(inside) else np.ones(len(owner))
-        if block.time_s is not None:
-            values["timeStamp"] = np.nan_to_num(block.time_s[rows].ravel(), nan=0.0)[owner]
-        return values
+        is_further = np.append(False, cell[1:] == cell[:-1])
+        points["intensity"] = np.where(is_further, np.minimum(own, 0.0), own)
+        points["returnIndex"], points["returnCount"] = values["return_number"] - 1, values["number_of_returns"]
+        if "time_s" in values:
+            points["timeStamp"] = np.nan_to_num(values["time_s"], nan=0.0)
+        return points
 
     def _directions(self, item: StreamItem, rows: slice) -> F64:
         """Return the unit vector of every beam, (shots, 3) float64; may be NaN for shots without return."""

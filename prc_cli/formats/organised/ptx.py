@@ -13,7 +13,8 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
 from prc_cli.core.stream import Assumption, ReadTally, ScanBlock
-from prc_cli.core.types import F32, F64
+from prc_cli.core.threads import default_threads, ordered
+from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import (
     INTENSITY_STEPS,
@@ -25,6 +26,7 @@ from prc_cli.formats.organised.scans import (
     check_rules,
     check_shapes,
     describe,
+    filled,
     in_turn,
     is_rotation,
     lengths,
@@ -34,11 +36,11 @@ from prc_cli.formats.organised.scans import (
     to_float32,
 )
 from prc_cli.formats.ranges import clean_ranges
-from prc_cli.formats.text.dialect import shorten, to_number
-from prc_cli.formats.text.lines import MAX_LINE_BYTES, too_long
+from prc_cli.formats.records import shorten
+from prc_cli.formats.text.dialect import to_number
+from prc_cli.formats.text.lines import BLOCK_BYTES, MAX_LINE_BYTES, Lines, count_line_ends, iter_lines, too_long
+from prc_cli.formats.text.read import PARSERS, parse_fast, single_blanks
 
-TEXT_BYTES = 4 << 20
-"""Bytes of text parsed at a time."""
 _ROW_BYTES = 64
 """Typical bytes per row, to estimate how far to read for the end of a short scan."""
 _LOOKED_AT = 1000
@@ -54,6 +56,7 @@ _COUNT = re.compile(rb"\d{1,18}", re.ASCII)
 class _Scan:
     """A scan and the position of its points in the file."""
 
+    path: Path
     shape: ScanShape
     header_line: int
     pose: Pose
@@ -63,12 +66,60 @@ class _Scan:
     """First byte behind the points."""
     n_cells: int
     """Numbers in a row."""
-    intensity_scale: float
+    intensity_scale: float = 1.0
 
     @property
     def first_line(self) -> int:
         """Number of the first point's line in the file."""
         return self.header_line + 10
+
+    @property
+    def size(self) -> str:
+        """What the header says of its points."""
+        shape = self.shape
+        return f"{shape.n_lines} columns x {shape.points_per_line} rows = {shape.n_cells} points"
+
+    def parts(self, block_bytes: int | None = None, threads: int = 1) -> Iterator[F64]:
+        """Yield (n, 3 or 4) numbers: x, y, z [m] and intensity of consecutive points."""
+        blocks = iter_lines(self.path, block_bytes or BLOCK_BYTES, span=(self.start, self.stop), line=self.first_line)
+        yield from ordered(self._parse, blocks, threads=threads, ahead=threads)
+
+    def _parse(self, lines: Lines) -> F64:
+        """Return (n, 3 or 4) float64, a row of it for every line of the text."""
+        n = count_line_ends(lines.data) + (not lines.data.endswith(b"\n"))
+        used = range(min(self.n_cells, 4))
+        found = None if b'"' in lines.data else parse_fast(single_blanks(lines.data), self.n_cells, used)
+        if found is not None and len(found[0]) == n:
+            return np.stack(found, axis=1)
+        rows = np.empty((n, len(used)))
+        for index, line in enumerate(lines.data.split(b"\n")[:n]):
+            number = lines.first + index
+            if len(line) > MAX_LINE_BYTES:
+                raise too_long(self.path, number)
+            cells = line.decode("utf-8", errors="replace").split()
+            if len(cells) != self.n_cells:
+                self.refuse_row(number, line)
+            for column in used:
+                value = to_number(cells[column])
+                if value is None:
+                    problem = f"found {shorten(cells[column])!r}, expected a number"
+                    hint = "write 0 0 0 for a point that is missing"
+                    raise InputError(f"{self.path}: line {number}", problem, hint)
+                rows[index, column] = value
+        return rows
+
+    def refuse_row(self, number: int, line: bytes) -> NoReturn:
+        """Explain why a line is not a point."""
+        n_before = number - self.first_line
+        cells = line.split()
+        if len(cells) == 1 and _COUNT.fullmatch(cells[0]):
+            problem = f"the next scan begins after {n_before} points, the header in line {self.header_line} says "
+            hint = "correct the header or export the scan again"
+            raise InputError(f"{self.path}: line {number}", problem + self.size, hint)
+        found = f"{len(cells)} numbers" if cells else "a blank line"
+        problem = f"found {found}, expected {self.n_cells} as in line {self.first_line}"
+        problem += f" (point {n_before + 1} of {self.size})"
+        raise InputError(f"{self.path}: line {number}", problem, "export the scan again")
 
 
 class PtxStream:
@@ -126,142 +177,39 @@ class PtxStream:
         missing = InputError(str(self._path), problem, "run again when the copy is complete")
         pieces = list(spans(shape.n_lines, lines_per_block(m)))
         sizes = (min(stop * m, shape.n_records) - first * m for first, stop in pieces)
-        for (first, stop), rows in zip(pieces, in_turn(self._parts(scan), sizes, missing), strict=True):
+        parts = scan.parts(threads=min(PARSERS, default_threads()))
+        for (first, stop), rows in zip(pieces, in_turn(parts, sizes, missing), strict=True):
             yield self._block(scan, first, stop - first, rows)
 
     def _block(self, scan: _Scan, first: int, n_lines: int, rows: F64) -> ScanBlock:
         shape, n = scan.shape, len(rows)
         m = shape.points_per_line
         xyz = scan.pose.apply(rows[:, :3])
-        missing = ~rows[:, :3].any(axis=1)
         # ranges from unrotated coordinates: headers round rotations to a few digits
         length = lengths(xyz if scan.pose.offset_m.any() else rows)
         length[np.isinf(rows[:, :3]).any(axis=1)] = np.inf
-        length[missing] = np.nan
+        length[~rows[:, :3].any(axis=1)] = np.nan
         ranges, tally = clean_ranges(length, self._config.min_range, self._config.max_range)
-        placed = to_float32(xyz)
+        placed, intensity = to_float32(xyz), None
         placed[np.isnan(ranges)] = np.nan
+        if scan.n_cells > 3:
+            with np.errstate(over="ignore", invalid="ignore"):
+                intensity = to_float32(rows[:, 3] * scan.intensity_scale)
+            intensity[np.isnan(ranges)] = np.nan
+            intensity = filled(intensity, n_lines * m).reshape(n_lines, m)
         start = shape.first_record + first * m
         record = np.full(n_lines * m, -1, np.int64)
         record[:n] = np.arange(start, start + n)
-        block = ScanBlock(
+        return ScanBlock(
             first_line=first,
-            range_m=_filled(ranges, n_lines * m).reshape(n_lines, m),
+            range_m=filled(ranges, n_lines * m).reshape(n_lines, m),
             record=record.reshape(n_lines, m),
             scanner=shape.scanner,
-            xyz_m=_filled(placed, n_lines * m).reshape(n_lines, m, 3),
+            xyz_m=filled(placed, n_lines * m).reshape(n_lines, m, 3),
+            intensity=intensity,
             tally=tally + ReadTally(n_records=n),
             is_last=first + n_lines == shape.n_lines,
         )
-        if scan.n_cells == 3:
-            return block
-        with np.errstate(over="ignore", invalid="ignore"):
-            intensity = to_float32(rows[:, 3] * scan.intensity_scale)
-        intensity[np.isnan(ranges)] = np.nan
-        return replace(block, intensity=_filled(intensity, n_lines * m).reshape(n_lines, m))
-
-    def _parts(self, scan: _Scan) -> Iterator[F64]:
-        """Yield (n, 3 or 4) numbers: x, y, z [m] and intensity of consecutive points."""
-        rest, line, left = b"", scan.first_line, scan.stop - scan.start
-        with open_to_read(self._path) as handle:
-            handle.seek(scan.start)
-            while left:
-                found = handle.read(min(TEXT_BYTES, left))
-                if not found:
-                    return
-                left -= len(found)
-                data = rest + found
-                end = data.rfind(b"\n") + 1 if left else len(data)
-                data, rest = data[:end], data[end:]
-                if len(rest) > MAX_LINE_BYTES:
-                    raise too_long(self._path, line + data.count(b"\n"))
-                if data:
-                    yield _parse(self._path, scan, line, data)
-                    line += data.count(b"\n")
-
-
-def _filled(values: F32, n: int) -> F32:
-    """Return values padded with missing ones to n."""
-    if len(values) == n:
-        return values
-    return np.concatenate([values, np.full((n - len(values), *values.shape[1:]), np.nan, np.float32)])
-
-
-def _parse(path: Path, scan: _Scan, first: int, data: bytes) -> F64:
-    """Return (n, 3 or 4) float64, a row of it for every line of the text."""
-    n = data.count(b"\n") + (not data.endswith(b"\n"))
-    found = _parse_fast(scan, _plain(data), n)
-    return _parse_exactly(path, scan, first, data) if found is None else found
-
-
-def _parse_fast(scan: _Scan, data: bytes, n: int) -> F64 | None:
-    """Parse the rows with pyarrow; None where it refuses or counts lines differently."""
-    import pyarrow as pa
-    from pyarrow import csv
-
-    keys = [str(index) for index in range(scan.n_cells)]
-    used = keys[:4]
-    try:
-        table = csv.read_csv(
-            pa.BufferReader(data),
-            csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES),
-            csv.ParseOptions(delimiter=" ", quote_char=False),
-            csv.ConvertOptions(column_types={key: pa.float64() for key in used}, include_columns=used, null_values=[]),
-        )
-    except pa.ArrowInvalid:
-        return None
-    if table.num_rows != n:
-        return None
-    rows = np.empty((n, len(used)))
-    for index, key in enumerate(used):
-        rows[:, index] = table.column(key).to_numpy()
-    return rows
-
-
-def _parse_exactly(path: Path, scan: _Scan, first: int, data: bytes) -> F64:
-    n_used = min(scan.n_cells, 4)
-    lines = data.split(b"\n")
-    lines = lines if lines[-1] else lines[:-1]
-    rows = np.empty((len(lines), n_used))
-    for index, line in enumerate(lines):
-        number = first + index
-        where = f"{path}: line {number}"
-        if len(line) > MAX_LINE_BYTES:
-            raise too_long(path, number)
-        cells = line.decode("utf-8", errors="replace").split()
-        if len(cells) != scan.n_cells:
-            _refuse_row(path, number, line, scan)
-        for column in range(n_used):
-            value = to_number(cells[column])
-            if value is None:
-                problem = f"found {shorten(cells[column])!r}, expected a number"
-                raise InputError(where, problem, "write 0 0 0 for a point that is missing")
-            rows[index, column] = value
-    return rows
-
-
-def _refuse_row(path: Path, number: int, line: bytes, scan: _Scan) -> NoReturn:
-    """Explain why a line is not a point."""
-    n_before, shape = number - scan.first_line, scan.shape
-    size = f"{shape.n_lines} columns x {shape.points_per_line} rows = {shape.n_cells} points"
-    cells = line.split()
-    if len(cells) == 1 and _COUNT.fullmatch(cells[0]):
-        problem = f"the next scan begins after {n_before} points, the header in line {scan.header_line} says {size}"
-        raise InputError(f"{path}: line {number}", problem, "correct the header or export the scan again")
-    found = f"{len(cells)} numbers" if cells else "a blank line"
-    problem = f"found {found}, expected {scan.n_cells} as in line {scan.first_line} (point {n_before + 1} of {size})"
-    raise InputError(f"{path}: line {number}", problem, "export the scan again")
-
-
-def _plain(data: bytes) -> bytes:
-    """Return lines with single blanks between cells; fast where nothing is to be done."""
-    data = data.replace(b"\t", b" ") if b"\t" in data else data
-    data = data.replace(b"\r\n", b"\n") if b"\r" in data else data
-    while b"  " in data:
-        data = data.replace(b"  ", b" ")
-    data = data.replace(b"\n ", b"\n") if b"\n " in data else data
-    data = data.replace(b" \n", b"\n") if b" \n" in data else data
-    return data.strip(b" ")
 
 
 class _Survey:
@@ -299,27 +247,22 @@ class _Survey:
 
     def _refuse_points(self, scan: _Scan, text: bytes) -> NoReturn:
         """Return the error for a point where the next scan should begin."""
-        number = self._line
         # in a scan that is too short, the header of the next one follows among the points
-        self._handle.seek(scan.start)
-        for index in range(scan.shape.n_records):
-            line = self._handle.readline(MAX_LINE_BYTES)
-            if len(line.split()) != scan.n_cells:
-                _refuse_row(self._path, scan.first_line + index, line, scan)
-        shape = scan.shape
+        for _ in scan.parts():
+            pass
         problem = (
             f"found {shorten(text.decode('utf-8', errors='replace'))!r}, expected the next scan or the end: the header "
-            f"in line {scan.header_line} says {shape.n_lines} columns x {shape.points_per_line} rows = "
-            f"{shape.n_cells} points"
+            f"in line {scan.header_line} says {scan.size}"
         )
-        raise InputError(f"{self._path}: line {number}", problem, "correct the header or export the scan again")
+        hint = "correct the header or export the scan again"
+        raise InputError(f"{self._path}: line {self._line}", problem, hint)
 
     def _scan(self, scanner: int, first_record: int, line: bytes) -> _Scan:
         header_line = self._line
         n_lines = self._count(line, "columns", MAX_LINES)
         m = self._count(self._read_line().strip(), "rows", MAX_POINTS_PER_LINE)
-        rows = [self._numbers(3) for _ in range(4)]
-        matrix = np.array([self._numbers(4) for _ in range(4)])
+        position, *_ = [self._numbers(3) for _ in range(4)]
+        pose = self._pose(header_line, position, np.array([self._numbers(4) for _ in range(4)]))
         start = self._handle.tell()
         n_cells = len(self._handle.readline(MAX_LINE_BYTES).split())
         self._handle.seek(start)
@@ -336,28 +279,8 @@ class _Survey:
             pad = ", or set input.partial_line to pad" * (n_found > wanted - m)
             raise InputError(f"{self._path}: line {self._line}", problem, f"copy it from the archive again{pad}")
         shape = ScanShape(scanner, n_lines if m else 0, m if n_lines else 0, n_found, first_record)
-        scan = _Scan(
-            shape, header_line, self._pose(header_line, rows[0], matrix), start, self._handle.tell(), n_cells, 1.0
-        )
-        if n_cells > 3 and wanted:
-            scan = replace(scan, intensity_scale=self._intensity_scale(scan))
-        return scan
-
-    def _intensity_scale(self, scan: _Scan) -> float:
-        """Return the factor for intensities: 65535 where they run from 0 to 1, as PTX defines, else 1."""
-        self._handle.seek(scan.start)
-        left, line = scan.shape.n_records, scan.first_line
-        n_seen, inside = 0, True
-        while left and n_seen < _LOOKED_AT and inside:
-            n = min(_LOOKED_AT, left)
-            head = b"".join(self._handle.readline(MAX_LINE_BYTES + 1) for _ in range(n))
-            found = _parse(self._path, scan, line, head)
-            # leave out shots without return
-            value = found[found[:, :3].any(axis=1), 3]
-            inside = bool(((value >= 0) & (value <= 1) | np.isnan(value)).all())
-            n_seen, left, line = n_seen + len(value), left - n, line + n
-        self._handle.seek(scan.stop)
-        return INTENSITY_STEPS if inside else 1.0
+        scan = _Scan(self._path, shape, header_line, pose, start, self._handle.tell(), n_cells)
+        return replace(scan, intensity_scale=_intensity_scale(scan)) if n_cells > 3 and wanted else scan
 
     def _pose(self, header_line: int, position: list[float], matrix: F64) -> Pose:
         rotation = matrix[:3, :3]
@@ -402,28 +325,34 @@ class _Survey:
 
     def _skip(self, n: int) -> int:
         """Skip n lines; return how many there were."""
-        passed, at_end = 0, True
+        passed = 0
         while passed < n:
             start = self._handle.tell()
-            data = self._handle.read(min(TEXT_BYTES, (n - passed) * _ROW_BYTES + _ROW_BYTES))
-            if not data:
-                break
-            count = data.count(b"\n")
-            at_end = data.endswith(b"\n")
-            if not count and len(data) > MAX_LINE_BYTES:
-                raise too_long(self._path, self._line + passed + 1)
-            if passed + count > n:
-                ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord("\n"))
-                self._handle.seek(start + int(ends[n - passed - 1]) + 1)
-                count, at_end = n - passed, True
-            elif passed + count == n and not at_end:
-                self._handle.seek(start + data.rfind(b"\n") + 1)
-                at_end = True
-            passed += count
-        # the last line of a file may lack a line feed
-        passed += not at_end and passed < n
-        self._line += passed
+            data = self._handle.read(min(BLOCK_BYTES, (n - passed + 1) * _ROW_BYTES))
+            ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord("\n"))[: n - passed]
+            self._handle.seek(start + int(ends[-1]) + 1 if len(ends) else start)
+            self._line += len(ends)
+            passed += len(ends)
+            if not len(ends):
+                # a longer line, the last one without a line end, or none
+                if not self._read_line():
+                    break
+                passed += 1
         return passed
+
+
+def _intensity_scale(scan: _Scan) -> float:
+    """Return the factor for intensities: 65535 where they run from 0 to 1, as PTX defines, else 1."""
+    n_seen = 0
+    for rows in scan.parts(_LOOKED_AT * _ROW_BYTES):
+        # leave out shots without return
+        value = rows[rows[:, :3].any(axis=1), 3]
+        if not ((value >= 0) & (value <= 1) | np.isnan(value)).all():
+            return 1.0
+        n_seen += len(value)
+        if n_seen >= _LOOKED_AT:
+            break
+    return INTENSITY_STEPS
 
 
 def open_ptx(path: Path, config: InputConfig, lines_at_once: int) -> PtxStream:

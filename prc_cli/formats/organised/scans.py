@@ -99,6 +99,13 @@ def to_float32(values: F64) -> F32:
     return rounded
 
 
+def filled(values: F32, n: int) -> F32:
+    """Return values padded with missing ones to n."""
+    if len(values) == n:
+        return values
+    return np.concatenate([values, np.full((n - len(values), *values.shape[1:]), np.nan, np.float32)])
+
+
 def lines_per_block(points_per_line: int) -> int:
     """Return the lines of a block.
 
@@ -108,19 +115,21 @@ def lines_per_block(points_per_line: int) -> int:
     return max(1, CHUNK_SHOTS // points_per_line)
 
 
+def refuse_rules(path: Path, config: InputConfig, what: str, **allowed: tuple[str, ...]) -> None:
+    """Refuse rules that do not apply to a file, which says them itself."""
+    for key, values in allowed.items():
+        value = getattr(config, key)
+        if value not in values:
+            problem = f"found {value!r}, expected {' or '.join(values)}: {path.name} {what}"
+            raise ConfigError(f"input.{key}", problem, "leave the key out")
+
+
 def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
     """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges."""
-    allowed = {
-        "lines": (config.lines, ("auto",)),
-        "columns": (config.columns, ("auto",)),
-        "range": (config.range, ("auto", "sensor-xyz")),
-        "scanner": (config.scanner, ("none",)),
-        "order": (config.order, ("require", "trust")),
-    }
-    for key, (value, values) in allowed.items():
-        if value not in values:
-            problem = f"found {value!r}, expected {' or '.join(values)}: {path.name} holds {what}"
-            raise ConfigError(f"input.{key}", problem, "leave the key out")
+    refuse_rules(
+        path, config, f"holds {what}", lines=("auto",), columns=("auto",), range=("auto", "sensor-xyz"),
+        scanner=("none",), order=("require", "trust"),
+    )  # fmt: skip
     for key in ("angle_start", "angle_step"):
         if getattr(config, key) is not None:
             problem = f"given, but {path.name} holds {what}, whose angles follow from xyz"

@@ -6,6 +6,7 @@ import struct
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from ipaddress import ip_address
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -44,32 +45,24 @@ class Datagram(NamedTuple):
 class CaptureCount:
     """What was seen of a capture."""
 
-    n_packets: int = 0
-    n_other: int = 0
-    """Packets that are not UDP over IP."""
     n_short: int = 0
     """Packets that the capture did not keep whole."""
     n_fragments_lost: int = 0
     """Datagrams of which a fragment is missing."""
     end: str = ""
     """Why the capture ends too early; empty if it does not."""
-    links: set[int] = field(default_factory=set)
-    """Kinds of network."""
 
 
 def read_datagrams(path: Path, count: CaptureCount) -> Iterator[Datagram]:
     """Yield the UDP datagrams of a capture in its order."""
     waiting = _Fragments(count)
     for time_s, link, packet, is_whole in _packets(path, count):
-        count.n_packets += 1
         ip = _strip_link(link, packet)
         datagram = None if ip is None else _strip_ip(ip, time_s, waiting)
         if datagram is not None:
             yield datagram
         elif not is_whole:
             count.n_short += 1
-        elif ip is None or not waiting.took:
-            count.n_other += 1
     waiting.finish()
 
 
@@ -99,32 +92,23 @@ def _pcap(
         count.end = "the capture ends within its header"
         return
     link = struct.unpack(order + "HHiIII", head)[5] & 0xFFFF
-    parse = struct.Struct(order + "IIII")
-    at = 24
+    at, n = 24, 0
     while record := handle.read(16):
-        if len(record) < 16:
-            count.end = f"the capture ends in the middle of packet {count.n_packets} at byte {at}"
-            return
-        seconds, part, kept, whole = parse.unpack(record)
+        kept, whole = struct.unpack(order + "II", record[8:]) if len(record) == 16 else (0, 0)
         if kept > MAX_PACKET:
             raise _damaged(path, at, f"found a packet of {kept} bytes, expected at most {MAX_PACKET}")
         data = handle.read(kept)
-        if len(data) < kept:
-            count.end = f"the capture ends in the middle of packet {count.n_packets} at byte {at}"
+        if len(record) < 16 or len(data) < kept:
+            count.end = f"the capture ends in the middle of packet {n} at byte {at}"
             return
-        at += 16 + kept
+        seconds, part = struct.unpack(order + "II", record[:8])
         yield seconds + part * unit, link, data, kept >= whole
-
-
-@dataclass(slots=True)
-class _Interface:
-    link: int
-    unit: float
+        at, n = at + 16 + kept, n + 1
 
 
 def _pcapng(path: Path, handle: IO[bytes], count: CaptureCount) -> Iterator[tuple[float, int, bytes, bool]]:
     order, at = "<", 0
-    interfaces: list[_Interface] = []
+    interfaces: list[tuple[int, float]] = []
     while head := handle.read(8):
         if head[:4] == _PCAPNG and len(head) == 8:
             mark = handle.read(4)
@@ -144,8 +128,8 @@ def _pcapng(path: Path, handle: IO[bytes], count: CaptureCount) -> Iterator[tupl
         try:
             if kind == 1:
                 interfaces.append(_interface(order, body))
-            elif kind in (2, 3, 6) and (packet := _packet(kind, order, body, interfaces)) is not None:
-                yield packet
+            elif kind in (2, 3, 6):
+                yield _packet(kind, order, body, interfaces)
         except (struct.error, IndexError):
             raise _damaged(path, at, "found a block that is too short for what it is") from None
         if len(interfaces) > MAX_PENDING:
@@ -153,34 +137,31 @@ def _pcapng(path: Path, handle: IO[bytes], count: CaptureCount) -> Iterator[tupl
         at += n
 
 
-def _interface(order: str, body: bytes) -> _Interface:
+def _interface(order: str, body: bytes) -> tuple[int, float]:
     """Return the network and the unit of time of an interface (option 9; 10^-6 s without it)."""
-    found = _Interface(struct.unpack_from(order + "H", body)[0], 1e-6)
-    i = 8
+    link, unit, i = struct.unpack_from(order + "H", body)[0], 1e-6, 8
     while i + 4 <= len(body) - 4:
         code, n = struct.unpack_from(order + "HH", body, i)
         if code == 0:
             break
         if code == 9 and n == 1:
             power = body[i + 4]
-            found.unit = 2.0 ** -(power & 0x7F) if power & 0x80 else 10.0 ** -min(power, 300)
+            unit = 2.0 ** -(power & 0x7F) if power & 0x80 else 10.0 ** -min(power, 300)
         i += 4 + n + -n % 4
-    return found
+    return link, unit
 
 
-def _packet(kind: int, order: str, body: bytes, interfaces: list[_Interface]) -> tuple[float, int, bytes, bool] | None:
-    """Return a packet of an enhanced (6), simple (3) or obsolete (2) block; None without its interface."""
+def _packet(kind: int, order: str, body: bytes, interfaces: list[tuple[int, float]]) -> tuple[float, int, bytes, bool]:
+    """Return a packet of an enhanced (6), simple (3) or obsolete (2) block."""
     if kind == 3:
         (whole,) = struct.unpack_from(order + "I", body)
         data = body[4:-4][:whole]
-        return 0.0, interfaces[0].link, data, len(data) >= whole
-    if kind == 6:
-        number, high, low, kept, whole = struct.unpack_from(order + "IIIII", body)
-    else:
-        number, _, high, low, kept, whole = struct.unpack_from(order + "HHIIII", body)
-    interface = interfaces[number]
+        return 0.0, interfaces[0][0], data, len(data) >= whole
+    form = "IIIII" if kind == 6 else "HxxIIII"
+    number, high, low, kept, whole = struct.unpack_from(order + form, body)
+    link, unit = interfaces[number]
     data = body[20 : 20 + kept]
-    return ((high << 32) | low) * interface.unit, interface.link, data, len(data) >= whole
+    return ((high << 32) | low) * unit, link, data, len(data) >= whole
 
 
 def _strip_link(link: int, packet: bytes) -> memoryview | None:
@@ -203,7 +184,6 @@ def _strip_link(link: int, packet: bytes) -> memoryview | None:
 
 def _strip_ip(ip: memoryview, time_s: float, waiting: _Fragments) -> Datagram | None:
     """Return the UDP datagram in an IP packet, or that which it completes; None if there is none."""
-    waiting.took = False
     version = ip[0] >> 4 if len(ip) >= 20 else 0
     if version == 4:
         head, total = (ip[0] & 15) * 4, (ip[2] << 8) | ip[3]
@@ -237,18 +217,7 @@ def _udp(source: memoryview, body: memoryview, time_s: float) -> Datagram | None
     length = (body[4] << 8) | body[5]
     if not 8 <= length <= len(body):
         return None
-    return Datagram(time_s, _address(bytes(source)), (body[2] << 8) | body[3], bytes(body[8:length]))
-
-
-def _address(raw: bytes) -> str:
-    """Return an address as text.
-
-    >>> _address(bytes([192, 168, 1, 201]))
-    '192.168.1.201'
-    """
-    if len(raw) == 4:
-        return ".".join(map(str, raw))
-    return ":".join(raw[i : i + 2].hex() for i in range(0, 16, 2))
+    return Datagram(time_s, str(ip_address(bytes(source))), (body[2] << 8) | body[3], bytes(body[8:length]))
 
 
 @dataclass(slots=True)
@@ -268,14 +237,11 @@ class _Fragments:
     def __init__(self, count: CaptureCount) -> None:
         self._count = count
         self._pending: OrderedDict[tuple[bytes, bytes], _Pending] = OrderedDict()
-        self.took = False
-        """Whether the last packet was a fragment."""
 
     def add(
         self, key: tuple[bytes, bytes], source: memoryview, offset: int, more: bool, body: memoryview, time_s: float
     ) -> Datagram | None:  # fmt: skip
         """Take a fragment; return the datagram if it is complete."""
-        self.took = True
         if offset + len(body) > MAX_DATAGRAM:
             return None
         one = self._pending.setdefault(key, _Pending(source, time_s))

@@ -7,8 +7,8 @@ shot that points along its line, and keeps the shot's own time. Columns that did
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,13 @@ MAX_EMPTY = 64
 """Most lines that did not arrive for one that did, over a file."""
 SPARE_CELLS = 1 << 20
 """Number of cells always allowed."""
+MAX_SHIFT = 512
+"""Most columns by which a ring lies before or behind the others."""
+SAME_CLOCK_S = 1.0
+"""A scanner's clock within this of the capture's is taken to be set by GPS or PTP [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
+class Columns(NamedTuple):
     """Consecutive firing columns, decoded; rings from low to high."""
 
     line: I64
@@ -35,7 +38,7 @@ class Columns:
     range_m: F32
     """(n, M) float32 [m]; NaN = no return."""
     record: I64
-    """(n, M) int64."""
+    """(n, M) int64; -1 = none."""
     time_s: F64
     """(n, M) float64 [s]."""
     xyz_m: F32
@@ -47,35 +50,18 @@ class Columns:
     further_record: I64 | None = None
     """(n, M) int64, its record; -1 = none."""
 
-    def __len__(self) -> int:
+    @property
+    def n(self) -> int:
+        """Number of columns."""
         return len(self.line)
 
     def part(self, where: slice | NDArray[Any]) -> Columns:
         """Return some of the columns."""
-        further = None if self.further_m is None else self.further_m[where]
-        record = None if self.further_record is None else self.further_record[where]
-        return Columns(
-            self.line[where], self.range_m[where], self.record[where], self.time_s[where], self.xyz_m[where],
-            self.intensity[where], further, record,
-        )  # fmt: skip
+        return Columns(*(None if values is None else values[where] for values in self))  # type: ignore[arg-type]
 
-
-class _Held:
-    """Lines that wait for shots."""
-
-    def __init__(self, n: int, m: int, *, with_further: bool) -> None:
-        self.range_m: F32 = np.full((n, m), np.nan, np.float32)
-        self.record: I64 = np.full((n, m), -1, np.int64)
-        self.time_s: F64 = np.full((n, m), np.nan)
-        self.xyz_m: F32 = np.full((n, m, 3), np.nan, np.float32)
-        self.intensity: F32 = np.full((n, m), np.nan, np.float32)
-        self.further_m: F32 | None = np.full((n, m), np.nan, np.float32) if with_further else None
-        self.further_record: I64 | None = np.full((n, m), -1, np.int64) if with_further else None
-
-    def arrays(self) -> list[NDArray[Any]]:
-        """Return all arrays, always in the same order."""
-        every = (self.range_m, self.record, self.time_s, self.xyz_m, self.intensity)
-        return [*every, *(one for one in (self.further_m, self.further_record) if one is not None)]
+    def cells(self) -> list[NDArray[Any]]:
+        """Return the arrays with a value a cell, always in the same order."""
+        return [values for values in self[1:] if values is not None]
 
 
 class ColumnLines:
@@ -83,18 +69,18 @@ class ColumnLines:
 
     def __init__(self, where: str, scanner: int, shift: I64, config: InputConfig) -> None:
         self._where, self._scanner, self._config = where, scanner, config
-        self._shift = shift - shift.min()
-        self._span = int(self._shift.max())
-        self._most = max(1, CHUNK_SHOTS // len(shift))
-        self._held: _Held | None = None
+        shift = shift - shift.min()
+        self._m, self._span = len(shift), int(shift.max())
+        self._rings = {int(by): np.flatnonzero(shift == by) for by in np.unique(shift)}
+        """Rings by the number of lines that they lie behind their column."""
+        self._most = max(1, CHUNK_SHOTS // self._m)
+        self._held: list[NDArray[Any]] = []
+        """Cells of lines that wait for shots, from the first that was not given out."""
         self._base = 0
         """First line that was not given out."""
         self._next = 0
         """Least column that may come."""
-        self.n_columns = 0
-        self.n_lost = 0
-        """Columns that did not arrive."""
-        self._unplaced = self._not_fired = 0
+        self._n_columns = self._n_lost = self._unplaced = self._not_fired = 0
 
     def count_not_fired(self, n: int) -> None:
         """Count records of columns that the scanner itself marks as empty; they have no place in a line."""
@@ -103,40 +89,41 @@ class ColumnLines:
     def add(self, columns: Columns) -> Iterator[ScanBlock]:
         """Take columns; yield the lines that are complete."""
         columns = self._in_turn(columns)
-        n, first = len(columns), 0
-        while first < n:
-            line = columns.line[first:]
+        self._held = self._held or [values[:0] for values in columns.cells()]
+        columns = self._with_further(columns)
+        first = 0
+        while first < columns.n:
             # a block at a time, however long the gap
-            stop = first + int(np.searchsorted(line, self._base + self._most))
+            stop = first + int(np.searchsorted(columns.line[first:], self._base + self._most))
             if stop > first:
                 self._put(columns.part(slice(first, stop)))
             # the last line stays, so that what comes late is counted with it
-            upto = int(columns.line[stop - 1]) if stop == n else self._base + self._most
-            yield from self._give(upto)
+            yield from self._give(int(columns.line[stop - 1]) if stop == columns.n else self._base + self._most)
             first = stop
 
     def finish(self) -> Iterator[ScanBlock]:
         """Yield the lines that are left."""
-        if self.n_columns:
+        if self._n_columns:
             yield from self._give(self._next + self._span)
 
     def lost(self) -> str:
         """Return a sentence on columns that did not arrive, empty if all did."""
-        if not self.n_lost:
+        if not self._n_lost:
             return ""
-        share = self.n_lost / (self.n_lost + self.n_columns)
-        return f"{self.n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots"
+        share = self._n_lost / (self._n_lost + self._n_columns)
+        return f"{self._n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots"
 
     def _in_turn(self, columns: Columns) -> Columns:
         """Leave out columns that come too late, and check the gaps."""
         before = np.append(self._next - 1, columns.line)
         keep = columns.line > np.maximum.accumulate(before)[:-1]
         if not keep.all():
-            every = [columns.record[~keep]]
-            every += [] if columns.further_record is None else [columns.further_record[~keep]]
-            self._unplaced += sum(int(np.count_nonzero(one >= 0)) for one in every)
+            late = columns.part(~keep)
+            self._unplaced += sum(
+                int(np.count_nonzero(one >= 0)) for one in (late.record, late.further_record) if one is not None
+            )
             columns = columns.part(keep)
-        if not len(columns):
+        if not columns.n:
             return columns
         gaps = np.diff(np.append(self._next - 1, columns.line)) - 1
         limit, worst = self._config.max_gap_lines, int(gaps.argmax())
@@ -147,83 +134,115 @@ class ColumnLines:
             )
             hint = "split the file there, or set input.max_gap_lines if the gap is real"
             raise InputError(self._where, problem, hint)
-        self.n_columns += len(columns)
-        self.n_lost += int(gaps.sum())
-        if self.n_lost > MAX_EMPTY * self.n_columns + SPARE_CELLS // len(self._shift):
-            problem = f"{self.n_lost} columns did not arrive, {self.n_columns} did, expected most of them"
+        self._n_columns += columns.n
+        self._n_lost += int(gaps.sum())
+        if self._n_lost > MAX_EMPTY * self._n_columns + SPARE_CELLS // self._m:
+            problem = f"{self._n_lost} columns did not arrive, {self._n_columns} did, expected most of them"
             raise InputError(self._where, problem, "copy it from the archive again")
         self._next = int(columns.line[-1]) + 1
         return columns
 
+    def _with_further(self, columns: Columns) -> Columns:
+        """Give both what is held and new columns further returns where one of them has any."""
+        if columns.further_m is not None and len(self._held) == len(columns) - 3:
+            self._held += [np.full_like(self._held[0], np.nan), np.full_like(self._held[1], -1)]
+        elif columns.further_m is None and len(self._held) == len(columns) - 1:
+            further = np.full_like(columns.range_m, np.nan), np.full_like(columns.record, -1)
+            columns = columns._replace(further_m=further[0], further_record=further[1])
+        return columns
+
     def _put(self, columns: Columns) -> None:
-        m, span = len(self._shift), self._span
-        with_further = columns.further_m is not None
-        n = int(columns.line[-1]) + 1 + span - self._base
-        held = _Held(n, m, with_further=with_further)
-        if self._held is not None:
-            for new, old in zip(held.arrays(), self._held.arrays(), strict=True):
-                new[: len(old)] = old
-        at = (columns.line - self._base)[:, None] + self._shift, np.arange(m)[None]
-        every = [columns.range_m, columns.record, columns.time_s, columns.xyz_m, columns.intensity]
-        if columns.further_m is not None and columns.further_record is not None:
-            every += [columns.further_m, columns.further_record]
-        for new, values in zip(held.arrays(), every, strict=True):
-            new[at] = values
-        self._held = held
+        """Put columns where their rings belong."""
+        row = columns.line - self._base
+        self._held = self._longer(int(row[-1]) + 1 + self._span)
+        for behind, rings in self._rings.items():
+            at = row + behind if len(self._rings) == 1 else np.ix_(row + behind, rings)
+            for held, values in zip(self._held, columns.cells(), strict=True):
+                held[at] = values if len(self._rings) == 1 else values[:, rings]
+
+    def _longer(self, n: int) -> list[NDArray[Any]]:
+        """Return what is held, with empty cells up to line ``n``."""
+        lacking = n - len(self._held[0])
+        if lacking <= 0:
+            return self._held
+        return [
+            np.concatenate(
+                [one, np.full((lacking, *one.shape[1:]), -1 if one.dtype.kind == "i" else np.nan, one.dtype)]
+            )
+            for one in self._held
+        ]
 
     def _give(self, upto: int) -> Iterator[ScanBlock]:
         """Yield the lines before ``upto``, and keep the others."""
         n = upto - self._base
         if n <= 0:
             return
-        held, self._held = self._held, None
-        if held is None:
-            held = _Held(n, len(self._shift), with_further=False)
-        elif len(held.range_m) < n:
-            longer = _Held(n, len(self._shift), with_further=held.further_m is not None)
-            for new, old in zip(longer.arrays(), held.arrays(), strict=True):
-                new[: len(old)] = old
-            held = longer
-        else:
-            rest = _Held(len(held.range_m) - n, len(self._shift), with_further=held.further_m is not None)
-            for new, old in zip(rest.arrays(), held.arrays(), strict=True):
-                new[:] = old[n:]
-            self._held = rest if len(rest.range_m) else None
-        block = self._block(held, n)
+        held = self._longer(n)
+        self._held = [values[n:] for values in held]
+        block = self._block(Columns(np.arange(self._base, upto), *(values[:n] for values in held)))
         self._base = upto
         yield block
 
-    def _block(self, held: _Held, n: int) -> ScanBlock:
+    def _block(self, lines: Columns) -> ScanBlock:
         low, high = self._config.min_range, self._config.max_range
-        ranges, tally = clean_ranges(held.range_m[:n], low, high)
+        ranges, tally = clean_ranges(lines.range_m, low, high)
         missing = np.isnan(ranges)
-        xyz, intensity = held.xyz_m[:n], held.intensity[:n]
-        xyz[missing], intensity[missing] = np.nan, np.nan
-        record = held.record[:n]
-        n_records = int(np.count_nonzero(record >= 0))
+        lines.xyz_m[missing], lines.intensity[missing] = np.nan, np.nan
+        n_records = int(np.count_nonzero(lines.record >= 0))
         extra = ExtraReturns.none()
-        if held.further_m is not None and held.further_record is not None:
-            further, more = clean_ranges(held.further_m[:n], low, high)
+        if lines.further_m is not None and lines.further_record is not None:
+            further, more = clean_ranges(lines.further_m, low, high)
             line, column = np.nonzero(np.isfinite(further))
             extra = ExtraReturns(
                 line.astype(np.int32), column.astype(np.int32), further[line, column],
-                held.further_record[line, column],
+                lines.further_record[line, column],
             )  # fmt: skip
-            n_records += int(np.count_nonzero(held.further_record[:n] >= 0))
+            n_records += int(np.count_nonzero(lines.further_record >= 0))
             tally = tally + replace(more, n_extra_returns=len(line))
         n_records += self._unplaced + self._not_fired
         unplaced, self._unplaced, self._not_fired = self._unplaced, 0, 0
         return ScanBlock(
             first_line=self._base,
             range_m=ranges,
-            record=record,
+            record=lines.record,
             scanner=self._scanner,
-            time_s=held.time_s[:n],
-            xyz_m=xyz,
-            intensity=intensity,
+            time_s=lines.time_s,
+            xyz_m=lines.xyz_m,
+            intensity=lines.intensity,
             extra=extra,
             tally=tally + ReadTally(n_records=n_records, n_unplaced=unplaced),
         )
+
+
+class PacketClock:
+    """Turns the time stamps of packets into column numbers and times.
+
+    A clock that agrees with the capture's (modulo its period) is believed; else the first packet is set to the
+    capture's time, and the steps are the scanner's.
+    """
+
+    def __init__(self, period_s: float, column_s: float) -> None:
+        self._period_s, self._column_s = period_s, column_s
+        self._last: float | None = None
+        self._elapsed = 0.0
+        self._line = 0
+        self._start_s = 0.0
+
+    def columns(self, stamp_s: F64, host_s: F64, n_columns: int) -> tuple[I64, F64]:
+        """Return number and time of every column of packets."""
+        half = self._period_s / 2
+        if self._last is None:
+            self._last = float(stamp_s[0])
+            off = (self._last - float(host_s[0]) + half) % self._period_s - half
+            self._start_s = float(host_s[0]) + (off if abs(off) <= SAME_CLOCK_S else 0.0)
+        steps = (np.diff(stamp_s, prepend=self._last) + half) % self._period_s - half
+        elapsed = self._elapsed + np.cumsum(steps)
+        # every step is rounded by itself: stamps of whole microseconds do not add up to a column
+        line = self._line + np.cumsum(np.rint(steps / self._column_s).astype(np.int64))
+        self._last, self._elapsed, self._line = float(stamp_s[-1]), float(elapsed[-1]), int(line[-1])
+        every = (line[:, None] + np.arange(n_columns)).reshape(-1)
+        start = self._start_s + elapsed
+        return every, (start[:, None] + np.arange(n_columns) * self._column_s).reshape(-1)
 
 
 def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
@@ -236,8 +255,20 @@ def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
     return xyz
 
 
-def choose_of_two(first: F32, second: F32, lit: tuple[F32, F32], rule: str) -> NDArray[np.bool_]:
-    """Return where the second of two returns stands for its shot."""
+_Further: TypeAlias = tuple[F32 | None, I64 | None]
+
+
+def choose(range_m: F32, light: F32, record: I64, rule: str) -> tuple[F32, F32, I64, _Further]:
+    """Return range, light and record of the return that stands for every shot, range and record of the other one.
+
+    All arrays are (n, M, returns); returns are at most two.
+    """
+    own, lit, at = range_m[..., 0], light[..., 0], record[..., 0]
+    if range_m.shape[-1] == 1:
+        return own, lit, at, (None, None)
+    other, other_lit, other_at = range_m[..., 1], light[..., 1], record[..., 1]
     with np.errstate(invalid="ignore"):
-        wins = {"strongest": lit[1] > lit[0], "first": second < first, "last": second > first}[rule]
-    return np.isfinite(second) & (wins | np.isnan(first))
+        wins = {"strongest": other_lit > lit, "first": other < own, "last": other > own}[rule]
+    swap = np.isfinite(other) & (wins | np.isnan(own))
+    further = np.where(swap, own, other), np.where(swap, at, other_at)
+    return np.where(swap, other, own), np.where(swap, other_lit, lit), np.where(swap, other_at, at), further

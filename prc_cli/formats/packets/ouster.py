@@ -12,14 +12,14 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.packets.columns import Columns, choose_of_two
+from prc_cli.formats.packets.columns import Columns, choose
 
 MAX_METADATA = 1 << 20
 """Longest metadata file [bytes]."""
@@ -27,13 +27,29 @@ _MAX_COLUMNS, _MAX_PIXELS = 4096, 256
 _FRAME_IDS = 1 << 16
 _MOST = 1e6
 """Larger numbers are no angles, columns or millimetres."""
-_PROFILES: dict[str, dict[str, Any]] = {
-    "LEGACY": {"head": 0, "column": 16, "pixel": 12, "foot": 4, "end": 0},
-    "RNG19_RFL8_SIG16_NIR16": {"head": 32, "column": 12, "pixel": 12, "foot": 0, "end": 32},
-    "RNG15_RFL8_NIR8": {"head": 32, "column": 12, "pixel": 4, "foot": 0, "end": 32},
-    "RNG19_RFL8_SIG16_NIR16_DUAL": {"head": 32, "column": 12, "pixel": 16, "foot": 0, "end": 32},
+
+
+class _Profile(NamedTuple):
+    """Bytes of the parts of a packet, and what is read of a pixel."""
+
+    size: int
+    """Bytes of a pixel."""
+    returns: tuple[tuple[int, str, int, float, int, str], ...]
+    """By return: place, type, mask and unit [m] of the range, place and type of the signal, else the reflectivity."""
+    head: int = 32
+    column: int = 12
+    foot: int = 0
+    end: int = 32
+
+
+_PROFILES = {
+    "LEGACY": _Profile(12, ((0, "<u4", 0xFFFFF, 1e-3, 6, "<u2"),), head=0, column=16, foot=4, end=0),
+    "RNG19_RFL8_SIG16_NIR16": _Profile(12, ((0, "<u4", 0x7FFFF, 1e-3, 6, "<u2"),)),
+    "RNG15_RFL8_NIR8": _Profile(4, ((0, "<u2", 0x7FFF, 8e-3, 2, "u1"),)),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": _Profile(
+        16, ((0, "<u4", 0x7FFFF, 1e-3, 8, "<u2"), (4, "<u4", 0x7FFFF, 1e-3, 10, "<u2"))
+    ),
 }
-"""Bytes of the parts of a packet by profile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +81,7 @@ class Metadata:
     def packet_size(self) -> int:
         """Bytes of a packet."""
         form = _PROFILES[self.profile]
-        column = form["column"] + form["pixel"] * self.n_pixels + form["foot"]
-        return int(form["head"] + column * self.n_columns + form["end"])
+        return form.head + (form.column + form.size * self.n_pixels + form.foot) * self.n_columns + form.end
 
 
 def read_metadata(path: Path) -> Metadata:
@@ -157,23 +172,25 @@ class OusterDecoder:
 
     def __init__(self, where: str, metadata: Metadata, rule: str) -> None:
         self._where, self._meta, self._rule = where, metadata, rule
-        m = metadata.n_pixels
-        form = _PROFILES[metadata.profile]
-        legacy = metadata.profile == "LEGACY"
-        self.n_returns = 2 if metadata.profile.endswith("_DUAL") else 1
-        self.n_columns = metadata.n_columns
+        m = self.points_per_line = metadata.n_pixels
+        self.name = f"Ouster {metadata.name}, {metadata.profile}"
+        form = self._form = _PROFILES[metadata.profile]
+        self._is_legacy = metadata.profile == "LEGACY"
+        self.n_returns, self.n_columns = len(form.returns), metadata.n_columns
         self.n_records = self.n_columns * m * self.n_returns
         self._order = np.argsort(metadata.altitude_deg, kind="stable")
         self.shift: I64 = metadata.shift[self._order]
-        head = [("time", "<u8"), ("number", "<u2"), ("frame" if legacy else "status", "<u2")]
-        head += [("encoder", "<u4")] if legacy else []
         column = np.dtype(
-            [*head, ("pixels", "u1", (m, form["pixel"])), *([("status", "<u4")] if legacy else [])]
-        )  # fmt: skip
-        self._packet = np.dtype(
-            [("head", "u1", form["head"]), ("columns", column, self.n_columns), ("end", "u1", form["end"])]
+            {
+                "names": ["time", "number", "frame", "pixels", "status"],
+                "formats": ["<u8", "<u2", "<u2", ("u1", (m, form.size)), "<u4" if self._is_legacy else "<u2"],
+                "offsets": [0, 8, 10, form.column, form.column + form.size * m if self._is_legacy else 10],
+                "itemsize": form.column + form.size * m + form.foot,
+            }
         )
-        assert self._packet.itemsize == metadata.packet_size
+        self._packet = np.dtype(
+            [("head", "u1", form.head), ("columns", column, self.n_columns), ("end", "u1", form.end)]
+        )
         first, last = metadata.window
         self._window_first = first
         n_window = (last - first) % metadata.frame_columns + 1
@@ -185,17 +202,12 @@ class OusterDecoder:
         self._turns = 0
         self._first_line: int | None = None
 
-    @property
-    def name(self) -> str:
-        """Maker and model."""
-        return f"Ouster {self._meta.name}, {self._meta.profile}"
-
     def decode(self, packets: U8, host_s: F64, first_record: I64) -> Columns:
-        """Decode packets, (n, size) uint8; see :meth:`prc_cli.formats.packets.velodyne.VelodyneDecoder.decode`."""
+        """Decode packets of one size, (n, size) uint8."""
         m, r = self._meta.n_pixels, self.n_returns
         table = np.ascontiguousarray(packets).view(self._packet)[:, 0]
         columns = table["columns"]
-        if self._meta.profile == "LEGACY":
+        if self._is_legacy:
             frame, is_good = columns["frame"].ravel(), columns["status"].ravel() == 0xFFFFFFFF
         else:
             frame = np.repeat(table["head"][:, 2:4].copy().view("<u2")[:, 0], self.n_columns)
@@ -207,17 +219,11 @@ class OusterDecoder:
         record = record.reshape(-1, m, r)[is_good]
         line = self._lines(frame.astype(np.int64)[is_good], within[is_good])
         pixels = np.ascontiguousarray(columns["pixels"].reshape(-1, m, columns["pixels"].shape[-1])[is_good])
-        ranges, lights = _pixels(pixels[:, self._order], self._meta.profile)
+        ranges, lights = self._pixels(pixels[:, self._order])
         time_s = np.repeat(columns["time"].ravel()[is_good, None] * 1e-9, m, axis=1)
-        number = number[is_good]
-        if r == 1:
-            return Columns(line, ranges[0], record[..., 0], time_s, self._place(ranges[0], number), lights[0])
-        swap = choose_of_two(ranges[0], ranges[1], (lights[0], lights[1]), self._rule)
-        own, other = np.where(swap, ranges[1], ranges[0]), np.where(swap, ranges[0], ranges[1])
-        return Columns(
-            line, own, np.where(swap, record[..., 1], record[..., 0]), time_s, self._place(own, number),
-            np.where(swap, lights[1], lights[0]), other, np.where(swap, record[..., 0], record[..., 1]),
-        )  # fmt: skip
+        range_m, lit, record, further = choose(ranges, lights, record, self._rule)
+        xyz = self._place(range_m, number[is_good])
+        return Columns(line, range_m, record, time_s, xyz, lit, *further)
 
     def _lines(self, frame: I64, within: I64) -> I64:
         """Return the number of every column since the first."""
@@ -250,28 +256,15 @@ class OusterDecoder:
         placed: F32 = (lidar @ meta.rotation.T).astype(np.float32)
         return placed
 
+    def _pixels(self, pixels: U8) -> tuple[F32, F32]:
+        """Return ranges [m] and intensities of pixels, (n, M, returns) float32; NaN = no return."""
 
-def _pixels(pixels: U8, profile: str) -> tuple[list[F32], list[F32]]:
-    """Return ranges [m] and intensities by return, (n, M) float32 each; NaN = no return.
+        def field(at: int, dtype: str) -> Any:
+            return np.ascontiguousarray(pixels[..., at : at + np.dtype(dtype).itemsize]).view(dtype)[..., 0]
 
-    The intensity is the signal where the profile has it, else the reflectivity.
-    """
-
-    def field(at: int, dtype: str) -> Any:
-        size = np.dtype(dtype).itemsize
-        return np.ascontiguousarray(pixels[..., at : at + size]).view(dtype)[..., 0]
-
-    if profile == "LEGACY":
-        stored, lit = [field(0, "<u4") & 0xFFFFF], [field(6, "<u2")]
-    elif profile == "RNG15_RFL8_NIR8":
-        stored, lit = [(field(0, "<u2") & 0x7FFF).astype(np.uint32) << 3], [field(2, "u1")]
-    elif profile == "RNG19_RFL8_SIG16_NIR16":
-        stored, lit = [field(0, "<u4") & 0x7FFFF], [field(6, "<u2")]
-    else:
-        stored, lit = [field(0, "<u4") & 0x7FFFF, field(4, "<u4") & 0x7FFFF], [field(8, "<u2"), field(10, "<u2")]
-    ranges: list[F32] = []
-    for millimetres in stored:
-        metres = (millimetres * 1e-3).astype(np.float32)
-        metres[millimetres == 0] = np.nan
-        ranges.append(metres)
-    return ranges, [one.astype(np.float32) for one in lit]
+        ranges, lights = np.empty((2, *pixels.shape[:2], self.n_returns), np.float32)
+        for one, (at, kind, mask, unit_m, light_at, light_kind) in enumerate(self._form.returns):
+            stored = field(at, kind) & mask
+            ranges[..., one] = np.where(stored == 0, np.nan, stored * unit_m)
+            lights[..., one] = field(light_at, light_kind)
+        return ranges, lights

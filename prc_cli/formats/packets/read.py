@@ -3,42 +3,103 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
+from prc_cli.core.types import U8
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import check_rules, check_width
 from prc_cli.formats.packets.capture import CaptureCount, Datagram, read_datagrams
-from prc_cli.formats.packets.ouster import Metadata, read_metadata
-from prc_cli.formats.packets.scanners import PacketLines, is_scan, open_decoder
+from prc_cli.formats.packets.columns import ColumnLines
+from prc_cli.formats.packets.ouster import Metadata, OusterDecoder, read_metadata
+from prc_cli.formats.packets.spinning import KNOWN, NEEDED, SpinningDecoder, describe, is_hesai, is_spinning
 
+BATCH_SHOTS = 1 << 17
+"""Shots decoded at a time."""
 MAX_SCANNERS = 256
 """Most scanners of a capture."""
 _USUAL_OUSTER = 7502
+
+
+Decoder: TypeAlias = SpinningDecoder | OusterDecoder
+
+
+def is_scan(packet: bytes, metadata: Metadata | None) -> bool:
+    """Whether a packet holds shots of a known maker."""
+    return is_spinning(packet) or (metadata is not None and len(packet) == metadata.packet_size)
+
+
+def open_decoder(where: str, first: bytes, metadata: Metadata | None, config: InputConfig) -> Decoder:
+    """Return the decoder for a scanner's first packet."""
+    if metadata is not None and len(first) == metadata.packet_size:
+        return OusterDecoder(where, metadata, config.return_)
+    calibration = None if config.metadata is None else Path(config.metadata).expanduser()
+    return SpinningDecoder(where, first, calibration, config.return_)
+
+
+class PacketLines:
+    """Gathers the packets of one scanner into blocks."""
+
+    def __init__(self, where: str, scanner: int, first: bytes, metadata: Metadata | None, config: InputConfig) -> None:
+        self._where, self._scanner, self._config = where, scanner, config
+        self.decoder = open_decoder(where, first, metadata, config)
+        self.points_per_line, self.n_records = self.decoder.points_per_line, self.decoder.n_records
+        self.has_returns = self.decoder.n_returns > 1
+        self._lines: ColumnLines | None = None
+        self._size = len(first)
+        self._packets: list[tuple[bytes, float, int]] = []
+        self._enough = max(1, BATCH_SHOTS // max(1, self.n_records))
+
+    def add(self, packet: bytes, time_s: float, first_record: int) -> Iterator[ScanBlock]:
+        """Take a packet; yield blocks when there is enough for one."""
+        if len(packet) != self._size:
+            problem = f"found a packet of {len(packet)} bytes, expected {self._size} as before"
+            raise InputError(self._where, problem, "split the capture where the set-up changed")
+        self._packets.append((packet, time_s, first_record))
+        if len(self._packets) == self._enough:
+            yield from self._decode()
+
+    def finish(self) -> Iterator[ScanBlock]:
+        """Yield what waits."""
+        yield from self._decode()
+        if self._lines is not None:
+            yield from self._lines.finish()
+
+    def lost(self) -> str:
+        """Return a sentence on columns that did not arrive, empty if all did."""
+        return "" if self._lines is None else self._lines.lost()
+
+    def _decode(self) -> Iterator[ScanBlock]:
+        if not self._packets:
+            return
+        packets, times, records = zip(*self._packets, strict=True)
+        self._packets = []
+        data: U8 = np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), self._size)
+        columns = self.decoder.decode(data, np.array(times), np.array(records, np.int64))
+        if self._lines is None:
+            self._lines = ColumnLines(self._where, self._scanner, self.decoder.shift, self._config)
+        per_column = self.n_records // self.decoder.n_columns
+        self._lines.count_not_fired(len(data) * self.n_records - columns.n * per_column)
+        if columns.n:
+            yield from self._lines.add(columns)
 
 
 @dataclass(slots=True)
 class _Scanner:
     """A scanner as the first pass finds it."""
 
-    number: int
     first: bytes
-    n: int = 0
-    start_s: float = 0.0
+    start_s: float
     end_s: float = 0.0
-
-
-@dataclass(slots=True)
-class _Survey:
-    """What the first pass finds."""
-
-    count: CaptureCount = field(default_factory=CaptureCount)
-    scanners: dict[str, _Scanner] = field(default_factory=dict)
-    others: dict[tuple[int, int], int] = field(default_factory=dict)
-    """Datagrams that are not read, by port and size."""
+    n: int = 0
+    number: int = 0
+    name: str = ""
 
 
 class PacketStream:
@@ -48,26 +109,26 @@ class PacketStream:
         check_rules(path, config, "packets of scanners")
         self._path, self._config = path, config
         self._metadata = find_metadata(path, config)
-        self._survey = self._look()
-        self._names: dict[str, str] = {}
-        widest, self._has_returns = 0, False
-        for key, scanner in self._survey.scanners.items():
-            decoder = open_decoder(self._where(key), scanner.first, self._metadata, config.return_)
-            self._names[key] = decoder.name
-            widest = max(widest, len(decoder.shift))
-            self._has_returns = self._has_returns or decoder.n_returns > 1
-        self._widest = widest
-        check_width(path, widest, config)
+        self._count = CaptureCount()
+        self._others: dict[tuple[int, int], int] = {}
+        """Datagrams that are not read, by port and size."""
+        self._unknown = ""
+        """What one of them says about its scanner."""
+        self._scanners = self._wanted(self._look())
+        decoders = [
+            open_decoder(f"{path}: {key}", one.first, self._metadata, config) for key, one in self._scanners.items()
+        ]
+        for number, (one, decoder) in enumerate(zip(self._scanners.values(), decoders, strict=True)):
+            one.number, one.name = number, decoder.name
+        self._has_returns = any(decoder.n_returns > 1 for decoder in decoders)
+        self._widest = max(decoder.points_per_line for decoder in decoders)
+        check_width(path, self._widest, config)
         self._lost: list[str] = []
-
-    def _where(self, key: str) -> str:
-        return f"{self._path}: {key}"
 
     @property
     def info(self) -> StreamInfo:
         """What is known before reading, and afterwards also what was found while reading."""
-        scanners = self._survey.scanners
-        shown = "; ".join(f"{one.number}: {self._names[key]} at {key}" for key, one in scanners.items())
+        shown = "; ".join(f"{one.number}: {one.name} at {key}" for key, one in self._scanners.items())
         assumed = [
             Assumption("input.lines", "firing columns", "rings from low to high are the shots of a line"),
             Assumption("input.scanner", "one a sender and port", shown[:500]),
@@ -84,115 +145,113 @@ class PacketStream:
             facts=SourceFacts(
                 has_line_times=True,
                 has_returns=self._has_returns,
+                scanners=tuple(self._scanners) if len(self._scanners) > 1 else (),
                 notes=(*self._notes(), *self._lost),
                 describe=self._describe,
             ),
         )
 
     def _notes(self) -> list[str]:
-        count, notes = self._survey.count, []
+        count, notes = self._count, []
         if count.end:
             notes.append(f"{count.end}: it was read up to there")
         if count.n_short:
-            notes.append(
-                f"{count.n_short:,} packets were not kept whole by the capture (its snapshot length): left out"
-            )
+            short = f"{count.n_short:,} packets were not kept whole by the capture"
+            notes.append(f"{short} (its snapshot length): left out")
         if count.n_fragments_lost:
             notes.append(f"{count.n_fragments_lost:,} datagrams lack a fragment: left out")
         return notes
 
     def _describe(self) -> dict[str, str]:
         told = {
-            f"scanner {one.number}": f"{key}, {self._names[key]}, {one.n:,} packets from {one.start_s:.3f} s to "
-            f"{one.end_s:.3f} s"
-            for key, one in self._survey.scanners.items()
+            f"scanner {one.number}": f"{key}, {one.name}, {one.n:,} packets "
+            f"from {one.start_s:.3f} s to {one.end_s:.3f} s"
+            for key, one in self._scanners.items()
         }
-        most = sorted(self._survey.others.items(), key=lambda item: -item[1])[:8]
-        others = ", ".join(f"{n:,} of {size} bytes to port {port}" for (port, size), n in most)
-        return {**told, "not read": others or "nothing"}
+        return {**told, "not read": self._shown_others(8) or "nothing"}
 
-    def _look(self) -> _Survey:
+    def _shown_others(self, most: int) -> str:
+        others = sorted(self._others.items(), key=lambda item: -item[1])[:most]
+        return ", ".join(f"{n:,} of {size} bytes to port {port}" for (port, size), n in others)
+
+    def _look(self) -> dict[str, _Scanner]:
         """Read the capture once: which scanners there are, and where it ends."""
-        found = _Survey()
-        for datagram in read_datagrams(self._path, found.count):
+        found: dict[str, _Scanner] = {}
+        for datagram in read_datagrams(self._path, self._count):
             if not is_scan(datagram.payload, self._metadata):
                 key = (datagram.port, len(datagram.payload))
-                if key in found.others or len(found.others) < MAX_SCANNERS:
-                    found.others[key] = found.others.get(key, 0) + 1
+                if key in self._others or len(self._others) < MAX_SCANNERS:
+                    self._others[key] = self._others.get(key, 0) + 1
+                if is_hesai(datagram.payload):
+                    self._unknown = describe(datagram.payload)
                 continue
-            key_of = _key(datagram)
-            one = found.scanners.get(key_of)
+            one = found.get(_key(datagram))
             if one is None:
-                if len(found.scanners) == MAX_SCANNERS:
+                if len(found) == MAX_SCANNERS:
                     problem = f"more than {MAX_SCANNERS} senders, expected scanners"
                     raise InputError(str(self._path), problem, "capture the scanners' addresses alone")
-                one = _Scanner(0, datagram.payload, start_s=datagram.time_s)
-                found.scanners[key_of] = one
+                one = found[_key(datagram)] = _Scanner(datagram.payload, datagram.time_s)
             one.n += 1
             one.end_s = datagram.time_s
-        found.scanners = self._wanted(found)
-        for number, key_of in enumerate(sorted(found.scanners)):
-            found.scanners[key_of].number = number
-        return found
+        return dict(sorted(found.items()))
 
-    def _wanted(self, found: _Survey) -> dict[str, _Scanner]:
+    def _wanted(self, found: dict[str, _Scanner]) -> dict[str, _Scanner]:
         """Return the scanners to read."""
-        if not found.scanners:
-            raise InputError(str(self._path), *self._nothing(found))
-        if self._config.topic is None:
-            return dict(sorted(found.scanners.items()))
-        wanted = self._config.topic.split(",")
+        if not found:
+            raise InputError(str(self._path), *self._nothing())
+        wanted = list(found) if self._config.topic is None else self._config.topic.split(",")
         for name in wanted:
-            if name not in found.scanners:
-                problem = f"found {name!r}, {self._path.name} has {', '.join(sorted(found.scanners))[:500]}"
+            if name not in found:
+                problem = f"found {name!r}, {self._path.name} has {', '.join(found)[:500]}"
                 raise ConfigError("input.topic", problem, "name one of them")
-        return {key: one for key, one in sorted(found.scanners.items()) if key in wanted}
+        return {key: one for key, one in found.items() if key in wanted}
 
-    def _nothing(self, found: _Survey) -> tuple[str, str]:
+    def _nothing(self) -> tuple[str, str]:
         """Return why there is nothing to read, and what to do."""
-        most = sorted(found.others.items(), key=lambda item: -item[1])[:5]
-        shown = ", ".join(f"{n} of {size} bytes to port {port}" for (port, size), n in most) or "no datagram"
-        end = f" ({found.count.end})" if found.count.end else ""
-        problem = f"no packets of a known scanner{end}: {shown}, expected Velodyne, Ouster or Hesai XT"
+        end = f" ({self._count.end})" if self._count.end else ""
+        problem = f"no packets of a known scanner{end}: {self._shown_others(5) or 'no datagram'}"
+        if self._unknown:
+            return f"{problem} ({self._unknown}), expected {KNOWN}", NEEDED
         if self._metadata is not None:
             size = self._metadata.packet_size
             return f"{problem} (packets of {size} bytes, as the metadata say)", "check that the metadata belong to it"
-        if any(port == _USUAL_OUSTER or size > 3000 for port, size in found.others):
+        problem += ", expected Velodyne, Ouster or Hesai"
+        if any(port == _USUAL_OUSTER or size > 3000 for port, size in self._others):
             return problem, "packets of an Ouster need its metadata: give --metadata FILE.json"
         return problem, "capture the data port of the scanner"
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""
-        scanners, record = self._survey.scanners, 0
         lines: dict[str, PacketLines] = {}
+        record = 0
         for datagram in read_datagrams(self._path, CaptureCount()):
-            if not is_scan(datagram.payload, self._metadata):
-                continue
             key = _key(datagram)
-            if key not in scanners:
+            if key not in self._scanners or not is_scan(datagram.payload, self._metadata):
                 continue
             one = lines.get(key)
             if one is None:
-                number = scanners[key].number
-                where = self._where(key)
-                one = lines[key] = PacketLines(where, number, datagram.payload, self._metadata, self._config)
+                number = self._scanners[key].number
+                one = PacketLines(f"{self._path}: {key}", number, datagram.payload, self._metadata, self._config)
+                lines[key] = one
             yield from one.add(datagram.payload, datagram.time_s, record)
             record += one.n_records
         for one in lines.values():
             yield from one.finish()
-        self._lost = [f"{key}: {lost}" for key, one in lines.items() if (lost := one.lines.lost())]
+        self._lost = [f"{key}: {lost}" for key, one in lines.items() if (lost := one.lost())]
 
 
 def _key(datagram: Datagram) -> str:
     return f"{datagram.source}:{datagram.port}"
 
 
-def find_metadata(path: Path, config: InputConfig) -> Metadata | None:
-    """Return the metadata of an Ouster sensor: those named, else of the same name with ``.json``; None without."""
+def find_metadata(path: Path | None, config: InputConfig) -> Metadata | None:
+    """Return the metadata of an Ouster: those named, else of the same name with ``.json``; None without."""
     if config.metadata is not None:
-        return read_metadata(Path(config.metadata).expanduser())
-    beside = path.with_suffix(".json")
-    return read_metadata(beside) if beside.is_file() else None
+        named = Path(config.metadata).expanduser()
+        # the calibration of a Velodyne is no metadata
+        return None if named.suffix in (".yml", ".yaml") else read_metadata(named)
+    beside = None if path is None else path.with_suffix(".json")
+    return read_metadata(beside) if beside is not None and beside.is_file() else None
 
 
 def open_capture(path: Path, config: InputConfig, lines_at_once: int) -> PacketStream:

@@ -18,6 +18,6 @@ FORMATS = (
         codes=(*_TABLE, ".txt", ".txt.gz", ".txt.zst"),
         open_codes="prc_cli.formats.labels:open_record_codes",
     ),
-    Format(name="3DTK", scans=(".3d",), records="prc_cli.formats.text.uos:open_uos"),
+    Format(name="3DTK", scans=(".3d",), records="prc_cli.formats.text.read:open_uos"),
     Format(name="bare coordinates", scans=(".xyz", ".asc", ".pts"), records=_TEXT, has_layout=True),
 )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import cast
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.options import Layout
+from prc_cli.formats.records import shorten
 from prc_cli.formats.text.lines import MAX_LINE_BYTES, iter_lines, too_long
 
 MAX_COLUMNS = 10_000
@@ -72,14 +71,11 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
     draft = TextFormat(given.delimiter, given.comment.encode(), None, 0, (), layout is None)
     rows = _first_rows(path, draft)
     if not rows:
-        raise InputError(str(path), *_no_rows(path))
-    skipped = None
-    if (
-        path.suffix.lower() == ".pts"
-        and len(rows) > 1
-        and rows[0][1].strip().isdecimal()
-        and len(rows[1][1].split()) > 1
-    ):
+        is_empty = next(iter_lines(path, HEAD_BYTES), None) is None
+        problem = "the file is empty" if is_empty else "only comments and blank lines"
+        raise InputError(str(path), f"{problem}, expected a record a row", "copy it from the archive again")
+    skipped, is_pts = None, path.suffix.lower() == ".pts" and len(rows) > 1
+    if is_pts and rows[0][1].strip().isdecimal() and len(rows[1][1].split()) > 1:
         # Leica's files begin with the number of points
         skipped, rows = rows[0][0], rows[1:]
     is_found = layout is None or not {"delimiter", "fields"} & layout.model_fields_set
@@ -106,8 +102,10 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
 
 def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
     """Return number and text of the first rows, comments and blank lines left out."""
-    decoded = []
-    for number, line in islice(_rows(path, draft), SNIFFED_ROWS):
+    decoded: list[tuple[int, str]] = []
+    blocks = (enumerate(block.data.split(b"\n"), block.first) for block in iter_lines(path, HEAD_BYTES))
+    rows = ((number, line) for block in blocks for number, line in block if draft.is_row(line))
+    for number, line in islice(rows, SNIFFED_ROWS):
         try:
             decoded.append((number, line.decode("utf-8").rstrip("\r")))
         except UnicodeDecodeError as error:
@@ -119,31 +117,7 @@ def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
     return decoded
 
 
-def _rows(path: Path, draft: TextFormat) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of the lines that are neither blank nor comments."""
-    # skip runs of such lines at once: there may be a hundred million before the first row
-    comment = rb"(?:" + re.escape(draft.comment) + rb"[^\n]*+)?+" if draft.comment else b""
-    passed = re.compile(rb"(?:[ \t\r]*+" + comment + rb"\n)*+")
-    for block in iter_lines(path, HEAD_BYTES):
-        number, data, start = block.first, block.data, 0
-        while start < len(data):
-            end = cast("re.Match[bytes]", passed.match(data, start)).end()
-            number += data.count(b"\n", start, end)
-            start = data.find(b"\n", end) + 1 or len(data) + 1
-            line = data[end : start - 1]
-            if draft.is_row(line):
-                yield number, line
-            number += 1
-
-
 _RECODE = "convert it: iconv -f ISO-8859-1 -t UTF-8 IN > OUT"
-
-
-def _no_rows(path: Path) -> tuple[str, str]:
-    hint = "copy it from the archive again"
-    if next(iter_lines(path, HEAD_BYTES), None) is None:
-        return "the file is empty, expected a record a row", hint
-    return "only comments and blank lines, expected a record a row", hint
 
 
 def _find_decimal(rows: list[str], delimiter: str) -> str:
@@ -235,8 +209,3 @@ def to_number(cell: str) -> float | None:
     if not text:
         return float("nan")
     return float(text) if _NUMBER.fullmatch(text) else None
-
-
-def shorten(text: str) -> str:
-    """Return a text shortened for a message."""
-    return text if len(text) <= 40 else f"{text[:37]}..."

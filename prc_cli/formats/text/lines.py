@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Protocol, cast
+from typing import IO, Any
 
 import numpy as np
 
@@ -37,20 +37,21 @@ class Lines:
     """The lines with line ends; only the last line of a file may lack one."""
 
 
-class _Readable(Protocol):
-    def read(self, n: int, /) -> bytes: ...
+def iter_lines(
+    path: Path, block_bytes: int = BLOCK_BYTES, *, span: tuple[int, int] | None = None, line: int = 1
+) -> Iterator[Lines]:
+    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines.
 
-
-def iter_lines(path: Path, block_bytes: int = BLOCK_BYTES) -> Iterator[Lines]:
-    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines."""
-    line, rest, at_start, n_bytes = 1, b"", True, 0
+    ``span``: only these bytes of it, of which the first is in this ``line``.
+    """
+    rest, at_start, n_bytes = b"", span is None, 0
     with _open(path) as handle:
         most = max(LEAST_BYTES, MAX_RATIO * path.stat().st_size) if path.suffix.lower() in _CODECS else None
-        while True:
-            found = _read(path, handle, block_bytes, line)
-            if not found:
-                break
+        if span is not None:
+            handle.seek(span[0])
+        while found := _read(path, handle, block_bytes if span is None else min(block_bytes, span[1] - span[0]), line):
             n_bytes += len(found)
+            span = None if span is None else (span[0] + len(found), span[1])
             if most is not None and n_bytes > most:
                 problem = f"unpacks to more than {n_bytes >> 20} MiB, over {MAX_RATIO} times its size"
                 raise InputError(str(path), problem, "unpack it first if it is what it should be")
@@ -84,7 +85,7 @@ def too_long(path: Path, line: int) -> InputError:
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[_Readable]:
+def _open(path: Path) -> Iterator[Any]:
     codec = _CODECS.get(path.suffix.lower())
     with open_to_read(path) as handle:
         if codec is None:
@@ -93,10 +94,10 @@ def _open(path: Path) -> Iterator[_Readable]:
         import pyarrow as pa
 
         with pa.CompressedInputStream(pa.PythonFile(handle, mode="r"), codec) as stream:
-            yield cast("BinaryIO", stream)
+            yield stream
 
 
-def _read(path: Path, handle: _Readable, n: int, line: int) -> bytes:
+def _read(path: Path, handle: IO[bytes], n: int, line: int) -> bytes:
     try:
         return handle.read(n)
     except OSError as error:
@@ -108,7 +109,7 @@ def _read(path: Path, handle: _Readable, n: int, line: int) -> bytes:
         raise InputError(str(path), problem, "check the disk or copy the file again") from error
 
 
-def _without_mark(path: Path, handle: _Readable, found: bytes, block_bytes: int) -> bytes:
+def _without_mark(path: Path, handle: IO[bytes], found: bytes, block_bytes: int) -> bytes:
     """Drop a byte order mark at the start, and refuse files that are not text."""
     while len(found) < 4 and (more := _read(path, handle, block_bytes, 1)):
         found += more

@@ -20,7 +20,7 @@ from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
-from prc_cli.core.types import F64, I64, U8
+from prc_cli.core.types import F64, I64, U8, Mask
 from prc_cli.formats.writing.columns import (
     HIGH_NOISE_CODE,
     LabelOutput,
@@ -330,15 +330,13 @@ class ScatterWriter(StagedWriter):
         self._n_records = n_records
         self._is_part = labels.is_part
         self._spools: dict[str, DiskColumn] = {}
-        self._there: DiskColumn | None = None
-        """Of a part: 1 for every record that it holds."""
         self._first, self._stop = sys.maxsize, 0
         """Bounds of the records that it holds."""
 
     def _start(self) -> None:
-        self._code_spool = self._spool(np.uint8, self._codes.unclassified)
-        if self._is_part:
-            self._there = self._spool(np.uint8, 0)
+        # of a part, records without a code are not in the output
+        fill = (np.int16, NO_CODE) if self._is_part else (np.uint8, self._codes.unclassified)
+        self._code_spool = self._spool(*fill)
 
     def _begin(self) -> None:
         self._spools = {column.name: self._spool(column.dtype, column.fill) for column in self._optional}
@@ -358,9 +356,7 @@ class ScatterWriter(StagedWriter):
             self._code_spool.put_run(first, codes.ravel())
             for name, column in values.items():
                 self._spools[name].put_run(first, column)
-            if self._there is not None and codes.size:
-                self._there.put_run(first, np.ones(codes.size, np.uint8))
-                self._first, self._stop = min(self._first, first), max(self._stop, first + codes.size)
+            self._first, self._stop = min(self._first, first), max(self._stop, first + codes.size)
         else:
             self._put(scan.records().ravel(), codes.ravel(), values)
         if len(scan.extra):
@@ -383,16 +379,14 @@ class ScatterWriter(StagedWriter):
         self._code_spool.put(record, codes)
         for name, column in values.items():
             self._spools[name].put(record, column)
-        if self._there is not None and len(record):
-            self._there.put(record, np.ones(len(record), np.uint8))
+        if self._is_part and len(record):
             self._first = min(self._first, int(record.min()))
             self._stop = max(self._stop, int(record.max()) + 1)
 
     def _total(self, record: RunRecord) -> int:
         """Return the number of entries of the output: records read, if known."""
-        if self._there is not None:
-            first = min(self._first, self._stop)
-            return sum(int(np.count_nonzero(one)) for one in self._there.chunks(CHUNK_RECORDS, first=first))
+        if self._is_part:
+            return sum(len(columns.codes) for columns in self._columns(0))
         n = self._n_records if self._n_records is not None else record.n_records
         if n is None:
             return len(self._code_spool)
@@ -402,23 +396,27 @@ class ScatterWriter(StagedWriter):
                 raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
         return n
 
+    def _holds(self, first: int, stop: int) -> Mask:
+        """Return which records the output of a part has, (stop - first,) bool."""
+        held: Mask = self._code_spool.span(first, stop) != NO_CODE
+        return held
+
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
         """Codes and optional columns in record order, in chunks; of a part, those of its records."""
         n = chunk or CHUNK_RECORDS
         first, end = 0, total
-        if self._there is not None:
+        if self._is_part:
             # chunks of a given size go with those of the input, from its first record on
             first, end = min(self._first, self._stop) if chunk is None else 0, self._stop
         for start in range(first, end, n):
             stop = min(start + n, end)
-            codes = self._code_spool.span(start, stop)
+            codes, record = self._code_spool.span(start, stop), np.arange(start, stop)
             values = {name: spool.span(start, stop) for name, spool in self._spools.items()}
-            if self._there is None:
-                yield Columns(codes, values, np.arange(start, stop))
-                continue
-            there = self._there.span(start, stop) != 0
-            values = {name: column[there] for name, column in values.items()}
-            yield Columns(codes[there], values, start + np.flatnonzero(there))
+            if self._is_part:
+                there = codes != NO_CODE
+                codes, record = codes[there].astype(np.uint8), record[there]
+                values = {name: column[there] for name, column in values.items()}
+            yield Columns(codes, values, record)
 
 
 def _remove_quietly(path: Path) -> None:

@@ -15,7 +15,7 @@ from prc_cli.core.classes import FURTHER_RETURN, ClassCodes, Label
 from prc_cli.core.config import Params
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.facts import ClassContexts
-from prc_cli.core.stream import CriticalZetas, LabelledBlock, StageLabels
+from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.writing.coordinates import Placement
 
 HIGH_NOISE_CODE = 18
@@ -174,21 +174,23 @@ class OptionalColumn:
         return self.dimension.dtype
 
 
-def _stage(found: Callable[[StageLabels], Values]) -> Callable[[LabelledBlock], Values | None]:
-    return lambda block: None if block.stages is None else found(block.stages)
+def _found(path: str) -> Callable[[LabelledBlock], Values | None]:
+    """Return a function that looks an attribute of a block up, None where any part of its path is None."""
+
+    def look_up(block: Any) -> Any:
+        for name in path.split("."):
+            block = None if block is None else getattr(block, name)
+        return block
+
+    return look_up
 
 
-def _critical(found: Callable[[CriticalZetas], Values]) -> Callable[[LabelledBlock], Values | None]:
-    return lambda block: None if block.critical is None else found(block.critical)
-
-
-def _of_stages(
-    name: str, dtype: str, text: str, fill: float, found: Callable[[LabelledBlock], Values | None]
-) -> OptionalColumn:
+def _of_stages(name: str, dtype: str, text: str, path: str) -> OptionalColumn:
     """Return a column of ``output.stages``."""
     dimension = ExtraDimension(name, np.dtype(dtype), text)
+    fill = np.nan if dimension.dtype.kind == "f" else 0
     needs = "fused, prc or sequential-angle method"
-    return OptionalColumn(dimension, name, "stages", "stage", fill, found, needs=needs)
+    return OptionalColumn(dimension, name, "stages", "stage", fill, _found(path), needs=needs)
 
 
 OPTIONAL_COLUMNS = (
@@ -206,38 +208,26 @@ OPTIONAL_COLUMNS = (
         "range",
         "range",
         np.nan,
-        lambda block: block.block.range_m,
+        _found("block.range_m"),
         lambda block: block.block.extra.range_m,
         keep=True,
     ),
-    _of_stages("surface", "u1", "T 1, H 2, V 3, undecided 4", 0, _stage(lambda stages: stages.surface)),
-    _of_stages(
-        "dense_vegetation",
-        "u1",
-        "less sensitive test T', 1 = yes",
-        0,
-        _stage(lambda stages: stages.dense_vegetation.view(np.uint8)),
-    ),
-    _of_stages(
-        "ground_height", "<f4", "z_g, 0 = height of scanner [m]", np.nan, _stage(lambda stages: stages.ground_height_m)
-    ),
-    _of_stages("height_above_ground", "<f4", "above ground [m], NaN unknown", np.nan, lambda block: block.above_m),
-    _of_stages("trigger", "u1", "0 none, 1 before, 2 it, 3 after", 0, _stage(lambda stages: stages.trigger)),
-    _of_stages("car_interval", "<u2", "divided interval, 0 = none", 0, _stage(lambda stages: stages.car_interval)),
-    _of_stages("car_test", "u1", "1 V 2 T 3 wall 4 low 5 curb 6 C", 0, _stage(lambda stages: stages.car_test)),
-    _of_stages(
-        "critical_zeta_p", "<f4", "supported if below zeta_p [m]", np.nan, _critical(lambda zetas: zetas.in_line_m)
-    ),
-    _of_stages(
-        "critical_zeta_s", "<f4", "supported if below zeta_s [m]", np.nan, _critical(lambda zetas: zetas.adjacent_m)
-    ),
+    _of_stages("surface", "u1", "T 1, H 2, V 3, undecided 4", "stages.surface"),
+    _of_stages("dense_vegetation", "u1", "less sensitive test T', 1 = yes", "stages.dense_vegetation"),
+    _of_stages("ground_height", "<f4", "z_g, 0 = height of scanner [m]", "stages.ground_height_m"),
+    _of_stages("height_above_ground", "<f4", "above ground [m], NaN unknown", "above_m"),
+    _of_stages("trigger", "u1", "0 none, 1 before, 2 it, 3 after", "stages.trigger"),
+    _of_stages("car_interval", "<u2", "divided interval, 0 = none", "stages.car_interval"),
+    _of_stages("car_test", "u1", "1 V 2 T 3 wall 4 low 5 curb 6 C", "stages.car_test"),
+    _of_stages("critical_zeta_p", "<f4", "supported if below zeta_p [m]", "critical.in_line_m"),
+    _of_stages("critical_zeta_s", "<f4", "supported if below zeta_s [m]", "critical.adjacent_m"),
     OptionalColumn(
         ExtraDimension("confidence", np.dtype("u1"), "label is right [%], 0 unknown"),
         "confidence",
         "confidence",
         "confidence",
         0,
-        lambda block: block.confidence,
+        _found("confidence"),
         lambda block: (
             np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
         ),
@@ -249,7 +239,7 @@ OPTIONAL_COLUMNS = (
         "reason",
         "reason",
         0,
-        lambda block: block.reasons,
+        _found("reasons"),
         lambda block: block.extra_labels | np.uint8(FURTHER_RETURN),
     ),
 )

@@ -10,6 +10,7 @@ import contextlib
 import io
 import tempfile
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, Self, cast
 
@@ -18,7 +19,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import temporary_name
-from prc_cli.core.types import I64
+from prc_cli.core.types import I64, U8
 
 PAGE_BYTES = 1 << 20
 BUFFER_ITEMS = 1 << 20
@@ -39,15 +40,14 @@ class DiskColumn:
 
     def __init__(self, output: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None) -> None:
         self._dtype = np.dtype(dtype)
-        size = self._dtype.itemsize
-        self._bits = np.dtype(f"u{size}" if size in (1, 2, 4, 8) else f"V{size}")
+        self._size = self._dtype.itemsize
         # stored as value XOR fill: holes in the file read as zero, so as the fill value
-        self._mask = np.array([fill], self._dtype).view(self._bits)
-        self._page_items = max(1, PAGE_BYTES // size)
+        self._mask: U8 = np.array([fill], self._dtype).view(np.uint8)
+        self._page_items = max(1, PAGE_BYTES // self._size)
         self._n_fixed = n_records
         self._n_seen = 0
-        self._pending: list[tuple[I64 | int, NDArray[Any]]] = []
-        """Buffered records and values; only the first index of consecutive records."""
+        self._pending: list[tuple[I64, U8]] = []
+        """Records in any order that are not written yet, and their bytes, (n, bytes) uint8."""
         self._n_pending = 0
         self._path = temporary_name(output)
         self._file: BinaryIO = self._path.open("w+b", buffering=0)
@@ -66,64 +66,57 @@ class DiskColumn:
         """Set values by record index; a later value replaces an earlier one."""
         if not len(record):
             return
-        low, high = int(record[0]), int(record[-1])
-        if high - low == len(record) - 1 and bool(np.all(record[1:] > record[:-1])):
-            self.put_run(low, values)
-        else:
-            self._keep(np.array(record, np.int64), values, int(record.min()), int(record.max()))
+        if np.all(np.diff(record) == 1):
+            self.put_run(int(record[0]), values)
+            return
+        self._see(int(record.min()), int(record.max()))
+        self._pending.append((np.array(record, np.int64), self._stored(values)))
+        self._n_pending += len(record)
+        if self._n_pending >= BUFFER_ITEMS:
+            self._flush()
 
     def put_run(self, first: int, values: NDArray[Any]) -> None:
         """Set the values of consecutive records, as :meth:`put` does."""
         if len(values):
-            self._keep(first, values, first, first + len(values) - 1)
+            self._see(first, first + len(values) - 1)
+            self._flush()  # a later value replaces an earlier one
+            self._write(first, self._stored(values))
 
     def append(self, values: NDArray[Any]) -> None:
         """Set the values of the next records."""
         self.put_run(self._n_seen, values)
 
-    def _keep(self, record: I64 | int, values: NDArray[Any], low: int, high: int) -> None:
+    def _see(self, low: int, high: int) -> None:
         if low < 0 or (self._n_fixed is not None and high >= self._n_fixed):
             message = f"record {low if low < 0 else high} outside 0..{self._n_fixed}"
             raise IndexError(message)
         self._n_seen = max(self._n_seen, high + 1)
-        self._pending.append((record, self._masked(np.ascontiguousarray(values, self._dtype).view(self._bits))))
-        self._n_pending += len(values)
-        if self._n_pending >= BUFFER_ITEMS:
-            self._flush()
 
     def get(self, record: I64) -> NDArray[Any]:
         """Return the values of records, in the shape of ``record``; unknown indices give the fill value."""
         self._flush()
         flat = record.ravel()
-        result = np.zeros(flat.shape, self._bits)
+        rows: U8 = np.zeros((len(flat), self._size), np.uint8)
         held = np.flatnonzero((flat >= 0) & (flat < len(self)))
-        wanted = flat[held]
-        # where the records lie close together, one read has them all
-        if len(held) and int(wanted.max()) - int(wanted.min()) >= 4 * max(len(held), self._page_items):
-            order = np.argsort(wanted, kind="stable")
-            held, wanted = held[order], wanted[order]
-            page = wanted // self._page_items
-            starts = np.flatnonzero(np.concatenate(([True], page[1:] != page[:-1]))).tolist()
-        else:
-            starts = [0] if len(held) else []
-        for start, stop in zip(starts, [*starts[1:], len(wanted)], strict=True) if starts else ():
-            first, last = int(wanted[start:stop].min()), int(wanted[start:stop].max())
-            result[held[start:stop]] = self._read(first, last + 1 - first)[wanted[start:stop] - first]
-        return self._masked(result).view(self._dtype).reshape(record.shape)
+        held = held[np.argsort(flat[held], kind="stable")]
+        for some in self._pages(flat[held]):
+            wanted = flat[held[some]]
+            rows[held[some]] = self._read(int(wanted[0]), int(wanted[-1]) + 1)[wanted - wanted[0]]
+        return self._values(rows).reshape(record.shape)
 
     def chunks(self, n: int, *, first: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
         """Read the column in arrays of up to ``n`` values, records ``first`` to ``stop`` (default: all).
 
         ``stop`` may lie beyond the last record written: what follows reads as the fill value.
         """
-        self._flush()
         stop = len(self) if stop is None else stop
         for start in range(first, stop, n):
-            yield self._masked(self._read(start, min(n, stop - start))).view(self._dtype)
+            yield self.span(start, min(start + n, stop))
 
     def span(self, first: int, stop: int) -> NDArray[Any]:
-        """Return the values of records ``first`` to ``stop`` (exclusive), at least one."""
-        return next(self.chunks(stop - first, first=first, stop=stop))
+        """Return the values of records ``first`` to ``stop`` (exclusive)."""
+        self._flush()
+        return self._values(self._read(first, stop))
 
     def close(self) -> None:
         """Close and remove the temporary file; a full disk may refuse it quietly."""
@@ -133,64 +126,50 @@ class DiskColumn:
         with contextlib.suppress(OSError):
             self._path.unlink(missing_ok=True)
 
-    def _masked(self, bits: NDArray[Any]) -> NDArray[Any]:
-        """Return values as they are stored, or stored ones as values."""
-        masked: NDArray[Any]
-        if self._bits.kind == "u":
-            masked = bits ^ self._mask
-        else:
-            rows = np.frombuffer(bits.tobytes(), np.uint8).reshape(len(bits), self._bits.itemsize)
-            masked = (rows ^ self._mask.view(np.uint8)).view(self._bits)[:, 0]
-        return masked
+    def _stored(self, values: NDArray[Any]) -> U8:
+        """Return the bytes of values as they are stored, (n, bytes) uint8."""
+        rows: U8 = np.ascontiguousarray(values, self._dtype).view(np.uint8).reshape(-1, self._size) ^ self._mask
+        return rows
+
+    def _values(self, rows: U8) -> NDArray[Any]:
+        return (rows ^ self._mask).view(self._dtype)[:, 0]
 
     def _flush(self) -> None:
-        scattered: list[tuple[I64, NDArray[Any]]] = []
-        # in order of arrival: a later value replaces an earlier one
-        for record, bits in self._pending:
-            if isinstance(record, int):
-                self._scatter(scattered)
-                self._write_run(record, bits)
-            else:
-                scattered.append((record, bits))
-        self._scatter(scattered)
+        """Write the records that wait, page by page."""
+        if not self._pending:
+            return
+        record, rows = (np.concatenate(parts) for parts in zip(*self._pending, strict=True))
         self._pending.clear()
         self._n_pending = 0
+        order = np.argsort(record, kind="stable")
+        record, rows = record[order], rows[order]
+        for some in self._pages(record):
+            own = record[some]
+            span = self._read(int(own[0]), int(own[-1]) + 1)
+            span[own - own[0]] = rows[some]
+            self._write(int(own[0]), span)
 
-    def _write_run(self, first: int, bits: NDArray[Any]) -> None:
-        """Write values of consecutive records."""
-        self._file.seek(first * self._bits.itemsize)
-        write_all(self._file, np.ascontiguousarray(bits).view(np.uint8).data)
+    def _pages(self, record: I64) -> Iterator[slice]:
+        """Yield the slices of sorted records that lie on one page each."""
+        bounds = np.flatnonzero(np.diff(record // self._page_items)) + 1
+        for start, stop in pairwise([0, *bounds.tolist(), len(record)]):
+            if stop > start:
+                yield slice(start, stop)
 
-    def _scatter(self, items: list[tuple[I64, NDArray[Any]]]) -> None:
-        """Write values of records in any order, page by page; the list is emptied."""
-        if not items:
-            return
-        record = np.concatenate([item[0] for item in items])
-        bits = np.concatenate([item[1] for item in items])
-        items.clear()
-        if np.any(record[1:] < record[:-1]):
-            order = np.argsort(record, kind="stable")
-            record, bits = record[order], bits[order]
-        page = record // self._page_items
-        starts = np.flatnonzero(np.concatenate(([True], page[1:] != page[:-1])))
-        for start, stop in zip(starts, [*starts[1:], len(record)], strict=True):
-            own, first = record[start:stop], int(record[start])
-            n = int(own[-1]) - first + 1
-            if n == len(own) and bool(np.all(np.diff(own) == 1)):
-                self._write_run(first, bits[start:stop])
-            else:
-                span = self._read(first, n)
-                span[own - first] = bits[start:stop]
-                self._write_run(first, span)
+    def _write(self, first: int, rows: U8) -> None:
+        self._file.seek(first * self._size)
+        data, done = rows.reshape(-1).data, 0
+        while done < len(data):  # a single write of an unbuffered file may be short
+            done += self._file.write(data[done : done + WRITE_BYTES])
 
-    def _read(self, first: int, n: int) -> NDArray[Any]:
-        """Return what is stored; zero beyond the end of the file."""
-        span = np.zeros(n * self._bits.itemsize, np.uint8)
-        self._file.seek(first * self._bits.itemsize)
-        done = 0
-        while got := self._file.readinto(span.data[done:]):  # type: ignore[attr-defined]
+    def _read(self, first: int, stop: int) -> U8:
+        """Return what is stored, (n, bytes) uint8; zero beyond the end of the file."""
+        span: U8 = np.zeros(((stop - first), self._size), np.uint8)
+        self._file.seek(first * self._size)
+        data, done = span.reshape(-1).data, 0
+        while got := self._file.readinto(data[done:]):  # type: ignore[attr-defined]
             done += got
-        return span.view(self._bits)
+        return span
 
 
 class NpyFile:
@@ -231,13 +210,6 @@ def npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": dtype, "fortran_order": False, "shape": shape})
     return header.getvalue()
-
-
-def write_all(handle: BinaryIO, data: memoryview) -> None:
-    """Write to an unbuffered file until nothing is left (a single write may be short)."""
-    done = 0
-    while done < len(data):
-        done += handle.write(data[done : done + WRITE_BYTES])
 
 
 @contextlib.contextmanager

@@ -6,14 +6,14 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
-from typing import Any
-from xml.sax.saxutils import escape
 
 from prc_cli import __version__
 from prc_cli.config import to_toml
+from prc_cli.core.brief import finite
+from prc_cli.core.pages import render_page
 from prc_cli.core.types import F64
-from prc_cli.jobs.calibrate.calibrate import Calibration
-from prc_cli.jobs.calibrate.search import figures
+from prc_cli.jobs.calibrate import Calibration
+from prc_cli.jobs.calibrate.search import figure
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
 
 _MARK = "prc calibrate: "
@@ -22,7 +22,7 @@ _WIDTH = 112
 
 def as_json(found: Calibration) -> str:
     """Return everything as JSON, undefined figures as null."""
-    return json.dumps(_finite(found.as_dict()), indent=2, allow_nan=False)
+    return json.dumps(finite(found.as_dict()), indent=2, allow_nan=False)
 
 
 def as_toml(found: Calibration) -> str:
@@ -32,9 +32,9 @@ def as_toml(found: Calibration) -> str:
         *(f"#   {name}: {value}" for name, value in sensor_rows(found.sensor)),
     ]
     if found.search is not None:
-        names = ("training", "held_out")
         for judged in found.search.judged:
-            told = (f"{name.replace('_', '-')} {_objective(found, getattr(judged, name)):.3f}" for name in names)
+            sides = {"training": judged.training, "held-out": judged.held_out}
+            told = (f"{name} {figure(side, found.search.objective):.3f}" for name, side in sides.items())
             lines.append(f"#   {found.search.objective} {judged.name}: {', '.join(told)}")
     lines += [f"# note: {_plain(note)}" for note in found.notes]
     lines += [f"# doubt: {_plain(doubt.sentence())}" for doubt in found.doubts]
@@ -81,13 +81,11 @@ def judged_rows(found: Calibration) -> tuple[tuple[str, ...], list[tuple[str, ..
     """Return the header and the rows of the figures on training and held-out lines."""
     if found.search is None:
         return (), []
-    objective = found.search.objective
-    rows: list[tuple[str, str, dict[str, float | None]]] = []
-    for judged in found.search.judged:
-        rows += [
-            (judged.name, "training", figures(judged.training, objective)),
-            (judged.name, "held-out", figures(judged.held_out, objective)),
-        ]
+    rows = [
+        (judged.name, *side)
+        for judged in found.search.judged
+        for side in (("training", judged.training), ("held-out", judged.held_out))
+    ]
     names = list(dict.fromkeys(name for *_, values in rows for name in values))
     cells = [
         (name, side, *("-" if (v := values.get(one)) is None else f"{v:.3f}" for one in names))
@@ -145,83 +143,46 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 WIDTH, HEIGHT = 720, 440
-_LEFT, _RIGHT, _TOP, _BOTTOM = 64, 24, 48, 88
-_COLOURS = ("#0072b2", "#d55e00", "#009e73")
+_LEFT, _RIGHT, _TOP, _BOTTOM = 64, WIDTH - 24, 48, HEIGHT - 88
+"""Edges of the curves in the figure."""
 
 
 def as_svg(found: Calibration) -> str:
     """Draw the supported share over zeta_p and zeta_s (Lehtola et al. 2019, Fig. 4) and the background over d_c."""
-    curves = found.curves
+    curves, prc = found.curves, found.config.config.prc
     grids = (curves.zetas_p, curves.zetas_s, curves.lengths)
     first, last = float(min(grid[0] for grid in grids)), float(max(grid[-1] for grid in grids))
     low, high = math.log10(first), math.log10(last)
 
     def x(value: float) -> float:
-        return _LEFT + (math.log10(value) - low) / (high - low) * (WIDTH - _LEFT - _RIGHT)
+        return _LEFT + (math.log10(value) - low) / (high - low) * (_RIGHT - _LEFT)
 
     def y(share: float) -> float:
-        return HEIGHT - _BOTTOM - share * (HEIGHT - _TOP - _BOTTOM)
+        return _BOTTOM - share * (_BOTTOM - _TOP)
 
-    def path(grid: F64, shares: F64) -> str:
-        return " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in zip(grid.tolist(), shares.tolist(), strict=True))
+    def curve(name: str, grid: F64, shares: F64, colour: str, dash: str, key: str, value: float) -> dict[str, object]:
+        points = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in zip(grid.tolist(), shares.tolist(), strict=True))
+        # a chosen threshold off the scale is drawn at its edge
+        off = "" if first <= value <= last else " (off the scale)"
+        return {
+            "name": name, "points": points, "colour": colour, "dash": dash, "chosen": f"{key} = {value:g} m{off}",
+            "at": x(min(max(value, first), last)),
+        }  # fmt: skip
 
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" '
-        'font-size="13">',
-        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>',
-        f'<text x="{_LEFT}" y="24" font-size="15">{escape(_plain(found.path).rsplit("/", 1)[-1])}: share of '
-        f"{curves.n_returns:,} returns</text>",
-    ]
-    for tenth in range(0, 11, 2):
-        at = y(tenth / 10)
-        parts.append(f'<line x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{at:.1f}" y2="{at:.1f}" stroke="#ddd"/>')
-        parts.append(f'<text x="{_LEFT - 8}" y="{at + 4:.1f}" text-anchor="end">{tenth * 10} %</text>')
-    for power in range(math.ceil(low), math.floor(high) + 1):
-        at = x(10.0**power)
-        # the last one ends at its line, so that it stays inside the frame
-        anchor = "end" if at > WIDTH - _RIGHT - 16 else "middle"
-        parts.append(f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}" stroke="#ddd"/>')
-        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - _BOTTOM + 18}" text-anchor="{anchor}">{10.0**power:g}</text>')
-    middle = (_LEFT + WIDTH - _RIGHT) / 2
-    parts.append(f'<text x="{middle}" y="{HEIGHT - _BOTTOM + 36}" text-anchor="middle">threshold [m]</text>')
-    prc = found.config.config.prc
-    chosen = (("zeta_p", prc.support.zeta_p), ("zeta_s", prc.support.zeta_s), ("d_c", prc.background.d_c))
-    drawn = (
-        ("supported over zeta_p, zeta_s = 1 m", curves.zetas_p, curves.over_zeta_p(1.0), ""),
-        ("supported over zeta_s, zeta_p = 1 m", curves.zetas_s, curves.over_zeta_s(1.0), ' stroke-dasharray="7 3"'),
-        ("background over d_c", curves.lengths, curves.background_share(), ' stroke-dasharray="2 3"'),
-    )
-    for place, ((name, grid, shares, dash), colour) in enumerate(zip(drawn, _COLOURS, strict=True)):
-        line = f'fill="none" stroke="{colour}" stroke-width="2"{dash}'
-        parts.append(f'<polyline points="{path(grid, shares)}" {line}/>')
-        key, value = chosen[place]
-        parts += _chosen(
-            key, value, x(min(max(value, first), last)), place, colour, dash, inside=first <= value <= last
-        )
-        left, at = _LEFT + 8 + (place % 2) * 320, HEIGHT - 30 + (place // 2) * 20
-        parts.append(f'<line x1="{left}" x2="{left + 36}" y1="{at}" y2="{at}" {line}/>')
-        parts.append(f'<text x="{left + 44}" y="{at + 4}">{escape(name)}</text>')
-    return "\n".join([*parts, "</svg>"]) + "\n"
-
-
-def _chosen(key: str, value: float, at: float, place: int, colour: str, dash: str, *, inside: bool) -> list[str]:
-    """Mark the chosen threshold of a curve by a vertical line; off the scale it is drawn at the edge, with a note."""
-    anchor, gap = ("end", -5) if at > WIDTH - 180 else ("start", 5)
-    half = (_TOP + HEIGHT - _BOTTOM) // 2
-    told = f"{key} = {value:g} m" + ("" if inside else " (off the scale)")
-    return [
-        f'<line class="chosen" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}" '
-        f'stroke="{colour}"{dash}/>',
-        # at half height, away from the curves; below each other, since thresholds are often equal
-        f'<text x="{at + gap:.1f}" y="{half + 16 * place}" text-anchor="{anchor}" fill="{colour}" '
-        f'stroke="white" stroke-width="3" paint-order="stroke">{told}</text>',
-    ]
-
-
-def _objective(found: Calibration, scores: Any) -> float:
-    name = found.search.objective if found.search is not None else ""
-    value = figures(scores, name)[name]
-    return math.nan if value is None else value
+    of_p, of_s, of_d = curves.over_zeta_p(1.0), curves.over_zeta_s(1.0), curves.background_share()
+    zeta_p, zeta_s, d_c = prc.support.zeta_p, prc.support.zeta_s, prc.background.d_c
+    values = {
+        "width": WIDTH, "height": HEIGHT, "left": _LEFT, "right": _RIGHT, "top": _TOP, "bottom": _BOTTOM,
+        "title": f"{_plain(found.path).rsplit('/', 1)[-1]}: share of {curves.n_returns:,} returns",
+        "shares": [(y(tenth / 10), f"{tenth * 10} %") for tenth in range(0, 11, 2)],
+        "thresholds": [(x(10.0**n), f"{10.0**n:g}") for n in range(math.ceil(low), math.floor(high) + 1)],
+        "curves": [
+            curve("supported over zeta_p, zeta_s = 1 m", grids[0], of_p, "#0072b2", "", "zeta_p", zeta_p),
+            curve("supported over zeta_s, zeta_p = 1 m", grids[1], of_s, "#d55e00", "7 3", "zeta_s", zeta_s),
+            curve("background over d_c", grids[2], of_d, "#009e73", "2 3", "d_c", d_c),
+        ],
+    }  # fmt: skip
+    return render_page("prc_cli.jobs.calibrate", "curves.svg", values)
 
 
 def _value(value: float | int | str) -> str:
@@ -231,11 +192,3 @@ def _value(value: float | int | str) -> str:
 def _plain(text: str) -> str:
     """Escape a file name so that it cannot end a comment or a table cell."""
     return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -66,31 +66,18 @@ ANGLE_AXES = (Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01,
 class Group:
     """Contiguous lines of one scanner with the reference class of every shot."""
 
-    blocks: tuple[ScanBlock, ...]
-    reference: tuple[I64, ...]
-    """Class index of every shot of every block, flat, -1 = not scored."""
-
-    @property
-    def n_shots(self) -> int:
-        """Shots in the group."""
-        return sum(block.range_m.size for block in self.blocks)
+    block: ScanBlock
+    reference: I64
+    """Class index of every shot, flat, -1 = not scored."""
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """Scores of one set of parameters on training and held-out lines."""
+    """Figures of one set of parameters on training and held-out lines, undefined ones as None."""
 
     name: str
-    training: Scores
-    held_out: Scores
-
-    def as_dict(self, objective: str) -> dict[str, Any]:
-        """Return the figures as plain values, undefined ones as None."""
-        return {
-            "name": self.name,
-            "training": figures(self.training, objective),
-            "held_out": figures(self.held_out, objective),
-        }
+    training: dict[str, float | None]
+    held_out: dict[str, float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +93,7 @@ class SearchResult:
     n_training_groups: int
     n_held_out_groups: int
     judged: tuple[Judged, ...]
-    """Scores as configured, as implied by the sensor, as found."""
-    history: tuple[tuple[int, float], ...] = ()
-    """Number of each improving trial, and its objective."""
+    """As configured, as implied by the sensor, as found."""
 
 
 @dataclass(slots=True)
@@ -122,7 +107,6 @@ class Searcher:
     budget: int
     axes: tuple[Axis, ...]
     tried: Tried | None = None
-    history: list[tuple[int, float]] = field(default_factory=list)
     _known: dict[tuple[float, ...], float] = field(default_factory=dict)
     _best: float = -math.inf
 
@@ -132,32 +116,24 @@ class Searcher:
         d_c and A affect the same shots, so all their pairs are tried first.
         """
         axes = self.axes
-        starts = tuple(self._advisable(values, ZETA_P) for values in starts)
-        best = max(starts, key=lambda values: self._try(axes, values))
+        best = max((self._advisable(values, ZETA_P) for values in starts), key=self._try)
         if axes[:2] == PRC_AXES[:2]:
             first, second = axes[:2]
             for one in first.grid[::2]:
                 for other in second.grid[::2]:
-                    best = self._better(axes, best, {**best, first.key: one, second.key: other})
-        grids = {axis.key: axis.grid for axis in axes}
+                    best = self._better(best, {**best, first.key: one, second.key: other})
         for level in range(REFINEMENTS + 1):
-            best = self._descend(axes, best, grids if level == 0 else None, 2.0 ** (1.0 / 2**level))
+            best = self._descend(best, level)
         return {axis.key: int(best[axis.key]) if axis.whole else best[axis.key] for axis in axes}
 
-    def _descend(
-        self,
-        axes: tuple[Axis, ...],
-        best: dict[str, float],
-        grids: dict[str, tuple[float, ...]] | None,
-        factor: float,
-    ) -> dict[str, float]:
-        """Change one parameter at a time until a full round gains nothing."""
+    def _descend(self, best: dict[str, float], level: int) -> dict[str, float]:
+        """Change one parameter at a time, along its grid and then in finer steps, until a round gains nothing."""
         while True:
             before = best
-            for axis in axes:
-                candidates = grids[axis.key] if grids is not None else _neighbours(axis, best[axis.key], factor)
-                for value in candidates:
-                    best = self._better(axes, best, self._advisable({**best, axis.key: value}, axis.key))
+            for axis in self.axes:
+                finer = _neighbours(axis, best[axis.key], 2.0 ** (1.0 / 2**level))
+                for value in finer if level else axis.grid:
+                    best = self._better(best, self._advisable({**best, axis.key: value}, axis.key))
             if best == before or len(self._known) >= self.budget:
                 return best
 
@@ -174,11 +150,11 @@ class Searcher:
             return {**values, ZETA_P: zeta_s}
         return {**values, ZETA_S: zeta_p}
 
-    def _better(self, axes: tuple[Axis, ...], best: dict[str, float], other: dict[str, float]) -> dict[str, float]:
-        return other if self._try(axes, other) > self._try(axes, best) + LEAST_GAIN else best
+    def _better(self, best: dict[str, float], other: dict[str, float]) -> dict[str, float]:
+        return other if self._try(other) > self._try(best) + LEAST_GAIN else best
 
-    def _try(self, axes: tuple[Axis, ...], values: dict[str, float]) -> float:
-        point = tuple(values[axis.key] for axis in axes)
+    def _try(self, values: dict[str, float]) -> float:
+        point = tuple(values[axis.key] for axis in self.axes)
         if point in self._known:
             return self._known[point]
         if len(self._known) >= self.budget:
@@ -187,9 +163,7 @@ class Searcher:
         value = objective_value(scores(matrix), self.objective)
         # an undefined objective is worse than any
         self._known[point] = -math.inf if math.isnan(value) else value
-        if self._known[point] > self._best:
-            self._best = self._known[point]
-            self.history.append((len(self._known), self._best))
+        self._best = max(self._best, self._known[point])
         if self.tried is not None:
             self.tried(len(self._known), self._best)
         return self._known[point]
@@ -242,14 +216,9 @@ def confusion(groups: tuple[Group, ...], config: RunConfig, mapping: ClassMappin
     n_classes = len(names[0])
     counts = np.zeros((len(Label), n_classes + 1), dtype=np.int64)
     for group in groups:
-        reference = np.concatenate(group.reference)
-        done = 0
-        for item in label_blocks(iter(group.blocks), config.classifier):
-            labels = item.labels.ravel()
-            truth = reference[done : done + labels.size]
-            done += labels.size
-            cells = labels.astype(np.int64) * (n_classes + 1) + truth + 1
-            counts += np.bincount(cells, minlength=counts.size).reshape(counts.shape)
+        labels = [item.labels.ravel() for item in label_blocks(iter([group.block]), config.classifier)]
+        cells = np.concatenate(labels).astype(np.int64) * (n_classes + 1) + group.reference + 1
+        counts += np.bincount(cells, minlength=counts.size).reshape(counts.shape)
     codes = config.classes.lookup()
     matrix = np.zeros((n_classes, len(names[1])), dtype=np.int64)
     ignored = int(counts[:, 0].sum())
@@ -286,6 +255,12 @@ def check_objective(objective: str, mapping: ClassMapping) -> None:
             names = [MEAN_F1, *OVERALL_SCORES, *(f"{name}.CLASS" for name in CLASS_SCORES)]
         expected = ", ".join(names)
         raise ConfigError("--objective", f"found score {objective!r}, expected one of: {expected}") from None
+
+
+def figure(figures: dict[str, float | None], name: str) -> float:
+    """Return one of the figures, NaN where it is undefined."""
+    value = figures[name]
+    return math.nan if value is None else value
 
 
 def figures(found: Scores, objective: str) -> dict[str, float | None]:

@@ -6,7 +6,7 @@ All estimates use histograms accumulated block by block, in bounded memory.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -72,11 +72,11 @@ class SensorEstimate:
     n_missing: int
     range_quantiles_m: dict[str, float]
     """Ranges below which 5, 25, 50, 75 and 95 % of the returns lie [m]."""
-    noise: tuple[NoiseBin, ...]
     sigma_m: float | None
     """Range-independent part of the noise [m]."""
     sigma_per_m: float | None
     """Part proportional to range [m per m]; includes surface relief under wider steps."""
+    noise: tuple[NoiseBin, ...]
     step_rad: float | None
     """Angle between successive shots [rad]."""
     step_source: str
@@ -101,26 +101,12 @@ class SensorEstimate:
         return math.hypot(self.sigma_m, self.sigma_per_m * range_m)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
-        return {
-            "points_per_line": self.points_per_line,
-            "n_lines": self.n_lines,
-            "n_shots": self.n_shots,
-            "missing_share": self.missing_share,
-            "range_quantiles_m": self.range_quantiles_m,
-            "sigma_m": self.sigma_m,
-            "sigma_per_m": self.sigma_per_m,
-            "noise": [
-                {"range_m": b.range_m, "sigma_m": b.sigma_m, "n_stretches": b.n_stretches, "flat": b.flat}
-                for b in self.noise
-            ],
-            "step_deg": None if self.step_rad is None else math.degrees(self.step_rad),
-            "step_source": self.step_source,
-            "rounding_m": self.rounding_m,
-            "line_hz": self.line_hz,
-            "in_line_m": self.in_line_m,
-            "across_lines_m": self.across_lines_m,
+        """Return everything as plain values: the share of missing shots, and the step in degrees."""
+        shown = {
+            "n_missing": ("missing_share", self.missing_share),
+            "step_rad": ("step_deg", None if self.step_rad is None else math.degrees(self.step_rad)),
         }
+        return dict(shown.get(name, (name, value)) for name, value in asdict(self).items())
 
 
 @dataclass(slots=True)

@@ -19,8 +19,8 @@ from prc_cli.evaluation.confusion import (
 )
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.scores import Evaluation, MatchReport
-from prc_cli.formats.las.crs import same_crs, short_crs
 from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.las.vlrs import same_crs, short_crs
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.counts import (
     SPLITS,

@@ -19,11 +19,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig
-from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_output, check_output, file_state, remove_stale
-from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
+from prc_cli.core.files import atomic_output, check_unchanged, file_state, prepare_outputs
+from prc_cli.core.findings import Doubted, Finding, accept, notices, refuse
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.core.types import U8
 from prc_cli.formats import check_input, open_source
@@ -32,9 +31,8 @@ from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record, usual_labels
-from prc_cli.jobs.convert import check_unchanged, open_items
-from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing
-from prc_cli.jobs.objects.runs import runs_of
+from prc_cli.jobs.convert import open_items
+from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing, runs_of
 from prc_cli.jobs.objects.write import check_suffix, open_things
 from prc_cli.jobs.progress import advance
 from prc_cli.methods.base import Wanted
@@ -47,7 +45,7 @@ KINDS: tuple[str, ...] = tuple(RULES)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class ObjectsSummary(Brief):
+class ObjectsSummary(Doubted):
     """Summary of a list of objects."""
 
     record: RunRecord
@@ -56,11 +54,6 @@ class ObjectsSummary(Brief):
     n_objects: dict[str, int]
     """By kind."""
     findings: tuple[Finding, ...] = ()
-
-    @property
-    def doubts(self) -> tuple[Finding, ...]:
-        """Findings that the user has to look at."""
-        return doubts(self.findings)
 
 
 def rules_for(config: RunConfig, kinds: tuple[str, ...] = ()) -> dict[Label, Rule]:
@@ -117,16 +110,12 @@ def find_objects(
         As :func:`prc_cli.jobs.classify.classify`; nothing is left behind.
     """
     source = Path(source)
-    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    loaded = LoadedConfig.of(config)
     out = None if output is None else Path(output)
-    trajectory = loaded.trajectory
-    inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
     check_input(source)
     if out is not None:
         check_suffix(out)
-        for path in (out, record_path(out)):
-            check_output(path, overwrite=overwrite, inputs=inputs)
-            remove_stale(path)
+        prepare_outputs(out, record_path(out), overwrite=overwrite, inputs=loaded.inputs(source))
     before = file_state(source)
     with ExitStack() as stack:
         own, told = ({}, "") if loaded.config.is_decided else _own_rules(source, loaded, kinds)
@@ -181,7 +170,6 @@ class _Run:
         """Label by class code."""
         for label in reversed([one for one in Label if one is not Label.MISSING]):
             self._label_of[loaded.config.classes.code(label)] = label
-        self._labelled: dict[int, LabelledBlock] = {}
         self._growers: dict[int, Grower] = {}
         self._counts, self._n = Counts.none(), Counter[str]()
         self._watch: EvidenceStream | None = None
@@ -210,14 +198,14 @@ class _Run:
     def summary(self) -> ObjectsSummary:
         """Return the summary of a finished run."""
         assert self._watch is not None
-        told = tuple(finding.notice() for finding in self._found if finding.verdict is not Verdict.FINE)
         record = run_record(self._watch.info, self._counts, self._loaded)
-        record = replace(record, notices=(*record.notices, *([self._told] if self._told else []), *told))
+        told = filter(None, (self._told, *notices(self._found)))
+        record = replace(record, notices=(*record.notices, *told))
         kinds = (label.name.lower() for label in self._rules)
         return ObjectsSummary(record, self._counts, {kind: self._n[kind] for kind in kinds}, self._found)
 
-    def _blocks(self, stream: ScanStream) -> Iterator[ScanBlock]:
-        """Yield the blocks of a stream once they are labelled."""
+    def _blocks(self, stream: ScanStream) -> Iterator[ScanBlock] | Iterator[LabelledBlock]:
+        """Watch the blocks of a stream, and label them unless their own classes are taken."""
         config = self._loaded.config
         method = config.classifier.method()
         first = next(stream.blocks(), None)
@@ -229,26 +217,25 @@ class _Run:
             stream, config.input, most_noise_m=method.needs.most_noise_m, others=self._loaded.findings
         )
         if self._takes_classes:
-            yield from (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
-            return
-        wanted = config.output.confidence
-        for item in label_blocks(
-            self._watch.blocks(), config.classifier, wanted=Wanted(stages=True, confidence=wanted)
-        ):
-            self._counts = self._counts.add(item)
-            self._result.see(item)
-            block = item.block if is_own else replace(item.block, xyz_m=None)
-            self._labelled[id(block)] = item
-            yield block
+            return (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
+        wanted = Wanted(stages=True, confidence=config.output.confidence)
+        labelled = label_blocks(self._watch.blocks(), config.classifier, wanted=wanted)
+        return self._judged(labelled, self._result, is_own=is_own)
+
+    @staticmethod
+    def _judged(items: Iterator[LabelledBlock], result: ResultWatch, *, is_own: bool) -> Iterator[LabelledBlock]:
+        for item in items:
+            result.see(item)
+            yield item if is_own else replace(item, block=replace(item.block, xyz_m=None))
 
     def _add(self, item: StreamItem) -> Iterator[Thing]:
-        block = item.block
-        labelled = self._labelled.pop(id(block)) if not self._takes_classes else self._as_stored(item)
+        block, labelled = item.block, self._as_stored(item) if item.labelled is None else item.labelled
+        self._counts = self._counts.add(labelled)
         if labelled.block.beam_rad is None:
             raise InputError(str(self._source), "no beam angles, expected those of every column", "see prc info")
         grower = self._growers.setdefault(block.scanner, Grower(block.scanner, self._rules))
         runs = runs_of(labelled, tuple(self._rules), item.registered_m)
-        for line, of_line in groupby(runs, attrgetter("line")):
+        for line, of_line in groupby(runs, attrgetter("last_line")):
             yield from grower.add(of_line, line)
         yield from grower.add((), block.first_line + block.n_lines)
 
@@ -258,9 +245,7 @@ class _Run:
         assert codes is not None
         assert further is not None
         own, extra = (self._label_of[np.where((each >= 0) & (each < 256), each, 0)] for each in (codes, further))
-        found = LabelledBlock(block, np.where(np.isnan(block.range_m), np.uint8(Label.MISSING), own), extra)
-        self._counts = self._counts.add(found)
-        return found
+        return LabelledBlock(block, np.where(np.isnan(block.range_m), np.uint8(Label.MISSING), own), extra)
 
     def _numbered(self, thing: Thing) -> Thing:
         number = sum(self._n.values())

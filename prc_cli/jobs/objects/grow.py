@@ -1,4 +1,4 @@
-"""Objects grow line by line: runs that lie near each other are one object.
+"""Objects grow line by line: runs of shots of one class in a line that lie near each other are one object.
 
 An object is closed when no run has joined it for some lines, and cut when it gets too long. What is kept of it does not
 grow with its size, so memory holds the objects in view.
@@ -7,11 +7,20 @@ grow with its size, so memory holds the objects in view.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from prc_cli.core.classes import Label
-from prc_cli.jobs.objects.runs import Run
+from prc_cli.core.stream import LabelledBlock
+from prc_cli.core.types import F64
+
+GAP_COLUMNS = 2
+"""Shots of other classes, or without return, that a run may skip."""
+JUMP_M = 0.5
+"""Difference in range at which a run ends [m]."""
+Extent = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,95 +87,127 @@ class Thing:
     """Mean confidence of its shots [per cent]; NaN = not asked for."""
 
 
-@dataclass(slots=True)
-class _Growing:
-    """An object that may still grow."""
+@dataclass(slots=True, eq=False)
+class Part:
+    """Shots of one object: neighbours in a line, or runs that were joined."""
 
-    first: Run
+    kind: Label
+    first_line: int
     last_line: int
-    front: list[Run] = field(default_factory=list)
-    """Runs of the last lines."""
-    n: int = 0
-    columns: tuple[int, int] = (1 << 62, -1)
-    side: tuple[float, float] = (math.inf, -math.inf)
-    up: tuple[float, float] = (math.inf, -math.inf)
-    above: tuple[float, float] = (math.nan, math.nan)
-    nearest_m: float = math.inf
-    sums: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    n_placed: int = 0
-    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    sure: float = 0.0
+    n: int
+    columns: tuple[int, int]
+    side_m: Extent
+    """Least and greatest distance to the side in the scan plane [m]; the sign is the side."""
+    up_m: Extent
+    """Lowest and highest shot, above the scanner in the scan plane [m]."""
+    above_m: Extent
+    """The same above the ground [m]; NaN = unknown."""
+    nearest_m: float
+    sums: F64
+    """(8,) float64, over the shots: distance to the side, range, angle, 1 where coordinates are registered, these,
+    confidence."""
+    front: list[tuple[int, Extent, Extent]] = field(default_factory=list)
+    """Line and extents of the last runs."""
 
-    def add(self, run: Run, gap_lines: int) -> None:
-        """Add a run of this line."""
-        self.last_line = run.line
-        self.front = [one for one in self.front if run.line - one.line <= gap_lines]
-        self.front.append(run)
-        self.n += run.n
-        self.columns = min(self.columns[0], run.first_column), max(self.columns[1], run.last_column)
-        self.side = min(self.side[0], run.side_m[0]), max(self.side[1], run.side_m[1])
-        self.up = min(self.up[0], run.up_m[0]), max(self.up[1], run.up_m[1])
-        self.above = _known(min, self.above[0], run.above_m[0]), _known(max, self.above[1], run.above_m[1])
-        self.nearest_m = min(self.nearest_m, run.least_range_m)
-        self.sums = _plus(self.sums, (run.sum_side_m, run.sum_range_m, run.sum_angle_rad))
-        self.n_placed += run.n_placed
-        self.xyz = _plus(self.xyz, run.sum_xyz_m)
-        self.sure += run.sum_confidence
-
-    def join(self, other: _Growing) -> None:
+    def join(self, other: Part) -> None:
         """Take all that another one holds."""
-        self.first = min(self.first, other.first, key=lambda run: run.line)
+        self.first_line = min(self.first_line, other.first_line)
         self.last_line = max(self.last_line, other.last_line)
-        self.front += other.front
         self.n += other.n
         self.columns = min(self.columns[0], other.columns[0]), max(self.columns[1], other.columns[1])
-        self.side = min(self.side[0], other.side[0]), max(self.side[1], other.side[1])
-        self.up = min(self.up[0], other.up[0]), max(self.up[1], other.up[1])
-        self.above = _known(min, self.above[0], other.above[0]), _known(max, self.above[1], other.above[1])
+        self.side_m, self.up_m = _both(self.side_m, other.side_m), _both(self.up_m, other.up_m)
+        self.above_m = _both(self.above_m, other.above_m)
         self.nearest_m = min(self.nearest_m, other.nearest_m)
-        self.sums = _plus(self.sums, other.sums)
-        self.n_placed += other.n_placed
-        self.xyz = _plus(self.xyz, other.xyz)
-        self.sure += other.sure
+        self.sums = self.sums + other.sums
+        self.front += other.front
 
-    def touches(self, run: Run, rule: Rule) -> bool:
+    def touches(self, run: Part, rule: Rule) -> bool:
         """Whether a run is near to one of the last lines."""
         return any(
-            run.line - one.line <= rule.gap_lines + 1
-            and run.side_m[0] - rule.side_m <= one.side_m[1]
-            and one.side_m[0] <= run.side_m[1] + rule.side_m
-            and run.up_m[0] - rule.up_m <= one.up_m[1]
-            and one.up_m[0] <= run.up_m[1] + rule.up_m
-            for one in self.front
+            run.last_line - line <= rule.gap_lines + 1
+            and run.side_m[0] - rule.side_m <= side[1]
+            and side[0] <= run.side_m[1] + rule.side_m
+            and run.up_m[0] - rule.up_m <= up[1]
+            and up[0] <= run.up_m[1] + rule.up_m
+            for line, side, up in self.front
         )
+
+
+def _both(first: Extent, second: Extent) -> Extent:
+    """Return the extent of two; NaN = unknown."""
+    return float(np.fmin(first[0], second[0])), float(np.fmax(first[1], second[1]))
+
+
+def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | None = None) -> Iterator[Part]:
+    """Find the runs of a block, line by line."""
+    block = item.block
+    assert block.beam_rad is not None
+    at = np.flatnonzero(np.isin(item.labels.ravel(), kinds))
+    if not len(at):
+        return
+    line, column = np.divmod(at, block.points_per_line)
+    range_m = block.range_m.ravel()[at].astype(np.float64)
+    label, beam = item.labels.ravel()[at], block.beam_rad[column]
+    side, up = range_m * np.sin(beam), -range_m * np.cos(beam)
+    unknown = np.full(len(at), np.nan)
+    above = unknown if item.above_m is None else item.above_m.ravel()[at].astype(np.float64)
+    sure = unknown if item.confidence is None else item.confidence.ravel()[at].astype(np.float64)
+    xyz = np.full((len(at), 3), np.nan) if registered_m is None else registered_m.reshape(-1, 3)[at]
+    is_new = np.ones(len(at), np.bool_)
+    is_new[1:] = (
+        (np.diff(line) != 0)
+        | (np.diff(column) > GAP_COLUMNS + 1)
+        | (label[1:] != label[:-1])
+        | (np.abs(np.diff(range_m)) > JUMP_M)
+    )
+    start = np.flatnonzero(is_new)
+    stop = np.append(start[1:], len(at))
+    placed = np.asarray(np.isfinite(xyz).all(axis=1))
+    total = np.add.reduceat(
+        np.column_stack([side, range_m, beam, placed.astype(np.float64), np.where(placed[:, None], xyz, 0.0), sure]),
+        start,
+    )
+    # fmin passes over what is not known
+    low = np.fmin.reduceat(np.column_stack([side, up, above, range_m]), start).tolist()
+    high = np.fmax.reduceat(np.column_stack([side, up, above]), start).tolist()
+    for i, (first, end) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
+        where = block.first_line + int(line[first])
+        (side_0, up_0, above_0, nearest_m), (side_1, up_1, above_1) = low[i], high[i]
+        yield Part(
+            Label(int(label[first])), where, where, end - first, (int(column[first]), int(column[end - 1])),
+            (side_0, side_1), (up_0, up_1), (above_0, above_1), nearest_m, total[i],
+            [(where, (side_0, side_1), (up_0, up_1))],
+        )  # fmt: skip
 
 
 class Grower:
     """Grows the objects of one scanner.
 
     >>> grower = Grower(0, {Label.STEM: Rule(0.3, 2.0, 2, 3)})
-    >>> run = Run(0, Label.STEM, 5, 7, 11, (3.0, 3.1), (-1.0, 1.0), 15.0, 16.0, 5.0, 3.0, (0.1, 2.1))
+    >>> at = (3.0, 3.1), (-1.0, 1.0)
+    >>> run = Part(Label.STEM, 0, 0, 5, (7, 11), *at, (0.1, 2.1), 3.0, np.ones(8) * 15.0, [(0, *at)])
     >>> [grower.add([run], 0), [(thing.kind, thing.side_m) for thing in grower.add([], 4)]]
     [[], [('stem', 3.0)]]
     """
 
     def __init__(self, scanner: int, rules: dict[Label, Rule]) -> None:
         self._scanner, self._rules = scanner, rules
-        self._growing: dict[Label, list[_Growing]] = {label: [] for label in rules}
+        self._growing: dict[Label, list[Part]] = {label: [] for label in rules}
 
-    def add(self, runs: Iterable[Run], line: int) -> list[Thing]:
+    def add(self, runs: Iterable[Part], line: int) -> list[Thing]:
         """Add the runs of a line; return the objects that ended before it, without numbers."""
         ended = self._end(line)
         for run in runs:
             rule, growing = self._rules[run.kind], self._growing[run.kind]
             near = [one for one in growing if one.touches(run, rule)]
-            if not near:
-                near = [_Growing(run, run.line)]
-                growing.append(near[0])
             for other in near[1:]:
                 near[0].join(other)
                 growing.remove(other)
-            near[0].add(run, rule.gap_lines + 1)
+            if near:
+                near[0].join(run)
+                near[0].front = [one for one in near[0].front if line - one[0] <= rule.gap_lines + 1]
+            else:
+                growing.append(run)
         return ended
 
     def finish(self) -> list[Thing]:
@@ -177,38 +218,27 @@ class Grower:
         """Close what no run joined for long, and cut what is too long; all where there are no more lines."""
         ended: list[Thing] = []
         for label, rule in self._rules.items():
-            stay: list[_Growing] = []
+            stay: list[Part] = []
             for one in self._growing[label]:
                 is_open = (
                     line is not None
                     and line - one.last_line <= rule.gap_lines + 1
-                    and one.last_line - one.first.line + 1 < rule.most_lines
+                    and one.last_line - one.first_line + 1 < rule.most_lines
                 )
                 if is_open:
                     stay.append(one)
-                elif one.n >= rule.least_shots and one.up[1] - one.up[0] >= rule.least_height_m:
+                elif one.n >= rule.least_shots and one.up_m[1] - one.up_m[0] >= rule.least_height_m:
                     ended.append(self._thing(one))
             self._growing[label] = stay
         return sorted(ended, key=lambda thing: (thing.last_line, thing.first_line, thing.first_column, thing.kind))
 
-    def _thing(self, one: _Growing) -> Thing:
-        side, range_m, angle = (value / one.n for value in one.sums)
-        x, y, z = (value / one.n_placed if one.n_placed else math.nan for value in one.xyz)
+    def _thing(self, one: Part) -> Thing:
+        side, range_m, angle, n_placed, *xyz, sure = one.sums.tolist()
+        x, y, z = (value / n_placed if n_placed else math.nan for value in xyz)
         return Thing(
-            id=-1, kind=one.first.kind.name.lower(), scanner=self._scanner, first_line=one.first.line,
+            id=-1, kind=one.kind.name.lower(), scanner=self._scanner, first_line=one.first_line,
             last_line=one.last_line, first_column=one.columns[0], last_column=one.columns[1], n_shots=one.n,
-            range_m=range_m, nearest_m=one.nearest_m, angle_deg=math.degrees(angle), side_m=side,
-            width_m=one.side[1] - one.side[0], height_m=one.up[1] - one.up[0], base_m=one.above[0],
-            top_m=one.above[1], x=x, y=y, z=z, confidence=one.sure / one.n,
+            range_m=range_m / one.n, nearest_m=one.nearest_m, angle_deg=math.degrees(angle / one.n),
+            side_m=side / one.n, width_m=one.side_m[1] - one.side_m[0], height_m=one.up_m[1] - one.up_m[0],
+            base_m=one.above_m[0], top_m=one.above_m[1], x=x, y=y, z=z, confidence=sure / one.n,
         )  # fmt: skip
-
-
-def _known(choose: Callable[[float, float], float], first: float, second: float) -> float:
-    """Return the lesser or greater of two values that are known."""
-    if math.isnan(first):
-        return second
-    return first if math.isnan(second) else choose(first, second)
-
-
-def _plus(first: tuple[float, float, float], second: tuple[float, float, float]) -> tuple[float, float, float]:
-    return first[0] + second[0], first[1] + second[1], first[2] + second[2]

@@ -7,8 +7,9 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
+from itertools import chain, repeat
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, output_errors
@@ -62,24 +63,17 @@ def _csv(path: Path) -> Iterator[Callable[[Thing], None]]:
 def _geojson(path: Path) -> Iterator[Callable[[Thing], None]]:
     with path.open("w", encoding="utf-8", newline="\n") as handle:
         handle.write('{"type": "FeatureCollection", "features": [')
-        count = _Count(handle)
-        yield count.put
+        comma = chain([""], repeat(","))
+
+        def put(thing: Thing) -> None:
+            values = {name: plain(getattr(thing, name)) for name in COLUMNS}
+            x, y, z = (values.pop(axis) for axis in ("x", "y", "z"))
+            place = None if x is None else {"type": "Point", "coordinates": [x, y, z]}
+            feature = {"type": "Feature", "geometry": place, "properties": values}
+            handle.write(f"{next(comma)}\n{json.dumps(feature)}")
+
+        yield put
         handle.write("\n]}\n")
-
-
-class _Count:
-    """Writes features with commas between them."""
-
-    def __init__(self, handle: TextIO) -> None:
-        self._handle, self._n = handle, 0
-
-    def put(self, thing: Thing) -> None:
-        values = {name: plain(getattr(thing, name)) for name in COLUMNS}
-        x, y, z = (values.pop(axis) for axis in ("x", "y", "z"))
-        place = None if x is None else {"type": "Point", "coordinates": [x, y, z]}
-        feature = {"type": "Feature", "geometry": place, "properties": values}
-        self._handle.write(("," if self._n else "") + "\n" + json.dumps(feature))
-        self._n += 1
 
 
 @contextmanager

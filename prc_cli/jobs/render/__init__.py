@@ -10,7 +10,7 @@ from pathlib import Path
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, MethodChoice, refuse_window
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
+from prc_cli.core.files import atomic_output, check_output, prepare_outputs, temporary_folder
 from prc_cli.formats import check_input
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
 from prc_cli.imaging.viewer import html_page
@@ -64,9 +64,8 @@ def render(
     if output.suffix.lower() not in SUFFIXES:
         problem = f"found the suffix {output.suffix!r}, expected one of: {' '.join(SUFFIXES)}"
         raise ConfigError(str(output), problem, "rename the output")
-    inputs = tuple(path for path in (source, chosen.labels, chosen.reference, *config.files) if path is not None)
-    check_output(output, overwrite=overwrite, inputs=inputs)
-    remove_stale(output)
+    inputs = config.inputs(source, chosen.labels, chosen.reference)
+    prepare_outputs(output, overwrite=overwrite, inputs=inputs)
     check_input(source)
     refuse_window(config.config, "prc render")
     config = _decided(source, config, chosen)

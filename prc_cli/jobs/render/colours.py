@@ -25,8 +25,6 @@ from prc_cli.imaging.pictures import (
     MISSING_COLOUR,
     NOT_SCORED_COLOUR,
     Bar,
-    critical_bar,
-    critical_limits,
     critical_picture,
     range_bar,
     range_limits,
@@ -54,7 +52,7 @@ class Scale(NamedTuple):
 
 SCALES = {
     "range": Scale(range_limits, range_picture, range_bar),
-    "critical": Scale(critical_limits, critical_picture, critical_bar),
+    "critical": Scale(range_limits, critical_picture, partial(range_bar, rises=True)),
     "intensity": Scale(value_limits, value_picture, partial(value_bar, unit="")),
     "ground": Scale(value_limits, value_picture, partial(value_bar, unit="m")),
     "height": Scale(value_limits, value_picture, partial(value_bar, unit="m")),

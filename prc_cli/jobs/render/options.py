@@ -195,18 +195,12 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     elif options.figure1 and of_reference:
         chosen = (*chosen, "reference")
     hint = f"possible here: {', '.join(possible)}"
-    for step in chosen:
-        if step not in possible:
-            raise ConfigError("--steps", _why_not(step, method, options), hint)
+    for step in (one for one in chosen if one not in possible):
+        holder = "which a label file does not hold" if options.labels is not None else f"which is no step of {method}"
+        problem = f"found {step!r}, {holder if step in CAPTIONS else 'which is no step'}"
+        if step in REFERENCE_STEPS:
+            problem = f"{step!r} needs a reference, expected --reference FILE"
+        raise ConfigError("--steps", problem, hint)
     if not chosen:
         raise ConfigError("--steps", "found none, expected at least one", hint)
     return tuple(dict.fromkeys(chosen))
-
-
-def _why_not(step: str, method: str, options: RenderOptions) -> str:
-    if step in REFERENCE_STEPS:
-        return f"{step!r} needs a reference, expected --reference FILE"
-    if step not in CAPTIONS:
-        return f"found {step!r}, which is no step"
-    holder = "which a label file does not hold" if options.labels is not None else f"which is no step of {method}"
-    return f"found {step!r}, {holder}"

@@ -17,7 +17,7 @@ from prc_cli import __version__
 from prc_cli.config import LoadedConfig, options_of, preset_of, refuse_window
 from prc_cli.core.classes import Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
-from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
+from prc_cli.core.files import atomic_output, prepare_outputs, temporary_folder
 from prc_cli.core.stream import LabelledBlock, ScanStream
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
@@ -120,9 +120,7 @@ def render_viewer(
     chosen = RenderOptions() if options is None else options
     _check(output, chosen)
     refuse_window(config.config, "prc render")
-    inputs = tuple(path for path in (source, chosen.labels, *config.files) if path is not None)
-    check_output(output, overwrite=overwrite, inputs=inputs)
-    remove_stale(output)
+    prepare_outputs(output, overwrite=overwrite, inputs=config.inputs(source, chosen.labels))
     check_input(source)
     with temporary_folder("prc-render-") as scratch:
         words = vocabulary(chosen, config.config.classes)

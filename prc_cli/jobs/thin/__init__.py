@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,27 +20,20 @@ from prc_cli.config import LoadedConfig, RunConfig, refuse_window
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_outputs, file_state, suffix_of
-from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
-from prc_cli.core.types import I32, U8, Mask
+from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, suffix_of
+from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
+from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels import open_codes
-from prc_cli.formats.las.copy import check_copied, copy_las, read_las
+from prc_cli.formats.las.rewrite import check_copied, copy_las, read_las
 from prc_cli.formats.writing import open_stream_writer, outputs_of, stream_suffix
 from prc_cli.formats.writing.base import NO_CODE, StreamItem
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import (
-    Counts,
-    Progress,
-    label_blocks,
-    run_record,
-)
+from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record
 from prc_cli.jobs.convert import (
-    Facts,
     OpenedItems,
-    check_unchanged,
     find_losses,
     how_to_read,
     open_items,
@@ -47,8 +41,7 @@ from prc_cli.jobs.convert import (
     record_of_scanners,
 )
 from prc_cli.jobs.progress import advance
-from prc_cli.jobs.thin.rules import ThinRule, parse_rules
-from prc_cli.jobs.thin.selection import choose, without
+from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without
 from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
@@ -100,20 +93,6 @@ class ThinningSummary(Brief):
         }
 
 
-@dataclass(slots=True)
-class _Tally:
-    """Returns by class code."""
-
-    n_input: dict[int, int] = field(default_factory=dict)
-    n_kept: dict[int, int] = field(default_factory=dict)
-
-    def add(self, codes: I32, kept: Mask) -> None:
-        """Count returns."""
-        for into, part in ((self.n_input, codes), (self.n_kept, codes[kept])):
-            for code, count in zip(*(found.tolist() for found in np.unique(part, return_counts=True)), strict=True):
-                into[code] = into.get(code, 0) + count
-
-
 def thin(  # noqa: PLR0913 - all but the files and rules are named
     source: Path | str,
     output: Path | str,
@@ -163,7 +142,7 @@ def thin(  # noqa: PLR0913 - all but the files and rules are named
     InputError, OutputError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
-    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    loaded = LoadedConfig.of(config)
     refuse_window(loaded.config, "prc thin")
     source, output = Path(source), Path(output)
     rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
@@ -196,10 +175,11 @@ class _Run:
         self.labels, self.classify, self.min_confidence = labels, classify, min_confidence
         self.keep_empty = keep_empty
         self.n_unsure = 0
-        self._confidence: Callable[[ScanBlock], tuple[Any, Any]] = lambda _: (None, None)
-        """Confidence of the shots and of the further returns of a block."""
-        self.tally = _Tally()
-        self.facts = Facts(Counts.none())
+        self._sure: DiskColumn | None = None
+        """Confidence of the records of a file."""
+        self.n_input, self.n_kept = Counter[int](), Counter[int]()
+        """Returns by class code."""
+        self.counts = Counts.none()
 
     def copy(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
         """Leave records out of a LAS or LAZ file."""
@@ -211,8 +191,8 @@ class _Run:
             stays = stack.enter_context(DiskColumn(self.output, np.uint8, 1, n_records=las.n_records))
             with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (opened, items):
                 hints = _check_lines(self.source, opened)
-                for item, codes, extra_codes in items:
-                    kept, kept_extra = self._choose(item, codes, extra_codes)
+                for item in items:
+                    kept, kept_extra = self._choose(item)
                     block = item.block
                     gone = np.concatenate(
                         [block.records()[~kept & ~np.isnan(block.range_m)], block.extra.record[~kept_extra]]
@@ -220,7 +200,7 @@ class _Run:
                     stays.put(gone[gone >= 0], np.zeros(int((gone >= 0).sum()), np.uint8))
                     advance(progress, block, opened.info)
                 self._check_labels(opened.info)
-                if len(set(self.facts.scanners.values())) > 1:
+                if len(set(self.counts.scanners.values())) > 1:
                     hints = (
                         *hints,
                         "lines of scanners differ in length: the highest column that is left is taken for it",
@@ -239,15 +219,14 @@ class _Run:
         with self._open(xyz=True) as (opened, items):
             shape = replace(opened.shape, codes=True)
             with open_stream_writer(self.output, replace(shape, compress=True)) as writer:
-                for item, codes, extra_codes in items:
-                    kept, kept_extra = self._choose(item, codes, extra_codes)
-                    writer.add_item(without(replace(item, codes=codes, extra_codes=extra_codes), kept, kept_extra))
+                for item in items:
+                    writer.add_item(without(item, *self._choose(item)))
                     advance(progress, item.block, opened.info)
                 self._check_labels(opened.info)
                 opened = replace(opened, shape=shape)
-                found = find_losses(self.output, opened, self.facts, writer.losses)
+                found = find_losses(self.output, opened, self.counts, writer.losses)
                 losses = tuple(f"not kept: {loss}" for loss in found)
-                hints = (*opened.notices, *losses, *how_to_read(self.output, opened, self.facts))
+                hints = (*opened.notices, *losses, *how_to_read(self.output, opened, self.counts))
                 record = self._record(opened.info, hints)
                 check_unchanged(self.source, before)
                 return writer.finish(record)
@@ -257,7 +236,7 @@ class _Run:
         names = self.loaded.config.classes.names()
         bytes_input = self.source.stat().st_size
         bytes_output = sum(path.stat().st_size for path in outputs_of(self.output)[:-1])
-        counts = [(code, n, self.tally.n_kept.get(code, 0)) for code, n in sorted(self.tally.n_input.items())]
+        counts = [(code, n, self.n_kept[code]) for code, n in sorted(self.n_input.items())]
         n_dropped = sum(n - kept for _, n, kept in counts)
         saved = bytes_input - bytes_output
         classes = tuple(
@@ -271,64 +250,49 @@ class _Run:
             for code, n, kept in counts
         )
         rules = tuple(str(rule) for rule in self.rules)
-        n_lines = self.facts.counts.n_lines
+        n_lines = self.counts.n_lines
         return ThinningSummary(self.output, record, classes, rules, bytes_input, bytes_output, n_lines)
 
     @contextlib.contextmanager
-    def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[tuple[StreamItem, I32, I32]]]]:
+    def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[StreamItem]]]:
         """Open the stream with the class codes of every block, from the chosen source."""
-        labelled: dict[int, tuple[I32, I32]] = {}
-        told: dict[int, tuple[U8 | None, U8 | None]] = {}
+        config = self.loaded.config
 
-        def blocks_of(stream: ScanStream) -> Iterator[ScanBlock]:
-            config = self.loaded.config
-            if not self.classify:
-                yield from stream.blocks()
-                return
-            if config.needs_beams:
-                stream = with_beams(stream, config.input)
-            lookup = config.classes.lookup().astype(np.int32)
-            lookup[Label.MISSING] = NO_CODE
-            wanted = self.min_confidence is not None
-            for item in label_blocks(stream.blocks(), config.classifier, wanted=Wanted(confidence=wanted)):
-                labelled[id(item.block)] = lookup[item.labels], lookup[item.extra_labels]
-                told[id(item.block)] = item.confidence, item.extra_confidence
-                yield item.block
+        def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
+            directed = with_beams(stream, config.input) if config.needs_beams else stream
+            wanted = Wanted(confidence=self.min_confidence is not None)
+            return label_blocks(directed.blocks(), config.classifier, wanted=wanted)
 
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
             given = None if self.labels is None else self._read_labels(self.labels, stack)
-            self._confidence = self._find_confidence(told, stack)
+            if self.min_confidence is not None and not self.classify:
+                self._sure = self._read_values(self.labels or self.source, CONFIDENCE, stack)
             items_of = open_items(
                 self.source, self.output, self.loaded,
-                blocks_of=blocks_of, codes=own, xyz=xyz, points=not self.keep_empty,
+                blocks_of=labelled if self.classify else None, codes=own, xyz=xyz, points=not self.keep_empty,
             )  # fmt: skip
             opened = stack.enter_context(items_of)
             if own and not opened.shape.codes:
                 problem = "no class codes in the input, and none were given"
                 hint = "give --labels FILE, or --preset or --config to classify on the way"
                 raise ConfigError(str(self.source), problem, hint)
+            lookup = config.classes.lookup().astype(np.int32)
+            lookup[Label.MISSING] = NO_CODE
 
-            def items() -> Iterator[tuple[StreamItem, I32, I32]]:
+            def items() -> Iterator[StreamItem]:
                 for item in opened.items:
-                    self.facts = self.facts.add(item.block)
+                    block, found = item.block, item.labelled
+                    self.counts = self.counts.add(block)
                     if given is not None:
-                        yield item, given.get(item.block.records()), given.get(item.block.extra.record)
-                    elif self.classify:
-                        yield item, *labelled.pop(id(item.block))
-                    elif item.codes is not None and item.extra_codes is not None:
-                        yield item, item.codes, item.extra_codes
+                        codes = given.get(block.records()), given.get(block.extra.record)
+                        yield replace(item, codes=codes[0], extra_codes=codes[1])
+                    elif found is not None:
+                        yield replace(item, codes=lookup[found.labels], extra_codes=lookup[found.extra_labels])
+                    else:
+                        yield item
 
             yield opened, items()
-
-    def _find_confidence(
-        self, told: dict[int, tuple[U8 | None, U8 | None]], stack: contextlib.ExitStack
-    ) -> Callable[[ScanBlock], tuple[Any, Any]]:
-        """Return what gives the confidence of a block: what was told on the way, else the values of a file."""
-        if self.min_confidence is None or self.classify:
-            return lambda block: told.pop(id(block), (None, None))
-        sure = self._read_values(self.labels or self.source, CONFIDENCE, stack)
-        return lambda block: (sure.get(block.records()), sure.get(block.extra.record))
 
     def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> DiskColumn:
         """Load the codes of a label file for access by record."""
@@ -350,48 +314,54 @@ class _Run:
             values.append(np.where(np.abs(chunk) < 2**31, chunk, NO_CODE).astype(np.int32))
         return values
 
-    def _choose(self, item: StreamItem, codes: I32, extra_codes: I32) -> tuple[Mask, Mask]:
-        kept, kept_extra = choose(item, codes, extra_codes, self.rules)
-        there = ~np.isnan(item.block.range_m)
-        shots, further = self._confidence(item.block)
+    def _choose(self, item: StreamItem) -> tuple[Mask, Mask]:
+        """Mark the returns to keep, by the rules and by confidence, and count them."""
+        assert item.codes is not None
+        assert item.extra_codes is not None
+        kept, kept_extra = choose(item, self.rules)
+        block, found, there = item.block, item.labelled, ~np.isnan(item.block.range_m)
         if self.min_confidence is not None:
+            sure: tuple[Any, Any] = (None, None)
+            if found is not None:
+                sure = found.confidence, found.extra_confidence
+            elif self._sure is not None:
+                sure = self._sure.get(block.records()), self._sure.get(block.extra.record)
             n_kept = int(kept.sum() + kept_extra.sum())
-            kept &= shots >= self.min_confidence
-            kept_extra &= further >= self.min_confidence
+            kept &= sure[0] >= self.min_confidence
+            kept_extra &= sure[1] >= self.min_confidence
             self.n_unsure += n_kept - int(kept.sum() + kept_extra.sum())
-        self.tally.add(codes[there], kept[there])
-        self.tally.add(extra_codes, kept_extra)
+        for codes, stays in ((item.codes[there], kept[there]), (item.extra_codes, kept_extra)):
+            for into, part in ((self.n_input, codes), (self.n_kept, codes[stays])):
+                into.update(dict(zip(*(found.tolist() for found in np.unique(part, return_counts=True)), strict=True)))
         return kept, kept_extra
 
     def _check_labels(self, info: StreamInfo) -> None:
         """Refuse a label file of another length than the input."""
         if self.labels is None:
             return
-        n_records = info.n_records if info.n_records is not None else self.facts.counts.tally.n_records
+        n_records = info.n_records if info.n_records is not None else self.counts.tally.n_records
         if self._n_labels != n_records:
             problem = f"found {self._n_labels} labels, expected {n_records}, one a record of {self.source.name}"
             raise InputError(str(self.labels), problem, "give the labels of this file")
 
     def _record(self, info: StreamInfo, hints: tuple[str, ...]) -> RunRecord:
         """Return the run record, which says that and how shots were dropped."""
-        tally, told = self.tally, []
+        told, n_input, n_all_kept = [], self.n_input.total(), self.n_kept.total()
         for rule in self.rules:
-            n = sum(tally.n_input.get(code, 0) for code in rule.codes)
-            n_kept = sum(tally.n_kept.get(code, 0) for code in rule.codes)
+            n, n_kept = (sum(found[code] for code in rule.codes) for found in (self.n_input, self.n_kept))
             if n:
                 told.append(f"{rule.name}: {n - n_kept} of {n} dropped ({rule})")
             elif rule.share != 0 or rule.name != "noise":
                 told.append(f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})")
         if self.min_confidence is not None:
             told.append(f"confidence below {self.min_confidence} %: {self.n_unsure} more returns dropped")
-        if not sum(tally.n_kept.values()):
-            problem = f"all {sum(tally.n_input.values())} returns would be dropped, expected some to stay"
+        if not n_all_kept:
+            problem = f"all {n_input} returns would be dropped, expected some to stay"
             raise ConfigError(str(self.source), problem, "keep more: --keep noise=1, or other classes")
-        dropped = sum(tally.n_input.values()) - sum(tally.n_kept.values())
-        note = f"thinned: {dropped} of {sum(tally.n_input.values())} returns were dropped and are missing in this file"
-        record = run_record(info, self.facts.counts, self.loaded)
+        note = f"thinned: {n_input - n_all_kept} of {n_input} returns were dropped and are missing in this file"
+        record = run_record(info, self.counts, self.loaded)
         record = replace(record, notices=(*record.notices, note, *told, *hints))
-        return record_of_scanners(record, self.facts)
+        return record_of_scanners(record, self.counts)
 
 
 def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
@@ -412,14 +382,14 @@ def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
 def _needed(grid: GridStream) -> tuple[str, ...]:
     """Return the options that replace values the reader estimated from all records."""
     rules, told = grid.rules, []
-    if rules.line_hz is not None and rules.time_origin_s is None:
+    if rules.line_hz is not None and rules.config.time_origin is None:
         first = next(iter(grid.source.chunks(("time",)))).values["time"]
         told.append(f"read it with --set input.time_origin={float(first[0])!r}")
     if rules.columns == "time":
         told.append("columns follow from the times: shots that share a stamp may move by a column")
-    if rules.columns == "angle" and (rules.angle_start_deg is None or rules.angle_step_deg is None):
+    if rules.columns == "angle" and (rules.config.angle_start is None or rules.config.angle_step is None):
         for setup in grid.setups.values():
-            if (angles := setup.found.angle_grid) is not None:
+            if (angles := setup.columns.grid) is not None:
                 start, step = math.degrees(angles.start_rad), math.degrees(angles.step_rad)
                 told.append(f"read it with --set input.angle_start={start!r} --set input.angle_step={step!r}")
     return tuple(dict.fromkeys(told))

@@ -18,8 +18,8 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
 from prc_cli.formats import LAS_SUFFIXES
-from prc_cli.formats.las.lookup import names_of_file
 from prc_cli.formats.las.rewrite import LasRecoder
+from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import Layout
 from prc_cli.formats.writing.record import (
     Fingerprint,

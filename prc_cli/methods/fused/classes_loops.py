@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import LABEL_BITS, Label, Reason
-from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import UniTuple, boolean, float32, helper, inlined, kernel, record, uint8, uint64
+from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2, U64_2, Mask, Mask_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import DecisionThresholds
 
 Slots = NDArray[np.uint64]
@@ -707,34 +707,20 @@ def _label_boxes(
                 labels[j] = _BOX if _is_thing(labels[j]) else labels[j]
 
 
-@kernel(
-    uint8[:, ::1](
-        float32[:, ::1],
-        float32[:, ::1],
-        UniTuple(uint8[:, ::1], 4),
-        boolean[:, ::1],
-        float32[:, ::1],
-        UniTuple(uint64[:, ::1], 2),
-        UniTuple(float32[:, ::1], 3),
-        uint8[:, ::1],
-        UniTuple(float32[::1], 2),
-        float32,
-        record(DecisionThresholds),
-    )
-)
+@kernel()
 def fused_labels(
-    window_m: F32,
-    above_m: F32,
-    counts: tuple[U8, U8, U8, U8],
-    walked: Mask,
-    texture: F32,
-    slots: tuple[Slots, Slots],
-    walls: tuple[F32, F32, F32],
-    levels: U8,
-    beams: tuple[F32, F32],
+    window_m: F32_2,
+    above_m: F32_2,
+    counts: tuple[U8_2, U8_2, U8_2, U8_2],
+    walked: Mask_2,
+    texture: F32_2,
+    slots: tuple[U64_2, U64_2],
+    walls: tuple[F32_2, F32_2, F32_2],
+    levels: U8_2,
+    beams: tuple[F32_1, F32_1],
     step: np.float32,
     thresholds: DecisionThresholds,
-) -> U8:
+) -> U8_2:
     """Give every shot of consecutive lines the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
     ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres; ``counts`` tuple of (lines

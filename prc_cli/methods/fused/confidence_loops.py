@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, I32, I64, U8
+from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_2, I64, I64_1, I64_2, U8, U8_2, U64_2
 from prc_cli.kernels.cache import helper, inlined, kernel
 
 Words = NDArray[np.uint64]
@@ -162,25 +162,21 @@ def _answer(labels: U8, measures: F32, limits: F32, questions: I64, cells: I32) 
         cells[i] = np.int32(cell)
 
 
-@kernel(
-    "int32[:, ::1](uint8[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), "
-    "UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 2), UniTuple(float32[::1], 2), float32, "
-    "int64[::1], int64[:, ::1], float32[:, ::1])"
-)
+@kernel()
 def confidence_cells(
-    labels: U8,
-    range_m: F32,
-    above_m: F32,
-    texture: F32,
-    counts: tuple[U8, U8, U8, U8],
-    slots: tuple[Words, Words],
-    walls: tuple[F32, F32],
-    beams: tuple[F32, F32],
+    labels: U8_2,
+    range_m: F32_2,
+    above_m: F32_2,
+    texture: F32_2,
+    counts: tuple[U8_2, U8_2, U8_2, U8_2],
+    slots: tuple[U64_2, U64_2],
+    walls: tuple[F32_2, F32_2],
+    beams: tuple[F32_1, F32_1],
     step: np.float32,
-    groups: I64,
-    questions: I64,
-    limits: F32,
-) -> I32:
+    groups: I64_1,
+    questions: I64_2,
+    limits: F32_2,
+) -> I32_2:
     """Find which steps of its label's measures every shot reaches.
 
     ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32;

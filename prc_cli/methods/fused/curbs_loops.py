@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import UniTuple, float32, helper, inlined, kernel, record, uint8
+from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import CurbThresholds
 
 APART = 2
@@ -135,14 +135,15 @@ def _mean_height(
     return (total / np.float32(n) if n > 0 else total), n
 
 
-@kernel(
-    uint8[:, ::1](
-        uint8[:, ::1], float32[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, record(CurbThresholds)
-    )
-)
+@kernel()
 def curb_labels(
-    labels: U8, range_m: F32, above_m: F32, beams: tuple[F32, F32], step: np.float32, thresholds: CurbThresholds
-) -> U8:
+    labels: U8_2,
+    range_m: F32_2,
+    above_m: F32_2,
+    beams: tuple[F32_1, F32_1],
+    step: np.float32,
+    thresholds: CurbThresholds,
+) -> U8_2:
     """Label the faces of curbs.
 
     A shot near the ground is on a face if the line climbs there, and the ground is higher beyond it than before it,

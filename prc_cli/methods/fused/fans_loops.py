@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, int32, int64, kernel, record, uint8
+from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_1, U8, U8_2
+from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.fused.thresholds import FanThresholds
 
 LINES = 12
@@ -143,30 +143,18 @@ def _is_car(seeds: I32, things: I32, first: int, last: int, line: int, threshold
     return bool(np.float32(most) >= thresholds.share * np.float32(most + others))
 
 
-@kernel(
-    Tuple((uint8[:, ::1], uint8[:, ::1]))(
-        uint8[:, ::1],
-        float32[:, ::1],
-        float32[:, ::1],
-        float32[:, ::1],
-        float32[::1],
-        UniTuple(int32[::1], 2),
-        uint8[:, ::1],
-        int64,
-        record(FanThresholds),
-    )
-)
+@kernel()
 def fan_cars(
-    labels: U8,
-    range_m: F32,
-    above_m: F32,
-    texture: F32,
-    sine: F32,
-    sides: tuple[I32, I32],
-    before: U8,
+    labels: U8_2,
+    range_m: F32_2,
+    above_m: F32_2,
+    texture: F32_2,
+    sine: F32_1,
+    sides: tuple[I32_1, I32_1],
+    before: U8_2,
     n_own: int,
     thresholds: FanThresholds,
-) -> tuple[U8, U8]:
+) -> tuple[U8_2, U8_2]:
     """Label cars where shots are far apart, as in fans of rings.
 
     A line across a car climbs from the ground over flank and panes to the roof, and then sees far beyond. Walls and

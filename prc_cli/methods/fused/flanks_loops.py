@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, inlined, kernel, record, uint8, uint64
+from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2, U64_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import FlankThresholds
 
 Slots = NDArray[np.uint64]
@@ -117,28 +117,17 @@ def _ground_below(bins: I32, depths: F32, side: int, away: np.float32, bottom: n
     return beneath, beyond
 
 
-@kernel(
-    Tuple((uint8[:, ::1], uint8[:, ::1]))(
-        float32[:, ::1],
-        float32[:, ::1],
-        uint8[:, ::1],
-        UniTuple(float32[::1], 2),
-        UniTuple(float32[:, ::1], 3),
-        uint64[:, ::1],
-        uint8[:, ::1],
-        record(FlankThresholds),
-    )
-)
+@kernel()
 def find_flanks(
-    range_m: F32,
-    above_m: F32,
-    upright: U8,
-    beams: tuple[F32, F32],
-    sums: tuple[F32, F32, F32],
-    every: Slots,
-    levels: U8,
+    range_m: F32_2,
+    above_m: F32_2,
+    upright: U8_2,
+    beams: tuple[F32_1, F32_1],
+    sums: tuple[F32_2, F32_2, F32_2],
+    every: U64_2,
+    levels: U8_2,
     thresholds: FlankThresholds,
-) -> tuple[U8, U8]:
+) -> tuple[U8_2, U8_2]:
     """Find strips with the flank of a vehicle: ground is seen right beneath it, and none farther behind.
 
     ``range_m, above_m`` (lines + 4, M) float32, metres; ``upright`` (lines + 4, M) uint8; ``beams`` tuple of (M,)

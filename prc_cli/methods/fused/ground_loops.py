@@ -4,20 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_1, I32_2, U8, U8_2, Mask, Mask_2
 from prc_cli.kernels.cache import (
-    Tuple,
-    UniTuple,
-    boolean,
-    float32,
-    float64,
     helper,
     inlined,
-    int32,
-    int64,
     kernel,
-    record,
-    uint8,
 )
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
@@ -288,38 +279,18 @@ def _start_of_line(
     return start_m, lost
 
 
-@kernel(
-    Tuple(
-        (
-            float32[:, ::1],
-            boolean[:, ::1],
-            Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])),
-            float64,
-            int64,
-        )
-    )(
-        float32[:, ::1],
-        UniTuple(float32[::1], 2),
-        UniTuple(uint8[:, ::1], 4),
-        UniTuple(int32[::1], 2),
-        Tuple((float32[:, ::1], int32[:, ::1], float32[:, ::1], float32[:, ::1])),
-        float32,
-        int64,
-        int64,
-        record(WalkThresholds),
-    )
-)
+@kernel()
 def walk_ground(
-    range_m: F32,
-    beams: tuple[F32, F32],
-    counts: tuple[U8, U8, U8, U8],
-    sides: tuple[I32, I32],
-    memory: Memory,
+    range_m: F32_2,
+    beams: tuple[F32_1, F32_1],
+    counts: tuple[U8_2, U8_2, U8_2, U8_2],
+    sides: tuple[I32_1, I32_1],
+    memory: tuple[F32_2, I32_2, F32_2, F32_2],
     start_m: np.float32,
     lost: int,
     keep: int,
     thresholds: WalkThresholds,
-) -> tuple[F32, Mask, Memory, float, int]:
+) -> tuple[F32_2, Mask_2, tuple[F32_2, I32_2, F32_2, F32_2], float, int]:
     """Find the ground of consecutive lines, and the height of every shot above it.
 
     ``range_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32; ``counts`` tuple of (lines, M) uint8;

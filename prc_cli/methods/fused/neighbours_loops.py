@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import UniTuple, float32, helper, inlined, kernel, record, uint8
+from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, SmoothThresholds
 
 LINES, COLUMNS = 2, 4
@@ -25,8 +25,8 @@ PAD = MOST_COLUMNS + 2
 """Empty columns beside a line, in which chords may end."""
 
 
-@kernel("UniTuple(float32[:, ::1], 2)(float32[:, ::1], float32[::1], float32[::1])")
-def plane_points(range_m: F32, sine: F32, cosine: F32) -> tuple[F32, F32]:
+@kernel()
+def plane_points(range_m: F32_2, sine: F32_1, cosine: F32_1) -> tuple[F32_2, F32_2]:
     """Turn ranges into points of the scan plane.
 
     ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float32; returns side_m, height_m : (lines, M)
@@ -125,8 +125,8 @@ def _count_across(
         )
 
 
-@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, record(NearThresholds)))
-def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
+@kernel()
+def near_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: NearThresholds) -> U8_2:
     """Count the near neighbours of every shot: of 8 in its line and 20 in the two lines before and after.
 
     ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M) uint8.
@@ -295,8 +295,8 @@ def _pairs_across(
         )
 
 
-@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, record(SmoothThresholds)))
-def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
+@kernel()
+def smooth_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: SmoothThresholds) -> U8_2:
     """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
 
     In the line, a shot must lie on the straight line through the pair. Where columns are nearer to each other than
@@ -397,14 +397,10 @@ def _count_chords(
         )
 
 
-@kernel(
-    UniTuple(uint8[:, ::1], 2)(
-        float32[:, ::1], uint8[:, ::1], float32[::1], float32[::1], float32, record(ChordThresholds)
-    )
-)
+@kernel()
 def directions(
-    range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
-) -> tuple[U8, U8]:
+    range_m: F32_2, smooth: U8_2, sine: F32_1, cosine: F32_1, step: np.float32, thresholds: ChordThresholds
+) -> tuple[U8_2, U8_2]:
     """Count which chords through a shot are upright and which are level.
 
     A chord reaches as far to both sides as ``chord_m`` is long at that range, to shots that lie on something smooth; it

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label, Reason
-from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import float32, helper, inlined, kernel, record, uint8
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import AgainThresholds
 
 Words = NDArray[np.uint64]
@@ -128,20 +128,10 @@ def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> b
     return bool((missing * MISSING_PART < cells) & (max(before, after) > thresholds.alone_gap_m))
 
 
-@kernel(
-    uint8[:, ::1](
-        uint8[:, ::1],
-        uint8[:, ::1],
-        float32[:, ::1],
-        uint8[:, ::1],
-        float32[:, ::1],
-        float32[:, ::1],
-        record(AgainThresholds),
-    )
-)
+@kernel()
 def noise_again(
-    labels: U8, voted: U8, range_m: F32, smooth: U8, above_m: F32, texture: F32, thresholds: AgainThresholds
-) -> U8:
+    labels: U8_2, voted: U8_2, range_m: F32_2, smooth: U8_2, above_m: F32_2, texture: F32_2, thresholds: AgainThresholds
+) -> U8_2:
     """Find noise that is seen in a wider window alone: what a car mirrors, and ranges that nothing around has.
 
     ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32, metres; ``smooth``

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import float32, helper, int32, int64, kernel, record
+from prc_cli.core.types import F32, F32_2, I32, I32_3, U8
+from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.fused.thresholds import SpacingThresholds
 
 LAGS = (1, 2, 4, 8, 16)
@@ -65,8 +64,8 @@ def _count_again(ranges: F32, earlier: F32, limits: F32, leaves: U8, row: I32) -
     row[0], row[1] = both, same
 
 
-@kernel(int32[:, :, ::1](float32[:, ::1], int64, record(SpacingThresholds)))
-def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
+@kernel()
+def leaf_repeats(range_m: F32_2, first: int, thresholds: SpacingThresholds) -> I32_3:
     """Count on how many rough places earlier lines are as far.
 
     ``range_m`` (lines + MOST_LAG, M) float32, metres; returns (lines, 6, 2) int32.

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label, Reason
-from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, inlined, int32, int64, kernel, record, uint8
+from prc_cli.core.types import F32, F32_2, F64, F64_1, F64_2, I32, I32_2, U8, U8_2, Mask, Mask_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
@@ -113,10 +113,10 @@ def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F6
             three[b] = max(z, middle)
 
 
-@kernel(float64[:, ::1](float32[:, ::1], float64[::1], float64[::1], int64, int64, record(TerrainThresholds)))
+@kernel()
 def ground_profiles(
-    range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, thresholds: TerrainThresholds
-) -> F64:
+    range_m: F32_2, sine: F64_1, cosine: F64_1, lines_together: int, n_bins: int, thresholds: TerrainThresholds
+) -> F64_2:
     """Find the height of the ground to the left and right of the scanner, for a few lines together.
 
     In every bin to the side the third-lowest return counts that is about as far as the return before it in its line.
@@ -174,8 +174,10 @@ def _over(ranges: F32, cosine: F64, shares: F64, low: F64, high: F64, heights: F
         heights[column] = np.float32(-r * cosine[column] - ground)
 
 
-@kernel("float32[:, ::1](float32[:, ::1], float64[::1], float64[::1], float64[:, ::1], int64, float64)")
-def ground_heights(range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_together: int, bin_m: float) -> F32:
+@kernel()
+def ground_heights(
+    range_m: F32_2, sine: F64_1, cosine: F64_1, profiles: F64_2, lines_together: int, bin_m: float
+) -> F32_2:
     """Return how far above the ground of its profile every return is.
 
     ``range_m`` (lines, M) float32, metres; ``sine, cosine`` (M,) float64; ``profiles`` (groups, n_bins) float64,
@@ -315,12 +317,10 @@ def _line_runs(
     return n_runs
 
 
-@kernel(
-    Tuple((int32[:, ::1], float64[:, ::1]))(
-        float32[:, ::1], float32[:, ::1], float64[::1], float64[::1], record(RunThresholds)
-    )
-)
-def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
+@kernel()
+def upright_runs(
+    range_m: F32_2, height_m: F32_2, sine: F64_1, cosine: F64_1, thresholds: RunThresholds
+) -> tuple[I32_2, F64_2]:
     """Find runs of returns of a line that go straight up or down in the scan plane.
 
     A return continues the first of the last three runs that it follows steeply. Returns in between may be nearer, of
@@ -400,8 +400,8 @@ def _join_lines(
             last_run, last_before = run, other
 
 
-@kernel(boolean[:, ::1](float32[:, ::1], int32[:, ::1], float64[:, ::1], record(StemThresholds)))
-def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
+@kernel()
+def stem_shots(range_m: F32_2, runs: I32_2, table: F64_2, thresholds: StemThresholds) -> Mask_2:
     """Mark the runs that are stems: those that go on from line to line and are high, long and opaque together.
 
     ``range_m`` (lines, M) float32, metres; ``runs`` (lines, M) int32; ``table`` (n_runs + 1, 4) float64; returns
@@ -540,8 +540,10 @@ def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, li
     return False
 
 
-@kernel(uint8[:, ::1](float32[:, ::1], float32[:, ::1], boolean[:, ::1], int64, record(ForestThresholds)))
-def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
+@kernel()
+def forest_labels(
+    range_m: F32_2, height_m: F32_2, stems: Mask_2, columns_around: int, thresholds: ForestThresholds
+) -> U8_2:
     """Give every shot of a block of forest the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
     ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``stems`` (lines, M) bool; returns

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, I32, U8
-from prc_cli.kernels.cache import Tuple, UniTuple, float32, helper, inlined, kernel, record, uint8, uint64
+from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2, U64_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import StripThresholds, WallThresholds
 
 Slots = NDArray[np.uint64]
@@ -185,34 +185,15 @@ def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8)
             levels[q] = 1
 
 
-@kernel(
-    Tuple(
-        (
-            uint64[:, ::1],
-            uint64[:, ::1],
-            float32[:, ::1],
-            float32[:, ::1],
-            float32[:, ::1],
-            float32[:, ::1],
-            uint8[:, ::1],
-        )
-    )(
-        float32[:, ::1],
-        float32[:, ::1],
-        UniTuple(uint8[:, ::1], 4),
-        UniTuple(float32[::1], 2),
-        float32,
-        record(StripThresholds),
-    )
-)
+@kernel()
 def fill_strips(
-    range_m: F32,
-    above_m: F32,
-    counts: tuple[U8, U8, U8, U8],
-    beams: tuple[F32, F32],
+    range_m: F32_2,
+    above_m: F32_2,
+    counts: tuple[U8_2, U8_2, U8_2, U8_2],
+    beams: tuple[F32_1, F32_1],
     step: np.float32,
     thresholds: StripThresholds,
-) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
+) -> tuple[U64_2, U64_2, F32_2, F32_2, F32_2, F32_2, U8_2]:
     """Sort shots above the ground into strips, line by line.
 
     ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8; ``beams`` tuple of (M,)
@@ -250,8 +231,8 @@ def fill_strips(
     return every, rough, length, wall, place, top, levels
 
 
-@kernel("uint64[:, ::1](uint64[:, ::1])")
-def widen_slots(slots: Slots) -> Slots:
+@kernel()
+def widen_slots(slots: U64_2) -> U64_2:
     """Combine the slots of a line with those of the lines and strips around.
 
     ``slots`` (lines + 4, STRIPS) uint64; returns (lines, STRIPS) uint64.
@@ -271,8 +252,8 @@ def widen_slots(slots: Slots) -> Slots:
     return wide
 
 
-@kernel("uint8[:, ::1](uint8[:, ::1])")
-def widen_levels(levels: U8) -> U8:
+@kernel()
+def widen_levels(levels: U8_2) -> U8_2:
     """Combine the level surfaces of a line with those of the lines around.
 
     ``levels`` (lines + 4, 2 STRIPS) uint8; returns (lines, 2 STRIPS) uint8.
@@ -347,8 +328,10 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, 
                 ahead[b] = wall_at[last]
 
 
-@kernel(UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), uint8[:, ::1], record(WallThresholds)))
-def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
+@kernel()
+def find_walls(
+    sums: tuple[F32_2, F32_2, F32_2, F32_2], flanks: U8_2, thresholds: WallThresholds
+) -> tuple[F32_2, F32_2, F32_2]:
     """Find the walls beside every line: strips with enough smooth upright surface.
 
     ``sums`` tuple of (lines + 4, STRIPS) float32; ``flanks`` (lines, STRIPS) uint8; returns at_m, top_m : (lines,

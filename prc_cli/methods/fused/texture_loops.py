@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, I32, U8
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, kernel
 
 Pairs = NDArray[np.uint32]
@@ -128,18 +128,16 @@ def _look_at_depth(
         shares[i] = max(shares[i], _share_at_depth(lines, pairs, int(i), int(columns[i]), depth_m))
 
 
-@kernel(
-    "float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32, UniTuple(float32, 3))"
-)
+@kernel()
 def mean_smoothness(
-    range_m: F32,
-    near: U8,
-    smooth: U8,
+    range_m: F32_2,
+    near: U8_2,
+    smooth: U8_2,
     step: np.float32,
     least_near: np.float32,
     half_m: np.float32,
     limits: tuple[np.float32, np.float32, np.float32],
-) -> F32:
+) -> F32_2:
     """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
 
     A place with few is looked at again without what is nearer or farther: leaves before a wall do not make it rough.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, I32, U8
+from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
 
 Pairs = NDArray[np.uint32]
@@ -142,10 +142,10 @@ def _vote_line(
         voted[i] = _vote(votes, labels[i])
 
 
-@kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, float32, float32)")
+@kernel()
 def vote_labels(
-    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
-) -> U8:
+    labels: U8_2, range_m: F32_2, beams: tuple[F32_1, F32_1], step: np.float32, half_m: np.float32, near_m: np.float32
+) -> U8_2:
     """Let every shot that is neither ground nor noise take the label of most of the shots around it.
 
     A shot keeps its label where the shots four columns to both sides and in the adjacent lines have the same one. Noise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I64
+from prc_cli.core.types import F32, F32_1, F64, F64_1, I64_1, I64_2
 from prc_cli.kernels.cache import helper, kernel
 
 
@@ -34,10 +34,10 @@ def _first_above(limits: F64, value: float) -> int:
     return low
 
 
-@kernel("int64[:, ::1](float32[::1], int64, int64, float64[::1], float64[::1], int64, int64)")
+@kernel()
 def support_histogram(
-    window: F32, n_lines: int, n_columns: int, zetas_p: F64, zetas_s: F64, min_in_slice: int, min_adjacent: int
-) -> I64:
+    window: F32_1, n_lines: int, n_columns: int, zetas_p: F64_1, zetas_s: F64_1, min_in_slice: int, min_adjacent: int
+) -> I64_2:
     """Count returns by the first pair of thresholds that supports them.
 
     A shot is supported when its k-th smallest range difference in the line is below zeta_p and that to adjacent lines
@@ -80,8 +80,8 @@ def support_histogram(
     return counts
 
 
-@kernel("int64[::1](float32[::1], int64, int64, float64[::1], float64)")
-def bend_histogram(window: F32, n_lines: int, n_columns: int, lengths: F64, alpha: float) -> I64:
+@kernel()
+def bend_histogram(window: F32_1, n_lines: int, n_columns: int, lengths: F64_1, alpha: float) -> I64_1:
     """Count returns by the first length d_c at which they are no longer extended background (eq. 9, centred).
 
     A shot between neighbours a and b is marked when its bend ``|r - (a + b) / 2|`` is at least

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import I32, I64, Mask
+from prc_cli.core.types import I32, I32_1, I32_2, I64, I64_1, Mask, Mask_2
 from prc_cli.kernels.cache import helper, kernel
 
 ONES = 0x0101010101010101
@@ -124,8 +124,8 @@ def _draw_runs(edges: I32, first_run: I32, parent: I32, n_columns: int) -> tuple
     return drawn[:size].reshape((len(first_run) - 1, n_columns)), pixels
 
 
-@kernel("Tuple((int32[:, ::1], int64))(boolean[:, ::1])")
-def label_components(image: Mask) -> tuple[I32, int]:
+@kernel()
+def label_components(image: Mask_2) -> tuple[I32_2, int]:
     """Find the 4-connected components of a binary image, numbered in the raster order of their first pixels.
 
     ``image`` (n_lines, n_columns) bool; returns ``labels`` (n_lines, n_columns) int32.
@@ -192,8 +192,8 @@ def _most_frequent(components: I32, line: int, column: int) -> int:
     return best
 
 
-@kernel("Tuple((int32[:, ::1], int64[::1]))(boolean[:, ::1], boolean[:, ::1])")
-def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
+@kernel()
+def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
     """Connect supported shots and give those of the background to the component around them.
 
     ``supported, background`` (n_lines, n_columns) bool; returns ``components`` (n_lines, n_columns) int32, ``pixels``
@@ -273,8 +273,8 @@ def _sort_votes(component: I32, label: I64, n: int) -> I32:
     return order
 
 
-@kernel("int64[::1](int32[::1], int64[::1], int64, int64)")
-def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
+@kernel()
+def carry_labels(first_line: I32_1, last_line: I64_1, n_components: int, min_votes: int) -> I64_1:
     """Let the last line before a block vote for the labels of the block's components.
 
     Every column where both lines hold a label is a vote. A component takes the label that most of its shots vote for,

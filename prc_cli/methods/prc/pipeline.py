@@ -17,11 +17,11 @@ from prc_cli.core.stream import CriticalZetas, LabelledBlock, ReadTally, ScanBlo
 from prc_cli.core.types import F32, I64, U8, Mask
 from prc_cli.methods.base import WHERE, Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, check_block
 from prc_cli.methods.prc.components import Components, ComponentsParams, Joined, identify, join
-from prc_cli.methods.prc.critical import critical_zetas
 from prc_cli.methods.prc.support import (
     BackgroundParams,
     SupportParams,
     background,
+    critical_zetas,
     stream_window,
     support,
     tail_after,

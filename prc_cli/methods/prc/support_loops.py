@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, Mask
+from prc_cli.core.types import F32_1, Mask_2
 from prc_cli.kernels.cache import kernel
 
 CENTRED, LITERAL, ABS, GUARD = 0, 1, 2, 3
@@ -18,10 +18,10 @@ STRIP = 4096
 """Ranges that are counted in narrow numbers at a time."""
 
 
-@kernel("boolean[:, ::1](float32[::1], int64, int64, float64, float64, int64, int64)")
+@kernel()
 def support_mask(
-    window: F32, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
-) -> Mask:
+    window: F32_1, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
+) -> Mask_2:
     """Mark shots that enough neighbours in their own and in the adjacent lines agree with (eqs. 4 to 8).
 
     ``window`` (reach + n_lines * n_columns + reach,) float32, metres; returns (n_lines, n_columns) bool.
@@ -82,8 +82,8 @@ def support_mask(
     return supported
 
 
-@kernel("boolean[:, ::1](float32[::1], boolean[:, ::1], int64, float64, float64)")
-def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: float) -> Mask:
+@kernel()
+def background_mask(window: F32_1, supported: Mask_2, form: int, alpha: float, d_c: float) -> Mask_2:
     """Mark supported shots where the range changes too abruptly for one smooth surface (eq. 9).
 
     ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported`` (n_lines, n_columns) bool; returns
@@ -123,8 +123,8 @@ def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: 
     return marked
 
 
-@kernel("Tuple((float32[::1], int64, int64, int64))(float32[::1], float32, float32)")
-def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
+@kernel()
+def clean_ranges(ranges: F32_1, low: np.float32, high: np.float32) -> tuple[F32_1, int, int, int]:
     """Make ranges out of bounds missing, and count them by their reason.
 
     ``ranges`` (n,) float32, metres; returns ``cleaned`` (n,) float32, metres.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, I32, I64, U8, Mask
+from prc_cli.core.types import F32_1, I32_2, I64_1, U8_1, U8_2, Mask_1, Mask_2
 from prc_cli.kernels.cache import kernel
 
 
-@kernel("boolean[:, ::1](boolean[:, ::1], int32[:, ::1], boolean[::1])")
-def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
+@kernel()
+def select_components(supported: Mask_2, components: I32_2, wanted: Mask_1) -> Mask_2:
     """Mark the supported shots of some components.
 
     ``supported`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; ``wanted`` (n + 1,) bool;
@@ -24,8 +24,8 @@ def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
     return selected
 
 
-@kernel("boolean[:, ::1](boolean[:, ::1], int64)")
-def dilate(image: Mask, iterations: int) -> Mask:
+@kernel()
+def dilate(image: Mask_2, iterations: int) -> Mask_2:
     """Dilate a binary image with the 4-neighbour cross; outside the image is background.
 
     ``image`` (n_lines, n_columns) bool; returns (n_lines, n_columns) bool.
@@ -50,8 +50,8 @@ def dilate(image: Mask, iterations: int) -> Mask:
     return grown
 
 
-@kernel("int64[::1](boolean[:, ::1], boolean[:, ::1], int32[:, ::1], int64)")
-def count_covered(supported: Mask, covered: Mask, components: I32, n_components: int) -> I64:
+@kernel()
+def count_covered(supported: Mask_2, covered: Mask_2, components: I32_2, n_components: int) -> I64_1:
     """Count the supported shots of every component that lie under another image.
 
     ``supported, covered`` (n_lines, n_columns) bool; ``components`` (n_lines, n_columns) int32; returns (n_components +
@@ -73,8 +73,10 @@ def count_covered(supported: Mask, covered: Mask, components: I32, n_components:
     return counts
 
 
-@kernel("uint8[:, ::1](float32[::1], boolean[:, ::1], boolean[:, ::1], int32[:, ::1], uint8[::1], uint8[::1])")
-def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
+@kernel()
+def draw_components(
+    window: F32_1, supported: Mask_2, covered: Mask_2, components: I32_2, label_of: U8_1, others: U8_1
+) -> U8_2:
     """Draw labels by component where nothing covers them.
 
     ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered`` (n_lines, n_columns) bool;
@@ -97,8 +99,10 @@ def draw_components(window: F32, supported: Mask, covered: Mask, components: I32
     return labels
 
 
-@kernel("uint8[:, ::1](float32[::1], boolean[:, ::1], boolean[:, ::1], boolean[::1], boolean, uint8[::1])")
-def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8) -> U8:
+@kernel()
+def draw_columns(
+    window: F32_1, supported: Mask_2, covered: Mask_2, columns: Mask_1, noise_too: bool, labels_of: U8_1
+) -> U8_2:
     """Draw labels of what is covered and what is not, and another one in some columns.
 
     ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported, covered`` (n_lines, n_columns) bool;

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
-from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int32, int64, kernel, record, uint8
+from prc_cli.core.types import F32, F32_2, F32_3, F64_1, F64_2, I32, I32_1, I32_2, I64_1, U8_2, Mask_1, Mask_2
+from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.rings.thresholds import CellThresholds, LonelyThresholds, MarkThresholds, SoilThresholds
 
 SMOOTH, ASKED, UPRIGHT, LEVEL = 1, 2, 4, 8
@@ -43,14 +43,10 @@ def _is_smooth(before: F32, own: F32, after: F32, most_m: float, tolerance_m: fl
     return SMOOTH | ASKED if near else ASKED
 
 
-@kernel(
-    uint8[:, ::1](
-        float32[:, :, ::1], float32[:, ::1], float32[:, ::1], float64, float64, float64, record(MarkThresholds)
-    )
-)
+@kernel()
 def mark_shots(
-    xyz_m: F32, place: F32, above_m: F32, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
-) -> U8:
+    xyz_m: F32_3, place: F32_2, above_m: F32_2, foot_m: float, root: float, step_rad: float, thresholds: MarkThresholds
+) -> U8_2:
     """Mark shots by what their ring shows and, higher than the foot of things, their line, (lines, M) uint8.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``place, above_m`` (lines, M) float32; ``step_rad`` is the angle between
@@ -93,8 +89,8 @@ def mark_shots(
     return marks
 
 
-@kernel(boolean[:, ::1](float32[:, ::1], float32[:, ::1], boolean, record(LonelyThresholds)))
-def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyThresholds) -> Mask:
+@kernel()
+def lonely_shots(range_m: F32_2, intensity: F32_2, is_lit: bool, thresholds: LonelyThresholds) -> Mask_2:
     """Mark shots near the scanner that hardly any shot around is as far as, and that no surface around explains.
 
     ``range_m`` (lines, M) float32, metres; ``intensity`` the same, or (1, 1) where ``is_lit`` is false.
@@ -131,14 +127,10 @@ def lonely_shots(range_m: F32, intensity: F32, is_lit: bool, thresholds: LonelyT
     return found
 
 
-@kernel(
-    Tuple((int64[::1], float64[:, ::1], int32[:, ::1], int32[:, ::1], int32[:, ::1]))(
-        float32[:, :, ::1], float32[:, ::1], uint8[:, ::1], boolean[:, ::1], record(CellThresholds)
-    )
-)
+@kernel()
 def fill_cells(
-    xyz_m: F32, above_m: F32, marks: U8, leave_out: Mask, thresholds: CellThresholds
-) -> tuple[I64, F64, I32, I32, I32]:
+    xyz_m: F32_3, above_m: F32_2, marks: U8_2, leave_out: Mask_2, thresholds: CellThresholds
+) -> tuple[I64_1, F64_2, I32_2, I32_2, I32_2]:
     """Sum up what stands in every column of space.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M) uint8; ``leave_out``
@@ -209,8 +201,8 @@ def _body_top(levels: int, gap: int) -> int:
     return top
 
 
-@kernel(float64[:, ::1](int32[:, ::1], int32[:, ::1], float64[:, ::1], int64[::1], record(CellThresholds)))
-def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, thresholds: CellThresholds) -> F64:
+@kernel()
+def measure_cells(grid: I32_2, where: I32_2, sums: F64_2, levels: I64_1, thresholds: CellThresholds) -> F64_2:
     """Measure every cell with those around.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``sums`` (cells, N_SUMS) float64; ``levels`` (cells,) int64;
@@ -259,8 +251,8 @@ def measure_cells(grid: I32, where: I32, sums: F64, levels: I64, thresholds: Cel
     return found
 
 
-@kernel(float64[::1](int32[:, ::1], int32[:, ::1], float64[::1], float64[::1]))
-def mean_around(grid: I32, where: I32, values: F64, weight: F64) -> F64:
+@kernel()
+def mean_around(grid: I32_2, where: I32_2, values: F64_1, weight: F64_1) -> F64_1:
     """Return the weighted means of values of the 5 x 5 cells around every cell, (cells,) float64.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``values, weight`` (cells,) float64.
@@ -286,8 +278,8 @@ def _root(parent: I32, c: int) -> int:
     return c
 
 
-@kernel(int32[::1](int32[:, ::1], int32[:, ::1], boolean[::1]))
-def join_cells(grid: I32, where: I32, use: Mask) -> I32:
+@kernel()
+def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
     """Return the body that every cell is of, the number of its first cell, (cells,) int32; -1 where it is not of use.
 
     ``grid`` (n, n) int32; ``where`` (cells, 2) int32; ``use`` (cells,) bool.
@@ -316,8 +308,8 @@ def _is_low(above_m: float, x: float, y: float, thresholds: SoilThresholds) -> b
     return bool(inside and above_m > thresholds.below_m and above_m <= thresholds.foot_m)
 
 
-@kernel(boolean[:, ::1](float32[:, :, ::1], float32[:, ::1], uint8[:, ::1], record(SoilThresholds)))
-def low_plants(xyz_m: F32, above_m: F32, marks: U8, thresholds: SoilThresholds) -> Mask:
+@kernel()
+def low_plants(xyz_m: F32_3, above_m: F32_2, marks: U8_2, thresholds: SoilThresholds) -> Mask_2:
     """Mark the plants among low shots, (lines, M) bool: rough places, and what is high above smooth ones.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``above_m`` (lines, M) float32; ``marks`` (lines, M) uint8.

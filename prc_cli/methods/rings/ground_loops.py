@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, Mask
-from prc_cli.kernels.cache import Tuple, boolean, float32, float64, helper, int64, kernel, record
+from prc_cli.core.types import F32_2, F32_3, F64_1, F64_2, Mask_2
+from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.rings.thresholds import GroundThresholds
 
 _FAR = 1e9
@@ -16,8 +16,8 @@ _SHARES = np.array([1.0, 2.0, 1.0])
 """Weights of the sectors beside a sector, and of itself."""
 
 
-@kernel(float32[:, ::1](float32[:, :, ::1], float32[:, ::1], float64, int64, int64, float64))
-def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32:
+@kernel()
+def lowest_heights(xyz_m: F32_3, place: F32_2, up: float, sector_lines: int, n_bins: int, pair_m: float) -> F32_2:
     """Return the lowest height of every cell that another shot of it confirms, (sectors, bins) float32; NaN = none.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``up`` is -1 where z points down.
@@ -50,8 +50,8 @@ def lowest_heights(xyz_m: F32, place: F32, up: float, sector_lines: int, n_bins:
     return found
 
 
-@kernel(Tuple((float64[:, ::1], boolean[:, ::1]))(float32[:, ::1], float64[::1], record(GroundThresholds)))
-def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tuple[F64, Mask]:
+@kernel()
+def walk_outwards(off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds) -> tuple[F64_2, Mask_2]:
     """Follow the ground from cell to cell away from the scanner, in all sectors at once.
 
     A height is ground where it is near what the sector and those beside it let expect. ``off_m`` (sectors, bins)
@@ -89,8 +89,8 @@ def walk_outwards(off_m: F32, middle_m: F64, thresholds: GroundThresholds) -> tu
     return height, seen
 
 
-@kernel(float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64, int64, boolean))
-def smooth_surface(height_m: F64, weight: F64, start_m: F64, stiff: float, rounds: int, is_round: bool) -> F64:
+@kernel()
+def smooth_surface(height_m: F64_2, weight: F64_2, start_m: F64_2, stiff: float, rounds: int, is_round: bool) -> F64_2:
     """Return the surface between the heights of cells and those of the cells around, (sectors, bins) float64.
 
     ``height_m, weight, start_m`` (sectors, bins) float64; ``is_round``: the last sector is beside the first.
@@ -123,14 +123,16 @@ def _between(low: float, high: float, share: float) -> float:
     return low + share * (high - low)
 
 
-@kernel(
-    Tuple((float32[:, ::1], float64[:, ::1], float64[:, ::1]))(
-        float32[:, :, ::1], float32[:, ::1], float64, float64[:, ::1], int64, float64, record(GroundThresholds)
-    )
-)
+@kernel()
 def heights_above(
-    xyz_m: F32, place: F32, up: float, surface_m: F64, sector_lines: int, root: float, thresholds: GroundThresholds
-) -> tuple[F32, F64, F64]:
+    xyz_m: F32_3,
+    place: F32_2,
+    up: float,
+    surface_m: F64_2,
+    sector_lines: int,
+    root: float,
+    thresholds: GroundThresholds,
+) -> tuple[F32_2, F64_2, F64_2]:
     """Return the height of every shot above a surface, and by cell sum and number of those near it.
 
     ``xyz_m`` (lines, M, 3) float32, metres; ``place`` (lines, M) float32; ``surface_m`` (sectors, bins) float64;

@@ -9,63 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pydantic import Field
-
 from prc_cli import kernels
-from prc_cli.core.config import Params
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
-
-
-class AnglesParams(Params):
-    """Chords between shots, on which angles are measured (``[sequential_angle.angles]``)."""
-
-    range_noise_m: float = Field(
-        0.005, ge=0, le=10, description="standard deviation of the range noise of the scanner [m] (published)"
-    )
-    min_chord_sigmas: float = Field(
-        4.0,
-        ge=0,
-        le=1000,
-        description="shortest chord that an angle is measured on [standard deviations of the range noise]; below "
-        "about 3 noise turns chords round and looks like foliage; 0 takes successive shots, as published",
-    )
-    least_chord_m: float = Field(
-        0.02,
-        ge=0,
-        le=10,
-        description="shortest chord, however small the noise: shorter ones measure rims and edges, not surfaces; "
-        "published: 0 [m]",
-    )
-    chord_depth_sigmas: float = Field(
-        3.0,
-        ge=0,
-        le=1000,
-        description="differences of range up to this count nothing for the length of a chord, larger ones by what they "
-        "have more [standard deviations of the range noise]: where shots lie closer than the noise, it would choose "
-        "the ends; 0 = the whole chord counts",
-    )
-    max_chord_shots: int = Field(
-        256,
-        ge=1,
-        le=100_000,
-        description="valid shots before and after a shot among which its chords may end; bounds the time on lines "
-        "whose shots lie all at one place",
-    )
-
-    @property
-    def min_chord_m(self) -> float:
-        """Shortest chord [m]."""
-        return max(self.min_chord_sigmas * self.range_noise_m, self.least_chord_m)
-
-    def thresholds(self) -> ChordThresholds:
-        """Return the thresholds of the kernel."""
-        return ChordThresholds(
-            min_chord_m=self.min_chord_m,
-            depth_m=self.chord_depth_sigmas * self.range_noise_m,
-            max_shots=self.max_chord_shots,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,11 +26,11 @@ class SignedAngles:
     """(R, n) int32, beam that the chord ends at; -1 = no chord."""
 
 
-def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
+def signed_angles(lines: VerticalLines, thresholds: ChordThresholds) -> SignedAngles:
     """Measure the signed angle of every shot.
 
-    The chord of a shot goes to the first later valid shot at a distance of at least ``min_chord_m``; range differences
-    within the noise do not count towards that distance. Missing shots in between are bridged, as crowns are full of
+    The chord of a shot goes to the first later valid shot at least ``least_chord_m`` away; range differences within the
+    noise do not count towards that distance. Missing shots in between are bridged, as crowns are full of
     gaps. The chord before a shot comes from the last earlier valid shot at that distance. Where the two chords point
     against each other the angle is negative; without a chord before, as at the start of a line, it is positive. Shots
     at the same place never make a chord.
@@ -94,13 +41,13 @@ def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
     >>> xyz = np.array([[[4, 0, -2], [5, 0, -2], [6, 0, -2], [6, 0, -1], [6, 0, 0]]], np.float32)
     >>> ranges = np.linalg.norm(xyz, axis=-1)
     >>> lines = VerticalLines(ranges, xyz, xyz[..., 0], np.array([5], np.int32), np.linspace(1.1, 1.6, 5)[None])
-    >>> found = signed_angles(lines, AnglesParams())
+    >>> found = signed_angles(lines, ChordThresholds().at_noise())
     >>> found.signed_deg
     array([[90., 90.,  0.,  0., nan]], dtype=float32)
     >>> found.ahead
     array([[ 1,  2,  3,  4, -1]], dtype=int32)
     """
-    signed_deg, ahead = kernels.signed_angles(lines.range_m, lines.xyz_m, lines.n_beams, params.thresholds())
+    signed_deg, ahead = kernels.signed_angles(lines.range_m, lines.xyz_m, lines.n_beams, thresholds)
     return SignedAngles(signed_deg, ahead)
 
 

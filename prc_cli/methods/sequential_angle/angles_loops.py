@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I32, U8
-from prc_cli.kernels.cache import Tuple, float32, helper, inlined, int32, kernel, record
+from prc_cli.core.types import F32_2, F32_3, F64, F64_2, I32_1, I32_2, U8_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 
 _HORIZONTAL = 2
@@ -128,10 +128,8 @@ def _first_far(
     return -1
 
 
-@kernel(
-    Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], record(ChordThresholds))
-)
-def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
+@kernel()
+def signed_angles(range_m: F32_2, xyz_m: F32_3, n_beams: I32_1, thresholds: ChordThresholds) -> tuple[F32_2, I32_2]:
     """Measure the signed angle of every chord with the vertical, sV.
 
     ``range_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; returns
@@ -140,7 +138,7 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThres
     n_rows, n = range_m.shape
     signed_deg = np.full((n_rows, n), np.nan, np.float32)
     ahead = np.full((n_rows, n), -1, np.int32)
-    least = thresholds.min_chord_m * thresholds.min_chord_m
+    least = thresholds.least_chord_m * thresholds.least_chord_m
     depth_m, reach = thresholds.depth_m, thresholds.max_shots
     r = np.empty(n, np.float64)
     x = np.empty(n, np.float64)
@@ -184,8 +182,8 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThres
     return signed_deg, ahead
 
 
-@kernel("float32[:, ::1](float32[:, ::1])")
-def angle_differences(signed_deg: F32) -> F32:
+@kernel()
+def angle_differences(signed_deg: F32_2) -> F32_2:
     """Subtract from every signed angle the one before it, sD.
 
     ``signed_deg`` (R, n) float32, degrees; returns (R, n) float32, degrees.
@@ -204,8 +202,8 @@ def angle_differences(signed_deg: F32) -> F32:
     return differences
 
 
-@kernel("float32[:, ::1](float32[:, ::1], int32[:, ::1], uint8[:, ::1], float64[:, ::1])")
-def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
+@kernel()
+def line_angles(range_m: F32_2, ahead: I32_2, surface: U8_2, beam_rad: F64_2) -> F32_2:
     """Measure the line angle of every horizontal shot that begins a chord (eq. 2).
 
     ``range_m`` (R, n) float32, metres; ``ahead`` (R, n) int32; ``surface`` (R, n) uint8; ``beam_rad`` (n_sides, n)

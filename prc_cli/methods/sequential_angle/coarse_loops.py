@@ -1,14 +1,255 @@
-"""Loop over the runs between vegetation: horizontal or vertical (Stamos et al. 2012, sec. 4)."""
+"""Loops of the coarse classification: vegetation, horizontal and vertical, windows (Stamos et al. 2012, sec. 4)."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I32, U8, U32, Mask
-from prc_cli.kernels.cache import boolean, float32, helper, inlined, int32, kernel, record, uint8
-from prc_cli.methods.sequential_angle.thresholds import LayerThresholds, SurfaceThresholds, WallThresholds
+from prc_cli.core.types import F32_2, F32_3, F64, I32, I32_1, I64, U8, U8_2, U32, Mask_2
+from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.sequential_angle.thresholds import MarkovThresholds, SurfaceThresholds, WindowThresholds
+
+_SMALL = 2.0**-500
+_LARGE = 2.0**500
+"""Likelihoods that become small are scaled by a power of two, which rounds nothing."""
+
+_Three = tuple[float, float, float]
+
+
+class _Model(NamedTuple):
+    """A hidden Markov model of three states."""
+
+    transition: tuple[_Three, _Three, _Three]
+    """Probabilities, row = from."""
+    initial: _Three
+    """Probabilities of the states at the first sample after a restart."""
+
+
+class _Bounds(NamedTuple):
+    """Bounds of the ratio of likelihoods, the exponentials of the thresholds, and where changes are dated to."""
+
+    upper: float
+    upper_back: float
+    accept: float
+    reject: float
+    backdate: bool
+
+
+_EXPONENTIAL = np.array(
+    (
+        1.0,
+        1.0,
+        0.5000000000000019,
+        0.1666666666666668,
+        0.04166666666648799,
+        0.008333333333319592,
+        0.0013888888952343797,
+        0.00019841269890069431,
+        2.4801485451264055e-05,
+        2.7557240894691074e-06,
+        2.76326511328741e-07,
+        2.5110046444457486e-08,
+    )
+)
+"""Polynomial for exp(r), equal to it at Chebyshev's nodes of r up to ln(2) / 2: what it differs by is below the last
+bit."""
+_TERMS = len(_EXPONENTIAL)
+_LN2_HIGH = 2.0**-32 * round(2.0**32 * math.log(2.0))
+_LN2_LOW = -4.2009150726810846e-11
+"""ln(2) as a number of few bits, whose multiples are exact, and the rest."""
+_LEAST = -708.0
+"""Below this the exponential is zero: doubles end there."""
+
+
+@helper
+def _densities(
+    values: F64, m: int, means: _Three, half_precision: F64, log_sigma: F64, density: F64, power: I64, top: I64
+) -> None:
+    """Densities of m values in the three states, divided by the largest: the ratio of likelihoods stays the same.
+
+    ``density`` (3, n) takes them. The exponential is computed here for many values at a time: the library's one takes
+    one by one. That of the largest is 1, so the other two go into the first two rows for it.
+    """
+    mean_0, mean_1, mean_2 = means[0], means[1], means[2]
+    half_0, half_1, half_2 = half_precision[0], half_precision[1], half_precision[2]
+    log_0, log_1, log_2 = log_sigma[0], log_sigma[1], log_sigma[2]
+    for i in range(m):
+        d_0, d_1, d_2 = values[i] - mean_0, values[i] - mean_1, values[i] - mean_2
+        a, b, c = -(d_0 * d_0) * half_0 - log_0, -(d_1 * d_1) * half_1 - log_1, -(d_2 * d_2) * half_2 - log_2
+        largest = max(a, b, c)
+        first, last = a == largest, b != largest and a != largest
+        density[0, i] = (b if first else a) - largest
+        density[1, i] = (b if last else c) - largest
+        top[i] = 0 if first else 2 if last else 1
+    scale = power.view(np.float64)
+    for state in range(2):
+        for i in range(m):
+            x = max(density[state, i], _LEAST)
+            halvings = math.floor(x * 1.4426950408889634 + 0.5)
+            r = (x - halvings * _LN2_HIGH) - halvings * _LN2_LOW
+            series = _EXPONENTIAL[_TERMS - 1]
+            for term in range(_TERMS - 2, -1, -1):
+                series = series * r + _EXPONENTIAL[term]
+            power[i] = (halvings + 1023) << 52  # bits of the power of two
+            density[state, i] = series if density[state, i] >= _LEAST else 0.0
+        for i in range(m):
+            density[state, i] *= scale[i]
+    for i in range(m):
+        one, other = density[0, i], density[1, i]
+        density[0, i] = 1.0 if top[i] == 0 else one
+        density[1, i] = one if top[i] == 0 else 1.0 if top[i] == 1 else other
+        density[2, i] = 1.0 if top[i] == 2 else other
+
+
+@helper
+def _forward(state: _Three, transition: tuple[_Three, _Three, _Three], density: _Three) -> _Three:
+    """One step of the forward recursion, unscaled."""
+    a, b, c = state
+    return (
+        (a * transition[0][0] + b * transition[1][0] + c * transition[2][0]) * density[0],
+        (a * transition[0][1] + b * transition[1][1] + c * transition[2][1]) * density[1],
+        (a * transition[0][2] + b * transition[1][2] + c * transition[2][2]) * density[2],
+    )
+
+
+@helper
+def _first(initial: _Three, density: _Three) -> _Three:
+    """Begin the forward recursion."""
+    return initial[0] * density[0], initial[1] * density[1], initial[2] * density[2]
+
+
+@helper
+def _sequential_test(
+    density: F64,
+    begin: int,
+    end: int,
+    h0: _Model,
+    h1: _Model,
+    lower: float,
+    upper: float,
+    restart: bool,
+) -> tuple[int, int, int]:
+    """Follow the ratio of likelihoods of model 1 to model 0 until it leaves its bounds.
+
+    The log-likelihood ratio S is kept as the two likelihoods themselves: S > h is L1 > exp(h) L0. Between two
+    restarts their ratio stays in bounds, so that only their common size has to be looked after, and no logarithm and
+    no division is needed.
+
+    With ``restart`` (CUSUM) falling below the lower bound, or a sample that neither model can explain, forgets all
+    and begins anew at the next sample; without it (SPRT) it ends the test.
+    """
+    p = (0.0, 0.0, 0.0)
+    q = (0.0, 0.0, 0.0)
+    onset = begin
+    for t in range(begin, end):
+        d = (density[0, t], density[1, t], density[2, t])
+        if t == onset:
+            p = _first(h1.initial, d)
+            q = _first(h0.initial, d)
+        else:
+            p = _forward(p, h1.transition, d)
+            q = _forward(q, h0.transition, d)
+        l1 = p[0] + p[1] + p[2]
+        l0 = q[0] + q[1] + q[2]
+        if l1 > upper * l0:
+            return 1, t, onset
+        if l1 < lower * l0 or l1 == 0.0:
+            if not restart:
+                return -1, t, onset
+            onset = t + 1
+        elif l0 < _SMALL:
+            p = (p[0] * _LARGE, p[1] * _LARGE, p[2] * _LARGE)
+            q = (q[0] * _LARGE, q[1] * _LARGE, q[2] * _LARGE)
+    return 0, end, onset
+
+
+@helper
+def _next_region(density: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds) -> tuple[int, int, int]:
+    """Find the next region from a sample on that ends where the test with the models exchanged raises an alarm.
+
+    Returns its first and last sample, none between them where there is no more region, and where to go on.
+    """
+    anew = bool(np.bool_(True))  # not a literal, for each of which the test is compiled again
+    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
+    if verdict == 0:
+        return 0, -1, m
+    first = onset if bounds.backdate else alarm
+    verdict, alarm, onset = _sequential_test(density, alarm + 1, m, h1, h0, 1.0, bounds.upper_back, anew)
+    last = m - 1
+    if verdict != 0:
+        last = (onset if bounds.backdate else alarm) - 1
+    return first, last, alarm + 1
+
+
+@helper
+def _next_confirmed(
+    density: F64, samples: F64, begin: int, m: int, h0: _Model, h1: _Model, bounds: _Bounds
+) -> tuple[int, int, int]:
+    """Find the next region from a sample on that tests between two bounds confirm, and end; as :func:`_next_region`."""
+    anew, once = bool(np.bool_(True)), bool(np.bool_(False))
+    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
+    if verdict == 0:
+        return 0, -1, m
+    first = onset if bounds.backdate else alarm
+    # the region has to be confirmed once before it may end
+    verdict, t, _ = _sequential_test(density, alarm + 1, m, h0, h1, bounds.reject, bounds.accept, once)
+    if verdict == 0:
+        return 0, -1, m
+    if verdict < 0:
+        return 0, -1, t + 1
+    while verdict > 0:
+        verdict, t, _ = _sequential_test(density, t + 1, m, h0, h1, bounds.reject, bounds.accept, once)
+    last = min(t, m - 1)
+    for back in range(last, alarm, -1):
+        if samples[back] < 0.0:
+            last = min(back + 1, m - 1)
+            break
+    return first, last, last + 1
+
+
+@kernel()
+def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
+    """Mark the samples of every row that belong to model 1.
+
+    ``values`` (R, n) float32; returns (R, n) bool.
+    """
+    h0, h1 = _Model(thresholds.h0, thresholds.initial_h0), _Model(thresholds.h1, thresholds.initial_h1)
+    sigmas = np.array(thresholds.sigmas_deg)
+    n_rows, n = values.shape
+    marked = np.zeros((n_rows, n), np.bool_)
+    half_precision = 0.5 / (sigmas * sigmas)
+    log_sigma = np.log(sigmas)
+    bounds = _Bounds(
+        math.exp(thresholds.threshold), math.exp(thresholds.threshold_back), math.exp(thresholds.accept),
+        math.exp(thresholds.reject), thresholds.backdate,
+    )  # fmt: skip
+    density = np.empty((3, n), np.float64)
+    samples, power, top = np.empty(n, np.float64), np.empty(n, np.int64), np.empty(n, np.int64)
+    beam = np.empty(n, np.int64)
+    for row in range(n_rows):
+        m = begin = int(np.int64(0))
+        for k in range(n):
+            value = np.float64(values[row, k])
+            if not math.isnan(value):
+                samples[m] = value
+                beam[m] = k
+                m += 1
+        _densities(samples, m, thresholds.means_deg, half_precision, log_sigma, density, power, top)
+        previous = -1
+        while begin < m:
+            if thresholds.sprt:
+                first, last, begin = _next_confirmed(density, samples, begin, m, h0, h1, bounds)
+                if previous >= 0 and first - previous - 1 < thresholds.merge_gap:
+                    first = min(first, previous + 1)
+                previous = max(last, previous)
+            else:
+                first, last, begin = _next_region(density, begin, m, h0, h1, bounds)
+            for i in range(first, last + 1):
+                marked[row, beam[i]] = True
+    return marked
+
 
 _MISSING, _VEGETATION, _HORIZONTAL, _VERTICAL, _UNDECIDED = 0, 1, 2, 3, 4
 """As :class:`prc_cli.core.classes.Surface` numbers them."""
@@ -64,8 +305,10 @@ def _label_run(
         labels[beam[i]] = label
 
 
-@kernel(uint8[:, ::1](float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[::1], record(SurfaceThresholds)))
-def surface_image(signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds) -> U8:
+@kernel()
+def surface_image(
+    signed_deg: F32_2, vegetation: Mask_2, range_m: F32_2, n_beams: I32_1, thresholds: SurfaceThresholds
+) -> U8_2:
     """Label every shot of every row: missing, vegetation, horizontal, vertical, undecided.
 
     ``signed_deg`` (R, n) float32, degrees; ``vegetation`` (R, n) bool; ``range_m`` (R, n) float32, metres; ``n_beams``
@@ -173,7 +416,7 @@ def _may_be_layered(values: F64, m: int, width: float, share: float, bins: I32) 
 
 
 @helper
-def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: LayerThresholds, bins: I32) -> None:
+def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: WindowThresholds, bins: I32) -> None:
     """Label the points of a run, if they lie in layers."""
     if m < thresholds.min_points or not _may_be_layered(values, m, thresholds.width_m, thresholds.share, bins):
         return
@@ -183,8 +426,8 @@ def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: LayerThresho
             labels[beam[i]] = _VERTICAL
 
 
-@kernel(uint8[:, ::1](uint8[:, ::1], float32[:, ::1], int32[::1], record(LayerThresholds)))
-def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: LayerThresholds) -> U8:
+@kernel()
+def upright_layers(surface: U8_2, horizontal_m: F32_2, n_beams: I32_1, thresholds: WindowThresholds) -> U8_2:
     """Make runs of vegetation vertical whose points lie in two upright layers.
 
     ``surface`` (R, n) uint8; ``horizontal_m`` (R, n) float32, metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
@@ -213,7 +456,7 @@ def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: Lay
 
 
 @helper
-def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WallThresholds) -> bool:
+def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WindowThresholds) -> bool:
     """Tell whether a vertical run is high, straight and upright."""
     lowest = highest = z[begin]
     sum_z = sum_x = sum_zz = sum_zx = sum_xx = 0.0
@@ -225,17 +468,17 @@ def _is_wall(x: F64, z: F64, begin: int, end: int, thresholds: WallThresholds) -
         sum_zz += up * up
         sum_zx += up * away
         sum_xx += away * away
-    if highest - lowest < thresholds.extent_m or highest == lowest:
+    if highest - lowest < thresholds.wall_extent_m or highest == lowest:
         return False
     n = end - begin
     mean_z, mean_x = sum_z / n, sum_x / n
     zz, zx, xx = sum_zz / n - mean_z * mean_z, sum_zx / n - mean_z * mean_x, sum_xx / n - mean_x * mean_x
-    near = xx - zx * zx / zz <= thresholds.residual_m * thresholds.residual_m
+    near = xx - zx * zx / zz <= thresholds.straight_m * thresholds.straight_m
     return bool(near and abs(zx) <= thresholds.slope * zz)
 
 
 @helper
-def _find_walls(x: F64, z: F64, code: U8, m: int, thresholds: WallThresholds, first: I32, place: F64) -> int:
+def _find_walls(x: F64, z: F64, code: U8, m: int, thresholds: WindowThresholds, first: I32, place: F64) -> int:
     """List the walls of a row: the first return of each, and its horizontal distance; returns how many."""
     n_walls = i = int(np.int64(0))
     while i < m:
@@ -253,8 +496,10 @@ def _find_walls(x: F64, z: F64, code: U8, m: int, thresholds: WallThresholds, fi
     return n_walls
 
 
-@kernel(uint8[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], record(WallThresholds)))
-def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WallThresholds) -> U8:
+@kernel()
+def behind_walls(
+    surface: U8_2, xyz_m: F32_3, horizontal_m: F32_2, n_beams: I32_1, thresholds: WindowThresholds
+) -> U8_2:
     """Make vegetation vertical that lies in the plane of a wall of its row, or behind one that stands above it.
 
     ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32, metres; ``n_beams``
@@ -285,7 +530,7 @@ def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thres
                 continue
             for wall in range(n_walls):
                 away = x[i] - place[wall]
-                if abs(away) <= thresholds.width_m or (first[wall] > i and away >= -thresholds.front_m):
+                if abs(away) <= thresholds.wall_m or (first[wall] > i and away >= -thresholds.front_m):
                     image[row, beam[i]] = _VERTICAL
                     break
     return image

@@ -17,95 +17,13 @@ Interpretations where the text is silent or ambiguous:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from prc_cli import kernels
-from prc_cli.core.config import Params
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
-
-
-class CurbParams(Params):
-    """How curbs are found and verified (``[sequential_angle.curb]``)."""
-
-    enabled: bool = Field(True, description="look for curbs at all; false = nor is any car behind one")
-    under_points: int = Field(
-        30, ge=1, le=100_000, description="points before a point that are looked at for something under it (published)"
-    )
-    under_m: float = Field(
-        0.01,
-        ge=0,
-        le=100,
-        description="a point before that is farther away by more than this, ... (published) [m]",
-    )
-    under_sigmas: float = Field(
-        6.0,
-        ge=0,
-        le=1000,
-        description="... and by more than this many times the range noise, lies under the point, which then is no "
-        "curb; published: 0, the distance alone",
-    )
-    search_height_m: float = Field(
-        2.0, ge=0, le=1000, description="height above the ground where the search for a curb ends (published) [m]"
-    )
-    grouping_m: float = Field(
-        0.3, gt=0, le=100, description="neighbouring vertical points closer than this belong to one region [m]"
-    )
-    max_height_m: float = Field(0.2, gt=0, le=100, description="a higher region is not a curb (published) [m]")
-    min_height_m: float = Field(
-        0.08,
-        ge=0,
-        le=100,
-        description="nor is a lower one, such as a lowered kerb or the edge of a verge: cars stand behind them; "
-        "published: 0 [m]",
-    )
-    height: Literal["region", "line"] = Field(
-        "region",
-        description='the height of a region is that of the whole "region", or the largest within one "line", which '
-        "does not grow along a street that is not level",
-    )
-    stands_below_m: float = Field(
-        0.05,
-        ge=0,
-        le=1e6,
-        description="a car whose foot, or the ground before it, is this much lower than the top of a curb stands on a "
-        "road and not behind the curb; published: so large that it is off [m]",
-    )
-    min_lines: int = Field(
-        3, ge=1, le=1000, description="lines that make a curb of a region with a possible curb point (published)"
-    )
-    curvature_deg: float = Field(
-        20.0, ge=0, le=360, description="with fewer lines, the median change of angle must be less than this [deg]"
-    )
-    max_lines: int = Field(
-        200, ge=1, le=100_000, description="a region of so many lines is decided as it is: bounds memory and delay"
-    )
-
-    def thresholds(self, range_noise_m: float = 0.0) -> CurbThresholds:
-        """Return the thresholds of the kernels, for a standard deviation of the range [m]."""
-        return CurbThresholds(
-            under_points=self.under_points,
-            under_m=max(self.under_m, self.under_sigmas * range_noise_m),
-            search_height_m=self.search_height_m,
-            grouping_m=self.grouping_m,
-            max_height_m=self.max_height_m,
-            min_height_m=self.min_height_m,
-            by_line=self.height == "line",
-            min_lines=self.min_lines,
-            curvature_deg=self.curvature_deg,
-            max_lines=self.max_lines,
-        )
-
-    @model_validator(mode="after")
-    def _check(self) -> CurbParams:
-        if self.max_lines < self.min_lines:
-            message = f"max_lines ({self.max_lines}) not below min_lines ({self.min_lines})"
-            raise ValueError(message)
-        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +38,7 @@ class CurbState:
     """((min_lines - 1) * n_sides, n) float32, signed angles of the last lines [deg]."""
 
     @classmethod
-    def start(cls, n_sides: int, n: int, params: CurbParams) -> CurbState:
+    def start(cls, n_sides: int, n: int, thresholds: CurbThresholds) -> CurbState:
         """Return the state before the first line."""
         return cls(
             regions=OpenRegions(
@@ -134,7 +52,7 @@ class CurbState:
                 high_m=np.empty(0, np.float32),
             ),
             xyz_m=np.full((n_sides, n, 3), np.nan, np.float32),
-            signed_deg=np.full(((params.min_lines - 1) * n_sides, n), np.nan, np.float32),
+            signed_deg=np.full(((thresholds.min_lines - 1) * n_sides, n), np.nan, np.float32),
         )
 
     @property
@@ -143,9 +61,7 @@ class CurbState:
         return len(self.regions.labels) // len(self.xyz_m) - self.regions.n_given
 
 
-def possible_curbs(
-    lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, params: CurbParams, *, range_noise_m: float
-) -> I32:
+def possible_curbs(lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, thresholds: CurbThresholds) -> I32:
     """Find the possible curb point of every row.
 
     This is the first vertical point after the last ground point with nothing under it: none of the points before it
@@ -154,13 +70,7 @@ def possible_curbs(
 
     ``surface`` (R, n) uint8; ``ground`` (R, n) bool; ``z_g`` (R,) float32; returns (R,) int32.
     """
-    if not params.enabled:
-        return np.full(len(surface), -1, np.int32)
-    beams: I32
-    _, beams = kernels.possible_curbs(
-        surface, lines.range_m, lines.xyz_m, ground, z_g, params.thresholds(range_noise_m)
-    )
-    return beams
+    return kernels.possible_curbs(surface, lines.range_m, lines.xyz_m, ground, z_g, thresholds)
 
 
 def curbs(
@@ -169,7 +79,7 @@ def curbs(
     signed_deg: F32,
     possible: I32,
     state: CurbState,
-    params: CurbParams,
+    thresholds: CurbThresholds,
     *,
     last: bool,
 ) -> tuple[Mask, CurbState]:
@@ -179,7 +89,7 @@ def curbs(
     """
     curb, regions = kernels.connect_verticals(
         surface, lines.xyz_m, signed_deg, possible, lines.n_sides, state.xyz_m, state.signed_deg, state.regions,
-        params.thresholds(), last,
+        thresholds, last,
     )  # fmt: skip
     return curb, CurbState(regions, _tail(state.xyz_m, lines.xyz_m), _tail(state.signed_deg, signed_deg))
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import Tuple, boolean, float32, helper, inlined, int32, int64, kernel, record, uint8
+from prc_cli.core.types import F32, F32_1, F32_2, F32_3, I32, I32_1, U8, U8_2, Mask, Mask_2
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
 
 NONE, HIGH, REJECTED, CURB, FIRST_REGION = 0, 1, 2, 3, 4
@@ -53,22 +53,17 @@ def _lies_over(farthest: F32, count: int, reach: int, own: float, under: float) 
     return bool(np.float64(most) - np.float64(own) > under)
 
 
-@kernel(
-    Tuple((boolean[::1], int32[::1]))(
-        uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], boolean[:, ::1], float32[::1], record(CurbThresholds)
-    )
-)
+@kernel()
 def possible_curbs(
-    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
-) -> tuple[Mask, I32]:
+    surface: U8_2, range_m: F32_2, xyz: F32_3, ground: Mask_2, z_g: F32_1, thresholds: CurbThresholds
+) -> I32_1:
     """Find the first vertical point after the ground of every row that nothing lies under.
 
     ``surface`` (R, n) uint8; ``range_m`` (R, n) float32, metres; ``xyz`` (R, n, 3) float32, metres; ``ground`` (R, n)
-    bool; ``z_g`` (R,) float32, metres; returns ``found`` (R,) bool, ``beam`` (R,) int32.
+    bool; ``z_g`` (R,) float32, metres; returns (R,) int32, -1 = none.
     """
     n_rows, n = surface.shape
     reach, under = thresholds.under_points, thresholds.under_m
-    found = np.zeros(n_rows, np.bool_)
     beam = np.full(n_rows, -1, np.int32)
     farthest = np.empty(n + 1, np.float32)
     for row in range(n_rows):
@@ -93,12 +88,11 @@ def possible_curbs(
             if k > last and np.float64(xyz[row, k, 2]) > limit:
                 break
             if k > last and kind == _VERTICAL and not _lies_over(farthest, count, reach, own, under):
-                found[row] = True
                 beam[row] = k
                 break
             farthest[count] = own
             count += 1
-    return found, beam
+    return beam
 
 
 @inlined
@@ -129,13 +123,8 @@ def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> in
         return HIGH
     kept, gone = min(one, other), max(one, other)
     parent[gone] = kept
-    if thresholds.by_line and last[one] != last[other]:
-        later = one if last[one] > last[other] else other
-        low[kept] = low[later]
-        high[kept] = high[later]
-    else:
-        low[kept] = min(low[one], low[other])
-        high[kept] = max(high[one], high[other])
+    low[kept] = min(low[one], low[other])
+    high[kept] = max(high[one], high[other])
     table.first[kept] = min(table.first[one], table.first[other])
     last[kept] = max(last[one], last[other])
     table.possible[kept] = table.possible[one] or table.possible[other]
@@ -313,32 +302,19 @@ def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) ->
     return found
 
 
-@kernel(
-    Tuple((boolean[:, ::1], record(OpenRegions)))(
-        uint8[:, ::1],
-        float32[:, :, ::1],
-        float32[:, ::1],
-        int32[::1],
-        int64,
-        float32[:, :, ::1],
-        float32[:, ::1],
-        record(OpenRegions),
-        record(CurbThresholds),
-        boolean,
-    )
-)
+@kernel()
 def connect_verticals(
-    surface: U8,
-    xyz: F32,
-    signed: F32,
-    possible: I32,
+    surface: U8_2,
+    xyz: F32_3,
+    signed: F32_2,
+    possible: I32_1,
     n_sides: int,
-    above_xyz: F32,
-    above_signed: F32,
+    above_xyz: F32_3,
+    above_signed: F32_2,
     regions: OpenRegions,
     thresholds: CurbThresholds,
     last: bool,
-) -> tuple[Mask, OpenRegions]:
+) -> tuple[Mask_2, OpenRegions]:
     """Connect vertical points across lines and decide which of the regions are curbs.
 
     ``surface`` (R, n) uint8; ``xyz`` (R, n, 3) float32, metres; ``signed`` (R, n) float32, degrees; ``possible`` (R,)

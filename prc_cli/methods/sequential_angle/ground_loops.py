@@ -15,8 +15,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
-from prc_cli.kernels.cache import Tuple, boolean, float32, helper, inlined, int32, kernel, record, uint8
+from prc_cli.core.types import (
+    F32,
+    F32_1,
+    F32_2,
+    F32_3,
+    F64,
+    F64_1,
+    I32,
+    I32_1,
+    I32_2,
+    I64,
+    U8,
+    U8_2,
+    Mask_2,
+)
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds, PotentialGround
 
 PER_BANDWIDTH = 8
@@ -182,42 +196,6 @@ def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
     """Forget all samples and their density."""
     _forget(hist, lo, hi)
     _clear_density(density, lo, hi)
-
-
-@kernel("Tuple((float64[::1], int64[::1]))(float64[::1], float64)")
-def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
-    """Find the modes of samples by mean shift with a Gaussian kernel (Comaniciu and Meer 2002), on a grid.
-
-    ``values`` (n,) float64; returns ``places`` (m,) float64, ``counts`` (m,) int64.
-    """
-    width = bandwidth / PER_BANDWIDTH
-    if len(values) == 0:
-        return np.empty(0, np.float64), np.empty(0, np.int64)
-    lowest = highest = math.floor(values[0] / width)
-    for value in values:
-        q = math.floor(value / width)
-        lowest, highest = min(lowest, q), max(highest, q)
-    first, last = int(np.int64(HALF)), HALF + highest - lowest
-    hist = np.zeros(last + 1 + HALF, np.int64)
-    density = np.zeros(last + 1 + HALF, np.int64)
-    for value in values:
-        hist[math.floor(value / width) - lowest + HALF] += 1
-    _build(hist, density, first, last)
-    tops = np.empty(last + 1, np.int64)
-    counts = np.empty(last + 1, np.int64)
-    n = _walk(hist, density, first, last, tops, counts)
-    n_kept = 0
-    for i in range(n):
-        n_kept += counts[i] > 0
-    places = np.empty(n_kept, np.float64)
-    samples = np.empty(n_kept, np.int64)
-    n_kept = 0
-    for i in range(n):
-        if counts[i] > 0:
-            places[n_kept] = (tops[i] / 2.0 - HALF + lowest + 0.5) * width
-            samples[n_kept] = counts[i]
-            n_kept += 1
-    return places, samples
 
 
 @helper
@@ -792,8 +770,8 @@ def _main_height(heights: _Heights, tops: I64, counts: I64, roof_m: float, roof_
     return counts[best], (place + 0.5 + shift) / PER_METRE + LOWEST_M
 
 
-@kernel("Tuple((int64, float64, int32[::1], int32[::1]))(float64[::1], float64, float64, float64)")
-def main_height(heights: F64, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32, I32]:
+@kernel()
+def main_height(heights: F64_1, share: float, roof_m: float, roof_share: float) -> tuple[int, float, I32_1, I32_1]:
     """Find the main mode of heights.
 
     ``heights`` (n,) float64, metres; returns ``bins`` (n,) int32, ``histogram`` (N_HEIGHTS,) int32.
@@ -822,19 +800,15 @@ def _new_scratch(n: int, size: int, n_modes: int) -> _Scratch:
     )
 
 
-@kernel(
-    record(PotentialGround)(
-        uint8[:, ::1],
-        float32[:, :, ::1],
-        float32[:, ::1],
-        float32[:, ::1],
-        int32[:, ::1],
-        int32[::1],
-        record(GroundThresholds),
-    )
-)
+@kernel()
 def potential_heights(
-    surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
+    surface: U8_2,
+    xyz: F32_3,
+    horizontal: F32_2,
+    phihat: F32_2,
+    ahead: I32_2,
+    n_beams: I32_1,
+    thresholds: GroundThresholds,
 ) -> PotentialGround:
     """Find the first potential ground of every row and its height (part a).
 
@@ -873,30 +847,18 @@ def _horizontal_beams(surface: U8, first: int, last: int, beams: I32) -> int:
     return n_points
 
 
-@kernel(
-    Tuple((boolean[:, ::1], float32[::1], record(GroundState)))(
-        uint8[:, ::1],
-        float32[:, :, ::1],
-        float32[:, ::1],
-        float32[:, ::1],
-        int32[:, ::1],
-        int32[::1],
-        record(PotentialGround),
-        record(GroundState),
-        record(GroundThresholds),
-    )
-)
+@kernel()
 def ground_rows(
-    surface: U8,
-    xyz: F32,
-    horizontal: F32,
-    phihat: F32,
-    ahead: I32,
-    n_beams: I32,
+    surface: U8_2,
+    xyz: F32_3,
+    horizontal: F32_2,
+    phihat: F32_2,
+    ahead: I32_2,
+    n_beams: I32_1,
     potential: PotentialGround,
     state: GroundState,
     thresholds: GroundThresholds,
-) -> tuple[Mask, F32, GroundState]:
+) -> tuple[Mask_2, F32_1, GroundState]:
     """Verify and grow the ground of every row and follow its height (part b).
 
     Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
@@ -946,7 +908,7 @@ def ground_rows(
             side_m[side] = z_i
             for j in range(_grow(row, n_valid, beams, n_points, b, more, thresholds, scratch)):
                 ground[i, beams[j]] = True
-        if to_count and z_row == z_row and (accepted or thresholds.all_heights):
+        if to_count and z_row == z_row:
             _count_height(heights, z_row, memory, share)
             if accepted or thresholds.renew_every:
                 _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)

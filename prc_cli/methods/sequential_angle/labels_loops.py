@@ -8,7 +8,21 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label, Surface
-from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.core.types import (
+    F32,
+    F32_1,
+    F32_2,
+    F32_3,
+    F64_1,
+    F64_2,
+    I32_1,
+    I32_2,
+    U8,
+    U8_1,
+    U8_2,
+    Mask,
+    Mask_2,
+)
 from prc_cli.kernels.cache import helper, kernel
 
 _NOTHING = _MISSING = int(Surface.MISSING)
@@ -17,15 +31,14 @@ _UNSEEN, _GROUND, _CAR, _CURB = int(Label.MISSING), int(Label.GROUND), int(Label
 _UNCLASSIFIED = int(Label.UNCLASSIFIED)
 
 
-@kernel("Tuple((boolean[::1], int32[::1]))(uint8[:, ::1], float32[:, :, ::1], int32[::1], float32[::1], float64)")
-def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float) -> tuple[Mask, I32]:
+@kernel()
+def first_high_verticals(surface: U8_2, xyz_m: F32_3, n_beams: I32_1, ground_m: F32_1, height_m: float) -> I32_1:
     """Find the last beam of the first vertical run of every row that ends high above the ground.
 
     ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``n_beams`` (R,) int32; ``ground_m`` (R,) float32,
-    metres; returns ``found`` (R,) bool, ``beam`` (R,) int32.
+    metres; returns (R,) int32, -1 = none.
     """
     n_rows = len(n_beams)
-    found = np.zeros(n_rows, np.bool_)
     beam = np.full(n_rows, -1, np.int32)
     for row in range(n_rows):
         limit = np.float64(ground_m[row]) + height_m
@@ -34,32 +47,25 @@ def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, h
         n = n_beams[row]
         for k in range(n):
             if codes[k] == _VERTICAL and (k + 1 == n or codes[k + 1] != _VERTICAL) and points[k, 2] > limit:
-                found[row] = True
                 beam[row] = k
                 break
-    return found, beam
+    return beam
 
 
-@kernel("Tuple((boolean[::1], int32[::1]))(uint8[:, ::1], int32[::1], float64[:, ::1], float64, boolean)")
-def first_triggers(
-    surface: U8, n_beams: I32, increments: F64, threshold: float, closed_gaps_only: bool
-) -> tuple[Mask, I32]:
+@kernel()
+def first_triggers(surface: U8_2, n_beams: I32_1, increments: F64_2, threshold: float) -> I32_1:
     """Run the CUSUM of the observable chain H, V, M along every row until it triggers.
 
     The chain begins at the first beam with a return and ends before the first return that is neither H nor V.
 
-    ``surface`` (R, n) uint8; ``n_beams`` (R,) int32; ``increments`` (3, 3) float64; returns ``triggered`` (R,) bool,
-    ``beam`` (R,) int32.
+    ``surface`` (R, n) uint8; ``n_beams`` (R,) int32; ``increments`` (3, 3) float64; returns (R,) int32,
+    -1 = never.
     """
     n_rows = len(n_beams)
-    triggered = np.zeros(n_rows, np.bool_)
     beam = np.full(n_rows, -1, np.int32)
     for row in range(n_rows):
         codes = surface[row]
         stop = n_beams[row]
-        if closed_gaps_only:
-            while stop > 0 and codes[stop - 1] == _MISSING:
-                stop -= 1
         k = 0
         while k < stop and codes[k] == _MISSING:
             k += 1
@@ -78,19 +84,15 @@ def first_triggers(
             if before >= 0:
                 total = max(0.0, total + increments[before, state])
                 if total > threshold:
-                    triggered[row] = True
                     beam[row] = k
                     break
             before = state
             k += 1
-    return triggered, beam
+    return beam
 
 
-@kernel(
-    "Tuple((float32[:, ::1], float32[:, :, ::1], float32[:, ::1]))"
-    "(float32[:, ::1], float32[:, :, ::1], int32[:, ::1], float64)"
-)
-def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+@kernel()
+def arrange_lines(range_m: F32_2, xyz_m: F32_3, columns: I32_2, max_range_m: float) -> tuple[F32_2, F32_3, F32_2]:
     """Pick the beams of half-lines out of scan lines with coordinates.
 
     ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32; ``columns`` (n_sides, n) int32; returns (lines *
@@ -120,11 +122,10 @@ def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) ->
     return ranges, xyz, horizontal
 
 
-@kernel(
-    "Tuple((float32[:, ::1], float32[:, :, ::1], float32[:, ::1]))"
-    "(float32[:, ::1], float64[::1], float64[::1], int32[:, ::1], float64)"
-)
-def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+@kernel()
+def arrange_plane(
+    range_m: F32_2, across: F64_1, up: F64_1, columns: I32_2, max_range_m: float
+) -> tuple[F32_2, F32_3, F32_2]:
     """Pick the beams of half-lines out of scan lines of ranges; coordinates are those in the scan plane.
 
     ``range_m`` (lines, M) float32; ``across, up`` (M,) float64; ``columns`` (n_sides, n) int32; returns (lines *
@@ -157,10 +158,10 @@ _CURB_DEPTH_M = 0.3
 """Curb points that are farther behind the nearest one of their row belong to another curb [m]."""
 
 
-@kernel(
-    "boolean[:, ::1](int32[:, ::1], float32[:, ::1], float32[:, :, ::1], uint8[:, ::1], float32[::1], float32[::1])"
-)
-def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32) -> Mask:
+@kernel()
+def mark_cars(
+    intervals: I32_2, horizontal_m: F32_2, xyz_m: F32_3, surface: U8_2, limit_m: F32_1, low_m: F32_1
+) -> Mask_2:
     """Mark the returns of intervals that are neither too far away nor next to the ground.
 
     ``intervals`` (K, 3) int32; ``horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres;
@@ -205,13 +206,17 @@ def _foot(surface: U8, car: Mask, xyz_m: F32, row: int, k: int, n: int, base: fl
     return end, foot
 
 
-@kernel(
-    "uint8[:, ::1](uint8[:, ::1], boolean[:, ::1], boolean[:, ::1], float32[:, ::1], float32[:, :, ::1], "
-    "boolean[:, ::1], uint8[::1], float64)"
-)
+@kernel()
 def combine_classes(
-    surface: U8, ground: Mask, car: Mask, horizontal_m: F32, xyz_m: F32, curb: Mask, label_of: U8, below_m: float
-) -> U8:
+    surface: U8_2,
+    ground: Mask_2,
+    car: Mask_2,
+    horizontal_m: F32_2,
+    xyz_m: F32_3,
+    curb: Mask_2,
+    label_of: U8_1,
+    below_m: float,
+) -> U8_2:
     """Give every beam its class; cars behind a curb go back to the coarse classification.
 
     ``surface`` (R, n) uint8; ``ground, car`` (R, n) bool; ``horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3)
@@ -251,8 +256,8 @@ def combine_classes(
     return labels
 
 
-@kernel("Tuple((uint8[:, ::1], int64))(float32[:, ::1], uint8[:, ::1])")
-def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:
+@kernel()
+def mark_beyond(range_m: F32_2, labels: U8_2) -> tuple[U8_2, int]:
     """Call returns unclassified that are missing to the method, lying beyond the scanner's reach.
 
     ``range_m`` (lines, M) float32, metres; ``labels`` (lines, M) uint8; returns ``labels`` (lines, M) uint8.

@@ -12,11 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.core.blocks import LineBuffer
@@ -26,72 +25,38 @@ from prc_cli.core.profile import stage
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
+from prc_cli.methods.keys import table_of, thresholds_of
 from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
-from prc_cli.methods.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
-from prc_cli.methods.sequential_angle.car import CarParams, CarSearch, car_search, cars
-from prc_cli.methods.sequential_angle.coarse import (
-    CoarseParams,
-    DenseVegetationParams,
-    car_surface,
-    coarse,
-    dense_vegetation,
-)
-from prc_cli.methods.sequential_angle.curb import (
-    CurbParams,
-    CurbState,
-    curbs,
-    possible_curbs,
-)
-from prc_cli.methods.sequential_angle.ground import (
-    GroundParams,
-    GroundState,
-    PotentialGround,
-    ground,
-    initial_ground,
-    potential_ground,
-)
+from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles
+from prc_cli.methods.sequential_angle.car import CarSearch, car_search, cars
+from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation, without_windows
+from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
+from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
-from prc_cli.methods.sequential_angle.windows import without_windows
+from prc_cli.methods.sequential_angle.thresholds import (
+    CurbThresholds,
+    GroundState,
+    GroundThresholds,
+    PotentialGround,
+    SequentialAngleThresholds,
+)
 
 KERNELS = frozenset({"sequential_angle"})
 
 
-class SequentialAngleParams(MethodParams):
+class _Table(MethodParams):
     """Parameters of the sequential-angle classifier (``[sequential_angle]``)."""
-
-    max_range_m: float = Field(300.0, gt=0, le=1e9, description="ranges beyond are missing (published) [m]")
-    start_lines: int = Field(
-        500,
-        ge=1,
-        le=1_000_000,
-        description="scan lines that are held back at most until the height of the ground is known from "
-        "ground.start_heights lines; then it is taken from those there are",
-    )
-    start_shots: int = Field(
-        4_000_000,
-        ge=1,
-        le=1_000_000_000,
-        description="shots that are held back at most for the same purpose, whatever start_lines says: bounds memory "
-        "where lines are very long [shots]",
-    )
-    extra_return_m: float = Field(
-        0.3,
-        ge=0,
-        le=1e9,
-        description="another return of a shot takes the label of the nearest range among the shots up to four columns "
-        "away in its line if it differs by less than this [m]",
-    )
-    angles: AnglesParams = AnglesParams()
-    coarse: CoarseParams = CoarseParams()
-    dense_vegetation: DenseVegetationParams = DenseVegetationParams()
-    ground: GroundParams = GroundParams()
-    curb: CurbParams = CurbParams()
-    car: CarParams = CarParams()
 
     def method(self) -> SequentialAngle:
         """Return the method with these parameters."""
-        return SequentialAngle(self)
+        return SequentialAngle(thresholds_of(SequentialAngleThresholds(), self).at_noise())
+
+
+if TYPE_CHECKING:
+    SequentialAngleParams: TypeAlias = Any
+else:
+    SequentialAngleParams = table_of(SequentialAngleThresholds(), "sequential_angle", _Table)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +192,7 @@ class Final:
 class SequentialAngle(Classifier[Beams, SequentialAngleState]):
     """The sequential-angle classifier; its constants per scanner are the beam directions."""
 
-    params: SequentialAngleParams
+    thresholds: SequentialAngleThresholds
 
     @property
     def needs(self) -> Needs:
@@ -254,13 +219,13 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
     def initial_state(self, scanner: Beams) -> SequentialAngleState:
         """Return the state before the first block."""
-        return initial_state(scanner, self.params)
+        return initial_state(scanner, self.thresholds)
 
     def label(self, block: ScanBlock, scanner: Beams, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
         """Add the next lines, and label those that become final."""
         _check_shape(block.range_m, block.xyz_m, scanner)
         found = classify_block(
-            block.range_m, block.xyz_m, scanner, turn, self.params, last=block.is_last, stages=wanted.stages
+            block.range_m, block.xyz_m, scanner, turn, self.thresholds, last=block.is_last, stages=wanted.stages
         )
         stages = stages_in_columns(found.rows, found.labels, scanner) if wanted.stages else None
         final = turn.hand_on(WAITING, lambda before: _take_lines((*before, block), len(found.labels)))
@@ -269,7 +234,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             rows = slice(start, start + part.n_lines)
             start = rows.stop
             of_part = None if stages is None else stages.of_lines(rows)
-            item = _labelled(part, found.labels[rows], of_part, self.params)
+            item = _labelled(part, found.labels[rows], of_part, self.thresholds)
             if of_part is not None:
                 item = replace(item, above_m=_above(part, of_part, scanner))
             if wanted.reasons:
@@ -284,8 +249,8 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             said.append("no ground was found, and without its height neither curbs nor cars are looked for")
         if tally.n_beyond:
             said.append(
-                f"{tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {self.params.max_range_m:g} m or "
-                "the limits of [input]: they are missing to the method, and unclassified"
+                f"{tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {self.thresholds.max_range_m:g} m "
+                "or the limits of [input]: they are missing to the method, and unclassified"
             )
         if segments:
             said.append("the sequential-angle method has no segments: every segment id is 0")
@@ -311,11 +276,11 @@ def measures_of(item: LabelledBlock) -> dict[str, NDArray[Any]]:
     }  # fmt: skip
 
 
-def initial_state(beams: Beams, params: SequentialAngleParams) -> SequentialAngleState:
+def initial_state(beams: Beams, thresholds: SequentialAngleThresholds) -> SequentialAngleState:
     """Return the state before the first block."""
     sides = beams.sides
-    n_lines = max(1, min(params.start_lines, params.start_shots // len(beams.beam_rad)))
-    regions = CurbState.start(sides.n_sides, sides.columns.shape[1], params.curb)
+    n_lines = max(1, min(thresholds.start_lines, thresholds.start_shots // len(beams.beam_rad)))
+    regions = CurbState.start(sides.n_sides, sides.columns.shape[1], thresholds.curb)
     ground_so_far = GroundSoFar((), np.empty(0), n_lines * sides.n_sides, None)
     return SequentialAngleState(ground_so_far, CurbsSoFar(regions, ()))
 
@@ -325,7 +290,7 @@ def classify_block(
     xyz_m: F32 | None,
     beams: Beams,
     turn: Turn,
-    params: SequentialAngleParams,
+    thresholds: SequentialAngleThresholds,
     *,
     last: bool = False,
     stages: bool = False,
@@ -334,11 +299,11 @@ def classify_block(
 
     ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None.
     """
-    rows = within_lines(range_m, xyz_m, beams, params)
-    ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, params, last=last))
-    found = [find_cars(part, params, stages=stages) for part in ready]
-    done, curb = turn.hand_on(CURBS, lambda before: decide_curbs(found, before, params, last=last))
-    return Final(in_columns(done, curb, beams, params.curb), done)
+    rows = within_lines(range_m, xyz_m, beams, thresholds)
+    ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, thresholds, last=last))
+    found = [find_cars(part, thresholds, stages=stages) for part in ready]
+    done, curb = turn.hand_on(CURBS, lambda before: decide_curbs(found, before, thresholds, last=last))
+    return Final(in_columns(done, curb, beams, thresholds.curb), done)
 
 
 def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
@@ -359,13 +324,15 @@ def _take_lines(waiting: tuple[ScanBlock, ...], n_lines: int) -> tuple[list[Scan
     return buffer.take_parts(n_lines), tuple(buffer.parts)
 
 
-def _labelled(block: ScanBlock, labels: U8, stages: StageLabels | None, params: SequentialAngleParams) -> LabelledBlock:
+def _labelled(
+    block: ScanBlock, labels: U8, stages: StageLabels | None, thresholds: SequentialAngleThresholds
+) -> LabelledBlock:
     """Combine final lines with their labels, and label their further returns."""
     # ranges beyond the scanner's reach are missing to the method, but they are returns
     labels, n_beyond = kernels.mark_beyond(block.range_m, labels)
     block = replace(block, next_m=None, tally=block.tally + ReadTally(n_beyond=n_beyond))
     # which lines become final together depends on the blocks: only the shot's own line may be used
-    further, limit_m = block.extra, params.extra_return_m
+    further, limit_m = block.extra, thresholds.extra_return_m
     extra = label_extra_returns(
         block.range_m, labels, further.line, further.column, further.range_m, limit_m, 0.0, alone=Label.UNCLASSIFIED
     )
@@ -373,15 +340,14 @@ def _labelled(block: ScanBlock, labels: U8, stages: StageLabels | None, params: 
 
 
 @stage("angles")
-def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, params: SequentialAngleParams) -> Within:
+def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, thresholds: SequentialAngleThresholds) -> Within:
     """Run the stages that need only one half-line: coarse layer, car layer, potential ground."""
-    lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, params.max_range_m)
-    angles = signed_angles(lines, params.angles)
-    noise = params.angles.range_noise_m
-    surface = coarse(angles.signed_deg, lines, params.coarse)
-    surface = without_windows(surface, lines, params.coarse.windows, range_noise_m=noise)
-    dense = dense_vegetation(angle_differences(angles.signed_deg), params.dense_vegetation)
-    car_layer = car_surface(angles.signed_deg, dense, lines, params.coarse.surfaces)
+    lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, thresholds.max_range_m)
+    angles = signed_angles(lines, thresholds.angles)
+    surface = coarse(angles.signed_deg, lines, thresholds.coarse)
+    surface = without_windows(surface, lines, thresholds.coarse.windows)
+    dense = dense_vegetation(angle_differences(angles.signed_deg), thresholds.dense_vegetation)
+    car_layer = car_surface(angles.signed_deg, dense, lines, thresholds.coarse.surfaces)
     line_angle_deg = line_angles(lines, angles.ahead, surface)
     return Within(
         lines=lines,
@@ -390,22 +356,21 @@ def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, params: Sequenti
         surface=surface,
         car_surface=car_layer,
         line_angle_deg=line_angle_deg,
-        potential=potential_ground(lines, surface, line_angle_deg, angles.ahead, params.ground, range_noise_m=noise),
+        potential=potential_ground(lines, surface, line_angle_deg, angles.ahead, thresholds.ground),
     )
 
 
 @stage("ground")
 def follow_ground(
-    rows: Within, state: GroundSoFar, params: SequentialAngleParams, *, last: bool
+    rows: Within, state: GroundSoFar, thresholds: SequentialAngleThresholds, *, last: bool
 ) -> tuple[list[OnGround], GroundSoFar]:
     """Find the ground of the next rows, in order (sec. 5); the first rows wait until its height is known."""
-    ready, state = _start_ground(rows, state, params.ground, last=last)
+    ready, state = _start_ground(rows, state, thresholds.ground, last=last)
     found = []
     for part in ready:
         assert state.known is not None
         mask, height_m, known = ground(
-            part.lines, part.surface, part.line_angle_deg, part.ahead, part.potential, state.known, params.ground,
-            range_noise_m=params.angles.range_noise_m,
+            part.lines, part.surface, part.line_angle_deg, part.ahead, part.potential, state.known, thresholds.ground,
         )  # fmt: skip
         state = replace(state, known=known)
         found.append(OnGround(part, mask, height_m))
@@ -413,26 +378,26 @@ def follow_ground(
 
 
 def _start_ground(
-    rows: Within, state: GroundSoFar, params: GroundParams, *, last: bool
+    rows: Within, state: GroundSoFar, thresholds: GroundThresholds, *, last: bool
 ) -> tuple[list[Within], GroundSoFar]:
     """Keep rows waiting until the first ground height is known (part b of the ground algorithm, sec. 5)."""
     if state.known is not None:
         return [rows], state
     waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, rows.potential.height_m])
-    enough = int(np.count_nonzero(np.isfinite(heights[: state.n_most]))) >= params.start_heights
+    enough = int(np.count_nonzero(np.isfinite(heights[: state.n_most]))) >= thresholds.start_heights
     if not enough and len(heights) < state.n_most and not last:
         return [], replace(state, waiting=waiting, heights_m=heights)
-    known = initial_ground(heights[: state.n_most], params, rows.lines.n_sides)
+    known = initial_ground(heights[: state.n_most], thresholds, rows.lines.n_sides)
     return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), known=known)
 
 
 @stage("cars")
-def find_cars(part: OnGround, params: SequentialAngleParams, *, stages: bool = False) -> WithCars:
+def find_cars(part: OnGround, thresholds: SequentialAngleThresholds, *, stages: bool = False) -> WithCars:
     """Find cars and possible curb points, which need only the ground height."""
-    rows, z_g, noise = part.rows, part.height_m, params.angles.range_noise_m
+    rows, z_g = part.rows, part.height_m
     lines, surface = rows.lines, rows.surface
-    possible = possible_curbs(lines, surface, part.ground, z_g, params.curb, range_noise_m=noise)
-    found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
+    possible = possible_curbs(lines, surface, part.ground, z_g, thresholds.curb)
+    found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, thresholds.car)
     seen = car_search(found, lines) if stages else CarSearch.none(len(z_g))
     undecided = Undecided(
         surface, rows.car_surface, part.ground, found.car, lines.horizontal_m, lines.xyz_m, z_g, seen.trigger,
@@ -443,14 +408,14 @@ def find_cars(part: OnGround, params: SequentialAngleParams, *, stages: bool = F
 
 @stage("curbs")
 def decide_curbs(
-    parts: Sequence[WithCars], state: CurbsSoFar, params: SequentialAngleParams, *, last: bool
+    parts: Sequence[WithCars], state: CurbsSoFar, thresholds: SequentialAngleThresholds, *, last: bool
 ) -> tuple[tuple[list[Undecided], list[Mask]], CurbsSoFar]:
     """Verify curbs across the next rows, in order (sec. 6); return the rows that became final, and their curbs."""
     done: list[Undecided] = []
     masks: list[Mask] = []
     for number, part in enumerate(parts):
         curb, regions = curbs(
-            part.lines, part.undecided.surface, part.signed_deg, part.possible_curb, state.regions, params.curb,
+            part.lines, part.undecided.surface, part.signed_deg, part.possible_curb, state.regions, thresholds.curb,
             last=last and number == len(parts) - 1,
         )  # fmt: skip
         final, left = _split((*state.undecided, part.undecided), len(curb))
@@ -460,20 +425,20 @@ def decide_curbs(
     return (done, masks), state
 
 
-def combine(rows: Undecided, curb: Mask, params: CurbParams) -> U8:
+def combine(rows: Undecided, curb: Mask, thresholds: CurbThresholds) -> U8:
     """Give every beam its class; cars behind a curb go back to the coarse classification (sec. 8).
 
     ``curb`` (R, n) bool; returns (R, n) uint8.
     """
     labels: U8 = kernels.combine_classes(
         rows.surface, rows.ground, rows.car, rows.horizontal_m, rows.xyz_m, curb,
-        np.array(LABEL_OF_SURFACE, np.uint8), params.stands_below_m,
+        np.array(LABEL_OF_SURFACE, np.uint8), thresholds.stands_below_m,
     )  # fmt: skip
     return labels
 
 
 @stage("classes")
-def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, params: CurbParams) -> U8:
+def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, thresholds: CurbThresholds) -> U8:
     """Label final rows, and map them back to the columns of their scan lines."""
     sides, m = beams.sides, len(beams.beam_rad)
     if not done:
@@ -481,7 +446,7 @@ def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, pa
     curbs_of_all = curb[0] if len(curb) == 1 else np.concatenate(curb)
     ends = np.cumsum([len(part.surface) for part in done])
     labels = [
-        to_columns(combine(part, curbs_of_all[end - len(part.surface) : end], params), sides, m)
+        to_columns(combine(part, curbs_of_all[end - len(part.surface) : end], thresholds), sides, m)
         for part, end in zip(done, ends, strict=True)
     ]
     return labels[0] if len(labels) == 1 else np.concatenate(labels)

@@ -1,158 +1,244 @@
-"""What the compiled loops of the sequential-angle method and their twins are given: thresholds and states, by name.
+"""The thresholds of the sequential-angle method: each once, for the configuration, the loops and their twins.
 
-Each is a ``NamedTuple``, which numba takes as it is. Arrays say how the compiler sees them. Lengths are in metres,
-angles in degrees; heights are counted from the scanner. ``R`` is the number of rows (half-lines) and ``n`` that of
-their beams.
+A field with :func:`~prc_cli.methods.keys.key` is a key of ``[sequential_angle]``; the others are constants. Lengths are
+in metres, angles in degrees; heights are counted from the scanner. :meth:`SequentialAngleThresholds.at_noise` gives
+what the loops compare with. ``R`` is the number of rows (half-lines) and ``n`` that of their beams.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, NamedTuple
 
+from pydantic import AfterValidator, Field
+
 from prc_cli.core.types import F32, F64, I32, Mask
+from prc_cli.methods.keys import key
 
 Floats = Annotated[F64, 1]
 Ints = Annotated[I32, 1]
 
+Probability = Annotated[float, Field(ge=0, le=1)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Spread = Annotated[float, Field(gt=0, le=360)]
+Three = tuple[float, float, float]
+
+
+def _add_up(row: Three) -> Three:
+    """Refuse probabilities that do not add up to one."""
+    if not math.isclose(sum(row), 1.0, abs_tol=1e-6):
+        msg = f"probabilities that add up to 1, found a sum of {sum(row):g}"
+        raise ValueError(msg)
+    return row
+
+
+Row = Annotated[tuple[Probability, Probability, Probability], AfterValidator(_add_up)]
+Matrix = tuple[Row, Row, Row]
+Inner = Annotated[float, Field(gt=0, lt=1)]
+Chain = Annotated[tuple[Inner, Inner, Inner], AfterValidator(_add_up)]
+UNIFORM: Three = (1 / 3, 1 / 3, 1 / 3)
+CALM: Three = (0.1, 0.8, 0.1)
+
 
 class ChordThresholds(NamedTuple):
-    """Which shots a chord joins (sec. 3)."""
+    """Chords between shots, on which angles are measured (``[sequential_angle.angles]``)."""
 
-    min_chord_m: float
-    """Shots nearer than this to each other make no chord; shots at the same place never do."""
-    depth_m: float
-    """Range differences up to this count nothing for that length, larger ones by what they have more."""
-    max_shots: int
-    """Valid shots looked at on either side of a shot."""
+    range_noise_m: Annotated[float, key(0, 10)] = 0.005
+    """Standard deviation of the range noise of the scanner [m] (published)."""
+    min_chord_sigmas: Annotated[float, key(0, 1000)] = 4.0
+    """Shortest chord that an angle is measured on [standard deviations of the range noise]; below about 3 noise turns
+    chords round and looks like foliage; 0 takes successive shots, as published."""
+    least_chord_m: Annotated[float, key(0, 10)] = 0.02
+    """Shortest chord, however small the noise: shorter ones measure rims and edges, not surfaces; published: 0 [m]."""
+    chord_depth_sigmas: Annotated[float, key(0, 1000)] = 3.0
+    """Differences of range up to this count nothing for the length of a chord, larger ones by what they have more
+    [standard deviations of the range noise]: where shots lie closer than the noise, it would choose the ends; 0 = the
+    whole chord counts."""
+    max_shots: int = 256
+    """Valid shots before and after a shot among which its chords may end: bounds the time where all are at one spot."""
+    depth_m: float = 0.0
+    """``chord_depth_sigmas`` in metres."""
 
-
-class MarkovModel(NamedTuple):
-    """A hidden Markov model of three states (sec. 4)."""
-
-    transition: Annotated[F64, 2]
-    """(3, 3) float64, transition probabilities; row = from."""
-    initial: Floats
-    """(3,) float64, probabilities of the states at the first sample after a restart."""
+    def at_noise(self) -> ChordThresholds:
+        """Return lengths in metres at the range noise."""
+        noise = self.range_noise_m
+        least = max(self.min_chord_sigmas * noise, self.least_chord_m)
+        return self._replace(least_chord_m=least, depth_m=self.chord_depth_sigmas * noise)
 
 
 class MarkovThresholds(NamedTuple):
-    """Where the test between two hidden Markov models begins and ends a region (sec. 4)."""
+    """Two hidden Markov models of three states with common Gaussians, and how the test between them ends."""
 
-    threshold: float
-    """Log-likelihood ratio of model 1 to model 0 at which a region begins [nats]."""
-    threshold_back: float
-    """Log-likelihood ratio of model 0 to model 1 at which it ends [nats]."""
-    backdate: bool
-    """A region begins and ends at the onset rather than at the alarm."""
-    sprt: bool
-    """Regions end, after they are confirmed, by tests between two bounds."""
-    accept: float
-    """Upper bound of those tests, positive [nats]."""
-    reject: float
-    """Lower bound of those tests, negative [nats]."""
-    merge_gap: int
+    means_deg: Annotated[tuple[Angle, Angle, Angle], key()] = (-90.0, 0.0, 90.0)
+    """Mean of every state [deg] (published)."""
+    sigmas_deg: Annotated[tuple[Spread, Spread, Spread], key()] = (30.0, 30.0, 30.0)
+    """Standard deviation of every state [deg]."""
+    h0: Annotated[Matrix, key()] = ((0.05, 0.475, 0.475), (0.05, 0.875, 0.075), (0.05, 0.075, 0.875))
+    """Transition probabilities of model 0, no vegetation; row = from, each adds up to 1."""
+    h1: Annotated[Matrix, key()] = (UNIFORM, UNIFORM, UNIFORM)
+    """Transition probabilities of model 1, vegetation; row = from, each adds up to 1."""
+    initial_h0: Annotated[Row, key()] = (0.05, 0.475, 0.475)
+    """Probabilities of the states of model 0 at the first sample of a start: stationary, so that a region begins with a
+    value near -90 deg; with 1/3 each this sample tells nothing, values that alternate between -90 and 90 are never
+    found, and stairs are."""
+    initial_h1: Three = UNIFORM
+    """Those of model 1."""
+    threshold: Annotated[float, key(above=0, most=100)] = 10.0
+    """Log-likelihood ratio that vegetation begins at [nats] (published for dense vegetation)."""
+    threshold_back: float = 10.0
+    """Log-likelihood ratio that it ends at, without ``sprt`` [nats]."""
+    sprt: Annotated[bool, key()] = False
+    """How a region ends: false runs the same test with the models exchanged; true confirms the region by a test between
+    two bounds on the samples after the alarm, repeats that until one rejects, and pulls the end back to the sample
+    after the last negative value."""
+    accept: float = 10.0
+    """Upper bound of these tests [nats]."""
+    reject: float = -5.0
+    """Lower bound of these tests [nats]."""
+    merge_gap: int = 5
     """Regions found with ``sprt`` that are closer than this become one [samples]."""
+    backdate: Annotated[bool, key()] = True
+    """A change is at its estimated onset; else at the sample that raised the alarm."""
 
 
 class SurfaceThresholds(NamedTuple):
-    """When a run turns from horizontal to vertical and back (sec. 4)."""
+    """When a run turns from horizontal to vertical and back (``[sequential_angle.coarse.surfaces]``).
 
-    drift_vertical_deg: float
-    """From H to V the sum of (drift - angle) since its last reset ..."""
-    threshold_vertical_deg: float
-    """... must exceed this."""
-    drift_horizontal_deg: float
-    """From V to H the sum of (angle - drift) since its last reset ..."""
-    threshold_horizontal_deg: float
-    """... must exceed this."""
-    fold: bool
-    """Angles beyond 90 deg count as their supplement."""
-    backdate: bool
-    """A change begins at the first sample after the last reset rather than at the alarm."""
-    start_horizontal: bool
-    """Runs begin with H, not with what their first five samples are."""
+    From horizontal to vertical the sum of (drift - angle), from vertical to horizontal the sum of (angle - drift) is
+    followed, never below zero, until it exceeds the threshold. Drift 45 and threshold 30 deg are the test between
+    Gaussians of mean 90 and 0 and standard deviation 30 deg at a log-likelihood ratio of 3. One clean sample moves
+    the sum by 45 deg: a threshold below that keeps curbs of a single sample.
+    """
 
-
-class LayerThresholds(NamedTuple):
-    """When a run of vegetation is a facade seen through its windows."""
-
-    width_m: float
-    """A layer is as many horizontal distances as fit into this."""
-    share: float
-    """The two fullest layers must hold more than this share of the run."""
-    min_points: int
-    """Runs of fewer returns stay as they are."""
+    drift_vertical_deg: Annotated[float, key(0, 180)] = 45.0
+    """Drift from horizontal to vertical [deg]."""
+    threshold_vertical_deg: Annotated[float, key(0, 1e6)] = 30.0
+    """Threshold from horizontal to vertical [deg]."""
+    drift_horizontal_deg: Annotated[float, key(0, 180)] = 45.0
+    """Drift from vertical to horizontal [deg]."""
+    threshold_horizontal_deg: Annotated[float, key(0, 1e6)] = 30.0
+    """Threshold from vertical to horizontal [deg]."""
+    fold: Annotated[bool, key()] = True
+    """Angles beyond 90 deg, on surfaces that are passed downwards, count as their supplement."""
+    backdate: Annotated[bool, key()] = True
+    """A change is at the first sample after the sum was last zero; else where it is detected."""
+    start_horizontal: Annotated[bool, key()] = False
+    """Runs begin as horizontal, not as the median of their first five angles says."""
 
 
-class WallThresholds(NamedTuple):
-    """When a vertical run is a wall, and what is vegetation no more beside it."""
+class WindowThresholds(NamedTuple):
+    """When vegetation is a facade with windows (``[sequential_angle.coarse.windows]``)."""
 
-    extent_m: float
-    """Height of a run of vertical points at least, ..."""
-    break_m: float
-    """... which a larger change of horizontal distance from one return to the next ends, ..."""
-    residual_m: float
-    """... root mean square of the residuals of its horizontal distances from a straight line at most, ..."""
-    slope: float
-    """... and slope of that line from the vertical at most, a tangent: it is a wall."""
-    width_m: float
-    """Vegetation no farther than this from the wall's distance is the wall, ..."""
-    front_m: float
-    """... and below the wall all that is farther away than it, less this."""
+    share: Annotated[float, key(0, 1)] = 0.5
+    """A run of vegetation is vertical if two upright layers hold more than this share of its points; published: 1,
+    never."""
+    width_m: float = 0.03
+    """Thickness of a layer at least ..."""
+    width_sigmas: float = 6.0
+    """... or so many standard deviations of the range noise, ..."""
+    most_m: float = 0.06
+    """... but at most this, however noisy the ranges."""
+    min_points: int = 8
+    """Shorter runs stay vegetation [points]."""
+    wall_extent_m: Annotated[float, key(0, 1e3)] = 0.3
+    """Runs of vertical points of this height that are straight and upright are walls: vegetation in their plane is
+    vertical, and so is what is seen behind a wall below its lower end; published: 0, none is [m]."""
+    wall_m: float = 0.03
+    """Vegetation this near to a wall's distance is in its plane."""
+    front_m: float = 0.1
+    """What is behind a wall may be this much before it: its face has reliefs."""
+    break_m: float = 0.1
+    """A wall ends where the horizontal distance changes by more from one return to the next."""
+    straight_m: float = 0.01
+    """Straight is what lies this near to a straight line, rms, ..."""
+    straight_sigmas: float = 2.0
+    """... or as many times the range noise."""
+    slope: float = math.tan(math.radians(2.0))
+    """Upright is what leans less than this from the vertical, a tangent."""
+
+    def at_noise(self, range_noise_m: float) -> WindowThresholds:
+        """Return lengths at a standard deviation of the range [m]."""
+        return self._replace(
+            width_m=min(max(self.width_m, self.width_sigmas * range_noise_m), self.most_m),
+            straight_m=max(self.straight_m, self.straight_sigmas * range_noise_m),
+        )
+
+
+class CoarseThresholds(NamedTuple):
+    """The coarse classification (``[sequential_angle.coarse]``)."""
+
+    vegetation: MarkovThresholds = MarkovThresholds()
+    surfaces: SurfaceThresholds = SurfaceThresholds()
+    windows: WindowThresholds = WindowThresholds()
 
 
 class GroundThresholds(NamedTuple):
-    """How ground is found in a row and followed across rows (sec. 5)."""
+    """How ground is found and followed (``[sequential_angle.ground]``)."""
 
-    first_run: int
-    """Horizontal points in a row that potential ground begins with, at least 3."""
-    lowest_points: int
-    """Points, the lowest ones, whose mean height is the height of potential ground."""
-    height_points: int
-    """Points at the beginning of potential ground that they are taken from; 0 = all."""
-    mode_samples: int
-    """Samples that make a mode."""
-    bandwidth_deg: float
-    """Bandwidth of line angles: the larger of this ..."""
-    bandwidth_sigmas: float
+    first_run: Annotated[int, key(3, 1000)] = 10
+    """Horizontal points in succession that potential ground begins with (published)."""
+    lowest_points: Annotated[int, key(1, 1000)] = 5
+    """Points, the lowest ones, whose mean z is the height of a line (published)."""
+    start_heights: Annotated[int, key(1, 100_000)] = 200
+    """Heights of lines that the first estimate of the ground needs; published: 50, which the bonnet of a car beside the
+    scanner can fill."""
+    height_tolerance: Annotated[float, key(above=0, most=10)] = 0.10
+    """Potential ground is ground when its height differs from the dominant height by less than this share of it
+    (published); heights are counted from the scanner."""
+    height_tolerance_m: Annotated[float, key(0, 100)] = 0.05
+    """The same at least, for scanners near the ground [m]; 0: the printed text."""
+    follow_m: Annotated[float, key(0, 100)] = 0.10
+    """Potential ground is ground, too, when its height differs by less than this from that of the last ground of the
+    same side [m]; 0: the printed text."""
+    height_points: Annotated[int, key(0, 100_000)] = 30
+    """Points at the beginning of potential ground that its lowest points are taken from; 0 = all of it, the printed
+    text."""
+    least_heights: Annotated[int, key(1, 100_000)] = 10
+    """Heights of lines, or those of half of all lines, without which the ground is unknown; 1: the printed text."""
+    bandwidth_deg: float = 5.0
+    """Bandwidth of the mean shift over line angles: the larger of this ..."""
+    bandwidth_sigmas: float = 3.0
     """... and so many standard deviations of a line angle ..."""
-    range_noise_m: float
+    range_noise_m: float = ChordThresholds().range_noise_m
     """... at this standard deviation of a range."""
-    growth_points: int
-    """Points that the local line is laid through."""
-    jump_m: float
-    """Height above or below the last point and the local line that ends potential ground."""
-    growth_height_m: float
+    mode_samples: int = 2
+    """Line angles that make a mode."""
+    height_bandwidth: float = 0.05
+    """Bandwidth of the mean shift over heights, as a share of their median; rounded up to a multiple of 16 mm."""
+    roof_m: Annotated[float, key(0, 1e6)] = 0.6
+    """Heights that much above a lower mode, which has a quarter of their number, are those of bonnets and roofs [m];
+    published: so large that it is off."""
+    roof_share: float = 0.25
+    """The lower mode must have at least this share of the heights of the main one."""
+    renew_every: Annotated[bool, key()] = True
+    """The dominant height is computed anew after every line that has a height, not only after those that have ground
+    (published)."""
+    memory_heights: Annotated[int, key(0, 1_000_000)] = 2000
+    """Heights that the dominant height comes from, the latest ones, never fewer than start_heights; 0 = all
+    (published)."""
+    growth_points: int = 10
+    """Points before a point that the local line is laid through."""
+    jump_m: Annotated[float, key(above=0, most=1000)] = 0.10
+    """Height above or below the last point and the local line that ends potential ground [m]; 1000 turns it off, as in
+    the printed text."""
+    growth_height_m: float = 0.10
     """Height above or below the local line up to which ground grows."""
-    bridge: int
-    """Points that are neither horizontal nor missing which a run of horizontal points may pass over, where the next two
-    valid points continue the local line."""
-    bridge_height_m: float
+    resume: Annotated[bool, key()] = True
+    """Where growth ends within a run of horizontal points, more potential ground in the rest of the run that continues
+    the local line is ground too; off: the printed text."""
+    bridge: Annotated[int, key(0, 1000)] = 4
+    """Points in succession, neither horizontal nor missing, that potential and growing ground pass over where the
+    horizontal points behind continue the local line; 0: the printed text."""
+    bridge_height_m: float = 0.05
     """Height above or below the local line up to which they continue it."""
-    resume: bool
-    """Where growth ends within a run of horizontal points, more potential ground is sought in the rest of the run."""
-    start_heights: int
-    """Heights that a first estimate of the ground needs."""
-    least_heights: int
-    """Heights without which the ground stays unknown."""
-    memory_heights: int
-    """Heights that are remembered, the oldest one is forgotten; 0 = all."""
-    height_bandwidth: float
-    """Bandwidth of heights, as a share of their median."""
-    roof_m: float
-    """The main mode of the heights is roofs where another one is this much lower; inf = never ..."""
-    roof_share: float
-    """... and has at least this share of its heights."""
-    all_heights: bool
-    """Heights of rows without ground count too."""
-    renew_every: bool
-    """The height of the ground is computed anew after every height that counts, not after those of ground alone."""
-    height_tolerance: float
-    """Difference between a row's height and that of the ground, as a share of the latter, below which it is ground."""
-    height_tolerance_m: float
-    """The same at least."""
-    follow_m: float
-    """Difference between a row's height and that of the last ground of its side, below which it is ground; 0 = off."""
+
+    def at_noise(self, range_noise_m: float) -> GroundThresholds:
+        """Return consistent numbers of heights, and a standard deviation of the range [m]."""
+        return self._replace(
+            range_noise_m=range_noise_m,
+            least_heights=min(self.least_heights, self.start_heights),
+            memory_heights=max(self.memory_heights, self.start_heights) if self.memory_heights else 0,
+        )
 
 
 class PotentialGround(NamedTuple):
@@ -184,28 +270,36 @@ class GroundState(NamedTuple):
 
 
 class CurbThresholds(NamedTuple):
-    """Where a curb may begin, and what proves it (sec. 6)."""
+    """How curbs are found and verified (``[sequential_angle.curb]``)."""
 
-    under_points: int
-    """Valid points before a point that are looked at for something under it, ..."""
-    under_m: float
-    """... which is farther away by more than this."""
-    search_height_m: float
-    """The search ends at the first valid point higher above the ground."""
-    grouping_m: float
-    """Neighbours closer than this belong to one region."""
-    max_height_m: float
-    """A region higher than this is not a curb."""
-    min_height_m: float
-    """Nor is one lower than this."""
-    by_line: bool
-    """That height is the one within a line, not that of the whole region."""
-    min_lines: int
-    """Lines that make a curb of a region with a possible curb point."""
-    curvature_deg: float
-    """With fewer lines: the angle must change less than this from point to point, in the median."""
-    max_lines: int
-    """A region of so many lines is decided as it is, and closed."""
+    under_points: Annotated[int, key(1, 100_000)] = 30
+    """Points before a point that are looked at for something under it (published)."""
+    under_m: Annotated[float, key(0, 100)] = 0.01
+    """A point before that is farther away by more than this, ... [m] (published)."""
+    under_sigmas: Annotated[float, key(0, 1000)] = 6.0
+    """... and by more than this many times the range noise, lies under the point, which then is no curb; published:
+    0."""
+    search_height_m: Annotated[float, key(0, 1000)] = 2.0
+    """Height above the ground where the search for a curb ends (published) [m]."""
+    grouping_m: Annotated[float, key(above=0, most=100)] = 0.3
+    """Neighbouring vertical points closer than this belong to one region [m]."""
+    max_height_m: Annotated[float, key(above=0, most=100)] = 0.2
+    """A higher region is not a curb (published) [m]."""
+    min_height_m: Annotated[float, key(0, 100)] = 0.08
+    """Nor is a lower one, such as a lowered kerb or the edge of a verge: cars stand behind them; published: 0 [m]."""
+    stands_below_m: Annotated[float, key(0, 1e6)] = 0.05
+    """A car whose foot, or the ground before it, is this much lower than the top of a curb stands on a road and not
+    behind the curb; published: so large that it is off [m]."""
+    min_lines: Annotated[int, key(1, 200)] = 3
+    """Lines that make a curb of a region with a possible curb point (published)."""
+    curvature_deg: float = 20.0
+    """With fewer lines, the median change of the angle from point to point must be less than this."""
+    max_lines: int = 200
+    """A region of so many lines is decided as it is: bounds memory and delay."""
+
+    def at_noise(self, range_noise_m: float) -> CurbThresholds:
+        """Return lengths at a standard deviation of the range [m]."""
+        return self._replace(under_m=max(self.under_m, self.under_sigmas * range_noise_m))
 
 
 class OpenRegions(NamedTuple):
@@ -229,79 +323,192 @@ class OpenRegions(NamedTuple):
     """(C,) float32, its highest height."""
 
 
-class DividerThresholds(NamedTuple):
-    """Where a car may begin and end along a line (sec. 7.3)."""
+class SuspiciousThresholds(NamedTuple):
+    """Markov chains of H, V and M on a regular surface and on a car (``[sequential_angle.car.suspicious]``)."""
 
-    height_m: float
-    """The search ends at the first return higher above the ground, ..."""
-    tall_m: float
-    """... but goes on along a vertical run that ends no higher than this."""
-    glass_m: float
-    """The search goes on behind T' where the next return is H or V and no farther behind the last one; 0 = it ends."""
-    sudden_from_deg: float
-    """A change from H to V at an angle between this ..."""
-    sudden_to_deg: float
-    """... and this is sudden."""
-    chord_m: float
-    """Least length of the chord that the angle is measured on; 0 or below = the signed angle."""
-    chord_reach: int
-    """Returns that are looked at for either end of the chord."""
-    under_points: int
-    """Returns before a sudden change of which one must be ..."""
-    under_m: float
-    """... this much farther away."""
-    separation_m: float
-    """Successive returns farther apart, the second one not nearer to the scanner, belong to two intervals."""
-    return_points: int
-    """They do not where one of so many returns after them is nearer again; 0 = none is looked at."""
-    from_start: bool
-    """An interval begins with the first return of a row if it is V."""
-    flat_length_m: float
-    """Horizontal length of a stretch of ground at least, ..."""
-    flat_residual_m: float
-    """... root mean square of the residuals of its heights at most ..."""
-    flat_slope: float
-    """... and slope at most, a tangent."""
-    flat_step_m: float
-    """A larger change of height from one return to the next ends such a stretch; inf = none does."""
-    flat_above_m: float
-    """Such a stretch is a roof where it begins higher above the lowest return of its interval; inf = none is."""
-    vertical_extent_m: float
-    """Vertical runs from this difference between their highest and lowest point up are cut out."""
-    vertical_break_m: float
-    """A larger change of horizontal distance from one return to the next ends such a run."""
-    vertical_top_m: float
-    """Such a run must end higher than this above the ground; -inf = anywhere."""
-    vertical_slope: float
-    """Or such a run must be no farther from upright than this, a tangent."""
-    vertical_open: bool
-    """Or such a run must go on to the last beam of its row: nothing tells where it ends."""
-    straight_points: int
-    """Runs of fewer returns are cut out by their height alone, wherever they end."""
-    straight_extent_m: float
-    """Lower runs from this height up are cut out where they are straight and upright; inf = none is."""
-    straight_residual_m: float
-    """Root mean square of the residuals of their horizontal distances from a straight line at most, ..."""
-    straight_slope: float
-    """... and slope of that line from the vertical at most, a tangent."""
-    relief_m: float
-    """Runs of V and H as high as long vertical ones, as upright as straight ones, and no farther than this from a
-    straight line (rms) are cut out too, where steps are small; 0 = none is."""
-    lean_noise_m: float
-    """Noise of a horizontal distance by which both slopes may be larger: this over the root of the sum of squares of
-    the heights about their mean."""
+    enabled: Annotated[bool, key()] = False
+    """Test lines at all; false = every line may hold a car; published: true."""
+    h0: Annotated[tuple[Chain, Chain, Chain], key()] = ((0.8, 0.1, 0.1), (0.09, 0.9, 0.01), (0.6, 0.3, 0.1))
+    """Regular surface: probabilities from H, V, M (rows) to H, V, M (published; the third column completes the
+    rows)."""
+    h1: Annotated[tuple[Chain, Chain, Chain], key()] = ((0.5, 0.25, 0.25), (0.25, 0.5, 0.25), (0.25, 0.25, 0.5))
+    """Car: probabilities from H, V, M (rows) to H, V, M (published; the third column completes the rows)."""
+    threshold: Annotated[float, key(0, 1e6)] = 1.0
+    """Log likelihood ratio above which a line is suspicious [nats] (published)."""
+
+
+class DividerThresholds(NamedTuple):
+    """Where a car begins and ends along a line (``[sequential_angle.car.dividers]``)."""
+
+    sudden_from_deg: Annotated[float, key(-180, 180)] = -5.0
+    """L1: a change from H to V at a signed angle below this is gradual [deg] (published)."""
+    sudden_to_deg: Annotated[float, key(-180, 180)] = 20.0
+    """L2: so is one above this; gradual changes begin an interval [deg] (published)."""
+    change_chord_m: Annotated[float, key(0, 10)] = 0.1
+    """That angle is measured to the first return at least this far away, ... [m]."""
+    change_chord_sigmas: Annotated[float, key(0, 1000)] = 8.0
+    """... and at least this many times the range noise; published: both 0, the signed angle of the point itself."""
+    change_reach: int = 200
+    """Returns that are looked at for either end of that chord."""
+    under_points: Annotated[int, key(1, 10_000)] = 30
+    """L: returns before a sudden change among which TestUnder looks (published)."""
+    under_m: Annotated[float, key(0, 100)] = 0.01
+    """A point before that is farther away by more than this, ... [m] (published)."""
+    under_sigmas: Annotated[float, key(0, 1000)] = 6.0
+    """... and by more than this many times the range noise, lies under the point, which then begins an interval;
+    published: 0."""
+    separation_m: Annotated[float, key(above=0, most=1e4)] = 4.0
+    """T_sep: successive returns farther apart are two objects, ... [m] (published)."""
+    return_points: Annotated[int, key(0, 100_000)] = 8
+    """... unless one of so many returns after the jump is back at the object: such jumps go through its windows;
+    published: 0 [returns]."""
+    from_start: Annotated[bool, key()] = True
+    """A line that begins with V begins with an interval, because a car that stands close hides the ground before it;
+    published: false."""
+    flat_length_m: Annotated[float, key(above=0, most=1e4)] = 3.0
+    """Horizontal length from which a flat stretch is ground [m] (published)."""
+    flat_residual_m: float = 0.05
+    """Largest rms distance of its heights from a straight line."""
+    flat_slope: float = math.tan(math.radians(10.0))
+    """Largest slope of that line, a tangent."""
+    flat_step_m: Annotated[float, key(0, 1e3)] = 0.2
+    """A change of height from one return to the next that ends such a stretch, as from a bonnet to the road behind;
+    published: 0, none does [m]."""
+    flat_above_m: Annotated[float, key(0, 1e3)] = 1.0
+    """Such a stretch ends no interval where it begins higher than this above the lowest return of the interval, as the
+    roof of a car does; published: so large that it is off [m]."""
+    height_m: Annotated[float, key(above=0, most=1e3)] = 2.0
+    """T_height: cars are not sought above the first return this high over the ground [m] (published)."""
+    tall_m: Annotated[float, key(0, 1e3)] = 2.6
+    """They are along a vertical run that goes on from below and ends no higher than this above the ground, as the side
+    of a van does; published: 0, they are not [m]."""
+    glass_m: Annotated[float, key(0, 1e3)] = 1.0
+    """Dense vegetation does not end the search where the next return behind it is horizontal or vertical and no farther
+    away than the last one before it by this: it is the window of a car; published: 0, it does [m]."""
+    vertical_extent_m: float = 1.2
+    """Runs of vertical points of this height or more are cut out, ..."""
+    vertical_top_m: Annotated[float, key(0, 1e3)] = 2.6
+    """Runs of vertical points of 1.2 m height or more are cut out if they end higher than this above the ground, as no
+    car does; 0 = wherever they end [m]."""
+    vertical_slope: float = math.tan(math.radians(2.5))
+    """... or if they lean less than this from the vertical, a tangent."""
+    vertical_open: Annotated[bool, key()] = True
+    """Or if they go on to the last beam of the line, so that nothing tells where they end; published: false."""
+    straight_points: int = 16
+    """Fewer points do not show whether a run is straight or upright: their height decides."""
+    straight_extent_m: Annotated[float, key(0, 1e3)] = 0.25
+    """So are runs of this height or more that are straight and upright, as walls, fences and posts are and the sides of
+    cars are not; 0 = none [m]."""
+    straight_m: float = 0.01
+    """Straight is what lies this near to a straight line, rms, ..."""
+    straight_sigmas: float = 2.0
+    """... or as many times the range noise."""
+    straight_slope: float = math.tan(math.radians(1.5))
+    """Upright is what leans less than this from the vertical, a tangent."""
+    relief_m: Annotated[float, key(0, 10)] = 0.03
+    """Runs of vertical and horizontal points of 1.2 m height, as upright, but only this straight (rms), are cut out
+    too: walls with reliefs; published: 0, none is [m]."""
+    lean_sigmas: float = 2.0
+    """Both leans may be larger by so many standard deviations of a lean, as the range noise makes it."""
+    lean_noise_m: float = 0.0
+    """``lean_sigmas`` in metres."""
+    vertical_break_m: Annotated[float, key(0, 1e4)] = 0.5
+    """A change of horizontal distance from one return to the next that ends such a run [m]."""
+
+    def at_noise(self, range_noise_m: float) -> DividerThresholds:
+        """Return lengths at a standard deviation of the range [m], and infinity for what 0 switches off."""
+        return self._replace(
+            change_chord_m=max(self.change_chord_m, self.change_chord_sigmas * range_noise_m),
+            under_m=max(self.under_m, self.under_sigmas * range_noise_m),
+            flat_step_m=self.flat_step_m or math.inf,
+            vertical_top_m=self.vertical_top_m or -math.inf,
+            straight_extent_m=self.straight_extent_m or math.inf,
+            straight_m=max(self.straight_m, self.straight_sigmas * range_noise_m),
+            lean_noise_m=self.lean_sigmas * range_noise_m,
+        )
+
+
+class HighVerticalThresholds(NamedTuple):
+    """What is too high for a car (``[sequential_angle.car.high_verticals]``)."""
+
+    height_m: Annotated[float, key(above=0, most=1e3)] = 2.5
+    """Vertical surfaces that reach this far above the ground hide all cars behind [m] (published)."""
 
 
 class FourierThresholds(NamedTuple):
-    """When the angles of an interval hold no high frequency (sec. 7.5)."""
+    """Which spectra are those of vegetation (``[sequential_angle.car.fourier]``)."""
 
-    band: float
-    """Frequencies k from ``band * N`` to N/2 must not be ..."""
-    ratio: float
-    """... larger than this share of the largest one of all, k = 0 included; below 1."""
-    min_points: int
-    """Fewer angles decide against the interval."""
-    window_points: int
-    """Longer intervals are cut into windows of at most this many."""
-    longest: int
-    """Intervals of more angles pass untested; 0 = none does."""
+    longest: Annotated[int, key(0, 1_000_000)] = 16
+    """Test intervals of at most this many angles: windows of cars look like foliage to it, and where shots are many
+    car.most_foliage tells more; published: 0, all [angles]."""
+    band: Annotated[float, key(above=0, most=0.5)] = 0.125
+    """Lowest of the high frequencies, as a share of the number of angles (published)."""
+    ratio: Annotated[float, key(above=0, below=1)] = 0.5
+    """A high frequency above this share of the largest one tells vegetation (published)."""
+    min_points: Annotated[int, key(1, 1_000_000)] = 8
+    """An interval of fewer angles is no car [angles]."""
+    window: Annotated[int, key(0, 1_000_000)] = 64
+    """Test windows of at most this many angles, of which at least half must be those of a car; published: 0, the whole
+    interval, up to 2048 [angles]."""
+
+    def at_noise(self) -> FourierThresholds:
+        """Return a window of at most :data:`LONGEST_WINDOW` angles."""
+        return self._replace(window=min(self.window or LONGEST_WINDOW, LONGEST_WINDOW))
+
+
+LONGEST_WINDOW = 2048
+"""Angles of a window at most: the cost of a spectrum grows with their square."""
+
+
+class CarThresholds(NamedTuple):
+    """The car algorithm (``[sequential_angle.car]``)."""
+
+    suspicious: SuspiciousThresholds = SuspiciousThresholds()
+    dividers: DividerThresholds = DividerThresholds()
+    high_verticals: HighVerticalThresholds = HighVerticalThresholds()
+    fourier: FourierThresholds = FourierThresholds()
+    most_foliage: Annotated[float, key(0, 1)] = 0.8
+    """An interval of which the coarse classification calls more than this share vegetation is no car; published: 1,
+    such intervals are cars too."""
+    min_points: Annotated[int, key(1, 100_000)] = 8
+    """An interval of fewer returns is no car; published: 1 [returns]."""
+    ground_layer_m: Annotated[float, key(0, 10)] = 0.3
+    """Horizontal points below this height over the ground are no car, even inside an interval; published: 0, all of an
+    interval is a car [m]."""
+
+    def at_noise(self, range_noise_m: float) -> CarThresholds:
+        """Return lengths at a standard deviation of the range [m]."""
+        return self._replace(dividers=self.dividers.at_noise(range_noise_m), fourier=self.fourier.at_noise())
+
+
+class SequentialAngleThresholds(NamedTuple):
+    """Parameters of the sequential-angle classifier (``[sequential_angle]``)."""
+
+    max_range_m: Annotated[float, key(above=0, most=1e9)] = 300.0
+    """Ranges beyond are missing (published) [m]."""
+    start_lines: Annotated[int, key(1, 1_000_000)] = 500
+    """Scan lines that are held back at most until the height of the ground is known from ground.start_heights lines;
+    then it is taken from those there are."""
+    start_shots: int = 4_000_000
+    """Shots that are held back at most for the same purpose: bounds memory where lines are very long."""
+    extra_return_m: float = 0.3
+    """Another return of a shot takes the label of the nearest range up to four columns away if it differs by less."""
+    angles: ChordThresholds = ChordThresholds()
+    coarse: CoarseThresholds = CoarseThresholds()
+    dense_vegetation: MarkovThresholds = MarkovThresholds(
+        means_deg=(-150.0, 0.0, 150.0), h0=(CALM, CALM, CALM), initial_h0=CALM
+    )
+    ground: GroundThresholds = GroundThresholds()
+    curb: CurbThresholds = CurbThresholds()
+    car: CarThresholds = CarThresholds()
+
+    def at_noise(self) -> SequentialAngleThresholds:
+        """Return what the loops compare with, at the range noise of the scanner."""
+        noise = self.angles.range_noise_m
+        return self._replace(
+            angles=self.angles.at_noise(),
+            coarse=self.coarse._replace(windows=self.coarse.windows.at_noise(noise)),
+            ground=self.ground.at_noise(noise),
+            curb=self.curb.at_noise(noise),
+            car=self.car.at_noise(noise),
+        )

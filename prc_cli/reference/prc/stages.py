@@ -1,7 +1,6 @@
 """The steps of PRC with NumPy, SciPy and scikit-image, in the order of Lehtola et al. (2019), section II.
 
 Names, arguments and results are those of the compiled loops in :mod:`prc_cli.methods.prc`; no code is shared.
-The whole method is in :mod:`prc_cli.reference.prc.method`.
 """
 
 from __future__ import annotations

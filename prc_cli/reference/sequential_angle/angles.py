@@ -41,7 +41,7 @@ def first_far(points: F64, ranges: F64, here: int, others: list[int], thresholds
         counted = float(chord @ chord)
         if thresholds.depth_m > 0:
             counted += max(abs(depth) - thresholds.depth_m, 0.0) ** 2 - depth**2
-        if chord.any() and counted >= thresholds.min_chord_m**2:
+        if chord.any() and counted >= thresholds.least_chord_m**2:
             return other
     return None
 

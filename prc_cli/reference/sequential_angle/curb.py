@@ -19,9 +19,7 @@ from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegi
 MISSING, VERTICAL = int(Surface.MISSING), int(Surface.VERTICAL)
 
 
-def possible_curbs(
-    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
-) -> tuple[Mask, I32]:
+def possible_curbs(surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds) -> I32:
     """Find possible curb points; see :func:`curb_loops.possible_curbs`."""
     beam = np.full(len(surface), -1, dtype=np.int32)
     for row in range(len(surface)):
@@ -38,7 +36,7 @@ def possible_curbs(
                 if not ranges[before].max() - ranges[k] > thresholds.under_m:
                     beam[row] = k
                     break
-    return beam >= 0, beam
+    return beam
 
 
 @dataclass(eq=False)
@@ -126,8 +124,7 @@ class Growing:
                 joined.possible |= region.possible
                 if region.fate == "high":
                     joined.fate = "high"
-                if not self.thresholds.by_line:
-                    joined.low, joined.high = min(joined.low, region.low), max(joined.high, region.high)
+                joined.low, joined.high = min(joined.low, region.low), max(joined.high, region.high)
             if joined.high - joined.low > self.thresholds.max_height_m:
                 joined.fate = "high"
             for at, k in joined.points:

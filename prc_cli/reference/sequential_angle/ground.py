@@ -11,7 +11,7 @@ from itertools import groupby
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds, PotentialGround
 
 EIGHTHS = 8
@@ -61,16 +61,6 @@ def grid_modes(samples: list[int]) -> list[tuple[float, int]]:
 def main_mode(modes: list[tuple[float, int]]) -> tuple[float, int]:
     """Return the mode with most samples, of equals the lowest."""
     return max(modes, key=lambda mode: (mode[1], -mode[0]))
-
-
-def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
-    """Find modes; see :func:`ground_loops.find_modes`."""
-    width = bandwidth / EIGHTHS
-    modes = [mode for mode in grid_modes(np.floor(values / width).astype(int).tolist()) if mode[1] > 0]
-    return (
-        np.array([(place + 0.5) * width for place, _ in modes], dtype=np.float64),
-        np.array([count for _, count in modes], dtype=np.int64),
-    )
 
 
 class Row:
@@ -326,7 +316,7 @@ def ground_rows(
             else:
                 beams, b = row.potential(beams[-1] + 1)
                 z_i = row.height(beams) if beams else math.nan
-        if to_count and not math.isnan(z_row) and (accepted or thresholds.all_heights):
+        if to_count and not math.isnan(z_row):
             heights = [*heights, to_bin(z_row)][-memory:]
             if accepted or thresholds.renew_every:
                 z_g = main_bin(heights, share, thresholds.roof_m, thresholds.roof_share)[1]

@@ -10,8 +10,8 @@ from prc_cli.core.classes import Label, Surface
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
-def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float) -> tuple[Mask, I32]:
-    """Find the first high vertical run; see :func:`verticals_loops.first_high_verticals`."""
+def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, height_m: float) -> I32:
+    """Find the first high vertical run; see :func:`labels_loops.first_high_verticals`."""
     beam = np.full(len(n_beams), -1, np.int32)
     for row, n in enumerate(n_beams):
         vertical = surface[row, :n] == Surface.VERTICAL
@@ -19,17 +19,15 @@ def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, h
         high = ends[xyz_m[row, ends, 2].astype(np.float64) > float(ground_m[row]) + height_m]
         if len(high):
             beam[row] = high[0]
-    return beam >= 0, beam
+    return beam
 
 
 STATE = {Surface.HORIZONTAL: "H", Surface.VERTICAL: "V", Surface.MISSING: "M"}
 """State of the chain by surface code; all other codes end it."""
 
 
-def first_triggers(
-    surface: U8, n_beams: I32, increments: F64, threshold: float, closed_gaps_only: bool
-) -> tuple[Mask, I32]:
-    """Find the first trigger of every row; see :func:`suspicious_loops.first_triggers`."""
+def first_triggers(surface: U8, n_beams: I32, increments: F64, threshold: float) -> I32:
+    """Find the first trigger of every row; see :func:`labels_loops.first_triggers`."""
     beams = []
     for codes, n in zip(surface, n_beams, strict=True):
         returns = np.flatnonzero(codes[:n])
@@ -37,8 +35,7 @@ def first_triggers(
         if len(returns) == 0:
             continue
         first = int(returns[0])
-        last = int(returns[-1]) if closed_gaps_only else int(n) - 1
-        states = "".join(STATE.get(Surface(code), "x") for code in codes[first : last + 1]).partition("x")[0]
+        states = "".join(STATE.get(Surface(code), "x") for code in codes[first:n]).partition("x")[0]
         steps = [float(increments["HVM".index(a), "HVM".index(b)]) for a, b in pairwise(states)]
         total = 0.0
         for position, step in enumerate(steps, start=1):
@@ -46,12 +43,11 @@ def first_triggers(
             if total > threshold:
                 beams[-1] = first + position
                 break
-    beam = np.array(beams, np.int32).reshape(len(n_beams))
-    return beam >= 0, beam
+    return np.array(beams, np.int32).reshape(len(n_beams))
 
 
 def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
-    """Pick beams; see :func:`lines_loops.arrange_lines`."""
+    """Pick beams; see :func:`labels_loops.arrange_lines`."""
     everything = np.concatenate([range_m[:, :, None], xyz_m], axis=2)
     with np.errstate(invalid="ignore"):
         seen = (everything[:, :, 0].astype(np.float64) <= max_range_m) & ~np.isnan(xyz_m).any(axis=2)
@@ -65,7 +61,7 @@ def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) ->
 
 
 def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
-    """Pick beams; see :func:`lines_loops.arrange_plane`."""
+    """Pick beams; see :func:`labels_loops.arrange_plane`."""
     r = range_m.astype(np.float64)
     x = r * across
     xyz = np.stack([x, np.where(np.isnan(x), np.nan, 0.0), r * up], axis=2).astype(np.float32)

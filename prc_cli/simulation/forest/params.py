@@ -54,29 +54,12 @@ class ForestSceneParams(Params):
 PRESETS: dict[str, ForestSceneParams] = {
     "mixed": ForestSceneParams(),
     "pine-heath": ForestSceneParams(
-        stems_per_ha=450,
-        dbh_mean_m=0.26,
-        pine_share=0.93,
-        spruce_share=0.02,
-        birch_share=0.05,
-        slope_deg=3,
-        shrubs_per_ha=100,
-        saplings_per_ha=120,
-        herbs_per_ha=4500,
-        logs_per_ha=50,
+        stems_per_ha=450, dbh_mean_m=0.26, pine_share=0.93, spruce_share=0.02, birch_share=0.05, slope_deg=3,
+        shrubs_per_ha=100, saplings_per_ha=120, herbs_per_ha=4500, logs_per_ha=50,
     ),
     "dense-spruce": ForestSceneParams(
-        stems_per_ha=1000,
-        dbh_mean_m=0.19,
-        pine_share=0.05,
-        spruce_share=0.85,
-        birch_share=0.10,
-        slope_deg=7,
-        mounds_per_ha=500,
-        shrubs_per_ha=250,
-        saplings_per_ha=600,
-        herbs_per_ha=3000,
-        logs_per_ha=250,
+        stems_per_ha=1000, dbh_mean_m=0.19, pine_share=0.05, spruce_share=0.85, birch_share=0.10, slope_deg=7,
+        mounds_per_ha=500, shrubs_per_ha=250, saplings_per_ha=600, herbs_per_ha=3000, logs_per_ha=250,
     ),
-}
+}  # fmt: skip
 """Forests by name: the mature mixed stand, an open heath of pines, a thicket of spruces on stony ground."""

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F64, U8, Mask
+from prc_cli.core.types import F64, U8
 from prc_cli.simulation.forest.scene import ForestScene
 
 CYLINDER_RADIUS_OF_DBH = 2.0
@@ -39,12 +39,6 @@ def reference_labels(scene: ForestScene, xyz: F64) -> U8:
         finite = np.isfinite(xyz[part]).all(axis=1)
         labels[part][finite] = _label(scene, xyz[part][finite])
     return labels
-
-
-def inside_plot(scene: ForestScene, xyz: F64, margin_m: float = 5.0) -> Mask:
-    """Return which points lie within the strip that the rows cross; the paper leaves out points beyond its plot."""
-    x = xyz[:, 0]
-    return np.asarray((x >= -margin_m) & (x <= scene.params.row_length_m + margin_m))
 
 
 def _label(scene: ForestScene, xyz: F64) -> U8:

@@ -14,7 +14,7 @@ from prc_cli.core.types import F64
 from prc_cli.simulation.forest.floor import Floor
 from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.forest.terrain import CELL_M, Purpose, Rows, Terrain, first_number, generator
-from prc_cli.simulation.forest.trees import Stand, Stems, footprints, take, tree_bodies, triangles
+from prc_cli.simulation.forest.trees import Stand, Stems, footprints, tree_bodies, triangles
 from prc_cli.simulation.world import Bodies, Material
 
 _OVERHANG_M = 6.0
@@ -34,7 +34,7 @@ class _Cell:
 
 
 class ForestScene:
-    """An endless forest with a walker's rows through it; see :class:`prc_cli.simulation.world.Scene`.
+    """An endless forest with a walker's rows through it; see :data:`prc_cli.simulation.world.BodiesNear`.
 
     It is made in square cells, each from its own random numbers, when they come into sight; those seen last are kept.
     """
@@ -60,7 +60,7 @@ class ForestScene:
         parts = []
         for cell in cells:
             far = np.hypot(cell.centre[:, 0] - x_m, cell.centre[:, 1] - y_m)
-            parts.append(take(cell.bodies, far <= radius_m + cell.reach))
+            parts.append(cell.bodies.take(far <= radius_m + cell.reach))
         return Bodies.join(parts)
 
     def stems_near(self, x_m: float, y_m: float, radius_m: float) -> Stems:

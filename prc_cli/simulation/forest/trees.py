@@ -45,18 +45,6 @@ def _bodies(shape: Shape, numbers: F64, material: Material) -> Bodies:
     )
 
 
-def take(bodies: Bodies, which: Mask) -> Bodies:
-    """Return some of the bodies, in their order."""
-    return Bodies(
-        bodies.shape[which],
-        bodies.numbers[which],
-        bodies.material[which],
-        bodies.density[which],
-        bodies.velocity[which],
-        bodies.number[which],
-    )
-
-
 def footprints(bodies: Bodies) -> tuple[F64, F64]:
     """Return a circle on the map around every body."""
     numbers = bodies.numbers
@@ -258,48 +246,18 @@ class _Habit:
 
 _HABITS = {
     Species.PINE: _Habit(
-        crown_base=(0.5, 0.7),
-        crown_radius=(0.5, 6.0),
-        tufts=6,
-        tuft_radius=0.55,
-        tuft_height=0.9,
-        leaf_density=1.1,
-        tip=0.7,
-        scatter=0.6,
-        dead=3,
-        dead_length_m=(0.3, 1.2),
-        live=4,
-        rise=(-0.1, 0.6),
+        crown_base=(0.5, 0.7), crown_radius=(0.5, 6.0), tufts=6, tuft_radius=0.55, tuft_height=0.9, leaf_density=1.1,
+        tip=0.7, scatter=0.6, dead=3, dead_length_m=(0.3, 1.2), live=4, rise=(-0.1, 0.6),
     ),
     Species.SPRUCE: _Habit(
-        crown_base=(0.08, 0.3),
-        crown_radius=(0.5, 5.0),
-        tufts=5,
-        tuft_radius=1.0,
-        tuft_height=1.0,
-        leaf_density=1.1,
-        tip=0.12,
-        scatter=0.05,
-        dead=5,
-        dead_length_m=(0.5, 1.6),
-        live=3,
-        rise=(-0.4, 0.0),
+        crown_base=(0.08, 0.3), crown_radius=(0.5, 5.0), tufts=5, tuft_radius=1.0, tuft_height=1.0, leaf_density=1.1,
+        tip=0.12, scatter=0.05, dead=5, dead_length_m=(0.5, 1.6), live=3, rise=(-0.4, 0.0),
     ),
     Species.BIRCH: _Habit(
-        crown_base=(0.3, 0.55),
-        crown_radius=(0.5, 5.5),
-        tufts=5,
-        tuft_radius=0.65,
-        tuft_height=0.9,
-        leaf_density=0.7,
-        tip=0.5,
-        scatter=0.45,
-        dead=1,
-        dead_length_m=(0.3, 0.8),
-        live=4,
-        rise=(0.4, 1.0),
+        crown_base=(0.3, 0.55), crown_radius=(0.5, 5.5), tufts=5, tuft_radius=0.65, tuft_height=0.9, leaf_density=0.7,
+        tip=0.5, scatter=0.45, dead=1, dead_length_m=(0.3, 0.8), live=4, rise=(0.4, 1.0),
     ),
-}
+}  # fmt: skip
 
 
 def tree_bodies(stems: Stems, to_path: F64, leaf_density: float, chance: np.random.Generator) -> Bodies:

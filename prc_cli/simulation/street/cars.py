@@ -51,13 +51,7 @@ def draw_model(rng: np.random.Generator, vans: float = 0.12) -> Model:
     roof, hatch = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0), u[4] < 0.6
     waist = 0.62 * roof
     rear = -half + (0.10 if hatch else 0.75)
-    deck = (
-        (-half, 0.50),
-        (-half + 0.05, waist - 0.03),
-        (half - 1.20, waist),
-        (half - 0.25, 0.72),
-        (half, 0.48),
-    )
+    deck = ((-half, 0.50), (-half + 0.05, waist - 0.03), (half - 1.20, waist), (half - 0.25, 0.72), (half, 0.48))
     cabin = (rear, rear + (0.45 if hatch else 0.75), half - 1.95, half - 1.10)
     wide = 0.875 + 0.05 * u[5]
     return Model(half, wide, 0.17 + 0.03 * u[2], tyre, (-0.60 * half, 0.64 * half), deck, cabin, roof, 0.17, True)
@@ -107,17 +101,11 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
     inner = model.wide - 0.03
     for (u0, w0), (u1, w1) in zip(model.deck[:-1], model.deck[1:], strict=True):
         corners = (u0, -inner, w0), (u1, -inner, w1), (u1, inner, w1), (u0, inner, w0)
-        a, b, c, d = (frame.at(*corner) for corner in corners)
-        pile.quad((a, b, c, d), Material.CAR_BODY)
+        pile.face(frame, corners, Material.CAR_BODY)
     for end in (-model.half, model.half):
-        places = (
-            (-model.wide, low[0][1]),
-            (model.wide, low[0][1]),
-            (inner, model.waist(end)),
-            (-inner, model.waist(end)),
-        )
-        a, b, c, d = (frame.at(end, v, w) for v, w in places)
-        pile.quad((a, b, c, d), Material.CAR_BODY)
+        foot, top = low[0][1], model.waist(end)
+        corners = (end, -model.wide, foot), (end, model.wide, foot), (end, inner, top), (end, -inner, top)
+        pile.face(frame, corners, Material.CAR_BODY)
 
 
 def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
@@ -175,13 +163,11 @@ def lorry(pile: Pile, frame: Frame, length: float) -> None:
     pile.box(frame, ((half - 1.75, half), (-wide, wide), (0.5, 1.45)), Material.CAR_BODY)
     pile.box(frame, ((half - 1.75, half - 0.15), (-wide + 0.05, wide - 0.05), (1.45, 2.55)), Material.CAR_BODY)
     corners = (half - 0.02, -1.0, 1.5), (half - 0.02, 1.0, 1.5), (half - 0.13, 1.0, 2.4), (half - 0.13, -1.0, 2.4)
-    a, b, c, d = (frame.at(*corner) for corner in corners)
-    pile.quad((a, b, c, d), Material.CAR_GLASS)
+    pile.face(frame, corners, Material.CAR_GLASS)
     for side in (-1.0, 1.0):
         v = side * (wide - 0.04)
         spots = (half - 1.3, v, 1.5), (half - 0.35, v, 1.5), (half - 0.45, v, 2.3), (half - 1.3, v, 2.3)
-        a, b, c, d = (frame.at(*spot) for spot in spots)
-        pile.quad((a, b, c, d), Material.CAR_GLASS)
+        pile.face(frame, spots, Material.CAR_GLASS)
         for axle in (-half + 1.4, half - 0.9):
             wheel = frame.at(axle, side * (wide - 0.16), 0.42)
             pile.ellipsoid(wheel, (0.42, 0.16, 0.42), frame.yaw, Material.TYRE)

@@ -161,9 +161,8 @@ def _front(pile: Pile, frame: Frame, style: Style, door: int) -> None:
         above = storey * style.storey + 0.9 if storey < style.storeys else style.top
         pile.box(frame, (inside, (0.0, deep), (head, above)), Material.WALL)
         head = above + style.window[1]
-    corners = [(inside[0], 0.0), (inside[1], 0.0), (inside[1], style.top), (inside[0], style.top)]
-    a, b, c, d = (frame.at(u, deep, w) for u, w in corners)
-    pile.quad((a, b, c, d), Material.GLASS)
+    (u0, u1), top = inside, style.top
+    pile.face(frame, ((u0, deep, 0.0), (u1, deep, 0.0), (u1, deep, top), (u0, deep, top)), Material.GLASS)
 
 
 def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
@@ -171,10 +170,9 @@ def _gable(pile: Pile, frame: Frame, style: Style, rise: float) -> None:
     half, middle, out = 0.5 * style.width + 0.02, 0.5 * style.depth, 0.4
     drop = out * rise / middle
     for eaves in (-out, style.depth + out):
-        low = style.top - drop
-        a, b = frame.at(-half, eaves, low), frame.at(half, eaves, low)
-        c, d = frame.at(half, middle, style.top + rise), frame.at(-half, middle, style.top + rise)
-        pile.quad((a, b, c, d), Material.ROOF)
+        low, high = style.top - drop, style.top + rise
+        corners = (-half, eaves, low), (half, eaves, low), (half, middle, high), (-half, middle, high)
+        pile.face(frame, corners, Material.ROOF)
     for u in (-half + 0.02, half - 0.02):
         ends = frame.at(u, 0.0, style.top), frame.at(u, style.depth, style.top)
         pile.triangle(*ends, frame.at(u, middle, style.top + rise), Material.WALL)

@@ -12,9 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from prc_cli.simulation.street import cars
-from prc_cli.simulation.street.params import StreetSceneParams
 from prc_cli.simulation.street.pile import Frame, Pile
-from prc_cli.simulation.street.plan import PIECE_M, Purpose, generator, junction_of
+from prc_cli.simulation.street.plan import PIECE_M, Purpose, StreetSceneParams, generator, junction_of
 from prc_cli.simulation.street.road import Ground, frame_at
 from prc_cli.simulation.world import Bodies, Material
 

@@ -10,17 +10,18 @@ import numpy as np
 from prc_cli.simulation.street import cars, furniture
 from prc_cli.simulation.street import furniture as trees
 from prc_cli.simulation.street.movers import person
-from prc_cli.simulation.street.params import Character, StreetSceneParams
 from prc_cli.simulation.street.pile import Frame, Pile, Span
 from prc_cli.simulation.street.plan import (
     BUILDING_LINE_M,
     PIECE_M,
     PIECES_IN_BLOCK,
     ROAD_HALF_M,
+    Character,
     Lot,
     Plan,
     Purpose,
     Side,
+    StreetSceneParams,
     character_of,
     generator,
     kerbside_of,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -72,6 +73,11 @@ class Pile:
         a, b, c, d = corners
         self.triangle(a, b, c, material)
         self.triangle(a, c, d, material)
+
+    def face(self, frame: Frame, corners: Sequence[Point], material: Material) -> None:
+        """Add a surface between four corners that are given along the axes of a frame."""
+        a, b, c, d = (frame.at(*corner) for corner in corners)
+        self.quad((a, b, c, d), material)
 
     def cone(self, ends: tuple[Point, Point], radii: Span, material: Material) -> None:
         """Add a pole, trunk or branch."""

@@ -1,14 +1,57 @@
-"""The plan of a street, piece by piece: junctions, what the stretch is like, lots, driveways and crossings."""
+"""What can be chosen about a street, and its plan, piece by piece: junctions, lots, driveways and crossings."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
-from prc_cli.simulation.street.params import CHARACTERS, Character
+from prc_cli.core.config import Params
 from prc_cli.simulation.street.pile import Span
+
+Character = Literal["residential", "terraces", "suburb", "boulevard"]
+"""What a stretch of street is like."""
+CHARACTERS: tuple[Character, ...] = ("residential", "terraces", "suburb", "boulevard")
+
+
+class StreetSceneParams(Params):
+    """A street of any length and the objects along it."""
+
+    character: Literal["mixed", "residential", "terraces", "suburb", "boulevard"] = Field(
+        "mixed", description="what the street is like; mixed = it changes along its length"
+    )
+    curves: float = Field(1.0, ge=0, le=1.5, description="factor on the curves; 0 = a straight street")
+    hills: float = Field(1.0, ge=0, le=2, description="factor on the slopes; 0 = a level street")
+    setback_m: float = Field(0.0, ge=0, le=25, description="how much farther back facades stand than usual [m]")
+    trees: float = Field(0.6, ge=0, le=1, description="share of the places for trees that have one")
+    parked: float = Field(0.7, ge=0, le=1, description="share of the parking places that are taken")
+    people: float = Field(0.5, ge=0, le=1, description="how busy the sidewalks are")
+    cars_per_km: float = Field(8.0, ge=0, le=40, description="oncoming cars on a kilometre of street [1/km]")
+    verges: float = Field(
+        0.0, ge=0, le=1, description="share of the block sides with a raised verge, edged by stones of 5 to 9 cm"
+    )
+    lowered_kerbs: float = Field(
+        0.0, ge=0, le=1, description="share of the block sides with a kerb of 3 cm, behind which cars are parked"
+    )
+    vans: float = Field(0.12, ge=0, le=1, description="share of vans among the parked cars")
+    fences: float = Field(0.0, ge=0, le=1, description="share of the gardens and yards with a close fence or a wall")
+    hedges: float = Field(0.0, ge=0, le=1, description="share of the other gardens and yards with a hedge")
+    canopies: float = Field(
+        0.0, ge=0, le=1, description="share of the street trees whose crowns reach over the road, above 45 degrees"
+    )
+    side_on: float = Field(
+        0.0, ge=0, le=1, description="share of the wide lots with cars parked along the street, 10 to 20 m from it"
+    )
+
+
+VARIED: dict[str, float] = {
+    "verges": 0.4, "lowered_kerbs": 0.4, "vans": 0.2, "fences": 0.35, "hedges": 0.35, "canopies": 0.35,
+    "side_on": 0.5, "cars_per_km": 20.0,
+}  # fmt: skip
+"""Parameters of a street with something of everything that the sequential-angle method is known to mistake."""
 
 PIECE_M = 30.0
 """Length of a piece [m]."""
@@ -134,14 +177,8 @@ def plan_of(seed: int, piece: int, choice: str, setback_m: float = 0.0) -> Plan:
         # its ramps end where the curb begins to bend
         end = junction.bend[1] + DROP_M if early else junction.bend[0] - DROP_M - 2.5
         crossing = (end, end + 2.5)
-    left, right = (
-        _set_back(_side(seed, piece, side, character, junction, crossing), setback_m) for side in (1, -1)
-    )  # fmt: skip
+    left, right = (_side(seed, piece, side, character, junction, crossing, setback_m) for side in (1, -1))
     return Plan(piece, start, character, junction, crossing, (left, right))
-
-
-def _set_back(side: Side, by_m: float) -> Side:
-    return replace(side, lots=tuple(replace(lot, setback=lot.setback + by_m) for lot in side.lots))
 
 
 def junction_of(seed: int, piece: int) -> Junction | None:
@@ -158,8 +195,9 @@ def _border(seed: int, piece: int, side: int) -> float:
 
 
 def _side(
-    seed: int, piece: int, side: int, character: Character, junction: Junction | None, crossing: Span | None
-) -> Side:
+    seed: int, piece: int, side: int, character: Character, junction: Junction | None, crossing: Span | None,
+    setback_m: float,
+) -> Side:  # fmt: skip
     rng = generator(seed, Purpose.LOTS, piece, side)
     low, high = _border(seed, piece, side), _border(seed, piece + 1, side)
     own = junction if junction is not None and junction.on(side) else None
@@ -174,8 +212,9 @@ def _side(
     start = piece * PIECE_M
     dropped = [d for d in dropped if d[0] > start + 0.9 and d[1] < start + PIECE_M - 0.9]
     kept = tuple(
-        lot if lot.driveway in dropped else Lot(lot.span, lot.kind, lot.setback, None) for lot in lots
-    )  # fmt: skip
+        Lot(lot.span, lot.kind, lot.setback + setback_m, lot.driveway if lot.driveway in dropped else None)
+        for lot in lots
+    )
     return Side(side, own, kept, tuple(sorted(dropped)))
 
 

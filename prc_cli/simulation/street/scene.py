@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from dataclasses import fields
-from threading import Lock
+from functools import lru_cache
+from threading import RLock
 
 import numpy as np
 
-from prc_cli.core.types import F64, Mask
+from prc_cli.core.types import F64
 from prc_cli.simulation.street.houses import build_houses
 from prc_cli.simulation.street.movers import Movers
-from prc_cli.simulation.street.params import StreetSceneParams
 from prc_cli.simulation.street.pieces import build_kerbs, kerbsides
 from prc_cli.simulation.street.pile import Pile, outlines
-from prc_cli.simulation.street.plan import PIECE_M, Purpose, generator, plan_of
+from prc_cli.simulation.street.plan import PIECE_M, Purpose, StreetSceneParams, generator, plan_of
 from prc_cli.simulation.street.road import LANE_M, Centreline, Ground
 from prc_cli.simulation.world import Bodies
 
@@ -42,8 +40,9 @@ class StreetScene:
         self.line = Centreline(rng, self.params.curves, self.params.hills)
         self.ground = Ground(self.line, rng.uniform(0.11, 0.14))
         self._movers = Movers(self.ground, seed, self.params)
-        self._pieces: OrderedDict[int, tuple[Bodies, F64]] = OrderedDict()
-        self._lock = Lock()
+        self._piece = lru_cache(_KEPT_PIECES)(self._make)
+        # threads ask for the same pieces at the same time, and a cache alone would have each of them make its own
+        self._lock = RLock()
 
     def path_point(self, s_m: F64) -> tuple[F64, F64]:
         """Return the ground under the platform."""
@@ -52,40 +51,26 @@ class StreetScene:
         return np.column_stack([self.line.lane(s), z]), self.line.heading(s)
 
     def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
-        """Return the bodies that have a part within a circle; see :class:`prc_cli.simulation.world.Scene`."""
+        """Return the bodies that have a part within a circle; see :data:`prc_cli.simulation.world.BodiesNear`."""
         middle = self.line.nearest(x_m, y_m)
         # lines of equal s converge on the inner side of a curve, where bodies are nearer than s tells
         reach = 1.35 * radius_m + _REACH_M
         first, last = (int(np.floor((middle + way) / PIECE_M)) for way in (-reach, reach))
         parts = []
         for number in range(first, last + 1):
-            bodies, bounds = self._piece(number)
+            with self._lock:
+                bodies, bounds = self._piece(number)
             gap_x = np.maximum(np.maximum(bounds[:, 0] - x_m, x_m - bounds[:, 2]), 0.0)
             gap_y = np.maximum(np.maximum(bounds[:, 1] - y_m, y_m - bounds[:, 3]), 0.0)
-            parts.append(_part(bodies, gap_x**2 + gap_y**2 <= radius_m**2))
+            parts.append(bodies.take(gap_x**2 + gap_y**2 <= radius_m**2))
         return Bodies.join(parts + self._movers.near(middle, 1.2 * radius_m + 10.0, time_s))
 
-    def _piece(self, number: int) -> tuple[Bodies, F64]:
-        """Bodies of a piece and their bounds in plan."""
-        with self._lock:
-            known = self._pieces.get(number)
-            if known is None:
-                bodies = self._make(number)
-                known = self._pieces[number] = bodies, outlines(bodies)
-                if len(self._pieces) > _KEPT_PIECES:
-                    self._pieces.popitem(last=False)
-            else:
-                self._pieces.move_to_end(number)
-        return known
-
-    def _make(self, number: int) -> Bodies:
+    def _make(self, number: int) -> tuple[Bodies, F64]:
+        """Return the bodies of a piece and their bounds in plan."""
         pile = Pile((number + _FIRST / _NUMBERS) * _NUMBERS)
         plan = plan_of(self.seed, number, self.params.character, self.params.setback_m)
         self.ground.lay(pile, plan, kerbsides(plan, self.params, self.seed))
         build_houses(pile, self.ground, plan, self.seed)
         build_kerbs(pile, self.ground, plan, self.params, self.seed)
-        return pile.bodies()
-
-
-def _part(bodies: Bodies, kept: Mask) -> Bodies:
-    return Bodies(*(getattr(bodies, f.name)[kept] for f in fields(bodies)))
+        bodies = pile.bodies()
+        return bodies, outlines(bodies)

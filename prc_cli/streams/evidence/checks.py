@@ -1,7 +1,4 @@
-"""Asks all checks of what was seen of a stream.
-
-``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use the names of the table.
-"""
+"""Asks all checks of what was seen of a stream, and those of its ranges and counts."""
 
 from __future__ import annotations
 
@@ -10,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
+from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F32
 from prc_cli.formats.ranges import KEY
-from prc_cli.streams.evidence.figures import figures_of, most_turned
-from prc_cli.streams.evidence.geometry import GEOMETRY_CHECKS, check_angle_step, check_down, check_height
+from prc_cli.streams.evidence.figures import Seen, figures_of, most_turned
+from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
     check_columns_along,
     check_dropouts,
@@ -24,9 +21,7 @@ from prc_cli.streams.evidence.lines import (
     check_noise,
     check_shot_order,
 )
-from prc_cli.streams.evidence.result import RESULT_CHECKS
-from prc_cli.streams.evidence.seen import Seen
-from prc_cli.streams.evidence.table import INPUT_CHECKS, Check
+from prc_cli.streams.evidence.table import verdict
 
 MANY = 0.01
 """Share of records that are lost or meet before doubt begins."""
@@ -76,7 +71,9 @@ def check_collisions(seen: Seen) -> Finding | None:
     if of_rings:
         hint = "one frame a file; or give the angle between lines: --set input.azimuth_step=DEGREES"
     many = MANY_OF_RINGS if of_rings else MANY
-    return Finding("collisions", _by_share(share, many), found, f"at most {many:.0%}", hint)
+    return Finding(
+        "collisions", verdict(doubtful=share > many, against=share > MOST), found, f"at most {many:.0%}", hint
+    )
 
 
 def check_unplaced(seen: Seen) -> Finding | None:
@@ -86,7 +83,7 @@ def check_unplaced(seen: Seen) -> Finding | None:
         return None
     found = f"{share:.1%} of the records found no cell and stay unclassified"
     hint = "check --lines, --columns and -M; a recording that was begun anew: split the file there"
-    return Finding("unplaced", _by_share(share), found, f"at most {MANY:.0%}", hint)
+    return Finding("unplaced", verdict(doubtful=share > MANY, against=share > MOST), found, f"at most {MANY:.0%}", hint)
 
 
 def check_left_out(seen: Seen) -> Finding | None:
@@ -100,17 +97,12 @@ def check_left_out(seen: Seen) -> Finding | None:
         return None
     found = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
     hint = "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, or angle if fine enough"
-    verdict = Verdict.DOUBTFUL if share > MANY else Verdict.FINE
-    return Finding("left-out", verdict, found, f"at most {MANY:.0%}", hint)
+    return Finding("left-out", verdict(doubtful=share > MANY), found, f"at most {MANY:.0%}", hint)
 
 
 def _share(seen: Seen, count: int) -> float | None:
     n_records = seen.tally.n_records or seen.n_shots
     return count / n_records if n_records >= LEAST_RECORDS else None
-
-
-def _by_share(share: float, many: float = MANY) -> Verdict:
-    return Verdict.AGAINST if share > MOST else Verdict.DOUBTFUL if share > many else Verdict.FINE
 
 
 def check_returns(seen: Seen) -> Finding | None:
@@ -120,8 +112,7 @@ def check_returns(seen: Seen) -> Finding | None:
     share = 1 - seen.n_missing / seen.n_shots
     found = f"{share:.2%} of the shots have a range"
     hint = "check --range, --max-range, the layout, and --columns and -M"
-    verdict = Verdict.DOUBTFUL if share < LEAST_RETURNS else Verdict.FINE
-    return Finding("returns", verdict, found, f"at least {LEAST_RETURNS:.0%}", hint)
+    return Finding("returns", verdict(doubtful=share < LEAST_RETURNS), found, f"at least {LEAST_RETURNS:.0%}", hint)
 
 
 def check_other_readers(seen: Seen) -> Finding | None:
@@ -145,8 +136,9 @@ def check_missing_code(seen: Seen) -> Finding | None:
     is_code = CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
     option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
     hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
-    verdict = Verdict.DOUBTFUL if is_code else Verdict.FINE
-    return Finding("missing-code", verdict, found, f"at most {CODED:.0%}", hint, option if is_code else "")
+    return Finding(
+        "missing-code", verdict(doubtful=is_code), found, f"at most {CODED:.0%}", hint, option if is_code else ""
+    )
 
 
 def _known_ranges(seen: Seen) -> F32:
@@ -169,9 +161,10 @@ def check_rounding(seen: Seen) -> Finding | None:
     off = known / step - np.round(known / step)
     is_rounded = np.isfinite(step) and float(np.mean(np.abs(off) < 0.02)) > ALL_ROUNDED
     found = f"all ranges are multiples of {step:.3g} m" if is_rounded else "the ranges are finer than any threshold"
-    verdict = Verdict.DOUBTFUL if is_rounded and step > COARSE_M else Verdict.FINE
     hint = "take the ranges from a file that was not rounded; check the scale of the layout"
-    return Finding("rounding", verdict, found, f"steps of at most {COARSE_M:g} m", hint)
+    return Finding(
+        "rounding", verdict(doubtful=is_rounded and step > COARSE_M), found, f"steps of at most {COARSE_M:g} m", hint
+    )
 
 
 def check_ranges(seen: Seen) -> Finding | None:
@@ -186,16 +179,10 @@ def check_ranges(seen: Seen) -> Finding | None:
     for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
         if not LEAST_MEDIAN_M <= median <= HIGH_M and LEAST_MEDIAN_M <= scale * median <= HIGH_M:
             hint = f"if they are {unit}: --set {KEY}={scale:g}; else {hint}"
-    if not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST:
-        return Finding("ranges", Verdict.AGAINST, found, expected, hint)
-    verdict = Verdict.DOUBTFUL if far > COUNTED or median > HIGH_M else Verdict.FINE
-    return Finding("ranges", verdict, found, expected, hint)
+    is_against = not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST
+    is_doubtful = far > COUNTED or median > HIGH_M
+    return Finding("ranges", verdict(doubtful=is_doubtful, against=is_against), found, expected, hint)
 
-
-CHECKS: tuple[Check, ...] = tuple(
-    sorted((*INPUT_CHECKS, *GEOMETRY_CHECKS, *RESULT_CHECKS), key=lambda one: CHECK_NAMES.index(one.name))
-)
-"""All checks, in the order in which they are reported."""
 
 BY_PLACE = ("units", "down", "angle-step")
 """Checks that a wrong trajectory fails first of all."""

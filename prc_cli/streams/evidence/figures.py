@@ -1,4 +1,4 @@
-"""Figures of a sample of lines: how alike neighbouring shots and neighbouring lines are.
+"""What is seen of a stream: a sample of its lines, and how alike neighbouring shots and neighbouring lines are.
 
 Likeness is the median difference of the logarithms of two ranges, so that near and far surfaces count alike: 0 = equal,
 about 0.5 to 1 for ranges picked at random from a street or a forest.
@@ -6,14 +6,15 @@ about 0.5 to 1 for ranges picked at random from a street or a forest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.stream import ScanBlock
+from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, Mask
 
 N_WINDOWS = 8
@@ -36,24 +37,13 @@ class Window:
 
 
 def lines_of_window(points_per_line: int) -> int:
-    """Return the number of lines of a window.
-
-    >>> lines_of_window(2154), lines_of_window(16), lines_of_window(1 << 22)
-    (60, 4096, 1)
-    """
+    """Return the number of lines of a window."""
     usual = min(max(WINDOW_SHOTS // points_per_line, LEAST_LINES), MOST_LINES)
     return max(min(usual, MOST_SHOTS // points_per_line), 1)
 
 
 class LineSample:
-    """Collects the windows of one scanner.
-
-    >>> sample = LineSample(1000)
-    >>> for first in range(0, 10_000, 500):
-    ...     sample.add(ScanBlock(first, np.full((500, 1000), first, np.float32)))
-    >>> [window.first_line for window in sample.windows()]
-    [0, 2096, 4192, 6288, 8384]
-    """
+    """Collects the windows of one scanner."""
 
     def __init__(self, points_per_line: int) -> None:
         self._points_per_line = points_per_line
@@ -139,8 +129,6 @@ class Figures:
     """Of a line and the 1st to 4th line after it, in the same column."""
     reversed_line: float
     """Of a line and the next one, turned round."""
-    far_line: float
-    """Of lines far from each other, in the same column."""
     moved: tuple[float, float]
     """The least of the tenth that is least alike, of neighbouring lines and of lines far from each other."""
     noise_m: float
@@ -173,15 +161,9 @@ def middle(values: Iterable[float]) -> float:
 
 
 def figures_of(windows: tuple[Window, ...]) -> Figures:
-    """Measure a sample of lines.
-
-    >>> line = np.linspace(5, 50, 2000, dtype=np.float32)
-    >>> found = figures_of((Window(0, np.tile(line, (32, 1))),))
-    >>> found.line[0], 0 < found.shot[0] < found.shot[1] < found.random
-    (0.0, True)
-    """
+    """Measure a sample of lines."""
     logs = [np.log(rows) for rows in spread(windows)]
-    by_lag = [middle(_line_likeness(rows, lag) for rows in logs) for lag in range(1, LINE_LAGS + 1)]
+    by_lag = [middle(likeness(rows[:-lag], rows[lag:]) for rows in logs) for lag in range(1, LINE_LAGS + 1)]
     half = len(logs) // 2
     opposite = zip(logs[: len(logs) - half], logs[half:], strict=True)
     pairs = [(a[: len(b)], b[: len(a)]) for a, b in opposite if a is not b]
@@ -192,13 +174,12 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
         shot=(middle(_shot_likeness(rows, 1) for rows in logs), middle(_shot_likeness(rows, 2) for rows in logs)),
         line=tuple(by_lag),
         reversed_line=middle(likeness(rows[:-1], rows[1:, ::-1]) for rows in logs),
-        far_line=middle(likeness(a, b) for a, b in pairs),
         moved=(
             middle(likeness(rows[:-1], rows[1:], MOVED) for rows in logs),
             middle(likeness(a, b, MOVED) for a, b in pairs),
         ),
         noise_m=middle(_noise(window) for window in spread(windows)),
-        roughness=middle(_roughness(rows) for rows in logs),
+        roughness=middle(likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2) for rows in logs),
         again=middle(_again(rows) for rows in logs),
         lonely_missing=sum(lonely for lonely, _ in missing) / n_between if n_between else float("nan"),
         n_between=n_between,
@@ -213,17 +194,11 @@ def spread(windows: tuple[Window, ...]) -> list[F32]:
     runs = []
     for rows in chosen:
         length = max(len(rows) // each, 2 * LINE_LAGS)
-        runs += [rows[i : i + min(length, _rows(rows) + LINE_LAGS)] for i in range(0, len(rows), length)]
+        runs += [
+            rows[i : i + min(length, max(SHOTS_EACH // rows.shape[1], LINE_LAGS) + LINE_LAGS)]
+            for i in range(0, len(rows), length)
+        ]
     return [rows for rows in runs if len(rows) > LINE_LAGS]
-
-
-def _rows(range_m: F32) -> int:
-    n: int = SHOTS_EACH // range_m.shape[1]
-    return max(n, LINE_LAGS)
-
-
-def _line_likeness(rows: F32, lag: int) -> float:
-    return likeness(rows[:-lag], rows[lag:])
 
 
 def _shot_likeness(rows: F32, lag: int) -> float:
@@ -246,10 +221,6 @@ def _random_likeness(rows: F32) -> float:
     if len(known) < LEAST_PAIRS:
         return float("nan")
     return likeness(known, np.random.default_rng(_SEED).permutation(known))
-
-
-def _roughness(rows: F32) -> float:
-    return likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2)
 
 
 def _again(rows: F32) -> float:
@@ -411,3 +382,31 @@ def _profile_off(first: F64, second: F64) -> float:
         return float("nan")
     off = np.abs(first[known] - second[known])
     return float(np.minimum(np.where(np.isfinite(off), off, MISSING_OFF), MISSING_OFF).mean())
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """One scanner of a stream, as far as it was read."""
+
+    info: StreamInfo
+    scanner: int
+    windows: tuple[Window, ...]
+    """Lines spread over what was read, in order."""
+    n_lines: int = 0
+    n_shots: int = 0
+    """Cells read of all scanners, missing shots included."""
+    n_missing: int = 0
+    """Of all scanners."""
+    tally: ReadTally = field(default_factory=ReadTally)
+    """Counts of the reader, of all scanners."""
+    angle_rad: F64 | None = None
+    """(M,) float64, scan angle of every column [rad]; None = unknown."""
+    beam_rad: F64 | None = None
+    """(M,) float64, angle of every column from straight down as it is used [rad]; None = unknown or not needed."""
+    most_noise_m: float = math.inf
+    """Most range noise that the method stands [m]."""
+
+    @property
+    def points_per_line(self) -> int:
+        """M, shots in a scan line."""
+        return self.windows[0].range_m.shape[1] if self.windows else self.info.points_per_line

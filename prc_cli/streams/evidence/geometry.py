@@ -18,8 +18,8 @@ from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import measure_step
 from prc_cli.streams.angles import are_radians
 from prc_cli.streams.down import MOST_LINES, DownGuess, guess_down, spread_rows, wrap
-from prc_cli.streams.evidence.seen import Seen
-from prc_cli.streams.evidence.table import Check
+from prc_cli.streams.evidence.figures import Seen
+from prc_cli.streams.evidence.table import verdict
 
 DOWN, ANGLE_STEP, UNITS = "down", "angle-step", "units"
 """Names of the checks."""
@@ -57,7 +57,8 @@ MOST_OFF = 0.03
 costs fused .02 of the mean F1 of streets, one of 20 % .11, in forests .43 (``python -m benchmarks.angles``)."""
 
 USUAL_M = 2.0
-"""Scans are scaled to this depth, so that planes are found in any unit."""
+"""Scans are scaled to this depth, so that planes are found in any unit; of the units that are possible, the one that
+brings the scanner nearest to this height is offered."""
 LOW_M, HIGH_M = 0.4, 5.0
 BLIND_LOW_M, BLIND_HIGH_M = 0.3, 6.0
 LOWEST_M, HIGHEST_M = 0.1, 50.0
@@ -66,18 +67,7 @@ makes the depth larger; outside the third against."""
 
 
 def check_down(seen: Seen) -> Finding | None:
-    """Compare straight down as it is used with what the ranges show.
-
-    >>> from dataclasses import replace
-    >>> from prc_cli.core.stream import StreamInfo
-    >>> from prc_cli.streams.evidence.figures import Window
-    >>> beam = np.deg2rad(np.arange(-180.0, 180.0))
-    >>> line = np.where(np.cos(beam) > 0.3, 2 / np.maximum(np.cos(beam), 0.3), np.nan).astype(np.float32)
-    >>> window = Window(0, np.tile(line, (20, 1)))
-    >>> seen = Seen(StreamInfo("a.npy", "array", 360, None, None), 0, (window,), beam_rad=beam)
-    >>> check_down(seen).verdict.name, check_down(replace(seen, beam_rad=wrap(beam + 0.3))).verdict.name
-    ('FINE', 'DOUBTFUL')
-    """
+    """Compare straight down as it is used with what the ranges show."""
     if seen.beam_rad is None:
         return None
     lines = _lines(seen)
@@ -94,19 +84,13 @@ def check_down(seen: Seen) -> Finding | None:
         return Finding(DOWN, Verdict.FINE, f"the ranges do not tell where level ground is ({_shown(guess)})", expected)
     off = abs(math.remainder(guess.down_rad, 2 * math.pi))
     found = f"level ground is {math.degrees(off):.0f} deg from straight down ({_shown(guess)})"
-    verdict = _verdict(is_doubtful=off > DOWN_DOUBTFUL_RAD, is_against=off > DOWN_AGAINST_RAD)
-    hint = f"give input.nadir, or {_corrected(seen, guess)}" if verdict else ""
-    if not verdict and (n_off := _n_elsewhere(seen, seen.beam_rad, scale)):
-        verdict = Verdict.DOUBTFUL
+    told = verdict(doubtful=off > DOWN_DOUBTFUL_RAD, against=off > DOWN_AGAINST_RAD)
+    hint = f"give input.nadir, or {_corrected(seen, guess)}" if told else ""
+    if not told and (n_off := _n_elsewhere(seen, seen.beam_rad, scale)):
+        told = Verdict.DOUBTFUL
         found = f"level ground is elsewhere in {n_off} of {len(seen.windows)} samples along the drive"
         hint = "check whether the scanner was moved, or parts of the file are of another scanner"
-    return Finding(DOWN, verdict, found, expected, hint)
-
-
-def _verdict(*, is_doubtful: bool, is_against: bool) -> Verdict:
-    if is_against:
-        return Verdict.AGAINST
-    return Verdict.DOUBTFUL if is_doubtful else Verdict.FINE
+    return Finding(DOWN, told, found, expected, hint)
 
 
 def _shown(guess: DownGuess) -> str:
@@ -140,16 +124,7 @@ def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
 
 
 def check_angle_step(seen: Seen) -> Finding | None:
-    """Compare the angle between shots with the one that planes show; doubt a measured one that is uncertain.
-
-    >>> from prc_cli.core.stream import StreamInfo
-    >>> from prc_cli.streams.evidence.figures import Window
-    >>> beam = np.deg2rad(np.arange(-60.0, 60.0, 0.25))
-    >>> windows = (Window(0, np.tile(2 / np.cos(beam), (40, 1)).astype(np.float32)),)
-    >>> info = StreamInfo("a.npy", "array", 480, None, None)
-    >>> [check_angle_step(Seen(info, 0, windows, beam_rad=k * beam)).verdict.name for k in (1.0, 0.9, 0.5)]
-    ['FINE', 'DOUBTFUL', 'AGAINST']
-    """
+    """Compare the angle between shots with the one that planes show; doubt a measured one that is uncertain."""
     if seen.angle_rad is not None and are_radians(seen.angle_rad):
         found = f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
         hint = "if they are radians, name them angle_rad"
@@ -168,12 +143,12 @@ def check_angle_step(seen: Seen) -> Finding | None:
         return None
     factor = measured.step_rad / step_rad
     is_doubtful = abs(factor - 1.0) > max(MOST_DOUBTLESS, SURE * measured.off)
-    verdict = _verdict(is_doubtful=is_doubtful, is_against=is_doubtful and not 1 / FAR_FACTOR < factor < FAR_FACTOR)
+    told = verdict(doubtful=is_doubtful, against=is_doubtful and not 1 / FAR_FACTOR < factor < FAR_FACTOR)
     found = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use"
     shown = f"{math.degrees(measured.step_rad):.4g} deg, known to {measured.off:.1%}"
-    hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M" if verdict else ""
+    hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M" if told else ""
     expected = f"{1 - MOST_DOUBTLESS:g} to {1 + MOST_DOUBTLESS:g}"
-    return Finding(ANGLE_STEP, verdict, f"{found} ({shown})", expected, hint)
+    return Finding(ANGLE_STEP, told, f"{found} ({shown})", expected, hint)
 
 
 def _even_step(beam_rad: F64) -> float | None:
@@ -188,8 +163,6 @@ def _even_step(beam_rad: F64) -> float | None:
 
 UNITS_M = (0.001, 0.01, 0.3048, 1000.0)
 """Units that ranges are stored in by mistake [m]."""
-USUAL_M = 2.0
-"""Of the units that are possible, the one that brings the scanner nearest to this height is offered [m]."""
 
 
 def check_height(seen: Seen) -> Finding | None:
@@ -214,15 +187,13 @@ def check_height(seen: Seen) -> Finding | None:
         return None
     depth = guess.depth_m / scale * seen.info.down(seen.scanner)[1]
     is_usual, is_possible = low <= depth <= high, LOWEST_M <= depth <= HIGHEST_M
-    verdict = _verdict(is_doubtful=not is_usual, is_against=not is_possible)
+    told = verdict(doubtful=not is_usual, against=not is_possible)
     found = f"the scanner is {depth:.3g} m above the ground"
-    scales = [scale for scale in UNITS_M if low <= scale * depth <= high] if verdict else []
+    scales = [scale for scale in UNITS_M if low <= scale * depth <= high] if told else []
     best = min(scales, key=lambda scale: abs(math.log(scale * depth / USUAL_M)), default=None)
     option = f"--set input.range_scale={best:g}" if best else ""
-    hint = (
-        f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}" if verdict else ""
-    )
-    return Finding(UNITS, verdict, found, f"{low:g} to {high:g} m", hint, option)
+    hint = f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}" if told else ""
+    return Finding(UNITS, told, found, f"{low:g} to {high:g} m", hint, option)
 
 
 def _lines(seen: Seen) -> F32:
@@ -249,38 +220,3 @@ def _scale(beam_rad: F64, range_m: F32) -> float:
     depth = depth[np.isfinite(depth)]
     # within what float32 holds, whatever the ranges are
     return float(np.clip(USUAL_M / np.median(depth), 1e-6, 1e6)) if len(depth) else 1.0
-
-
-GEOMETRY_CHECKS: tuple[Check, ...] = (
-    Check(
-        UNITS,
-        "Is the scanner as high above the ground as platforms are?",
-        "Doubtful below 0.4 m and above 5 m, where down is not known below 0.3 m and above 6 m; refused below 0.1 m "
-        "and above 50 m",
-        "Scanners stand 0.6 m (robots) to 4 m (trucks, trains) high. A street in feet is 6.6 to 13 m deep in 22 scans, "
-        "ranges in centimetres or millimetres hundreds",
-        "Scans without level ground; feet taken for metres where the scanner is lower than 1.5 m.",
-    ),
-    Check(
-        ANGLE_STEP,
-        "Do planes show the angle from shot to shot that is in use?",
-        "Doubtful where the ranges show a step that is off by more than 8 % and three times its uncertainty; refused "
-        "from 1.6 times, and where 180 columns or more span 1.6 to 6.3 deg (radians). Angles that were measured from "
-        "the ranges are doubtful where they are known less well than to 3 %",
-        "Of 64 lines the step is up to 6 % off. In 46 windows of 23 scans none was doubted wrongly, nine tenths of the "
-        "step were doubted in 39, half of it was refused in 42, and nothing was said in 4",
-        "Scans of few planes, lines of fewer than 160 shots, beams that are not even.",
-    ),
-    Check(
-        DOWN,
-        "Is level ground where straight down is said to be?",
-        "Where the ranges tell for sure: doubtful from 11 deg, refused from 20 deg; doubtful where samples along the "
-        "drive look elsewhere",
-        "The guess is off by up to 2 deg in streets, and 9.6 deg in forests. Down told wrongly by 15 deg was noticed "
-        "in "
-        "312 of 316 drives, by 45 and 180 deg in all",
-        "Cross slopes of more than 11 deg look like a wrong down. Scans without level ground are not judged, nor are "
-        "scanners that do not look down.",
-    ),
-)
-"""Checks of the geometry, for the page "How prc knows"."""

@@ -18,9 +18,19 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, U64
 from prc_cli.formats.registry import is_dump
-from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold, lag_likeness, likeness
+from prc_cli.streams.evidence.figures import (
+    LEAST_PAIRS,
+    SMOOTH,
+    TURNED,
+    Figures,
+    Seen,
+    Turned,
+    fold,
+    lag_likeness,
+    likeness,
+)
 from prc_cli.streams.evidence.periods import WEAK_PERIOD, estimate_points_per_line
-from prc_cli.streams.evidence.seen import Seen
+from prc_cli.streams.evidence.table import verdict
 
 COLUMNS = 64
 """Columns that stand for a line, even over it."""
@@ -51,14 +61,7 @@ def digests(block: ScanBlock) -> U64:
 
 
 class LineRepeats:
-    """Counts lines that come again, in bounded memory.
-
-    >>> repeats, lines = LineRepeats(), np.random.default_rng(1).random((40, 100), np.float32)
-    >>> repeats.add(ScanBlock(0, lines))
-    >>> repeats.add(ScanBlock(40, lines[:10]))
-    >>> repeats.n_repeated
-    10
-    """
+    """Counts lines that come again, in bounded memory."""
 
     def __init__(self) -> None:
         self._times: dict[int, int] = {}
@@ -85,10 +88,9 @@ class LineRepeats:
 def check_repeats(repeats: LineRepeats) -> Finding:
     """Ask whether lines come twice."""
     n = repeats.n_repeated
-    verdict = Verdict.DOUBTFUL if n >= LEAST_REPEATED else Verdict.FINE
     found = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
     hint = "leave out the part that is there twice"
-    return Finding("repeated-lines", verdict, found, f"fewer than {LEAST_REPEATED}", hint)
+    return Finding("repeated-lines", verdict(doubtful=n >= LEAST_REPEATED), found, f"fewer than {LEAST_REPEATED}", hint)
 
 
 MISREAD_CHECKS = ("ranges", "shot-order")
@@ -285,10 +287,8 @@ def check_shot_order(figures: Figures) -> Finding | None:
         found = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
         hint = "two scanners or several returns alternate: split them with --scanner, or give the return number"
         return Finding(name, Verdict.AGAINST, found, "neighbours more alike than others", hint)
-    verdict = (
-        Verdict.AGAINST if ratio >= ORDER_AGAINST else Verdict.DOUBTFUL if ratio >= ORDER_DOUBTFUL else Verdict.FINE
-    )
-    return Finding(name, verdict, found, expected, _ORDER_HINT)
+    told = verdict(doubtful=ratio >= ORDER_DOUBTFUL, against=ratio >= ORDER_AGAINST)
+    return Finding(name, told, found, expected, _ORDER_HINT)
 
 
 def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Finding | None:
@@ -329,18 +329,17 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         better = _next_alike(seen, list(folded)) or better
     if better != m and gain >= (FOLD_DOUBTFUL if is_long else FOLD_SHORT):
         found = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
-        verdict = Verdict.AGAINST if gain >= FOLD_AGAINST and is_long else Verdict.DOUBTFUL
+        told = verdict(doubtful=True, against=gain >= FOLD_AGAINST and is_long)
         expected = f"no length that agrees better by {FOLD_DOUBTFUL:g}"
-        return Finding(name, verdict, found, expected, f"give -M {better}", f"-M {better}")
+        return Finding(name, told, found, expected, f"give -M {better}", f"-M {better}")
     hint = "check -M and --lines, and whether lines and columns are exchanged"
     if folded[m] > FOLD_RANDOM:
         found = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
-        verdict = Verdict.AGAINST if folded[m] > FOLD_NOTHING else Verdict.DOUBTFUL
-        return Finding(name, verdict, found, f"at most {FOLD_RANDOM:g}", hint)
+        told = verdict(doubtful=True, against=folded[m] > FOLD_NOTHING)
+        return Finding(name, told, found, f"at most {FOLD_RANDOM:g}", hint)
     found, expected = f"neighbouring lines differ {ratio:.2g} times as much as random shots", f"below {LINE_DOUBTFUL:g}"
-    if ratio >= LINE_DOUBTFUL:
-        return Finding(name, Verdict.AGAINST if ratio >= LINE_AGAINST else Verdict.DOUBTFUL, found, expected, hint)
-    return Finding(name, Verdict.FINE, found, expected)
+    told = verdict(doubtful=ratio >= LINE_DOUBTFUL, against=ratio >= LINE_AGAINST)
+    return Finding(name, told, found, expected, hint if told else "")
 
 
 def _is_fan(seen: Seen) -> bool:
@@ -379,8 +378,8 @@ def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
     n_shots = round(abs(turned.share) * seen.points_per_line)
     found = f"before line {turned.line} all columns shift by {n_shots} shots ({turned.gain:.2g} times the difference)"
     hint = "shots were lost or added there: split the file, or restore them"
-    verdict = Verdict.AGAINST if turned.gain < TURNED_AGAINST else Verdict.DOUBTFUL
-    return Finding("columns-along", verdict, found, expected, hint)
+    told = verdict(doubtful=True, against=turned.gain < TURNED_AGAINST)
+    return Finding("columns-along", told, found, expected, hint)
 
 
 def check_noise(seen: Seen, figures: Figures) -> Finding | None:
@@ -389,8 +388,8 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
         return None
     found = f"ranges have noise of about {figures.noise_m:.3f} m"
     hint = "the thresholds of this method are for less: widen them (prc calibrate), or take another method"
-    verdict = Verdict.DOUBTFUL if figures.noise_m > seen.most_noise_m else Verdict.FINE
-    return Finding("range-noise", verdict, found, f"at most {seen.most_noise_m:g} m", hint)
+    told = verdict(doubtful=figures.noise_m > seen.most_noise_m)
+    return Finding("range-noise", told, found, f"at most {seen.most_noise_m:g} m", hint)
 
 
 def _repeating(period: int, m: int) -> Finding:
@@ -472,10 +471,10 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
         doubtful = ratio < MOVED_SAME and seen.n_lines >= STANDING_LINES
         expected = f"{expected} in {STANDING_LINES} lines or more"
         hint = "the platform stands: cut such stretches out, or accept them"
-        return Finding("standing", Verdict.DOUBTFUL if doubtful else Verdict.FINE, found, expected, hint)
+        return Finding("standing", verdict(doubtful=doubtful), found, expected, hint)
     hint = "put the lines into the order in which they were scanned"
-    verdict = Verdict.AGAINST if ratio < MOVED_AGAINST else Verdict.DOUBTFUL if ratio < MOVED_SAME else Verdict.FINE
-    return Finding("line-order", verdict, found, expected, hint)
+    told = verdict(doubtful=ratio < MOVED_SAME, against=ratio < MOVED_AGAINST)
+    return Finding("line-order", told, found, expected, hint)
 
 
 def check_dropouts(figures: Figures) -> Finding | None:
@@ -484,5 +483,5 @@ def check_dropouts(figures: Figures) -> Finding | None:
         return None
     found = f"{figures.lonely_missing:.1%} of the shots amid smooth surfaces are missing"
     hint = "check whether records were lost or filtered out; isolated gaps cost classes at their edges"
-    verdict = Verdict.DOUBTFUL if figures.lonely_missing > LONELY else Verdict.FINE
-    return Finding("dropouts", verdict, found, f"at most {LONELY:.1%}", hint)
+    told = verdict(doubtful=figures.lonely_missing > LONELY)
+    return Finding("dropouts", told, found, f"at most {LONELY:.1%}", hint)

@@ -153,11 +153,7 @@ def _refine(correlation: F64, period: int) -> int:
 
 
 def first_times(time_s: F64) -> F64:
-    """Return the first known time of every line.
-
-    >>> first_times(np.array([[np.nan, 1.5, 1.6], [np.nan, np.nan, np.nan]])).tolist()
-    [1.5, nan]
-    """
+    """Return the first known time of every line."""
     known = np.isfinite(time_s)
     values = time_s[np.arange(len(time_s)), np.argmax(known, axis=1)]
     found: F64 = np.where(known.any(axis=1), values, np.nan)
@@ -165,11 +161,7 @@ def first_times(time_s: F64) -> F64:
 
 
 def estimate_line_frequency(time_s: F64) -> float | None:
-    """Estimate the scan lines a second from the times at which lines begin.
-
-    >>> estimate_line_frequency(np.array([0.0, 0.02, 0.04, 0.08, 0.10]))
-    50.0
-    """
+    """Estimate the scan lines a second from the times at which lines begin."""
     steps = np.diff(time_s[np.isfinite(time_s)])
     steps = steps[steps > 0]
     if len(steps) < 2:
@@ -193,11 +185,7 @@ class RangeCorrelation:
 
     @property
     def verdict(self) -> str:
-        """Return the finding as a sentence.
-
-        >>> RangeCorrelation(0.02, 9000).verdict
-        'neighbouring shots have near ranges (ratio 0.02): as expected of shots in the order they were fired'
-        """
+        """Return the finding as a sentence."""
         if not np.isfinite(self.ratio):
             return f"{self.n_pairs} neighbouring ranges are too few, or too alike, to tell"
         if self.ratio < 0.3:
@@ -210,12 +198,7 @@ class RangeCorrelation:
 
 
 def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
-    """Compare the range steps between neighbours with those between random pairs.
-
-    >>> walk = np.cumsum(np.random.default_rng(1).normal(size=5000)).astype(np.float32)
-    >>> range_correlation(walk).ratio < 0.1, range_correlation(np.random.default_rng(2).permutation(walk)).ratio > 0.9
-    (True, True)
-    """
+    """Compare the range steps between neighbours with those between random pairs."""
     flat = np.ravel(range_m)
     valid = np.isfinite(flat)
     step = np.abs(np.diff(flat))[valid[1:] & valid[:-1]]

@@ -52,16 +52,7 @@ class Place:
 
 
 def place_of(range_m: F32, beam_rad: F64) -> Place:
-    """Tell streets from forests.
-
-    A road between walls:
-
-    >>> beam = np.deg2rad(np.linspace(-120, 120, 2401))
-    >>> with np.errstate(divide="ignore"):
-    ...     line = np.minimum(2 / np.maximum(np.cos(beam), 0), 6 / np.abs(np.sin(beam)))
-    >>> place_of(np.tile(line, (4, 1)).astype(np.float32), beam).kind
-    'street'
-    """
+    """Tell streets from forests."""
     steps = np.abs(np.diff(np.unwrap(beam_rad)))
     step = float(np.median(steps)) if len(steps) else 0.0
     k = max(round(REACH_RAD / step), 1) if step > 0 else 1

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F32, F64, I64, U8, Mask
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence.table import Check
+from prc_cli.streams.evidence.table import verdict, worst_of
 
 MAX_SCANNERS = 4
 """Most scanners whose labels are looked at."""
@@ -104,7 +104,6 @@ class _Kept:
             self.labels[: self.n],
             self.beam_rad,
             self.angle_rad,
-            self.stride,
         )
 
 
@@ -122,21 +121,11 @@ class _Sample:
     """(columns,) float64, from straight down [rad]; None = unknown or not needed."""
     angle_rad: F64 | None
     """(columns,) float64, scan angle [rad]; None = unknown."""
-    stride: int
-    """Every how many-th line is kept."""
 
 
 @dataclass(slots=True)
 class ResultWatch:
-    """Watches the labels while they are written, and checks them.
-
-    >>> from prc_cli.core.stream import ScanBlock
-    >>> block = ScanBlock(0, np.full((64, 100), 5.0, np.float32))
-    >>> watch = ResultWatch(UsualLabels(noise_share=0.5))
-    >>> watch.see(LabelledBlock(block, np.full((64, 100), Label.NOISE, np.uint8), np.empty(0, np.uint8)))
-    >>> [finding.problem for finding in watch.findings()]
-    ['100 % of the returns are noise, expected at most 50 %']
-    """
+    """Watches the labels while they are written, and checks them."""
 
     usual: UsualLabels
     _scanners: dict[int, _Kept] = field(default_factory=dict, init=False)
@@ -152,16 +141,8 @@ class ResultWatch:
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the answers of all checks to what has passed so far; too little to tell gives no finding."""
-        found: dict[str, Finding] = {}
-        for scanner, kept in sorted(self._scanners.items()):
-            for finding in check_labels(kept.sample(), self.usual):
-                told = finding
-                if len(self._scanners) > 1:
-                    told = replace(finding, found=f"scanner {scanner}: {finding.found}")
-                # of several scanners, the worst answer stands for the check
-                if finding.check not in found or finding.verdict > found[finding.check].verdict:
-                    found[finding.check] = told
-        return tuple(found.values())
+        scanners = sorted(self._scanners.items())
+        return tuple(worst_of({one: check_labels(kept.sample(), self.usual) for one, kept in scanners}))
 
 
 def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
@@ -187,16 +168,8 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
 
 
 def _percent(share: float) -> str:
-    """Return a share for people.
-
-    >>> _percent(0.412), _percent(0.034), _percent(0.0)
-    ('41 %', '3.4 %', '0 %')
-    """
+    """Return a share for people."""
     return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
-
-
-def _verdict(*, doubtful: bool, against: bool = False) -> Verdict:
-    return Verdict.AGAINST if against else Verdict.DOUBTFUL if doubtful else Verdict.FINE
 
 
 def _noise(there: Mask, noise: Mask, unclassified: Mask, usual: UsualLabels) -> Finding:
@@ -206,9 +179,9 @@ def _noise(there: Mask, noise: Mask, unclassified: Mask, usual: UsualLabels) -> 
     if without > usual.unclassified_share and noisy <= usual.noise_share:
         found, most = f"{_percent(without)} of the returns have no class", usual.unclassified_share
         return Finding("noise-share", Verdict.DOUBTFUL, found, f"at most {_percent(most)}", _LOOK_AT_INPUT)
-    verdict = _verdict(doubtful=noisy > usual.noise_share, against=noisy > usual.garbage_share)
+    told = verdict(doubtful=noisy > usual.noise_share, against=noisy > usual.garbage_share)
     found = f"{_percent(noisy)} of the returns are noise"
-    return Finding("noise-share", verdict, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT)
+    return Finding("noise-share", told, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT)
 
 
 def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]:
@@ -218,13 +191,13 @@ def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]
         return
     share = int(np.count_nonzero(solid & (range_m > usual.reach_m))) / n
     found = f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
-    yield Finding("indoors", _verdict(doubtful=share < FAR_SHARE), found, f"at least {_percent(FAR_SHARE)}", _NO_STREET)
+    yield Finding("indoors", verdict(doubtful=share < FAR_SHARE), found, f"at least {_percent(FAR_SHARE)}", _NO_STREET)
 
 
 def _few_rings(n: int, usual: UsualLabels) -> Finding:
     """Ask whether there are rings enough for all classes."""
     hint = "ground, vegetation and noise are told as well; cars, and walls that few rings see, are not"
-    return Finding("few-rings", _verdict(doubtful=n < usual.columns), f"{n} rings", f"at least {usual.columns}", hint)
+    return Finding("few-rings", verdict(doubtful=n < usual.columns), f"{n} rings", f"at least {usual.columns}", hint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,9 +238,7 @@ def _ground_below(solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: 
         return
     share = int(np.count_nonzero(seen & level)) / n
     found = f"{_percent(share)} of the returns{where} are ground"
-    yield Finding(
-        "ground-below", _verdict(doubtful=share < least), found, f"at least {_percent(least)}", _LOOK_FOR_DOWN
-    )
+    yield Finding("ground-below", verdict(doubtful=share < least), found, f"at least {_percent(least)}", _LOOK_FOR_DOWN)
 
 
 def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
@@ -287,8 +258,8 @@ def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator
     lean_rad = math.atan(float(np.median(together[wide] / spread[wide])))
     lean_deg = math.degrees(lean_rad)
     found = f"the ground leans by {abs(lean_deg):.2f} deg across the lines"
-    verdict = _verdict(doubtful=abs(lean_deg) > usual.lean_deg)
-    yield Finding("ground-lean", verdict, found, f"at most {usual.lean_deg:g} deg", _nadir(sample, lean_rad))
+    told = verdict(doubtful=abs(lean_deg) > usual.lean_deg)
+    yield Finding("ground-lean", told, found, f"at most {usual.lean_deg:g} deg", _nadir(sample, lean_rad))
 
 
 def _nadir(sample: _Sample, lean_rad: float) -> str:
@@ -321,8 +292,8 @@ def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
         return
     share = n_below / n_near
     found = f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground"
-    verdict = _verdict(doubtful=share > usual.below_share)
-    yield Finding("below-ground", verdict, found, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN)
+    told = verdict(doubtful=share > usual.below_share)
+    yield Finding("below-ground", told, found, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN)
 
 
 def _along(
@@ -348,7 +319,7 @@ def _along(
     solid = np.convolve(per_stretch(there & ~noise), np.ones(LONG_STRETCHES), "valid")
     is_noisy = noisy > usual.noise_share
     is_whole = solid >= WHOLE * (np.median(solid[~is_noisy]) if not is_noisy.all() else np.inf)
-    for bad, said, verdict in (
+    for bad, said, told in (
         (ground < usual.vanished_share * usually, "hardly any ground", Verdict.DOUBTFUL),
         (is_noisy & ~is_whole, "much noise", Verdict.DOUBTFUL),
         (is_noisy, "much noise between whole surfaces", Verdict.FINE),
@@ -360,7 +331,7 @@ def _along(
         start = int(sample.line[first * STRETCH_LINES])
         stop = int(sample.line[(first + length + LONG_STRETCHES - 1) * STRETCH_LINES - 1]) + 1
         hint = f"look at them: prc render IN OUT.png --only-lines {start}:{min(start + 500, stop)}"
-        yield Finding("classes-along", verdict, f"{said} in lines {start} to {stop}", expected, hint)
+        yield Finding("classes-along", told, f"{said} in lines {start} to {stop}", expected, hint)
         return
     yield Finding("classes-along", Verdict.FINE, "ground and noise are even along the stream", expected)
 
@@ -390,80 +361,3 @@ def longest_run(mask: Mask) -> tuple[int, int]:
         return 0, 0
     at = int(np.argmax(ends - starts))
     return int(starts[at]), int(ends[at] - starts[at])
-
-
-RESULT_CHECKS: tuple[Check, ...] = (
-    Check(
-        "noise-share",
-        "Is more noise than any scanner has, or more without a class than the method leaves?",
-        "Noise: PRC in streets doubtful above 50 %, refused above 80 %; PRC in forests 96 %, 99 %; fused and "
-        "fused-forest 20 %, 40 %. Without a class: sequential-angle doubtful above 10 %",
-        "Rightly told, 48 to 260 lines each: PRC in streets at most 11 %, on the KITTI frame 41 %; PRC in forests up "
-        "to 94 %; fused and fused-forest 9 %, with a tenth of background light. Shuffled shots give at least 87 %, "
-        "100 %, 29 % and 31 %. Sequential-angle leaves less than 0.1 % without a class, and 17 % or more of floats in "
-        "the wrong byte order",
-        "Errors that keep neighbours together: M off by one, a wrong unit, ranges that are all nearly zero.",
-    ),
-    Check(
-        "ground-below",
-        "Is ground what lies within 60 deg of straight down?",
-        "Of what is not noise there: fused at least 60 %, fused-forest 35 %, sequential-angle 50 % with other level "
-        "surfaces. Where nearly nothing is there: at least 10 % of all is ground lower than the scanner. Needs the "
-        "direction of down: not PRC",
-        "Rightly told, 128 lines each: fused at least 77 %, fused-forest 37 % (undergrowth, and stems beside the "
-        "scanner), sequential-angle 62 %; between low walls 75 %, in a lane 6 m wide between walls 83 %, in garages "
-        "and tunnels 95 %. Down wrong by 45 deg: 10 % or less in most",
-        "Down wrong by less than 30 deg (ground-lean sees that), a wrong unit, and an angle step wrong by a tenth. "
-        "Grass higher than 1.2 m on both sides of a lane of 3 m raises doubt (57 %), and the vehicle itself may "
-        "where it is seen: input.min_range takes it out.",
-    ),
-    Check(
-        "ground-lean",
-        "Is the ground level across the lines, in the middle of all lines?",
-        "Doubtful above 5.5 deg, fused-forest 12 deg. Needs the direction of down: not PRC",
-        "Rightly told, 128 lines each: streets at most 1.2 deg, sequential-angle 2.1 deg, Oakland 2.0 deg, a road in "
-        "a hillside of 45 % 4.1 deg, forests 8.1 deg; vehicles lean with their road. Down wrong by 10 deg: 7 deg or "
-        "more in streets, 1 to 17 deg in forests",
-        "Down wrong by 45 deg or more (ground-below sees that), by less than 5 deg in streets or 12 deg in forests; "
-        "scanners without returns within 60 deg of down. A scanner that is held upright on a slope of more than 9 % "
-        "across raises doubt.",
-    ),
-    Check(
-        "below-ground",
-        "Does much lie more than 1 m below the ground on its side of the line?",
-        "Doubtful above 20 % of what is not noise within 20 m and 60 deg of straight down. Needs the direction of "
-        "down: not PRC",
-        "In streets and forests at most 1 %, but 3 % on a dam 8 m wide, 14 % on one 6 m wide, 10 % on a quay, 16 % on "
-        "a bridge 6 m wide: a limit of 2 % would doubt all of these",
-        "Most of what the other two see. It adds half an angle step and down wrong by 45 deg for sequential-angle. "
-        "Bridges narrower than 5 m raise doubt (36 %).",
-    ),
-    Check(
-        "indoors",
-        "Is anything farther than a room is wide?",
-        "fused: at least 1 % of what is not noise is farther than 6 m",
-        "Rightly told, 128 lines each: streets, strips and frames 26 % or more. A laser that turns level in a "
-        "room, and a scan of a pump: 0 %",
-        "Halls, and yards indoors. Drives in tunnels less than 8 m wide, seen by a profiler, raise doubt.",
-    ),
-    Check(
-        "few-rings",
-        "Has a spinning scanner rings enough for cars and walls?",
-        "rings: doubtful below 48",
-        "On frames that chose no limit F1 of cars is above 0.7 with 64 rings, and below 0.5 with 32: a car is seen by "
-        "few of them, a far wall by one",
-        "Rings that are all far from the ground.",
-    ),
-    Check(
-        "classes-along",
-        "Does ground vanish, or noise come, for a tenth of the stream or more?",
-        "In three of 16 to 32 stretches in a row: ground below 30 % of what three quarters of the stream do not "
-        "exceed (not PRC), or noise above the limit of noise-share where less than 80 % of the usual returns are "
-        "left on surfaces: noise of shots that are empty elsewhere is told, and no doubt",
-        "Rightly told, drives of 900 m: fused never below 70 % of it; 24 scenes from tunnels to fields one after the "
-        "other: fused and sequential-angle 58 %. Where shots are lost on the way, ground falls to a tenth. PRC as "
-        "published loses the ground of rightly told scans: down to 0.4 % of it with a push-broom in terraces",
-        "Streams of fewer than 128 lines, shorter stretches, and the other classes, which do come and go.",
-    ),
-)
-"""The checks of the result; the limits are in ``UsualLabels`` of every method."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -22,9 +22,9 @@ from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.writing.record import dropped_beside
 from prc_cli.streams.evidence.checks import ask_all, check_thinned
-from prc_cli.streams.evidence.figures import LineSample
+from prc_cli.streams.evidence.figures import LineSample, Seen
 from prc_cli.streams.evidence.lines import LEAST_LINES, LineRepeats, check_repeats, with_other_reading
-from prc_cli.streams.evidence.seen import Seen
+from prc_cli.streams.evidence.table import worst_of
 
 MAX_SCANNERS = 4
 """Most scanners whose lines are sampled; the counts hold all."""
@@ -68,9 +68,9 @@ class EvidenceStream(Brief):
         self._scanners, self._tally, self._repeats = {}, ReadTally(), LineRepeats()
         for block in self.source.blocks():
             if self._see(block) and self.refuses:
-                refuse(self.info.path, self._ask(is_whole=False))
+                refuse(self.info.path, self.question(is_whole=False)())
             yield block
-        self._final = self._ask(is_whole=True)
+        self._final = self.question(is_whole=True)()
         if self.refuses:
             refuse(self.info.path, self._final)
 
@@ -91,7 +91,7 @@ class EvidenceStream(Brief):
         one.sample.add(block)
         return before == 0 < one.sample.n_full
 
-    def seen(self, *, is_whole: bool = True) -> tuple[Seen, ...]:
+    def seen(self) -> tuple[Seen, ...]:
         """Return what has been seen so far, by scanner."""
         info, every = self.info, self._scanners.values()
         n_shots, n_missing = sum(one.n_shots for one in every), sum(one.n_missing for one in every)
@@ -100,7 +100,7 @@ class EvidenceStream(Brief):
                 info=info, scanner=scanner, windows=one.sample.windows(), n_lines=one.n_lines, n_shots=n_shots,
                 n_missing=n_missing, tally=self._tally,
                 angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
-                beam_rad=one.beam_rad, most_noise_m=self.most_noise_m, is_whole=is_whole,
+                beam_rad=one.beam_rad, most_noise_m=self.most_noise_m,
             )
             for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
         )  # fmt: skip
@@ -108,10 +108,6 @@ class EvidenceStream(Brief):
     def findings(self) -> tuple[Finding, ...]:
         """Return the answers of all checks once the stream was read to its end; before that, none."""
         return self._final
-
-    def _ask(self, *, is_whole: bool) -> tuple[Finding, ...]:
-        """Return the answers of all checks to what has been seen so far."""
-        return self.question(is_whole=is_whole)()
 
     def see(self, block: ScanBlock) -> int:
         """Take what is needed of a block that is read elsewhere; return how often samples have been full."""
@@ -126,21 +122,16 @@ class EvidenceStream(Brief):
             *check_thinned(self.dropped),
             *(self.others if is_long else ()),
         ]
-        return partial(_ask_of_all, self.seen(is_whole=is_whole), tuple(others), self.accepted)
+        return partial(_ask_of_all, self.seen(), tuple(others), self.accepted)
 
 
 def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
     """Ask all checks of every scanner; ``others`` are answers to what was asked of the whole stream."""
-    found: dict[str, Finding] = {}
-    for one in seen:
-        for finding in ask_all(one):
-            told = with_other_reading(finding, one.info.path, one.points_per_line)
-            if len(seen) > 1:
-                told = replace(told, found=f"scanner {one.scanner}: {told.found}")
-            # of several scanners, the worst answer stands for the check
-            if finding.check not in found or finding.verdict > found[finding.check].verdict:
-                found[finding.check] = told
-    every = (*found.values(), *others)
+    told = {
+        one.scanner: [with_other_reading(each, one.info.path, one.points_per_line) for each in ask_all(one)]
+        for one in seen
+    }
+    every = (*worst_of(told), *others)
     return accept(sorted(every, key=lambda one: CHECK_NAMES.index(one.check)), accepted)
 
 

@@ -23,6 +23,7 @@ from prc_cli.formats.bags.containers import Bag
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from tests.formats.bags import recordings as made
+from tests.formats.bags.test_cloud import drive, messages
 from tests.fuzz.crafted import endless_column, endless_rows
 from tests.runner import runner
 
@@ -116,6 +117,31 @@ def test_a_range_at_the_reach_is_no_return(tmp_path: Path) -> None:
     one = [made.Sent("/scan", "sensor_msgs/msg/LaserScan", 1, made.laser(store, 1, row))]
     (block,) = read(made.write_bag(tmp_path / "scan.bag", one))[1]
     np.testing.assert_array_equal(block.range_m[0], np.array([np.nan, 99.99, np.nan, 3], np.float32))
+
+
+def test_echoes_of_zero_are_told_from_lengths(tmp_path: Path) -> None:
+    """A value of zero has the bytes of a list without echoes."""
+    lists, lit = [[5.0, 0.0], [], [0.0], [9.0, 0.0, 8.0], [7.0]], [[0.0, 0.0], [], [0.0], [0.0, 2.0, 0.0], [0.0]]
+    sent = [made.Sent("/scan", "sensor_msgs/msg/MultiEchoLaserScan", 1, made.echoes(made.STORES[1], 1, lists, lit))]
+    (block,) = read(made.write_bag(tmp_path / "echoes.bag", sent), **{"return": "first"})[1]
+    np.testing.assert_array_equal(block.range_m[0], np.array([5, np.nan, np.nan, 9, 7], np.float32))
+    np.testing.assert_array_equal(block.extra.range_m, [8])
+    np.testing.assert_array_equal(block.records(), [[0, 2, 3, 4, 7]])
+
+
+def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_path: Path) -> None:
+    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("intensity", "<f4"), ("t", "<u4")])
+    sent = [*messages(drive(), dtype), *made.lasers(2), *made.lasers(2, "/of_cloud", "velodyne")]
+    stream, blocks = read(made.write_mcap(tmp_path / "mixed.mcap", sent))
+    assert {block.scanner: block.points_per_line for block in blocks} == {0: 8, 1: made.M}
+    told = {one.key: one.value + one.why for one in stream.info.assumptions}
+    assert told["input.topic"] == "/points, /scanother scans: /of_cloud (input.topic)"
+    assert stream.info.facts.scanners == ("/points (velodyne)", "/scan (laser)")
+    records = np.concatenate([block.records().ravel() for block in blocks])
+    found = np.sort(records[records >= 0])
+    assert np.array_equal(found, np.arange(sum(block.tally.n_records for block in blocks)))
+    result = runner().invoke(cli, ["info", str(tmp_path / "mixed.mcap")])
+    assert "/scan (laser): no vertical direction known" in " ".join(result.output.split())
 
 
 def test_topics_have_an_order_of_time_each(tmp_path: Path) -> None:
@@ -322,6 +348,52 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_pa
     output = tmp_path / "labels.npy"
     result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
     assert result.exit_code in (0, 4), result.output
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "m", "missing"),
+    [("40p", 40, 0.247), ("64", 64, 0.225), ("qt64", 64, 0.037), ("vlp32", 32, 0.499), ("vls128", 128, 0.099)],
+)
+def test_the_samples_of_every_model_have_the_points_of_another_decoder(
+    real_data: Path, name: str, m: int, missing: float
+) -> None:
+    """The points beside a bag are those of one of its scans, as tier4/nebula decodes them (VLS-128: of another bag)."""
+    folder = real_data / "nebula" / name
+    (path,), (cloud,) = folder.glob("*.db3"), folder.glob("*.pcd")
+    block = join(read(path)[1])
+    assert block.points_per_line == m
+    assert float(np.isnan(block.range_m).mean()) == pytest.approx(missing, abs=1e-3)
+    data = cloud.read_bytes()
+    points = np.frombuffer(data[data.index(b"DATA binary\n") + 12 :], "<f4").reshape(-1, 3).astype(np.float64)
+    length = np.linalg.norm(points, axis=1)
+    elevation = np.rad2deg(np.arcsin(points[:, 2] / length))
+    assert block.xyz_m is not None
+    x, y, z = block.xyz_m.astype(np.float64).transpose(2, 0, 1)
+    of_ring = np.rad2deg(np.nanmedian(np.arctan2(z, np.hypot(x, y))[:, np.isfinite(z).any(axis=0)], axis=0))
+    rings = np.flatnonzero(np.isfinite(z).any(axis=0))
+    nearest = np.abs(elevation[:, None] - of_ring).argmin(axis=1)
+    assert np.abs(elevation - of_ring[nearest]).max() < 1e-3
+    if name == "vls128":
+        return
+    # its x axis is ours for Hesai, and a quarter turn on for Velodyne
+    turned = np.rad2deg(np.arctan2(points[:, 1], points[:, 0])) + (90 if name == "vlp32" else 0)
+    azimuth = np.rad2deg(np.arctan2(y, x))
+    step = 360.0 / 0.1 * np.nanmedian(np.diff(block.time_s[:, rings[0]]))  # type: ignore[index]
+    ring = np.concatenate([np.broadcast_to(np.arange(m), x.shape).ravel(), block.extra.column])
+    ranges = np.concatenate([block.range_m.ravel(), block.extra.range_m]).astype(np.float64)
+    at = np.concatenate([azimuth.ravel(), azimuth[block.extra.line, block.extra.column]])
+    off: list[float] = []
+    for number, one in enumerate(rings):
+        mine, its = (ring == one) & np.isfinite(ranges), np.flatnonzero(nearest == number)[::20]
+        # cells by their range in millimetres, then the one of the nearest azimuth
+        order = np.argsort(ranges[mine])
+        low, high = (np.searchsorted(ranges[mine][order], length[its] + by) for by in (-1e-3, 1e-3))
+        off += [
+            np.abs((at[mine][order][a:b] - angle + 180) % 360 - 180).min(initial=360.0)
+            for a, b, angle in zip(low, high, turned[its], strict=True)
+        ]
+    assert float(np.mean(np.array(off) < 1.1 * step)) > 0.99
 
 
 def _two(packet: bytes, at: int, order: Any, step: int) -> list[int]:

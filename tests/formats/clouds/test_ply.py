@@ -10,8 +10,8 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.formats import open_source
-from prc_cli.formats.clouds import source as clouds
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
+from prc_cli.formats.raw_binary import read as raw
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array, ply
@@ -124,7 +124,7 @@ def test_shots_do_not_depend_on_chunks(tmp_path: Path, monkeypatch: pytest.Monke
         "nb_of_echo": n_echo[shot].astype("u1"),
     }  # fmt: skip
     path.write_bytes(ply(made))
-    monkeypatch.setattr(clouds, "CHUNK_RECORDS", rows)
+    monkeypatch.setattr(raw, "CHUNK_RECORDS", rows)
     names = ("return_number", "number_of_returns")
     chunks = list(opened(path).chunks(names))
     assert max(chunk.n for chunk in chunks) <= rows + 3
@@ -147,7 +147,7 @@ def test_shots_do_not_depend_on_chunks(tmp_path: Path, monkeypatch: pytest.Monke
         ),
         ("ply\nformat binary 1.0\nelement vertex 1\nproperty float range\nend_header\n", "found format"),
         ("ply\nformat ascii 1.0\nelement vertex 1\nproperty real range\nend_header\n1\n", "found the type 'real'"),
-        ("ply\nformat ascii 1.0\nelement vertex -1\nproperty float range\nend_header\n1\n", "a name and a count"),
+        ("ply\nformat ascii 1.0\nelement vertex -1\nproperty float range\nend_header\n1\n", "expected a whole number"),
         ("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n1 1\n", "is a list"),
         ("ply\nformat ascii 1.0\nelement face 1\nproperty float a\nend_header\n1\n", "no element vertex, it has face"),
         ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float a\nend_header\n", "no points"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import sys
 from pathlib import Path
@@ -14,11 +13,10 @@ import pytest
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import e57_file
+from prc_cli.formats.organised import e57_read
 from prc_cli.formats.organised.e57_read import E57Stream
 from prc_cli.jobs.classify import classify
 from prc_cli.streams.open import open_input
-from tests import patience
 from tests.formats.organised_files import (
     Array,
     Scan,
@@ -96,7 +94,7 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     path = write_e57(tmp_path / "a.e57", scans)
     whole = scans_of(E57Stream(path, AUTO))
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
-    monkeypatch.setattr(e57_file, "CHUNK_POINTS", chunk)
+    monkeypatch.setattr(e57_read, "CHUNK_POINTS", chunk)
     for block, one in zip(scans_of(E57Stream(path, AUTO)), whole, strict=True):
         assert equal(block.range_m, one.range_m)
         assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
@@ -283,58 +281,29 @@ def test_frames_that_are_damaged(tmp_path: Path, raw: bytes) -> None:
 
     cases = {
         b"LASF" + raw[4:]: "expected the signature b'ASTM-E57'",
-        raw[:20]: "ends after 20 bytes",
+        raw[:20]: "20 bytes, its header says",
         raw[:3000]: "3000 bytes, its header says",
         raw + b"\0" * 1024: "its header says",
-        changed("<I", 8, 2): "found E57 version 2.0",
-        changed("<Q", 40, 2048): "pages of 2048 bytes",
-        changed("<Q", 24, 2**63): "XML section",
-        changed("<Q", 24, 0): "XML section",
-        changed("<Q", 32, 2**62): "XML section of",
-        changed("<Q", 32, 0): "XML section of 0 bytes",
-        changed("<Q", 32, length - 9): "XML section is damaged",
+        changed("<I", 8, 2): "incompatible file version",
+        changed("<Q", 40, 2048): "damaged",
+        changed("<Q", 24, 2**63): "damaged",
+        changed("<Q", 24, 0): "XML not well formed",
+        changed("<Q", 32, 2**62): "damaged",
+        changed("<Q", 32, 0): "XML not well formed",
+        changed("<Q", 32, length - 9): "XML not well formed",
         raw[: start + 5] + b"\0" + raw[start + 6 :]: "damaged",
         raw[:100] + b"\xff" + raw[101:]: "checksum mismatch",
         replace_xml(raw, b'recordCount="', b'recordCount="1'): "found",
         replace_xml(raw, b'recordCount="', b'recordCount="100000000'): "expected a bit a point",
         replace_xml(raw, b"data3D", b"data4D"): "found no scans",
         replace_xml(raw, b"points", b"pointz"): "scan 0: the E57 structure is damaged",
-        replace_xml(raw, b"<e57Root", b"<!DOCTYPE a [<!ENTITY b 'c'>]><e57Root"): "a document type declaration",
-        replace_xml(raw, b"</data3D>", b"<a>" * 70 + b"</a>" * 70 + b"</data3D>"): "64",
-        replace_xml(raw, b"UTF-8", b"UTF-7"): "the encoding 'UTF-7', expected UTF-8",
+        # neither entities nor files of others are looked up
+        replace_xml(raw, b"<e57Root", b"<!DOCTYPE a [<!ENTITY b 'c'>]><e57Root"): "XML not well formed",
+        replace_xml(raw, b"<e57Root", b"<!DOCTYPE a SYSTEM 'file:///etc/hosts'><e57Root"): "XML not well formed",
+        replace_xml(raw, b"</data3D>", b"<a>" * 70 + b"</a>" * 70 + b"</data3D>"): "not encoded in XML correctly",
     }
     for data, part in cases.items():
         assert part in refused(put(tmp_path, data))
-
-
-def test_large_xml_sections_are_refused(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(e57_file, "MAX_ELEMENTS", 30)
-    assert "more than 30 elements" in refused(put(tmp_path, raw))
-    monkeypatch.setattr(e57_file, "MAX_XML_BYTES", 1000)
-    assert "expected at most 1000" in refused(put(tmp_path, raw))
-
-
-def test_xml_may_be_nested_sixty_four_deep(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    start, length = xml_section(raw)
-    own = b"".join(raw[at : at + 1020] for at in range(start // 1024 * 1024, len(raw), 1024))[start % 1024 :][:length]
-
-    def checked(xml: bytes) -> None:
-        e57_file.check_frame(put(tmp_path, replace_xml(raw, own, xml)))
-
-    checked(b"<a>" * 64 + b"</a>" * 64)
-    with pytest.raises(PrcError, match="inside one another 65 deep, expected at most 64"):
-        checked(b"<a>" * 65 + b"</a>" * 65)
-    # elements side by side are not deep
-    checked(b"<a>" + b"<b></b>" * 100 + b"</a>")
-    checked(b'<?xml version="1.0" encoding="utf-8"?><a/>')
-    monkeypatch.setattr(e57_file, "MAX_ELEMENTS", 30)
-    checked(b"<a>" + b"<b/>" * 29 + b"</a>")
-    with pytest.raises(PrcError, match="more than 30 elements"):
-        checked(b"<a>" + b"<b/>" * 30 + b"</a>")
-    monkeypatch.setattr(e57_file, "MAX_XML_BYTES", 1000)
-    checked(b"<a>" + b" " * 993 + b"</a>")
-    with pytest.raises(PrcError, match="section of 1001 bytes, expected at most 1000"):
-        checked(b"<a>" + b" " * 994 + b"</a>")
 
 
 def sparse(rows: list[int], columns: list[int], **other: Any) -> Scan:
@@ -425,60 +394,6 @@ def test_a_temporary_file_that_cannot_be_made_is_told(
 
     monkeypatch.setattr("tempfile.TemporaryFile", full)
     assert "No space left" in refused(put(tmp_path, raw))
-
-
-_CHILD = """
-import resource, sys
-from pathlib import Path
-resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
-from prc_cli.core.errors import PrcError
-from prc_cli.streams.open import open_input
-from prc_cli.formats.options import InputConfig
-for name in sys.stdin.read().split():
-    try:
-        n = sum(block.n_lines for block in open_input(Path(name), InputConfig()).blocks())
-        print(name, "read", n, flush=True)
-    except PrcError as error:
-        print(name, "refused", "LINES" if chr(10) in str(error) else "", flush=True)
-"""
-
-
-def _mutated(raw: bytes, seed: int) -> bytes:
-    """The file cut short, with wrong bytes behind right checksums, or with other numbers in its XML section."""
-    rng = np.random.default_rng(seed)
-    kind = seed % 4
-    data = bytearray(raw)
-    if kind == 0:
-        data = data[: rng.integers(1, len(data))]
-        if len(data) > 48 and rng.integers(2):
-            struct.pack_into("<Q", data, 16, len(data))
-        return with_checksums(bytes(data))
-    if kind == 1:
-        for _ in range(4):
-            data[rng.integers(8, 170)] = rng.choice([0, 1, 128, 255])
-        return with_checksums(bytes(data))
-    if kind == 2:
-        data[rng.integers(len(data))] ^= 1 << rng.integers(8)
-        return bytes(data)
-    numbers = [b'maximum="', b'minimum="', b'recordCount="', b'fileOffset="', b'scale="', b">", b'type="']
-    values = [b"-1", b"0", b"nan", b"9223372036854775807", b"1e308", b"Float", b"Vector", b"4096"]
-    return replace_xml(raw, numbers[rng.integers(7)], numbers[rng.integers(7)] + values[rng.integers(8)])
-
-
-@pytest.mark.skipif(os.name != "posix", reason="memory is bounded with POSIX limits")
-def test_no_damage_ends_the_interpreter_hangs_or_takes_the_memory(tmp_path: Path, raw: bytes) -> None:
-    names = []
-    for seed in range(400):
-        path = tmp_path / f"{seed}.e57"
-        path.write_bytes(_mutated(raw, seed))
-        names.append(str(path))
-    done = patience.run([sys.executable, "-c", _CHILD], input="\n".join(names), capture_output=True, text=True)
-    assert done.returncode == 0, [*done.stdout.splitlines()[-1:], done.stderr[-2000:]]
-    lines = done.stdout.splitlines()
-    assert len(lines) == len(names)
-    assert not any("LINES" in line for line in lines)
-    n_read = sum(" read " in line for line in lines)
-    assert 10 < n_read < 200
 
 
 def test_rules_of_record_lists_are_refused(tmp_path: Path, raw: bytes) -> None:

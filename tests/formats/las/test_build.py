@@ -13,7 +13,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock
-from prc_cli.formats.las import sinks as codec_module
+from prc_cli.formats.las import laz as codec_module
 from prc_cli.formats.writing.columns import OutputConfig
 from prc_cli.formats.writing.coordinates import SPACING_M
 from tests.formats.common import (
@@ -206,7 +206,7 @@ def test_laspy_is_loaded_for_las_files_alone() -> None:
     """It takes 20 MiB and a tenth of a second."""
     code = (
         "import sys\n"
-        "import prc_cli.formats.las.copy, prc_cli.formats.las.rewrite, prc_cli.formats.las.build\n"
+        "import prc_cli.formats.las.rewrite, prc_cli.formats.las.build\n"
         "import prc_cli.formats.las.read, prc_cli.jobs.transfer, prc_cli.jobs.thin, prc_cli.jobs.convert\n"
         "assert 'laspy' not in sys.modules\n"
     )

@@ -13,8 +13,8 @@ from laspy.vlrs.known import ClassificationLookupVlr
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.las.header import read_header
-from prc_cli.formats.las.lookup import LOOKUP_KEY, names_of_file, with_lookup
 from prc_cli.formats.las.rewrite import LasRecoder
+from prc_cli.formats.las.vlrs import LOOKUP_KEY, names_of_file, with_lookup
 from tests.formats.common import labelled, run_record, write
 from tests.formats.las.lasbytes import make_las, parse
 

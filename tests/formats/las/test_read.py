@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.las.copy import copy_las, read_las
 from prc_cli.formats.las.header import open_source
 from prc_cli.formats.las.laz import read_records
 from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.streams.order import OrderWatch
 
 VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
@@ -71,7 +71,11 @@ def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int
     make(path, point_format, extra=[laspy.ExtraBytesParams("range", "f4"), laspy.ExtraBytesParams("column", "u2")])
     las = laspy.read(path)
     source = LasSource(path)
-    assert (source.n_records, source.point_format, source.version) == (200, point_format, VERSION[point_format])
+    assert (source.n_records, source.header.point_format, source.describe()["version"]) == (
+        200,
+        point_format,
+        VERSION[point_format],
+    )
     assert source.format == suffix.upper()
     own = {"X", "Y", "Z", "gps_time", "scan_angle", "scan_angle_rank"}
     names = set(las.header.point_format.dimension_names) - own | {"x", "y", "z", "angle"}
@@ -244,7 +248,7 @@ def test_oldest_version(tmp_path: Path) -> None:
     raw[25] = 0
     (tmp_path / "a.las").write_bytes(raw)
     source = LasSource(tmp_path / "a.las")
-    assert source.version == "1.0"
+    assert source.describe()["version"] == "1.0"
     np.testing.assert_array_equal(read(source, "time"), las.gps_time)
 
 
@@ -271,7 +275,7 @@ def test_points_per_line_from_our_provenance(tmp_path: Path) -> None:
         (b"\xff\xfe", None),
     ]:
         make(tmp_path / "a.las", 1, vlrs=[laspy.VLR("prc-cli", 1, "", content)])
-        assert LasSource(tmp_path / "a.las").points_per_line_hint == m
+        assert LasSource(tmp_path / "a.las").facts.points_per_line == m
 
 
 def test_description_is_json(tmp_path: Path) -> None:
@@ -489,8 +493,8 @@ def test_the_chunk_table_is_checked_in_one_way(tmp_path: Path) -> None:
 def test_large_chunks_are_copied_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point_format: int) -> None:
     path, output, again = tmp_path / "a.laz", tmp_path / "b.las", tmp_path / "c.laz"
     raw, _, _ = laz(path, point_format)
-    monkeypatch.setattr("prc_cli.formats.las.sinks._BATCH_RECORDS", 7_000)
-    monkeypatch.setattr("prc_cli.formats.las.laz._SHARED_BYTES", 1_000_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz._BATCH_RECORDS", 7_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz.LARGE_CHUNK_BYTES", 1_000_000)
     monkeypatch.setattr("prc_cli.formats.las.laz.lazrs.ParLasZipDecompressor", None)
     copy_las(read_las(path), output, output)
     assert (
@@ -767,7 +771,7 @@ def test_real_files(real_data: Path, name: str, n_records: int, back: int, chron
             np.testing.assert_allclose(chunk.values[dimension], expected(las, dimension)[part], rtol=1e-15)
         first += chunk.n
     assert first == n_records
-    assert watch.n_back == back
+    assert watch.evidence().n_back == back
     assert watch.evidence().is_chronological is chronological
 
 
@@ -813,7 +817,7 @@ def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pyte
     laz(path, 6)
     header = read_las(path)
     expected = laspy.lib.read_las(path, laz_backend=laspy.LazBackend.Lazrs).points.array.tobytes()
-    monkeypatch.setattr("prc_cli.formats.las.laz._SHARED_BYTES", 1_000_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz.LARGE_CHUNK_BYTES", 1_000_000)
     with open_source(path) as source:
         found = []
         for rows in read_records(source, header, 7_000):

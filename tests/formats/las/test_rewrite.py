@@ -17,7 +17,7 @@ import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputError
-from prc_cli.formats.las import sinks as las_codec
+from prc_cli.formats.las import laz as las_codec
 from prc_cli.formats.las.header import LASZIP_KEY
 from prc_cli.formats.writing.columns import OutputConfig
 from prc_cli.formats.writing.record import fingerprint

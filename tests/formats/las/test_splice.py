@@ -17,10 +17,8 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
 from prc_cli.formats.las import rewrite as las_rewrite
 from prc_cli.formats.las import splice as las_splice
-from prc_cli.formats.las.contexts import LazContexts, contexts_of
 from prc_cli.formats.las.header import open_source, read_header
-from prc_cli.formats.las.laz import LazRecords
-from prc_cli.formats.las.splice import find_chunks
+from prc_cli.formats.las.splice import LazContexts, Splice, contexts_of, find_chunks
 from tests.formats.common import (
     random_labels,
     record_blocks,
@@ -71,7 +69,7 @@ def make_laz(path: Path, form: int, n: int, chunk_points: int, seed: int = 0) ->
     return compress(source, path, chunk_points, form=form, extra=8)
 
 
-def chunks_of(path: Path) -> LazRecords | None:
+def chunks_of(path: Path) -> Splice | None:
     with open_source(path) as source:
         return find_chunks(source, read_header(source.path))
 
@@ -165,7 +163,7 @@ def test_chunks_whose_heads_lie_are_left_to_the_decoder(
     chunks = chunks_of(source)
     assert chunks is not None
     data = bytearray(source.read_bytes())
-    lie(data, chunks.table.first_byte[1], field(bytes(data), 105, "H"))
+    lie(data, chunks.chunks.table.first_byte[1], field(bytes(data), 105, "H"))
     source.write_bytes(data)
     assert chunks_of(source) is None
 

@@ -64,19 +64,85 @@ def write_pcapng(path: Path, frames: list[tuple[float, bytes]], *, order: str = 
 
 def vlp16(n: int = 20, *, seed: int = 3, model: int = 0x22, mode: int = 0x37, start_us: int = 5_000_000) -> list[bytes]:
     """Packets of a VLP-16 that turns at 10 Hz; a tenth of the shots have no return."""
+    return velodyne(n, model, seed=seed, mode=mode, start_us=start_us, firings=2)
+
+
+BANKS = {0xA1: (0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF), 0x40: (0xEEFF, 0xDDFF)}
+"""Flags of the blocks of a column: VLS-128, and an HDL-64E, whose packets hold no number."""
+
+
+def velodyne(
+    n: int, model: int, *, seed: int = 3, mode: int = 0x37, start_us: int = 5_000_000, firings: int = 1
+) -> list[bytes]:
+    """Packets of a Velodyne, 55.296 us (HDL-32E: 46.08, HDL-64E: 48) from column to column."""
     rng = np.random.default_rng(seed)
+    flags = BANKS.get(model, (0xEEFF,))
+    returns = 2 if mode == 0x39 else 1
+    used = 12 // (len(flags) * returns) * len(flags) * returns
+    columns = used * firings // (len(flags) * returns)
+    period_us = {0x21: 46.08, 0x40: 48.0}.get(model, 55.296)
     packets = []
     for i in range(n):
         parts = []
         for block in range(12):
-            azimuth = ((i * 12 + block) * 40) % 36000
+            group, bank = divmod(block // returns, len(flags))
+            if model == 0x22:
+                # both returns of a dual mode turn on here: a reader takes every other azimuth
+                group = block
+            azimuth = (round((i * columns // firings + group) * 20 * firings)) % 36000
             distance = rng.integers(1000, 1200, 32)
             distance[rng.random(32) < 0.1] = 0
             shots = b"".join(struct.pack("<HB", d, k) for k, d in enumerate(distance.tolist()))
-            parts.append(struct.pack("<HH", 0xEEFF, azimuth) + shots)
-        stamp = (start_us + round(i * 24 * 55.296)) % 3_600_000_000
+            flag = flags[bank] if block < used else 0
+            parts.append(struct.pack("<HH", flag, azimuth) + shots)
+        stamp = (start_us + round(i * columns * period_us)) % 3_600_000_000
         packets.append(b"".join(parts) + struct.pack("<IBB", stamp, mode, model))
     return packets
+
+
+HESAI = {
+    "40P": (b"\xff\xee", 1262, 40, 10, 0, 3, 14, 10),
+    "64": (b"\xee\xff\x40\x06", 1194, 64, 6, 8, 3, 14, 10),
+    "QT64": (b"\xee\xff\x03\x01", 1072, 64, 4, 12, 4, 16, 12),
+    "QT128": (b"\xee\xff\x03\x02", 1127, 128, 2, 12, 4, 33, 42),
+    "XT16": (b"\xee\xff\x06\x01", 568, 16, 8, 12, 4, 10, 19),
+    "XT32": (b"\xee\xff\x06\x01", 1080, 32, 8, 12, 4, 10, 19),
+    "XT32M": (b"\xee\xff\x06\x01", 820, 32, 6, 12, 4, 10, 19),
+    "128": (b"\xee\xff\x01\x03", 861, 128, 2, 12, 3, 33, 42),
+    "OT128": (b"\xee\xff\x01\x04", 861, 128, 2, 12, 3, 33, 42),
+}  # fmt: skip
+"""First bytes, size, channels, blocks, bytes of header and shot, places of mode and time behind the blocks."""
+
+
+def hesai(name: str, n: int = 4, *, mode: int = 0x37, column_us: float = 50.0) -> tuple[list[bytes], np.ndarray]:
+    """Packets of a Hesai, and the distances in them in units of 4 mm, (blocks, channels)."""
+    start, size, channels, n_blocks, head, shot, mode_at, time_at = HESAI[name]
+    rng = np.random.default_rng(5)
+    returns = 2 if mode == 0x39 else 1
+    packets, every = [], []
+    for i in range(n):
+        packet = bytearray(size)
+        packet[: len(start)] = start
+        if head == 8:
+            packet[5] = 4
+        if head == 12:
+            packet[6:10] = channels, n_blocks, 0, 4
+        flag = 0 if head else 2
+        stride = flag + 2 + shot * channels
+        for block in range(n_blocks):
+            distance = rng.integers(1000, 1200, channels)
+            distance[rng.random(channels) < 0.1] = 0
+            at = head + stride * block
+            packet[at : at + flag] = b"\xff\xee"[:flag]
+            struct.pack_into("<H", packet, at + flag, (i * n_blocks + block) // returns * 20)
+            for k, one in enumerate(distance.tolist()):
+                struct.pack_into("<HB", packet, at + flag + 2 + shot * k, one, k)
+            every.append(distance)
+        end = head + stride * n_blocks
+        packet[end + mode_at] = mode
+        struct.pack_into("<I", packet, end + time_at, round(i * n_blocks // returns * column_us))
+        packets.append(bytes(packet))
+    return packets, np.array(every)
 
 
 def framed(packets: list[bytes], port: int = 2368, source: bytes = SOURCE, step_s: float = 0.001327104) -> Any:

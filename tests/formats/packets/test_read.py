@@ -134,7 +134,7 @@ def test_blocks_do_not_depend_on_their_size(tmp_path: Path, monkeypatch: pytest.
     path = made.write_pcap(tmp_path / "a.pcap", frames)
     path.with_suffix(".json").write_text(json.dumps(table))
     _, whole = read(path)
-    monkeypatch.setattr("prc_cli.formats.packets.scanners.BATCH_SHOTS", 128)
+    monkeypatch.setattr("prc_cli.formats.packets.read.BATCH_SHOTS", 128)
     monkeypatch.setattr(columns_module, "CHUNK_SHOTS", 40)
     stream, parts = read(path)
     same(whole, parts)
@@ -245,9 +245,16 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
         path.with_suffix(".json").write_text(json.dumps(wrong))
         with pytest.raises(InputError, match=expected):
             PacketStream(path, InputConfig())
-    other = made.write_pcap(tmp_path / "b.pcap", made.framed(made.vlp16(model=0x28)))
-    with pytest.raises(InputError, match=r"model 0x28 \(VLP-32C\), expected Velodyne HDL-32E, Velodyne VLP-16"):
-        PacketStream(other, InputConfig())
+    unknown = made.hesai("XT16")[0][0]
+    for packets, expected in (
+        (made.vlp16(model=0x23), r"model 0x23 \(VLP-32A or VLP-32B\), expected Velodyne HDL-32E, Velodyne VLP-16"),
+        ([unknown[:2] + b"\4\3" + unknown[4:]], r"Hesai, protocol 4.3, 16 channels in 8 blocks, 568 bytes\), expected"),
+        (made.velodyne(3, 0x40), r"HDL-64E need the calibration of the unit; give --metadata FILE.yml"),
+        (made.hesai("XT32M", mode=0x3D)[0], r"three returns a shot \(mode 0x3d\), expected one or two"),
+    ):
+        other = made.write_pcap(tmp_path / "b.pcap", made.framed(packets))
+        with pytest.raises(InputError, match=expected):
+            PacketStream(other, InputConfig())
     mixed = made.write_pcap(tmp_path / "c.pcap", made.framed(made.vlp16(5) + made.vlp16(5, mode=0x38)))
     with pytest.raises(InputError, match="return mode 0x38 after 0x22 and 0x37"):
         read(mixed)
@@ -257,6 +264,76 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "e.pcap").write_bytes(other.read_bytes()[:24] + b"\xff" * 100)
     with pytest.raises(InputError, match="found a packet of 4294967295 bytes, expected at most 262144"):
         PacketStream(tmp_path / "e.pcap", InputConfig())
+
+
+def compare(block: ScanBlock, points: np.ndarray, turned_deg: float, off_m: float) -> None:
+    """Compare shots with the points of velodyne-decoder, ring by ring."""
+    assert block.xyz_m is not None
+    assert block.intensity is not None
+    has = np.isfinite(block.range_m)
+    assert has.sum() == len(points)
+    for ring in range(block.points_per_line):
+        mine, of = has[:, ring], points[:, 6] == ring
+        assert mine.any() == of.any()
+        xyz = block.xyz_m[mine, ring]
+        off = np.arctan2(-xyz[:, 0], xyz[:, 1]) - np.arctan2(points[of, 1], points[of, 0])
+        assert np.rad2deg(np.abs(np.angle(np.exp(1j * off)))).max(initial=0.0) < turned_deg
+        np.testing.assert_allclose(np.hypot(*xyz[:, :2].T), np.hypot(*points[of, :2].T), atol=off_m)
+        np.testing.assert_array_equal(block.intensity[mine, ring], points[of, 3])
+
+
+@pytest.mark.parametrize("model", [0x21, 0x22, 0x24, 0x28, 0xA1, 0x40])
+def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path: Path, model: int) -> None:
+    packets = made.velodyne(30, model, firings=2 if model in (0x22, 0x24) else 1)
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets))
+    config = velodyne_decoder.Config(min_range=0, max_range=1000)
+    changes = {}
+    if model == 0x40:
+        lasers = [
+            {
+                "laser_id": k,
+                "vert_correction": -0.4 + 0.007 * k,
+                "rot_correction": 0.02 * (k % 5),
+                "dist_correction": 1.5,
+            }
+            for k in range(64)
+        ]
+        calibration = tmp_path / "unit.yml"
+        calibration.write_text(json.dumps({"num_lasers": 64, "distance_resolution": 0.002, "lasers": lasers}))
+        config.calibration = velodyne_decoder.Calibration.read(str(calibration))
+        config.model, changes = velodyne_decoder.Model.HDL64E_S2, {"metadata": str(calibration)}
+    _, block = read(path, max_gap_lines=10**6, **changes)
+    points = np.concatenate([points for _, points in velodyne_decoder.read_pcap(str(path), config)])
+    compare(block, points, 0.2, 0.02)
+    dual = made.velodyne(30, model, mode=0x39, firings=2 if model in (0x22, 0x24) else 1)
+    if model != 0x40:
+        _, both = read(made.write_pcap(tmp_path / "b.pcap", made.framed(dual)), max_gap_lines=10**6)
+        assert both.points_per_line == block.points_per_line
+        assert len(both.extra) > 0.7 * np.isfinite(both.range_m).sum()
+
+
+@pytest.mark.parametrize("name", made.HESAI)
+@pytest.mark.parametrize("mode", [0x37, 0x39])
+def test_every_hesai_has_the_distances_of_its_packets(tmp_path: Path, name: str, mode: int) -> None:
+    packets, units = made.hesai(name, 40, mode=mode, column_us=COLUMNS_US.get(name, 50.0))
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets))
+    stream, block = read(path, **{"return": "last"})
+    assert f"Hesai {name} at" in " ".join(one.value + one.why for one in stream.info.assumptions)
+    table = json.loads((Path(columns_module.__file__).parent / "hesai.json").read_text())[name]
+    order = np.argsort(table["elevation_deg"], kind="stable")
+    metres = np.where(units < 4, np.nan, units * 0.004)[:, order]
+    wanted = np.fmax(metres[::2], metres[1::2]) if mode == 0x39 else metres
+    shift = np.rint(np.array(table["azimuth_deg"])[order] / 0.2).astype(int)
+    shift -= shift.min()
+    assert block.n_lines == len(wanted) + shift.max()
+    for ring, by in enumerate(shift):
+        np.testing.assert_allclose(block.range_m[by : by + len(wanted), ring], wanted[:, ring], rtol=1e-6)
+    assert block.xyz_m is not None
+    found = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
+    np.testing.assert_allclose(np.nanmedian(found, axis=0), np.array(table["elevation_deg"])[order], atol=1e-3)
+
+
+COLUMNS_US = {"40P": 55.56, "64": 55.56, "QT64": 166.67, "QT128": 111.11, "128": 55.556, "OT128": 55.556}
 
 
 @pytest.mark.data
@@ -273,24 +350,15 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
     scans = list(velodyne_decoder.read_pcap(str(path), velodyne_decoder.Config(min_range=0, max_range=1000)))
     points = np.concatenate([points for _, points in scans])
     device = np.concatenate([stamp.device + points[:, 4].astype(np.float64) for stamp, points in scans])
-    assert block.xyz_m is not None
-    assert block.intensity is not None
+    # azimuths are given to 0.01 deg; the decoders spread a block's step over its lasers in their own ways
+    compare(block, points, 0.05, 0.002)
     assert block.time_s is not None
+    assert block.xyz_m is not None
     has = np.isfinite(block.range_m)
-    assert has.sum() == len(points)
-    for ring in range(m):
+    for ring in np.unique(points[:, 6]).astype(int):
         mine, of = has[:, ring], points[:, 6] == ring
-        if not of.any():
-            assert not mine.any()
-            continue
-        xyz = block.xyz_m[mine, ring]
-        # azimuths are given to 0.01 deg; the decoders spread a block's step over its lasers in their own ways
-        off = np.arctan2(-xyz[:, 0], xyz[:, 1]) - np.arctan2(points[of, 1], points[of, 0])
-        assert np.rad2deg(np.abs(np.angle(np.exp(1j * off)))).max() < 0.05
-        np.testing.assert_allclose(np.hypot(*xyz[:, :2].T), np.hypot(*points[of, :2].T), atol=0.002)
         # beams do not begin on the axis: up to 12 mm (VLP-16) and 18 mm (HDL-32E) in height
-        np.testing.assert_allclose(xyz[:, 2], points[of, 2], atol=0.018)
-        np.testing.assert_array_equal(block.intensity[mine, ring], points[of, 3])
+        np.testing.assert_allclose(block.xyz_m[mine, ring, 2], points[of, 2], atol=0.018)
         assert np.ptp(block.time_s[mine, ring] - device[of]) < 2e-6
     output = tmp_path / "labels.npy"
     result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])

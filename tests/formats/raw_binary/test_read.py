@@ -82,7 +82,7 @@ def test_fat_records_make_short_chunks(tmp_path: Path) -> None:
     path.write_bytes(b"\0" * (3 << 20))
     layout = Layout(record_bytes=1 << 20, fields=(LayoutField(name="range"),))
     source = RawBinarySource(path, layout)
-    assert source._chunk_records == 64
+    assert source.body.n_at_once == 16
     assert source.n_records == 3
 
 
@@ -122,7 +122,7 @@ def test_an_unknown_dimension_names_the_known_ones(tmp_path: Path) -> None:
     path.write_bytes(b"HEAD\n" + wide_records(2).tobytes())
     with pytest.raises(ConfigError) as caught:
         list(RawBinarySource(path, WIDE).chunks(("range", "scan_line")))
-    message = "no dimension 'scan_line' in the layout; the layout has: range, column, angle, time, flags"
+    message = "no dimension 'scan_line' in the file; it has: range, column, angle, time, flags"
     assert str(caught.value) == f"{path}: {message}"
 
 

@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64
-from prc_cli.formats.las.crs import same_crs, short_crs
+from prc_cli.formats.las.vlrs import same_crs, short_crs
 from prc_cli.formats.tables import read as tables
 from prc_cli.formats.tables.read import open_table
 

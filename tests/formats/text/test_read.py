@@ -17,7 +17,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.text import lines as text_lines
-from prc_cli.formats.text.dialect import TextFormat, find_format
+from prc_cli.formats.text.dialect import find_format
 from prc_cli.formats.text.read import TextSource
 
 NAN = math.nan
@@ -207,6 +207,15 @@ def test_a_layout_with_numbers_for_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["1"], [9, 9])
 
 
+def test_two_fields_of_one_column(tmp_path: Path) -> None:
+    fields = (LayoutField(name="range", source=0, scale=0.5), LayoutField(name="raw", source=0, missing=2))
+    path = write(tmp_path, "2,1\n,1\n8,1\n")
+    for asked in (("range", "raw"), ("raw", "range")):
+        found = read(TextSource(path, Layout(fields=fields)), *asked)
+        np.testing.assert_array_equal(found["range"], [1, NAN, 4])
+        np.testing.assert_array_equal(found["raw"], [NAN, NAN, 8])
+
+
 def test_a_layout_with_names_for_columns(tmp_path: Path) -> None:
     fields = (LayoutField(name="range", source="Dist", scale=0.01), LayoutField(name="scan_line"))
     source = TextSource(write(tmp_path, "LINE,dist,range\n3,250,1\n"), Layout(fields=fields))
@@ -332,11 +341,11 @@ def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeyp
         (
             {"name": "range", "source": "dist"},
             "line,range\n1,2\n",
-            "no column 'dist' for field 'range', the header in line 1 has: line, range; name the column",
+            "line 1: no column 'dist' for field 'range', it has: line, range; name the column",
         ),
-        ({"name": "time"}, "line,range\n1,2\n", "no column 'time' for field 'time', the header in line 1"),
-        ({"name": "range", "source": 2}, "1,2\n", "no column 2 for field 'range', expected 0 to 1; line 1 has 2 cells"),
-        ({"name": "range", "source": 1}, "1;2\n", "no column 1 for field 'range', expected 0 to 0; line 1 has 1 cells"),
+        ({"name": "time"}, "line,range\n1,2\n", "line 1: no column 'time' for field 'time', it has: line, range"),
+        ({"name": "range", "source": 2}, "1,2\n", "no column 2 for field 'range', expected 0 to 1; the file has 2 co"),
+        ({"name": "range", "source": 1}, "1;2\n", "no column 1 for field 'range', expected 0 to 0; the file has 1 co"),
         ({"name": "range", "source": "dist"}, "1,2\n", "no header row, so no column 'dist' for field 'range'"),
         ({"name": "range", "source": "a"}, "a,a\n1,2\n", "line 1: the name 'a' stands in columns 0 and 1"),
     ],
@@ -399,21 +408,6 @@ def test_rows_are_found_among_any_lines_that_are_none(
     found = read(TextSource(path, None, block_bytes), "range", "time")
     np.testing.assert_array_equal(found["range"], [1.0, 3.0])
     np.testing.assert_array_equal(found["time"], [2.0, 4.0])
-
-
-def test_lines_that_are_no_rows_are_passed_over_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    looked_at: list[bytes] = []
-    plain = TextFormat.is_row
-
-    def is_row(self: TextFormat, line: bytes) -> bool:
-        looked_at.append(line)
-        return plain(self, line)
-
-    monkeypatch.setattr(TextFormat, "is_row", is_row)
-    path = write(tmp_path, "#\n\n # c\n" * 100_000 + "range,time\n1,2\n")
-    assert find_format(path, None).header_line == 300_001
-    assert len(looked_at) < 1000
-    assert values(tmp_path, path.read_bytes()) == [1.0]
 
 
 def test_blocks_parsed_together_are_judged_in_order(tmp_path: Path) -> None:

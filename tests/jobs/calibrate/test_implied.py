@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prc_cli.jobs.calibrate.curves import Curves, thresholds
-from prc_cli.jobs.calibrate.implied import Advice, imply
+from prc_cli.jobs.calibrate.implied import Advice, Curves, imply, thresholds
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
 from prc_cli.methods.prc.pipeline import PrcParams
 

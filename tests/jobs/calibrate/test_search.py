@@ -7,7 +7,7 @@ from prc_cli.config import RunConfig
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.jobs.calibrate.calibrate import _measure
+from prc_cli.jobs.calibrate import _measure
 from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES, ZETA_P, ZETA_S, Axis, Searcher, _neighbours, with_values
 from tests.streams.beam_lines import stream
 

@@ -8,8 +8,7 @@ import pytest
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.jobs.objects.grow import Grower, Rule, Thing
-from prc_cli.jobs.objects.runs import runs_of
+from prc_cli.jobs.objects.grow import Grower, Rule, Thing, runs_of
 
 BEAM: F64 = np.deg2rad(np.linspace(60, 120, 121))
 RULES = {Label.STEM: Rule(0.3, 2.0, 2, 4, 0.5), Label.CURB: Rule(0.3, 0.2, 1, 1, most_lines=10)}
@@ -30,7 +29,7 @@ def grown(labels: U8, range_m: F32, cut: int = 1000, registered: F64 | None = No
         own = None if registered is None else registered[rows]
         by_line: dict[int, list[object]] = {}
         for run in runs_of(part, tuple(RULES), own):
-            by_line.setdefault(run.line, []).append(run)
+            by_line.setdefault(run.last_line, []).append(run)
         for line, runs in by_line.items():
             found += grower.add(runs, line)  # type: ignore[arg-type]
         found += grower.add((), start + len(labels[rows]))
@@ -113,6 +112,6 @@ def test_runs_end_at_jumps_other_classes_and_gaps() -> None:
     range_m[0, 50:] = 6.0
     labels[0, 70:] = Label.CURB
     found = list(runs_of(item(labels, range_m), (Label.STEM, Label.CURB)))
-    assert [(run.first_column, run.last_column) for run in found] == [(0, 9), (13, 49), (50, 69), (70, 120)]
+    assert [run.columns for run in found] == [(0, 9), (13, 49), (50, 69), (70, 120)]
     assert [run.n for run in found] == [10, 35, 20, 51]
     assert not list(runs_of(item(labels, range_m), (Label.CAR,)))

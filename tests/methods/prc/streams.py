@@ -11,7 +11,7 @@ from prc_cli.core.types import F32, I64, U8
 from prc_cli.methods.base import OneByOne
 from prc_cli.methods.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
 from prc_cli.methods.prc.surfaces import area_threshold
-from prc_cli.reference.prc.method import Settings
+from tests.oracles.prc_method import Settings
 
 TIGHT_LOOK_AHEAD = {1: 4, 2: 2}
 """Lines of look-ahead that suffice for very short scan lines; two for all others."""

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F32
-from prc_cli.methods.prc.critical import critical_zetas
-from prc_cli.methods.prc.support import SupportParams, stream_window, support, window_reach
+from prc_cli.methods.prc.support import SupportParams, critical_zetas, stream_window, support, window_reach
 
 
 def random_window(rng: np.random.Generator, n_lines: int, m: int) -> F32:

@@ -16,8 +16,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.methods.base import LABELS_ALONE, OneByOne
 from prc_cli.methods.prc.pipeline import Prc, PrcParams, initial_state
-from prc_cli.reference.prc import method as oracle_prc
 from tests.methods.prc.streams import random_params, random_stream, run_blocks, run_stream, to_settings, trace_block
+from tests.oracles import prc_method as oracle_prc
 
 
 def assert_equals_oracle(seed: int) -> set[int]:

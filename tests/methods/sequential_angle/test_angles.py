@@ -11,22 +11,23 @@ from numpy.random import Generator
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F64
 from prc_cli.methods.sequential_angle import angles_loops as kernel_module
-from prc_cli.methods.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
+from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles
 from prc_cli.methods.sequential_angle.lines import VerticalLines, split_sides, vertical_lines
+from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 from prc_cli.reference.sequential_angle import angles as oracle_angles
+from tests.methods.sequential_angle.made import made
 from tests.methods.sequential_angle.scenes import lines_of, lines_through, street_lines
 
 HELPERS: Any = kernel_module
 """Their plain functions are called: compiled, helpers have no way in from outside."""
 
 
-class PlainAnglesParams(AnglesParams):
+def plain(**values: float) -> ChordThresholds:
     """Without the readings that are ours, so that every rule is tested by itself."""
+    return made(ChordThresholds, **{"least_chord_m": 0.0, **values}).at_noise()
 
-    least_chord_m: float = 0.0
 
-
-LITERAL = PlainAnglesParams(min_chord_sigmas=0)
+LITERAL = plain(min_chord_sigmas=0)
 STEP = np.deg2rad(0.1)
 
 
@@ -47,11 +48,11 @@ def test_angles_of_ground_wall_overhang_and_return() -> None:
 def test_chords_bridge_missing_shots_and_short_steps() -> None:
     gap = (np.nan, np.nan)
     points = [(4, -2), gap, gap, (4.5, -2), (4.51, -2), (4.519, -2), gap, (4.52, -2), (4.6, -1.9)]
-    found = signed_angles(lines_through(points), PlainAnglesParams())
+    found = signed_angles(lines_through(points), plain())
     assert found.ahead[0].tolist() == [3, -1, -1, 8, 8, 8, -1, 8, -1]
     assert np.isnan(found.signed_deg[0]).tolist() == [False, True, True, False, False, False, True, False, True]
     # a chord is as long as the shortest allowed or longer
-    whole = PlainAnglesParams(range_noise_m=0.0625, chord_depth_sigmas=0)
+    whole = plain(range_noise_m=0.0625, chord_depth_sigmas=0)
     found = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), whole)
     assert found.ahead[0].tolist() == [1, 2, -1]
 
@@ -60,7 +61,7 @@ def test_the_depth_that_does_not_count_is_in_standard_deviations_of_the_range() 
     """Shots 5 cm apart in range and nothing else: a depth of 3 times 1 cm leaves 2 cm of the chord, of 5 times none."""
     points = [(4.0, 0.0), (4.05, 0.0), (4.1, 0.0)]
     for sigmas, ahead in ((3.0, [1, 2, -1]), (5.0, [2, -1, -1])):
-        params = PlainAnglesParams(range_noise_m=0.01, min_chord_sigmas=1.0, chord_depth_sigmas=sigmas)
+        params = plain(range_noise_m=0.01, min_chord_sigmas=1.0, chord_depth_sigmas=sigmas)
         assert params.thresholds().depth_m == pytest.approx(sigmas * 0.01)
         assert signed_angles(lines_through(points), params).ahead[0].tolist() == ahead
 
@@ -68,7 +69,7 @@ def test_the_depth_that_does_not_count_is_in_standard_deviations_of_the_range() 
 def test_the_chord_before_comes_from_the_last_shot_far_enough_away() -> None:
     # the step back of 1 cm is noise to a shortest chord of 2 cm; the literal statistic takes it for foliage
     points = [(4, -2), (4.05, -2), (4.04, -2), (4.09, -2), (4.14, -2)]
-    assert (signed_angles(lines_through(points), PlainAnglesParams()).signed_deg[0, :4] > 0).all()
+    assert (signed_angles(lines_through(points), plain()).signed_deg[0, :4] > 0).all()
     literal = signed_angles(lines_through(points), LITERAL).signed_deg[0]
     assert (literal < 0).tolist() == [False, True, True, False, False]
 
@@ -84,7 +85,7 @@ def test_noise_turns_short_chords_round(rng: Generator, spacing: int, negative: 
     literal = signed_angles(lines_through(points), LITERAL).signed_deg[0, :-1]
     assert (literal < 0).mean() == pytest.approx(negative, abs=0.005)
     assert np.sqrt((np.abs(literal.astype(np.float64)) ** 2).mean()) == pytest.approx(rms_deg, abs=1)
-    lengthened = signed_angles(lines_through(points), PlainAnglesParams(range_noise_m=noise)).signed_deg[0, :-4]
+    lengthened = signed_angles(lines_through(points), plain(range_noise_m=noise)).signed_deg[0, :-4]
     # measured .032, .013, .010, .001, 0: chords that noise makes long enough are still turned round now and then
     assert (lengthened < 0).mean() < min(0.05, 0.4 * negative + 0.01)
 
@@ -94,7 +95,7 @@ def test_lines_without_returns_with_one_and_with_all_at_one_place() -> None:
     one = nothing.copy()
     one[4] = (5, 1)
     same = np.tile((5.0, 1.0), (9, 1))
-    for params in (LITERAL, PlainAnglesParams()):
+    for params in (LITERAL, plain()):
         found = signed_angles(lines_through([nothing, one, same]), params)
         assert np.isnan(found.signed_deg).all()
         assert (found.ahead == -1).all()
@@ -104,7 +105,7 @@ def test_lines_without_returns_with_one_and_with_all_at_one_place() -> None:
 
 def test_shots_looked_at_are_bounded() -> None:
     points = [(5, 1)] * 20 + [(6, 1)]
-    found = signed_angles(lines_through(points), PlainAnglesParams(max_chord_shots=8)).ahead[0]
+    found = signed_angles(lines_through(points), plain(max_shots=8)).ahead[0]
     assert found.tolist() == [-1] * 12 + [20] * 8 + [-1]
 
 
@@ -112,8 +113,8 @@ def test_fill_is_not_looked_at(rng: Generator) -> None:
     lines, _ = street_lines(rng, 2)
     short = np.array([700, 0], np.int32)
     cut = VerticalLines(lines.range_m, lines.xyz_m, lines.horizontal_m, short, lines.beam_rad)
-    found = signed_angles(cut, PlainAnglesParams())
-    alone = signed_angles(lines_of(lines.beam_rad[0, :700], lines.range_m[0, :700]), PlainAnglesParams())
+    found = signed_angles(cut, plain())
+    alone = signed_angles(lines_of(lines.beam_rad[0, :700], lines.range_m[0, :700]), plain())
     np.testing.assert_array_equal(found.signed_deg[0, :700], alone.signed_deg[0])
     assert np.isnan(found.signed_deg[0, 700:]).all()
     assert (found.ahead[0, 700:] == -1).all()
@@ -122,14 +123,14 @@ def test_fill_is_not_looked_at(rng: Generator) -> None:
 
 def test_rows_and_the_order_of_columns_do_not_matter(rng: Generator) -> None:
     lines, _ = street_lines(rng, 4)
-    found = signed_angles(lines, PlainAnglesParams()).signed_deg
+    found = signed_angles(lines, plain()).signed_deg
     for row in range(4):
         alone = lines_of(lines.beam_rad[0], lines.range_m[row])
-        np.testing.assert_array_equal(signed_angles(alone, PlainAnglesParams()).signed_deg[0], found[row])
+        np.testing.assert_array_equal(signed_angles(alone, plain()).signed_deg[0], found[row])
     # a mirror that turns the other way round writes the same beams from the last column to the first
     beam_rad = lines.beam_rad[0][::-1].copy()
     turned = vertical_lines(lines.range_m[:, ::-1].copy(), None, beam_rad, split_sides(beam_rad), 300.0)
-    np.testing.assert_array_equal(signed_angles(turned, PlainAnglesParams()).signed_deg, found)
+    np.testing.assert_array_equal(signed_angles(turned, plain()).signed_deg, found)
 
 
 def test_differences_skip_what_has_no_angle() -> None:
@@ -179,7 +180,7 @@ def test_line_angles_see_slope_not_height(height: float, slope_deg: float) -> No
     beam = np.arange(np.deg2rad(30), np.deg2rad(80), STEP)
     ranges = height / (np.cos(beam) + np.sin(beam) * np.tan(np.deg2rad(slope_deg)))
     lines = lines_of(beam, ranges)
-    ahead = signed_angles(lines, PlainAnglesParams()).ahead
+    ahead = signed_angles(lines, plain()).ahead
     surface = np.full(ahead.shape, Surface.HORIZONTAL, np.uint8)
     found = line_angles(lines, ahead, surface)
     np.testing.assert_array_equal(np.isnan(found), ahead < 0)
@@ -206,7 +207,7 @@ def test_a_wall_with_shots_closer_than_the_noise_stands_upright(spacing: float) 
     ranges = 5.0 / np.sin(beam) + np.random.default_rng(5).normal(0, noise, (3, len(beam)))
     lines = lines_of(beam, ranges.astype(np.float32))
     for depth, least, most in ((3.0, 0.0, 25.0), (0.0, 25.0, 90.0)):
-        params = PlainAnglesParams(chord_depth_sigmas=depth, max_chord_shots=1000)
+        params = plain(chord_depth_sigmas=depth, max_shots=1000)
         angle = np.abs(signed_angles(lines, params).signed_deg)
         spread = float(np.sqrt(np.nanmean(np.minimum(angle, 180 - angle) ** 2)))
         assert spread < most

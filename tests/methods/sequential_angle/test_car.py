@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import Mask
-from prc_cli.methods.sequential_angle.car import CarParams, cars
+from prc_cli.methods.sequential_angle.car import cars
+from prc_cli.methods.sequential_angle.thresholds import CarThresholds
 from tests.methods.sequential_angle.car_lines import (
     DENSE,
     NOISE_M,
@@ -19,12 +20,13 @@ from tests.methods.sequential_angle.car_lines import (
     signed_angles,
     wall,
 )
+from tests.methods.sequential_angle.made import made
 
 
-def find(found: Seen, params: CarParams | None = None) -> Mask:
+def find(found: Seen, params: CarThresholds | None = None) -> Mask:
     signed = signed_angles(found.lines)
     return cars(
-        found.lines, found.surface, found.surface, signed, found.z_g, params or CarParams(), range_noise_m=NOISE_M
+        found.lines, found.surface, found.surface, signed, found.z_g, (params or CarThresholds()).at_noise(NOISE_M)
     ).car
 
 
@@ -73,7 +75,7 @@ def test_high_verticals_are_sought_in_the_layer_of_vegetation_and_surfaces() -> 
     layer[0, found.where("sign")] = DENSE
     signed, behind = signed_angles(found.lines), found.where("car")
     for surface, hidden in ((found.surface, True), (layer, False)):
-        marked = cars(found.lines, surface, layer, signed, found.z_g, CarParams(), range_noise_m=NOISE_M).car
+        marked = cars(found.lines, surface, layer, signed, found.z_g, CarThresholds().at_noise(NOISE_M)).car
         assert marked[0, behind].any() != hidden
 
 
@@ -81,7 +83,7 @@ def test_sidewalk_behind_a_car_is_no_car() -> None:
     found = see([[*road(), *car(6), *curb(8.0), *wall(12.0, 0.15)]], np.random.default_rng(3), scanner_m=5.0)
     sidewalk = found.where("pavement")
     assert len(sidewalk) > 5
-    assert find(found, CarParams(ground_layer_m=0))[0, sidewalk].any()
+    assert find(found, made(CarThresholds, ground_layer_m=0))[0, sidewalk].any()
     assert not find(found)[0, sidewalk].any()
     assert find(found)[0, found.where("car")].mean() > 0.9
 

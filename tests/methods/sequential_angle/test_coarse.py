@@ -8,21 +8,28 @@ from numpy.random import Generator
 
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import U8, Mask
-from prc_cli.methods.sequential_angle.angles import AnglesParams, signed_angles
-from prc_cli.methods.sequential_angle.coarse import CoarseParams, TiltParams, coarse, surface_image
+from prc_cli.methods.sequential_angle.angles import signed_angles
+from prc_cli.methods.sequential_angle.coarse import coarse, surface_image
 from prc_cli.methods.sequential_angle.lines import VerticalLines
-from prc_cli.methods.sequential_angle.markov import HmmParams
+from prc_cli.methods.sequential_angle.thresholds import (
+    ChordThresholds,
+    CoarseThresholds,
+    MarkovThresholds,
+    SurfaceThresholds,
+)
+from tests.methods.sequential_angle.made import made
 from tests.methods.sequential_angle.scenes import lines_of, lines_through, street_lines
 from tests.methods.sequential_angle.test_markov import SCRIPT, SLOW
 
 M, T, H, V, U = (int(surface) for surface in Surface)
-PUBLISHED_TILT = TiltParams(
+PUBLISHED_TILT = made(
+    SurfaceThresholds,
     threshold_vertical_deg=20,
     drift_horizontal_deg=30,
     threshold_horizontal_deg=15,
     fold=False,
     backdate=False,
-    start="horizontal",
+    start_horizontal=True,
 )
 
 
@@ -35,7 +42,7 @@ def f1(found: Mask, truth: Mask) -> float:
     return float(2 * (found & truth).sum() / (found.sum() + truth.sum()))
 
 
-def labels(tilts: list[float], params: TiltParams, vegetation: Mask | None = None) -> list[int]:
+def labels(tilts: list[float], params: SurfaceThresholds, vegetation: Mask | None = None) -> list[int]:
     """Surfaces of one line with the given signed angles; NaN = a shot without an angle."""
     signed = np.array([tilts], np.float32)
     ranges = np.full(signed.shape, 5, np.float32)
@@ -45,8 +52,8 @@ def labels(tilts: list[float], params: TiltParams, vegetation: Mask | None = Non
     return [int(label) for label in surface_image(signed, none, lines, params)[0]]
 
 
-def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: CoarseParams) -> U8:
-    angles = AnglesParams(range_noise_m=noise_m, min_chord_sigmas=sigmas, least_chord_m=0.0)
+def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: CoarseThresholds) -> U8:
+    angles = made(ChordThresholds, range_noise_m=noise_m, min_chord_sigmas=sigmas, least_chord_m=0.0).at_noise()
     return coarse(signed_angles(lines, angles).signed_deg, lines, params)
 
 
@@ -54,18 +61,18 @@ def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: Coar
     ("step_deg", "noise_m", "model", "least"),
     [
         # measured on 300 lines: .948 .949 .943 .947 .929, .905, .930; the bounds leave room for another seed
-        (0.06, 0.005, HmmParams(), 0.92),
-        (0.115, 0.005, HmmParams(), 0.92),
-        (0.20, 0.005, HmmParams(), 0.91),
-        (0.115, 0.010, HmmParams(), 0.92),
-        (0.29, 0.010, HmmParams(), 0.90),
-        (0.115, 0.005, HmmParams(h0=SLOW, sigmas_deg=(20, 20, 20)), 0.88),
+        (0.06, 0.005, MarkovThresholds(), 0.92),
+        (0.115, 0.005, MarkovThresholds(), 0.92),
+        (0.20, 0.005, MarkovThresholds(), 0.91),
+        (0.115, 0.010, MarkovThresholds(), 0.92),
+        (0.29, 0.010, MarkovThresholds(), 0.90),
+        (0.115, 0.005, made(MarkovThresholds, h0=SLOW, sigmas_deg=(20, 20, 20)), 0.88),
         (0.115, 0.005, SCRIPT, 0.90),
     ],
 )
-def test_street(rng: Generator, step_deg: float, noise_m: float, model: HmmParams, least: float) -> None:
+def test_street(rng: Generator, step_deg: float, noise_m: float, model: MarkovThresholds, least: float) -> None:
     lines, truth = street_lines(rng, 30, step_deg, noise_m)
-    found = classified(lines, noise_m, 4, CoarseParams(vegetation=model))
+    found = classified(lines, noise_m, 4, made(CoarseThresholds, vegetation=model))
     np.testing.assert_array_equal(found == M, np.isnan(lines.range_m))
     assert f1(found == T, truth == T) > least
     solid = np.isin(truth, (H, V)) & (found != M)
@@ -77,11 +84,11 @@ def test_street(rng: Generator, step_deg: float, noise_m: float, model: HmmParam
 def test_the_shortest_chord_is_what_keeps_near_ground_from_being_foliage(rng: Generator) -> None:
     lines, truth = street_lines(rng, 30)
     near = (lines.range_m < 2.5) & (truth == H)  # shots 4 to 5 mm apart, with 5 mm of noise
-    assert (classified(lines, 0.005, 4, CoarseParams()) == T)[near].mean() < 0.02
-    assert (classified(lines, 0.005, 0, CoarseParams()) == T)[near].mean() > 0.5
+    assert (classified(lines, 0.005, 4, CoarseThresholds()) == T)[near].mean() < 0.02
+    assert (classified(lines, 0.005, 0, CoarseThresholds()) == T)[near].mean() > 0.5
     # where shots are far apart the literal statistic does as well
     far = lines.range_m > 6
-    literal = classified(lines, 0.005, 0, CoarseParams())
+    literal = classified(lines, 0.005, 0, CoarseThresholds())
     assert f1((literal == T)[far], (truth == T)[far]) > 0.9
 
 
@@ -90,59 +97,62 @@ def test_a_wall_hit_head_on_is_not_vegetation(rng: Generator, spacing_sigmas: fl
     noise, n = 0.005, 600
     up = (np.arange(n) - n / 2) * spacing_sigmas * noise
     points = np.stack([10 + rng.normal(0, noise, (20, n)), np.tile(up, (20, 1))], axis=-1)
-    found = classified(lines_through(points), noise, 4, CoarseParams())
+    found = classified(lines_through(points), noise, 4, CoarseThresholds())
     assert (found == T).mean() < 0.01
     assert (found == V).mean() > 0.95
 
 
 def test_a_curb_of_one_sample_is_kept_and_a_noisy_one_is_not() -> None:
-    assert labels([90] * 8 + [5] + [90] * 8, TiltParams()) == [H] * 8 + [V] + [H] * 8
-    assert labels([90] * 8 + [20] + [90] * 8, TiltParams()) == [H] * 17
-    assert labels([90] * 8 + [5] + [90] * 8, TiltParams(threshold_vertical_deg=60)) == [H] * 17
-    assert labels([90] * 8 + [5, 5] + [90] * 8, TiltParams(threshold_vertical_deg=60)) == [H] * 8 + [V] * 2 + [H] * 8
+    assert labels([90] * 8 + [5] + [90] * 8, SurfaceThresholds()) == [H] * 8 + [V] + [H] * 8
+    assert labels([90] * 8 + [20] + [90] * 8, SurfaceThresholds()) == [H] * 17
+    assert labels([90] * 8 + [5] + [90] * 8, made(SurfaceThresholds, threshold_vertical_deg=60)) == [H] * 17
+    assert (
+        labels([90] * 8 + [5, 5] + [90] * 8, made(SurfaceThresholds, threshold_vertical_deg=60))
+        == [H] * 8 + [V] * 2 + [H] * 8
+    )
 
 
 def test_changes_are_dated_back() -> None:
     tilts = [90.0] * 6 + [30.0] * 6 + [60.0] * 6
-    assert labels(tilts, TiltParams()) == [H] * 6 + [V] * 6 + [H] * 6
-    assert labels(tilts, TiltParams(backdate=False)) == [H] * 8 + [V] * 6 + [H] * 4
+    assert labels(tilts, SurfaceThresholds()) == [H] * 6 + [V] * 6 + [H] * 6
+    assert labels(tilts, made(SurfaceThresholds, backdate=False)) == [H] * 8 + [V] * 6 + [H] * 4
 
 
 def test_folding_and_signs() -> None:
     down = [90.0] * 6 + [175.0] * 6 + [-90.0] * 6 + [-3.0] * 6
-    assert labels(down, TiltParams()) == [H] * 6 + [V] * 6 + [H] * 6 + [V] * 6
-    assert labels(down, TiltParams(fold=False)) == [H] * 18 + [V] * 6
+    assert labels(down, SurfaceThresholds()) == [H] * 6 + [V] * 6 + [H] * 6 + [V] * 6
+    assert labels(down, made(SurfaceThresholds, fold=False)) == [H] * 18 + [V] * 6
 
 
 def test_runs_begin_with_their_first_five_angles() -> None:
-    assert labels([0, 90, 0, 90, 0] + [60] * 5, TiltParams())[0] == V
-    assert labels([0, 90, 0, 90, 90] + [60] * 5, TiltParams(threshold_vertical_deg=1000)) == [H] * 10
-    assert labels([10.0], TiltParams()) == [V]
-    assert labels([10.0, 80.0], TiltParams(threshold_vertical_deg=90)) == [H, H], "half way is horizontal"
-    assert labels([10.0] * 3, TiltParams(start="horizontal", backdate=False)) == [V] * 3
-    assert labels([30.0] * 4, TiltParams(start="horizontal", backdate=False)) == [H, H, V, V]
+    assert labels([0, 90, 0, 90, 0] + [60] * 5, SurfaceThresholds())[0] == V
+    assert labels([0, 90, 0, 90, 90] + [60] * 5, made(SurfaceThresholds, threshold_vertical_deg=1000)) == [H] * 10
+    assert labels([10.0], SurfaceThresholds()) == [V]
+    assert labels([10.0, 80.0], made(SurfaceThresholds, threshold_vertical_deg=90)) == [H, H], "half way is horizontal"
+    assert labels([10.0] * 3, made(SurfaceThresholds, start_horizontal=True, backdate=False)) == [V] * 3
+    assert labels([30.0] * 4, made(SurfaceThresholds, start_horizontal=True, backdate=False)) == [H, H, V, V]
 
 
 def test_every_run_is_judged_by_itself() -> None:
     vegetation = np.zeros(30, bool)
     vegetation[12:20] = True
-    found = labels([0.0] * 20 + [50.0] * 10, TiltParams(), vegetation)
+    found = labels([0.0] * 20 + [50.0] * 10, SurfaceThresholds(), vegetation)
     assert found == [V] * 12 + [T] * 8 + [H] * 10
-    assert labels([0.0] * 20 + [45.0] * 10, TiltParams()) == [V] * 30
+    assert labels([0.0] * 20 + [45.0] * 10, SurfaceThresholds()) == [V] * 30
 
 
 def test_published_reading_of_horizontal_and_vertical() -> None:
     tilts = [10.0] * 2 + [90.0] * 5 + [30.0] * 4 + [80.0] * 5
     assert labels(tilts, PUBLISHED_TILT) == [V] * 2 + [H] * 6 + [V] * 3 + [H] * 5
-    assert labels(tilts, TiltParams()) == [V] * 2 + [H] * 5 + [V] * 4 + [H] * 5
+    assert labels(tilts, SurfaceThresholds()) == [V] * 2 + [H] * 5 + [V] * 4 + [H] * 5
 
 
 def test_shots_without_an_angle_go_with_the_one_before() -> None:
     nan = float("nan")
-    assert labels([nan, nan, 0, 0, nan, 90, 90, nan], TiltParams()) == [V] * 5 + [H] * 3
+    assert labels([nan, nan, 0, 0, nan, 90, 90, nan], SurfaceThresholds()) == [V] * 5 + [H] * 3
     vegetation = np.array([False, False, True, True, True])
-    assert labels([90, 90, 0, nan, nan], TiltParams(), vegetation) == [H, H, T, T, T]
-    assert labels([nan] * 4, TiltParams()) == [U] * 4
+    assert labels([90, 90, 0, nan, nan], SurfaceThresholds(), vegetation) == [H, H, T, T, T]
+    assert labels([nan] * 4, SurfaceThresholds()) == [U] * 4
 
 
 def test_lines_without_returns_with_one_and_with_all_at_one_place(rng: Generator) -> None:
@@ -150,21 +160,21 @@ def test_lines_without_returns_with_one_and_with_all_at_one_place(rng: Generator
     one = nothing.copy()
     one[4] = (5, 1)
     same = np.tile((5.0, 1.0), (9, 1))
-    found = classified(lines_through([nothing, one, same]), 0.005, 4, CoarseParams())
+    found = classified(lines_through([nothing, one, same]), 0.005, 4, CoarseThresholds())
     assert found.tolist() == [[M] * 9, [M] * 4 + [U] + [M] * 4, [U] * 9]
     lines, _ = street_lines(rng, 2)
     short = np.array([700, 0], np.int32)
     cut = VerticalLines(lines.range_m, lines.xyz_m, lines.horizontal_m, short, lines.beam_rad)
-    found = classified(cut, 0.005, 4, CoarseParams())
+    found = classified(cut, 0.005, 4, CoarseThresholds())
     alone = lines_of(lines.beam_rad[0, :700], lines.range_m[0, :700])
-    np.testing.assert_array_equal(found[0, :700], classified(alone, 0.005, 4, CoarseParams())[0])
+    np.testing.assert_array_equal(found[0, :700], classified(alone, 0.005, 4, CoarseThresholds())[0])
     assert (found[0, 700:] == M).all()
     assert (found[1] == M).all()
 
 
 def test_rows_are_independent(rng: Generator) -> None:
     lines, _ = street_lines(rng, 5)
-    for params in (CoarseParams(), CoarseParams(vegetation=SCRIPT, surfaces=PUBLISHED_TILT)):
+    for params in (CoarseThresholds(), made(CoarseThresholds, vegetation=SCRIPT, surfaces=PUBLISHED_TILT)):
         found = classified(lines, 0.005, 4, params)
         for row in range(5):
             alone = lines_of(lines.beam_rad[0], lines.range_m[row])

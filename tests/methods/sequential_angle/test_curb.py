@@ -5,40 +5,44 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.methods.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
-from prc_cli.methods.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
+from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
+from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import VerticalLines
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, GroundThresholds
+from tests.methods.sequential_angle.made import made
 from tests.methods.sequential_angle.profiles import NOISE_M, Scene, Segment, V, scan, street
 
-
-class PlainCurbParams(CurbParams):
-    """Without the readings that are ours, so that every rule is tested by itself."""
-
-    min_height_m: float = 0.0
+PLAIN = CurbThresholds(min_height_m=0.0)
+"""Without the readings that are ours, so that every rule is tested by itself."""
 
 
-PARAMS = PlainCurbParams()
+def plain(**values: Any) -> CurbThresholds:
+    return made(CurbThresholds, **{"min_height_m": 0.0, **values}).at_noise(NOISE_M)
 
 
-def possible(scene: Scene, params: CurbParams = PARAMS) -> I32:
+PARAMS = plain()
+
+
+def possible(scene: Scene, params: CurbThresholds = PARAMS) -> I32:
     potential = potential_ground(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, GroundParams(), range_noise_m=NOISE_M
+        scene.lines, scene.surface, scene.phihat, scene.ahead, GroundThresholds().at_noise(NOISE_M)
     )
-    state = initial_ground(potential.height_m, GroundParams())
+    state = initial_ground(potential.height_m, GroundThresholds())
     found, z_g, _ = ground(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, potential, state, GroundParams(),
-        range_noise_m=NOISE_M,
+        scene.lines, scene.surface, scene.phihat, scene.ahead, potential, state,
+        GroundThresholds().at_noise(NOISE_M),
     )  # fmt: skip
-    return possible_curbs(scene.lines, scene.surface, found, z_g, params, range_noise_m=NOISE_M)
+    return possible_curbs(scene.lines, scene.surface, found, z_g, params)
 
 
-def find(scene: Scene, params: CurbParams = PARAMS) -> Mask:
+def find(scene: Scene, params: CurbThresholds = PARAMS) -> Mask:
     start = CurbState.start(scene.lines.n_sides, scene.surface.shape[1], params)
     curb, _ = curbs(scene.lines, scene.surface, scene.signed, possible(scene), start, params, last=True)
     return curb
@@ -68,7 +72,7 @@ def test_sides_of_cars_have_something_under_them() -> None:
     beams = possible(scene)
     assert not side[np.flatnonzero(beams >= 0), beams[beams >= 0]].any()
     # with nothing looked for under it the side itself would be the first
-    blind = possible(scene, PlainCurbParams(under_m=100.0))
+    blind = possible(scene, plain(under_m=100.0))
     assert side[np.arange(12), blind].all()
     assert not find(scene).any()  # the wind screen is a possible curb, and too high for one
 
@@ -80,7 +84,7 @@ def test_something_under_is_farther_by_the_larger_of_both_limits(deeper_m: float
     xyz = np.stack([ranges, 0 * ranges, 0 * ranges], axis=-1)
     lines = VerticalLines(ranges, xyz, ranges, np.array([3], np.int32), np.linspace(1.4, 1.5, 3)[None])
     surface, on_ground = np.array([[2, 2, 3]], np.uint8), np.array([[True, True, False]])
-    found = possible_curbs(lines, surface, on_ground, np.zeros(1, np.float32), PARAMS, range_noise_m=noise_m)
+    found = possible_curbs(lines, surface, on_ground, np.zeros(1, np.float32), PLAIN.at_noise(noise_m))
     assert found.tolist() == [-1 if under else 2]
 
 
@@ -88,7 +92,7 @@ def test_search_ends_two_metres_above_the_ground() -> None:
     floating: list[Segment] = [(0.0, -1.8, 6.0, -1.8, 2), (6.0, 0.5, 6.0, 1.5, V)]
     scene = scan([floating] * 4, n=600)
     assert (possible(scene) == -1).all()
-    assert (possible(scene, PlainCurbParams(search_height_m=5.0)) >= 0).all()
+    assert (possible(scene, plain(search_height_m=5.0)) >= 0).all()
 
 
 @pytest.mark.parametrize(("n_lines", "straight", "expected"), [(3, False, True), (2, True, True), (2, False, False)])
@@ -103,7 +107,7 @@ def test_few_lines_must_be_straight(n_lines: int, straight: bool, expected: bool
 def test_a_single_point_is_not_shown_to_be_straight() -> None:
     rows = drawn(["#"], 0.1)
     assert not label(*rows, [0]).any()
-    assert label(*rows, [0], PlainCurbParams(min_lines=1)).any()
+    assert label(*rows, [0], plain(min_lines=1)).any()
 
 
 def drawn(picture: Sequence[str], step: float = 0.1) -> tuple[VerticalLines, U8, F32]:
@@ -119,7 +123,9 @@ def drawn(picture: Sequence[str], step: float = 0.1) -> tuple[VerticalLines, U8,
     return lines, surface, np.zeros((rows, n), np.float32)
 
 
-def label(lines: VerticalLines, surface: U8, signed: F32, possible: Sequence[int], params: CurbParams = PARAMS) -> Mask:
+def label(
+    lines: VerticalLines, surface: U8, signed: F32, possible: Sequence[int], params: CurbThresholds = PARAMS
+) -> Mask:
     start = CurbState.start(1, surface.shape[1], params)
     return curbs(lines, surface, signed, np.array(possible, np.int32), start, params, last=True)[0]
 
@@ -131,41 +137,30 @@ def test_regions_merge_fork_and_touch_the_ends_of_rows() -> None:
     np.testing.assert_array_equal(label(*apart, [4, -1, -1])[0], [False, False, False, False, True])
     assert not label(*drawn(["#.#", "...", "#.#"]), [0, -1, 0]).any()  # complete after one line each
     # too far apart in space, though neighbours on the grid
-    assert not label(*drawn(["##", "##", "##"], step=0.4), [0, -1, -1], PlainCurbParams(min_lines=2)).any()
+    assert not label(*drawn(["##", "##", "##"], step=0.4), [0, -1, -1], plain(min_lines=2)).any()
 
 
 def test_sides_never_connect() -> None:
     lines, surface, signed = drawn(["#", "#", "#", "#"])
     two = VerticalLines(lines.range_m, lines.xyz_m, lines.horizontal_m, lines.n_beams, np.tile(lines.beam_rad, (2, 1)))
     at = np.array([0, -1, -1, -1], np.int32)
-    params = PlainCurbParams(min_lines=3)
+    params = plain(min_lines=3)
     curb, _ = curbs(two, surface, signed, at, CurbState.start(2, 1, params), params, last=True)
     assert not curb.any()  # two lines a side, one of them without a possible point
     assert label(lines, surface, signed, [0, -1, -1, -1]).all()
-    curb, _ = curbs(two, surface, signed, at, CurbState.start(2, 1, PlainCurbParams(min_lines=2)), PlainCurbParams(min_lines=2), last=True)  # fmt: skip  # noqa: E501
+    curb, _ = curbs(two, surface, signed, at, CurbState.start(2, 1, plain(min_lines=2)), plain(min_lines=2), last=True)  # fmt: skip  # noqa: E501
     assert curb[:, 0].tolist() == [True, False, True, False]
 
 
 def test_a_region_of_very_many_lines_is_decided_and_what_follows_is_a_new_one() -> None:
     lines, surface, signed = drawn(["#"] * 25)
-    params = PlainCurbParams(max_lines=10)
+    params = plain(max_lines=10)
     at = np.full(25, -1, np.int32)
     at[12] = 0
     state = CurbState.start(1, 1, params)
     curb, state = curbs(lines, surface, signed, at, state, params, last=False)
     assert curb[:, 0].tolist() == [False] * 10 + [True] * 10
     assert state.n_waiting == 5
-
-
-def test_streets_that_are_not_level_need_the_height_within_a_line() -> None:
-    lines, surface, signed = drawn(["##"] * 30)
-    lines.xyz_m[:, 1, 2] += 0.15
-    lines.xyz_m[..., 2] += np.arange(30, dtype=np.float32)[:, None] * 0.005
-    at = [0] * 30
-    assert not label(lines, surface, signed, at).any()
-    assert label(lines, surface, signed, at, PlainCurbParams(height="line")).all()
-    lines.xyz_m[:, 1, 2] += 0.1
-    assert not label(lines, surface, signed, at, PlainCurbParams(height="line")).any()
 
 
 def random_scene(rng: Generator, n_lines: int, n_sides: int, n: int) -> Scene:
@@ -181,12 +176,11 @@ def random_scene(rng: Generator, n_lines: int, n_sides: int, n: int) -> Scene:
     return Scene(lines, surface, signed, signed, surface.astype(np.int32))
 
 
-@pytest.mark.parametrize("height", ["region", "line"])
 @pytest.mark.parametrize("n_sides", [1, 2])
 @pytest.mark.parametrize("max_lines", [3, 200])
-def test_cuts_change_nothing_and_memory_is_bounded(height: str, n_sides: int, max_lines: int) -> None:
+def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int) -> None:
     rng = np.random.default_rng(8)
-    params = PlainCurbParams.model_validate({"height": height, "max_lines": max_lines, "max_height_m": 0.18})
+    params = plain(max_lines=max_lines, max_height_m=0.18)
     shown = 0
     for _ in range(10):
         scene = random_scene(rng, 40, n_sides, 12)

@@ -9,7 +9,8 @@ import pytest
 
 from prc_cli import kernels
 from prc_cli.core.types import F64, I32
-from prc_cli.methods.sequential_angle.dividers import DividersParams, dividers
+from prc_cli.methods.sequential_angle.car import dividers
+from prc_cli.methods.sequential_angle.thresholds import DividerThresholds
 from tests.methods.sequential_angle.car_lines import (
     DENSE,
     NOISE_M,
@@ -26,48 +27,43 @@ from tests.methods.sequential_angle.car_lines import (
     signed_angles,
     wall,
 )
+from tests.methods.sequential_angle.made import made
+
+PLAIN = {
+    "return_points": 0, "from_start": False, "flat_step_m": 0.0, "flat_above_m": 1000.0, "tall_m": 0.0, "glass_m": 0.0,
+    "vertical_top_m": 0.0, "vertical_open": False, "straight_extent_m": 0.0, "lean_sigmas": 0.0, "relief_m": 0.0,
+}  # fmt: skip
+"""Without the readings that are ours, so that every rule is tested by itself."""
 
 
-class PlainDividersParams(DividersParams):
-    """Without the readings that are ours, so that every rule is tested by itself."""
-
-    return_points: int = 0
-    from_start: bool = False
-    flat_step_m: float = 0.0
-    flat_above_m: float = 1000.0
-    tall_m: float = 0.0
-    glass_m: float = 0.0
-    vertical_top_m: float = 0.0
-    vertical_open: bool = False
-    straight_extent_m: float = 0.0
-    lean_sigmas: float = 0.0
-    relief_m: float = 0.0
+def plain(**values: Any) -> DividerThresholds:
+    return made(DividerThresholds, **{**PLAIN, **values})
 
 
-PARAMS = PlainDividersParams()
+PARAMS = plain()
 
 
-def find(found: Seen, params: DividersParams = PARAMS, *, trigger: int = 0, noise_m: float = NOISE_M) -> I32:
+def find(found: Seen, params: DividerThresholds = PARAMS, *, trigger: int = 0, noise_m: float = NOISE_M) -> I32:
     triggers = np.full(len(found.surface), trigger, np.int32)
     literal = max(params.change_chord_m, params.change_chord_sigmas * noise_m) == 0
     signed = signed_angles(found.lines) if literal else np.full_like(found.lines.range_m, np.nan)
-    return dividers(found.lines, found.surface, signed, triggers, found.z_g, params, range_noise_m=noise_m).pieces
+    return dividers(found.lines, found.surface, signed, triggers, found.z_g, params.at_noise(noise_m)).pieces
 
 
 def look(pieces: list[Piece], seed: int = 1, **how: Any) -> Seen:
     return see([pieces], np.random.default_rng(seed), **how)
 
 
-def share_of_lines(pieces: list[Piece], params: DividersParams, at_m: float, **how: Any) -> float:
+def share_of_lines(pieces: list[Piece], params: DividerThresholds, at_m: float, **how: Any) -> float:
     """Share of 100 lines with an interval that begins within 40 cm of a distance."""
     found = see([pieces] * 100, np.random.default_rng(4), **how)
     rows = [row for row, first, _ in find(found, params) if abs(found.lines.horizontal_m[row, first] - at_m) < 0.4]
     return len(set(rows)) / 100
 
 
-ALL_SUDDEN = PlainDividersParams(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=100)
+ALL_SUDDEN = plain(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=100)
 """Every change is sudden, so that TestUnder alone decides."""
-ALL_OBSTACLES = PlainDividersParams(under_m=100, vertical_extent_m=100)
+ALL_OBSTACLES = plain(under_m=100, vertical_extent_m=100)
 """Nothing is under anything, so that the angle of the change alone decides."""
 
 
@@ -81,7 +77,7 @@ def test_something_is_under_the_side_of_a_car_but_not_under_walls_and_curbs(dist
 
 
 def test_walls_are_sudden_and_tyres_gradual() -> None:
-    literal = ALL_OBSTACLES.model_copy(update={"change_chord_m": 0.0, "change_chord_sigmas": 0.0})
+    literal = ALL_OBSTACLES._replace(change_chord_m=0.0, change_chord_sigmas=0.0)
     walls = {
         name: [1 - share_of_lines([*road(), *wall(at)], params, at, high_deg=85.0) for at in (5.0, 8.0, 12.0)]
         for name, params in (("chord", ALL_OBSTACLES), ("literal", literal))
@@ -109,13 +105,13 @@ def test_walls_curbs_and_poles_give_no_interval() -> None:
     pole = [Piece("pole", (5.0, 0.0), (5.0, 1.1))]
     scenes = [[*road()], [*road(), *wall(9)], [*road(), *curb(9), *wall(12, 0.15, windows=True)], [*road(), *pole]]
     found = see(scenes * 25, rng)
-    sudden = PlainDividersParams(sudden_from_deg=-60, sudden_to_deg=60)
+    sudden = plain(sudden_from_deg=-60, sudden_to_deg=60)
     assert len(find(found, sudden)) == 0
     assert len(set(find(found)[:, 0].tolist())) <= 8, "some of a hundred changes look gradual"
 
 
 def test_published_limit_of_what_is_under_is_within_the_noise() -> None:
-    published = ALL_SUDDEN.model_copy(update={"under_sigmas": 0.0})
+    published = ALL_SUDDEN._replace(under_sigmas=0.0)
     assert share_of_lines([*road(), *wall(4.0)], published, 4.0, high_deg=95.0) > 0.05
     assert share_of_lines([*road(), *wall(4.0)], ALL_SUDDEN, 4.0, high_deg=95.0) == 0
 
@@ -125,8 +121,8 @@ def test_wall_behind_a_car_is_cut_out_although_the_search_ends_below_its_top(beh
     found = look([*road(), *car(6, glass=False), *wall(behind_m)])
     (interval,) = find(found)
     assert {found.names[0][k] for k in range(interval[1], interval[2] + 1)} == {"car"}
-    assert len(find(found, PlainDividersParams(vertical_extent_m=100)).ravel()) >= 3
-    uncut = find(found, PlainDividersParams(vertical_extent_m=100))
+    assert len(find(found, plain(vertical_extent_m=100)).ravel()) >= 3
+    uncut = find(found, plain(vertical_extent_m=100))
     assert {found.names[0][k] for _, a, b in uncut for k in range(a, b + 1)} >= {"car", "wall"}
 
 
@@ -134,7 +130,7 @@ def test_line_without_trigger_or_ground_gives_nothing() -> None:
     found = see([[*road(), *car(6)]] * 3, np.random.default_rng(1))
     signed = signed_angles(found.lines)
     trigger, z_g = np.array([-1, 5, 5], np.int32), np.array([-1.8, np.nan, -1.8], np.float32)
-    rows = dividers(found.lines, found.surface, signed, trigger, z_g, PARAMS, range_noise_m=NOISE_M).pieces[:, 0]
+    rows = dividers(found.lines, found.surface, signed, trigger, z_g, PARAMS.at_noise(NOISE_M)).pieces[:, 0]
     assert set(rows.tolist()) == {2}
 
 
@@ -148,7 +144,7 @@ def test_search_ends_at_dense_vegetation_and_at_height() -> None:
     found = look([*road(), *car(6), *car(14, glass=False)], scanner_m=3.0)
     first, second = find(found)[:2]
     assert len(find(found)) >= 2
-    high = PlainDividersParams(height_m=1.2)
+    high = plain(height_m=1.2)
     (cut,) = find(found, high)
     assert cut[1] == first[1]
     assert cut[2] < second[1]
@@ -172,7 +168,7 @@ def side(at_m: float, top_m: float = 0.95) -> list[tuple[str, float, float]]:
     return [("V", at_m, float(z)) for z in np.arange(0.2, top_m, 0.1)]
 
 
-def spans(steps: list[tuple[str, float, float]], params: DividersParams = PARAMS) -> list[tuple[int, int]]:
+def spans(steps: list[tuple[str, float, float]], params: DividerThresholds = PARAMS) -> list[tuple[int, int]]:
     found, _ = profile(steps)
     return [(int(first), int(last)) for _, first, last in find(found, params)]
 
@@ -184,7 +180,7 @@ def test_jump_ahead_divides_and_jump_back_does_not() -> None:
     assert spans([*start, *side(9.9)]) == [(begin, n + 7)]
     assert spans([*start, *side(10.5)]) == [(begin, n - 1), (n, n + 7)]
     assert spans([*start, *side(10.5), *side(6.2)]) == [(begin, n - 1), (n, n + 15)], "back towards the scanner"
-    assert spans([*start, *side(10.5)], PlainDividersParams(separation_m=5)) == [(begin, n + 7)]
+    assert spans([*start, *side(10.5)], plain(separation_m=5)) == [(begin, n + 7)]
 
 
 def test_long_flat_stretch_ends_the_interval_and_the_search_begins_anew() -> None:
@@ -198,7 +194,7 @@ def test_long_flat_stretch_ends_the_interval_and_the_search_begins_anew() -> Non
     assert spans([*first, *bent, *second]) == [(begin, len(steps) - 1)]
     sloping = [("H", h, 0.1 * (h - 7)) for _, h, _ in plane]
     assert spans([*first, *sloping]) == [(begin, n)]
-    assert spans([*first, *sloping], PlainDividersParams(flat_slope_deg=5)) == [(begin, n + len(plane) - 1)]
+    assert spans([*first, *sloping], plain(flat_slope=float(np.tan(np.deg2rad(5))))) == [(begin, n + len(plane) - 1)]
 
 
 def test_the_largest_slope_of_ground_is_an_angle() -> None:
@@ -207,7 +203,7 @@ def test_the_largest_slope_of_ground_is_an_angle() -> None:
     steep = [("H", h, 1.4 * (h - 7)) for _, h, _ in ground(7, 11)]
     begin, n = len(ground(2, 6.5)), len(first)
     for slope_deg, is_ground in ((55.0, True), (54.0, False)):
-        params = PlainDividersParams(flat_slope_deg=slope_deg, height_m=100)
+        params = plain(flat_slope=float(np.tan(np.deg2rad(slope_deg))), height_m=100)
         assert spans([*first, *steep], params) == [(begin, n if is_ground else n + len(steep) - 1)]
 
 
@@ -215,8 +211,8 @@ def test_the_largest_slope_of_ground_is_an_angle() -> None:
 def test_limits_are_the_larger_of_a_length_and_a_multiple_of_the_noise(
     noise_m: float, chord_m: float, under_m: float
 ) -> None:
-    thresholds = PARAMS.thresholds(noise_m)
-    assert (thresholds.chord_m, thresholds.under_m) == (pytest.approx(chord_m), pytest.approx(under_m))
+    thresholds = PARAMS.at_noise(noise_m)
+    assert (thresholds.change_chord_m, thresholds.under_m) == (pytest.approx(chord_m), pytest.approx(under_m))
 
 
 def test_roof_and_the_ground_behind_it_are_not_one_flat_stretch() -> None:
@@ -241,7 +237,7 @@ def test_long_vertical_runs_are_cut_out_of_the_middle() -> None:
     after = [("H", float(h), 1.9) for h in (7.2, 7.4)]
     steps = [*start, *hood, *trunk, *after]
     assert spans(steps) == [(begin, n - 1), (n + len(trunk), len(steps) - 1)]
-    assert spans(steps, PlainDividersParams(vertical_extent_m=1.5)) == [(begin, len(steps) - 1)]
+    assert spans(steps, plain(vertical_extent_m=1.5)) == [(begin, len(steps) - 1)]
 
 
 def test_side_of_a_car_and_the_wall_behind_it_are_two_runs() -> None:
@@ -249,7 +245,7 @@ def test_side_of_a_car_and_the_wall_behind_it_are_two_runs() -> None:
     begin = len(ground(2, 6.5))
     high = [("V", 8.0, float(z)) for z in np.arange(1.0, 4.0, 0.1)]
     assert spans([*start, *high]) == [(begin, len(start) - 1)]
-    assert spans([*start, *high], PlainDividersParams(vertical_break_m=3)) == []
+    assert spans([*start, *high], plain(vertical_break_m=3)) == []
 
 
 def test_angle_of_the_point_itself_where_no_chord_can_be_laid() -> None:
@@ -261,9 +257,7 @@ def test_angle_of_the_point_itself_where_no_chord_can_be_laid() -> None:
     def n_found(angle: float) -> int:
         signed[0, -1] = angle
         trigger = np.zeros(1, np.int32)
-        return len(
-            dividers(found.lines, found.surface, signed, trigger, found.z_g, PARAMS, range_noise_m=NOISE_M).pieces
-        )
+        return len(dividers(found.lines, found.surface, signed, trigger, found.z_g, PARAMS.at_noise(NOISE_M)).pieces)
 
     assert [n_found(angle) for angle in (-5.1, -5, 0, 20, 20.1, np.nan)] == [1, 0, 0, 0, 1, 0]
 
@@ -279,10 +273,10 @@ def test_hostile_row_takes_no_more_than_a_moment() -> None:
     codes[2:, ::7] = 0
     z_g = np.full(4, -1.8, np.float32)
     signed = np.full((4, n), 50, np.float32)
-    params = PlainDividersParams(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
-    intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params, range_noise_m=NOISE_M).pieces
+    params = plain(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
+    intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params.at_noise(NOISE_M)).pieces
     assert intervals[:, 0].max() <= 3
-    limits = params.thresholds(NOISE_M)._replace(vertical_extent_m=1.0, vertical_break_m=0.0)
+    limits = params.at_noise(NOISE_M)._replace(vertical_extent_m=1.0, vertical_break_m=0.0)
     left = kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, z_g, limits)
     assert left.shape[1] == 3
 
@@ -300,7 +294,7 @@ def left_of(x: Any, z: Any, surface: Any, **changed: Any) -> list[tuple[int, int
     """What is left of an interval over a whole line; the ground lies at -1.8 m."""
     xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
     whole = np.array([[0, 0, len(x) - 1]], np.int32)
-    limits = DividersParams.model_validate(changed).thresholds(0.005)
+    limits = made(DividerThresholds, **changed).at_noise(0.005)
     ground = np.array([-1.8], np.float32)
     n_beams = np.array([len(x)], np.int32)
     found = kernels.cut_verticals(surface, xyz, xyz[..., 0].copy(), n_beams, whole, ground, limits)
@@ -329,8 +323,8 @@ def test_only_what_is_higher_than_a_van_is_cut_out_by_its_height() -> None:
 
 def test_a_line_that_begins_on_a_car_begins_with_an_interval() -> None:
     steps = [("V", 2.0, -1.4 + 0.1 * i) for i in range(6)] + [("H", 2.1 + 0.1 * i, -0.8) for i in range(6)]
-    assert spans(steps, DividersParams(straight_extent_m=0)) == [(0, 11)]
-    assert spans(steps, DividersParams(straight_extent_m=0, from_start=False)) == []
+    assert spans(steps, made(DividerThresholds, straight_extent_m=0)) == [(0, 11)]
+    assert spans(steps, made(DividerThresholds, straight_extent_m=0, from_start=False)) == []
 
 
 def test_a_lean_within_the_noise_is_upright() -> None:
@@ -348,19 +342,19 @@ def test_the_side_of_a_van_is_searched_to_its_top() -> None:
 
     begin = len(ground(2, 6.5))
     low = len([*ground(2, 6.5), *side(6)]) + 10  # up to 2 m
-    tall = PlainDividersParams(tall_m=2.6, vertical_extent_m=9)
+    tall = plain(tall_m=2.6, vertical_extent_m=9)
     for top, expected in ((2.5, len(van(2.5)) - 3), (2.9, low)):
         ((first, last),) = spans(van(top), tall)
         assert first == begin
         assert abs(last - expected) <= 1
-    assert spans(van(2.5), PlainDividersParams(vertical_extent_m=9))[0][1] <= low
+    assert spans(van(2.5), plain(vertical_extent_m=9))[0][1] <= low
 
 
 def test_a_window_does_not_end_the_search_and_a_bush_does() -> None:
     start = [*ground(2, 6.5), *side(6)]
     begin, panes = len(ground(2, 6.5)), [("T", 6.0 + 0.4 * (i % 3), 0.9 + 0.05 * i) for i in range(8)]
     behind = [("V", 6.3, 1.35), ("H", 6.5, 1.4), ("H", 6.8, 1.4)]
-    params = PlainDividersParams(glass_m=1.0)
+    params = plain(glass_m=1.0)
     assert spans([*start, *panes, *behind], params) == [(begin, len(start) + len(panes) + 2)]
     assert spans([*start, *panes, *behind]) == [(begin, len(start) - 1)]
     far = [("V", 9.3, 1.35), ("V", 9.3, 1.4)]
@@ -372,7 +366,7 @@ def test_a_roof_is_no_ground() -> None:
     roof = [("H", 6.3 + 0.2 * i, 1.5) for i in range(20)]
     begin = len(ground(2, 6.5))
     assert spans([*start, *roof]) == [(begin, len(start))]
-    assert spans([*start, *roof], PlainDividersParams(flat_above_m=1.0)) == [(begin, len(start) + 19)]
+    assert spans([*start, *roof], plain(flat_above_m=1.0)) == [(begin, len(start) + 19)]
 
 
 def test_a_rough_wall_is_cut_out_and_a_van_is_not() -> None:

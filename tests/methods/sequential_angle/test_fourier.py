@@ -7,18 +7,19 @@ import pytest
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, I32
-from prc_cli.methods.sequential_angle.fourier import FourierParams, fourier
+from prc_cli.methods.sequential_angle.car import fourier
+from prc_cli.methods.sequential_angle.thresholds import FourierThresholds
 from tests.methods.sequential_angle.car_lines import car, road, see, signed_angles
+from tests.methods.sequential_angle.made import made
 
 
-class PlainFourierParams(FourierParams):
+def plain(**values: int) -> FourierThresholds:
     """Without the readings that are ours, so that every rule is tested by itself."""
+    return made(FourierThresholds, **{"longest": 0, **values}).at_noise()
 
-    longest: int = 0
 
-
-PARAMS = PlainFourierParams()
-WHOLE = PlainFourierParams(window=0)
+PARAMS = plain()
+WHOLE = plain(window=0)
 
 
 def foliage(rng: Generator, rows: int, n: int) -> F32:
@@ -86,8 +87,8 @@ def test_few_angles_are_no_car_and_missing_ones_do_not_count() -> None:
     assert fourier(row, intervals, PARAMS).tolist() == [False, True, False]
     row[0, 3] = np.nan
     assert fourier(row, intervals, PARAMS).tolist() == [False, False, False]
-    assert fourier(row, intervals, PlainFourierParams(min_points=1)).all()
-    assert fourier(np.full_like(row, np.nan), intervals, PlainFourierParams(min_points=1)).tolist() == [False] * 3
+    assert fourier(row, intervals, plain(min_points=1)).all()
+    assert fourier(np.full_like(row, np.nan), intervals, plain(min_points=1)).tolist() == [False] * 3
     assert fourier(row, np.empty((0, 3), np.int32), PARAMS).shape == (0,)
 
 
@@ -105,11 +106,5 @@ def test_band_begins_at_an_eighth(k: int, is_car: bool) -> None:
 
 def test_cost_of_a_long_interval_is_bounded() -> None:
     rows = foliage(np.random.default_rng(1), 1, 40_000)
-    assert not fourier(rows, whole(rows), PlainFourierParams(window=0, max_points=64))[0]
-    assert not fourier(rows, whole(rows), PlainFourierParams(window=1000, max_points=64))[0]
+    assert not fourier(rows, whole(rows), plain(window=64))[0]
     assert fourier(rows, whole(rows), WHOLE)[0]
-
-
-def test_step_can_be_left_out() -> None:
-    rows = foliage(np.random.default_rng(1), 5, 32)
-    assert fourier(rows, whole(rows), PlainFourierParams(enabled=False)).all()

@@ -5,34 +5,36 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.methods.sequential_angle.ground import (
-    GroundParams,
-    GroundState,
-    ground,
-    initial_ground,
-    potential_ground,
-)
+from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import VerticalLines
+from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds
+from tests.methods.sequential_angle.made import made
 from tests.methods.sequential_angle.profiles import NOISE_M, ROAD_Z, H, Scene, Segment, V, scan, street
 
-PARAMS = GroundParams(start_heights=50)
+
+def limits(**values: Any) -> GroundThresholds:
+    return made(GroundThresholds, **{"start_heights": 50, **values}).at_noise(NOISE_M)
+
+
+PARAMS = limits()
 
 
 def follow(
-    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, state: GroundState, params: GroundParams
+    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, state: GroundState, params: GroundThresholds
 ) -> tuple[Mask, F32, GroundState]:
     """Both parts of the algorithm."""
-    potential = potential_ground(lines, surface, phihat, ahead, params, range_noise_m=NOISE_M)
-    return ground(lines, surface, phihat, ahead, potential, state, params, range_noise_m=NOISE_M)
+    potential = potential_ground(lines, surface, phihat, ahead, params)
+    return ground(lines, surface, phihat, ahead, potential, state, params)
 
 
-def find(scene: Scene, params: GroundParams = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
-    found = potential_ground(scene.lines, scene.surface, scene.phihat, scene.ahead, params, range_noise_m=NOISE_M)
+def find(scene: Scene, params: GroundThresholds = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
+    found = potential_ground(scene.lines, scene.surface, scene.phihat, scene.ahead, params)
     state = initial_ground(found.height_m, params)
     return found.height_m, *follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
 
@@ -61,7 +63,7 @@ def test_without_resuming_some_lines_lose_the_road() -> None:
     """Why the search resumes: noise of neighbouring shots near the scanner parts the first points of some lines."""
     scene = scan([street()] * 40, n=2154)
     assert find(scene)[1][road(scene)].mean() > 0.99
-    assert find(scene, GroundParams(start_heights=50, resume=False))[1][road(scene)].mean() < 0.95
+    assert find(scene, limits(resume=False))[1][road(scene)].mean() < 0.95
 
 
 def test_height_is_robust_against_hedges_in_a_third_of_the_lines() -> None:
@@ -83,7 +85,7 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
     state = initial_ground(np.full(3, ROAD_Z), PARAMS)
 
     def climbed(**values: float) -> bool:
-        params = GroundParams.model_validate({"resume": False, "bandwidth_sigmas": 0, **values})
+        params = made(GroundThresholds, **{"resume": False, "bandwidth_sigmas": 0, **values}).at_noise(NOISE_M)
         found, _, _ = follow(scene.lines, flat, phihat, scene.ahead, state, params)
         assert found[:, : step - 5].any(axis=1).all()
         return bool(found[:, step:].any())
@@ -104,12 +106,6 @@ def test_height_follows_all_lines_after_the_first_fifty_only() -> None:
     assert found.any(axis=1).all()
 
 
-def test_accepted_heights_alone_can_be_counted() -> None:
-    scene = scan([street()] * 50 + [[(0.3, -0.5, 4.0, -0.5, H)]] * 20, n=300)
-    assert find(scene)[3].histogram.sum() == 70
-    assert find(scene, GroundParams(start_heights=50, heights="accepted"))[3].histogram.sum() == 50
-
-
 def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     scene = scan([street()] * 30, n=300)
     nothing = initial_ground(np.full(4, np.nan), PARAMS)
@@ -125,7 +121,7 @@ def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     few, first = np.full(40, np.nan), np.array([-0.4, -0.3])
     few[[7, 20]] = first
     assert np.isnan(initial_ground(few, PARAMS).z_g)
-    assert initial_ground(few, GroundParams(start_heights=50, least_heights=1)).z_g < 0
+    assert initial_ground(few, limits(least_heights=1)).z_g < 0
     found, z_g, _ = follow(
         scene.lines, scene.surface, scene.phihat, scene.ahead, initial_ground(few, PARAMS)._replace(
         n_in_histogram_ahead=0), PARAMS,
@@ -155,7 +151,10 @@ def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> N
 
 def test_lowest_points_of_all_potential_ground_lose_a_slope() -> None:
     scene = plane(3.0)
-    found = find(scene, GroundParams(start_heights=50, height_points=0, renew="accepted", follow_m=0))[1]
+    found = find(
+        scene,
+        limits(height_points=0, renew_every=False, follow_m=0),
+    )[1]
     assert found[scene.surface == H].mean() < 0.9
 
 
@@ -166,7 +165,7 @@ def test_ground_is_followed_along_its_own_side() -> None:
     heights = find(scene)[0]
 
     def at_the_end(n_sides: int, **values: float) -> list[float]:
-        params = GroundParams.model_validate({"start_heights": 50, **values})
+        params = limits(**values)
         state = initial_ground(heights, params, n_sides)
         found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
         first, left = scene.rows(0, 78), scene.rows(78, 240)  # the state holds the heights of both sides
@@ -194,7 +193,7 @@ def test_the_bonnet_of_a_car_is_not_the_ground(below_m: float, left: bool) -> No
     _, found, z_g, _ = find(scene)
     assert found[105:].any(axis=1).all() == left
     assert (abs(z_g[-1] - ROAD_Z) < 0.03) == left
-    off = GroundParams(start_heights=50, roof_m=1000)
+    off = limits(roof_m=1000)
     assert not find(scene, off)[1][80:].any()
 
 
@@ -202,19 +201,19 @@ def test_the_bonnet_of_a_car_is_not_the_ground(below_m: float, left: bool) -> No
 def test_a_wrong_first_estimate_is_left_behind(memory: int) -> None:
     ramp: list[Segment] = [(0.3, -0.9, 6.0, -0.9, H)]
     scene = scan([ramp] * 49 + [street()] * 150, n=300)
-    _, found, z_g, _ = find(scene, GroundParams(start_heights=50, memory_heights=memory))
+    _, found, z_g, _ = find(scene, limits(memory_heights=memory))
     assert found[105:].any(axis=1).all()
     np.testing.assert_allclose(z_g[105:], ROAD_Z, atol=0.03)
-    assert not find(scene, GroundParams(start_heights=50, renew="accepted"))[1][60:].any()
+    assert not find(scene, limits(renew_every=False))[1][60:].any()
 
 
 def test_old_heights_are_forgotten() -> None:
     lower = [(x0, z0 - 0.5, x1, z1 - 0.5, kind) for x0, z0, x1, z1, kind in street(wall=False)]
     scene = scan([street(wall=False)] * 300 + [lower] * 120, n=200)
-    _, found, _, state = find(scene, GroundParams(start_heights=50, memory_heights=100))
+    _, found, _, state = find(scene, limits(memory_heights=100))
     assert state.histogram.sum() == len(state.recent) == 100
     assert found[360:].any(axis=1).all()
-    whole = find(scene, GroundParams(start_heights=50, memory_heights=0))
+    whole = find(scene, limits(memory_heights=0))
     assert not whole[1][360:].any()
     assert whole[3].histogram.sum() == 420
     assert len(whole[3].recent) == 0
@@ -234,7 +233,7 @@ def test_noisy_shots_do_not_end_the_road() -> None:
     _, found, _, _ = find(scene)
     assert found[road(scene)].mean() > 0.97
     assert not found[:, [5, 60, 61, 130, 131, 132, 133, 300]].any()
-    assert find(scene, GroundParams(start_heights=50, bridge=0))[1][road(scene)].mean() < 0.4
+    assert find(scene, limits(bridge=0))[1][road(scene)].mean() < 0.4
     scene = noisy(scan([street()] * 20, n=1000), [130, 131, 132, 133, 134])
     assert find(scene)[1][road(scene)].mean() < 0.6
 
@@ -262,7 +261,7 @@ def test_scanner_near_the_ground() -> None:
     assert find(scene)[1].any(axis=1).all()
     low = initial_ground(np.full(50, -0.15), PARAMS)._replace(n_in_histogram_ahead=0)
     for limit, everywhere in ((0.05, True), (0.0, False)):
-        params = GroundParams(start_heights=50, height_tolerance_m=limit, renew="accepted")
+        params = limits(height_tolerance_m=limit, renew_every=False)
         found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params)
         assert found.any(axis=1).all() == everywhere
 
@@ -271,7 +270,7 @@ def test_scanner_near_the_ground() -> None:
 def test_cuts_change_nothing(n_sides: int) -> None:
     profiles = [hedge() if i % 7 == 0 else street(car=i % 5 == 0) for i in range(70)]
     scene = scan(profiles, n=250, n_sides=n_sides, missing=0.1)
-    params = GroundParams(start_heights=20, memory_heights=30)
+    params = limits(start_heights=20, memory_heights=30)
     heights, whole, z_whole, last = find(scene, params)
     rng = np.random.default_rng(2)
     for _ in range(4):
@@ -312,7 +311,7 @@ def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> No
 
 
 def test_literal_set_can_be_chosen() -> None:
-    literal = GroundParams(start_heights=50, bandwidth_sigmas=0, resume=False)
+    literal = limits(bandwidth_sigmas=0, resume=False)
     scene = scan([street()] * 10, n=300, noise_m=0.0)
     assert find(scene, literal)[1].any()
 
@@ -339,7 +338,7 @@ def test_long_rows_take_no_more_than_their_share(kind: str) -> None:
         best = np.inf
         for _ in range(3):
             begin = time.process_time()
-            potential_ground(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS, range_noise_m=NOISE_M)
+            potential_ground(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS)
             best = min(best, time.process_time() - begin)
         return best
 

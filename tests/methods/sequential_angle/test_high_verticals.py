@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.methods.sequential_angle.car import HighVerticalsParams, high_verticals
+from prc_cli.methods.sequential_angle.car import high_verticals
+from prc_cli.methods.sequential_angle.thresholds import HighVerticalThresholds
 from tests.methods.sequential_angle.car_lines import H, V, car, make_lines, road, see, wall
 
-PARAMS = HighVerticalsParams()
+PARAMS = HighVerticalThresholds()
 
 
 def test_distance_of_a_wall_is_found_and_of_low_things_not() -> None:

@@ -14,19 +14,23 @@ from scipy.stats import norm
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64
-from prc_cli.methods.sequential_angle import markov_loops as kernel_module
-from prc_cli.methods.sequential_angle.markov import UNIFORM, HmmParams, Matrix, Row, hmm_cusum
+from prc_cli.methods.keys import table_of
+from prc_cli.methods.sequential_angle import coarse_loops as kernel_module
+from prc_cli.methods.sequential_angle.coarse import hmm_cusum
+from prc_cli.methods.sequential_angle.thresholds import UNIFORM, MarkovThresholds, Matrix, Row
+from tests.methods.sequential_angle.made import made
 
 HELPERS: Any = kernel_module
 """Their plain functions are called: compiled, helpers have no way in from outside."""
 
 SLOW = ((0.9, 0.05, 0.05), (0.05, 0.9, 0.05), (0.05, 0.05, 0.9))
-SCRIPT = HmmParams(
+SCRIPT = made(
+    MarkovThresholds,
     means_deg=(90, 15, -90),
     sigmas_deg=(12, 2, 2),
     h0=((0.9, 0.1, 0), (0.1, 0.9, 0), (0, 0, 1)),
     initial_h0=UNIFORM,
-    end="sprt",
+    sprt=True,
     backdate=False,
 )
 """Published program text of the same group: matrices, spreads, end of a region."""
@@ -37,7 +41,7 @@ def rng() -> Generator:
     return np.random.default_rng(2000)
 
 
-def log_ratios(values: F64, params: HmmParams) -> F64:
+def log_ratios(values: F64, params: MarkovThresholds) -> F64:
     """Logarithm of the ratio of likelihoods after every value, from the recursion that the test runs on."""
     means, sigmas, h0, h1 = (np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1))
     found, in_states, power = np.empty(n := len(values)), np.empty((3, n)), np.empty(n, np.int64)
@@ -55,7 +59,7 @@ def log_ratios(values: F64, params: HmmParams) -> F64:
     return found
 
 
-def log_likelihood(values: F64, params: HmmParams, h: Matrix, initial: Row) -> float:
+def log_likelihood(values: F64, params: MarkovThresholds, h: Matrix, initial: Row) -> float:
     """Logarithm of the likelihood of a model: the sum over all paths of states."""
     density = norm.logpdf(values[:, None], params.means_deg, params.sigmas_deg)
     with np.errstate(divide="ignore"):
@@ -68,9 +72,15 @@ def log_likelihood(values: F64, params: HmmParams, h: Matrix, initial: Row) -> f
 
 
 @pytest.mark.parametrize(
-    "params", [HmmParams(), HmmParams(h0=SLOW, sigmas_deg=(20, 25, 30)), HmmParams(initial_h1=(0.2, 0.3, 0.5)), SCRIPT]
+    "params",
+    [
+        MarkovThresholds(),
+        made(MarkovThresholds, h0=SLOW, sigmas_deg=(20, 25, 30)),
+        made(MarkovThresholds, initial_h1=(0.2, 0.3, 0.5)),
+        SCRIPT,
+    ],
 )
-def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: HmmParams) -> None:
+def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: MarkovThresholds) -> None:
     for _ in range(5):
         values = rng.choice([-90.0, 10.0, 90.0], 6) + rng.normal(0, 5, 6)
         expected = [
@@ -83,7 +93,7 @@ def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: HmmPara
 
 def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator) -> None:
     """Restarts and onset found anew for every start, from whole stretches rather than step by step."""
-    params = HmmParams(backdate=False)
+    params = made(MarkovThresholds, backdate=False)
     onsets, alarms = [], []
     for _ in range(25):
         values = np.where(rng.random(200) < 0.3, -90, 90) + rng.normal(0, 20, 200)
@@ -100,7 +110,7 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
             else:
                 begin += int(stop[0]) + 1
         found = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), params)[0])
-        dated = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), HmmParams())[0])
+        dated = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), MarkovThresholds())[0])
         if begin == 200:
             assert len(found) == 0
             continue
@@ -113,7 +123,7 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
 
 
 def test_increments_of_the_recommended_models() -> None:
-    params = HmmParams(sigmas_deg=(1, 1, 1))  # no doubt about the states
+    params = made(MarkovThresholds, sigmas_deg=(1, 1, 1))  # no doubt about the states
     steps = np.diff(log_ratios(np.array([0, 0, 90, 90, -90, -90, 0, -90, 90, 0.0]), params))
     stay, switch, enter, leave = -0.965, 1.492, 1.897, -0.354
     np.testing.assert_allclose(
@@ -121,29 +131,29 @@ def test_increments_of_the_recommended_models() -> None:
     )
 
 
-def longest_foliage(n_clean: int, params: HmmParams, clean: float, foliage: list[float]) -> int:
+def longest_foliage(n_clean: int, params: MarkovThresholds, clean: float, foliage: list[float]) -> int:
     values = np.array([[clean] * 30 + foliage + [clean] * n_clean + foliage * 2], np.float32)
     return int(hmm_cusum(values, params)[0, 30 + len(foliage) : 30 + len(foliage) + n_clean].sum())
 
 
 def test_eleven_clean_samples_end_vegetation() -> None:
     foliage = [-90.0, 90.0, 0.0] * 10
-    assert longest_foliage(10, HmmParams(), 0.0, foliage) == 10, "clean samples before more foliage belong to it"
-    assert longest_foliage(12, HmmParams(), 0.0, foliage) <= 1
-    assert longest_foliage(40, HmmParams(), 0.0, foliage) <= 1, "the end is dated back to the last leaf"
+    assert longest_foliage(10, MarkovThresholds(), 0.0, foliage) == 10, "clean samples before more foliage belong to it"
+    assert longest_foliage(12, MarkovThresholds(), 0.0, foliage) <= 1
+    assert longest_foliage(40, MarkovThresholds(), 0.0, foliage) <= 1, "the end is dated back to the last leaf"
 
 
 def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
     values = np.array([[90.0] * 20 + [-90.0] * 30 + [0.0] * 30], np.float32)
-    dated = np.flatnonzero(hmm_cusum(values, HmmParams())[0])
+    dated = np.flatnonzero(hmm_cusum(values, MarkovThresholds())[0])
     assert abs(dated[0] - 20) <= 1
     assert abs(dated[-1] - 49) <= 1
     assert len(dated) == dated[-1] - dated[0] + 1
-    alarms = np.flatnonzero(hmm_cusum(values, HmmParams(backdate=False))[0])
+    alarms = np.flatnonzero(hmm_cusum(values, made(MarkovThresholds, backdate=False))[0])
     assert alarms[0] == dated[0] + 5, "10 nats at 1.9 a sample"
     assert 49 + 10 <= alarms[-1] <= 49 + 12
     # thresholds each way
-    quick = np.flatnonzero(hmm_cusum(values, HmmParams(backdate=False, threshold=4, threshold_back=2))[0])
+    quick = np.flatnonzero(hmm_cusum(values, made(MarkovThresholds, backdate=False, threshold=4, threshold_back=2))[0])
     assert quick[0] < alarms[0]
     assert quick[-1] < alarms[-1]
 
@@ -151,11 +161,11 @@ def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
 def test_alternating_foliage_is_found_and_stairs_are_not_when_the_first_sample_of_a_start_counts() -> None:
     """With 1/3 each it is neutral, the second speaks against foliage and restarts, and so on for ever."""
     values = np.array([[90.0] * 20 + [-90.0, 90.0] * 20], np.float32)
-    assert hmm_cusum(values, HmmParams())[0, 20:].all()
-    assert not hmm_cusum(values, HmmParams(initial_h0=UNIFORM)).any()
+    assert hmm_cusum(values, MarkovThresholds())[0, 20:].all()
+    assert not hmm_cusum(values, made(MarkovThresholds, initial_h0=UNIFORM)).any()
     stairs = np.array([[90.0] * 20 + [0.0, 90.0] * 20], np.float32)
-    assert not hmm_cusum(stairs, HmmParams()).any()
-    assert hmm_cusum(stairs, HmmParams(initial_h0=UNIFORM)).any()
+    assert not hmm_cusum(stairs, MarkovThresholds()).any()
+    assert hmm_cusum(stairs, made(MarkovThresholds, initial_h0=UNIFORM)).any()
 
 
 def test_missing_samples_are_skipped_and_the_end_closes_a_region() -> None:
@@ -163,9 +173,9 @@ def test_missing_samples_are_skipped_and_the_end_closes_a_region() -> None:
     spread = np.full(200, np.nan, np.float32)
     there = np.arange(0, 160, 2)
     spread[there] = values
-    found = hmm_cusum(np.stack([values]), HmmParams())[0]
+    found = hmm_cusum(np.stack([values]), MarkovThresholds())[0]
     assert found[-1]
-    in_gaps = hmm_cusum(np.stack([spread]), HmmParams())[0]
+    in_gaps = hmm_cusum(np.stack([spread]), MarkovThresholds())[0]
     np.testing.assert_array_equal(in_gaps[there], found)
     assert in_gaps.sum() == found.sum()
 
@@ -174,13 +184,13 @@ def test_rows_without_samples_and_rows_are_independent(rng: Generator) -> None:
     rows = rng.choice([-90.0, 0.0, 90.0], (6, 80)).astype(np.float32)
     rows[2] = np.nan
     rows[3, 1:] = np.nan
-    for params in (HmmParams(), SCRIPT):
+    for params in (MarkovThresholds(), SCRIPT):
         found = hmm_cusum(rows, params)
         assert not found[2:4].any()
         for row in range(6):
             np.testing.assert_array_equal(hmm_cusum(rows[row : row + 1], params)[0], found[row])
-    assert hmm_cusum(np.empty((0, 4), np.float32), HmmParams()).shape == (0, 4)
-    assert hmm_cusum(np.empty((4, 0), np.float32), HmmParams()).shape == (4, 0)
+    assert hmm_cusum(np.empty((0, 4), np.float32), MarkovThresholds()).shape == (0, 4)
+    assert hmm_cusum(np.empty((4, 0), np.float32), MarkovThresholds()).shape == (4, 0)
 
 
 def test_end_by_tests_between_two_bounds() -> None:
@@ -189,7 +199,7 @@ def test_end_by_tests_between_two_bounds() -> None:
     assert 40 < found[0] < 46, "begins at the alarm"
     assert found[-1] == 40 + 42 + 1, "ends with the sample after the last negative one"
     dated = np.flatnonzero(
-        hmm_cusum(np.array([ground + foliage + ground], np.float32), SCRIPT.model_copy(update={"backdate": True}))[0]
+        hmm_cusum(np.array([ground + foliage + ground], np.float32), SCRIPT._replace(backdate=True))[0]
     )
     assert dated[0] in (40, 41)
     # the end of the line comes before the region is confirmed: nothing there
@@ -198,18 +208,18 @@ def test_end_by_tests_between_two_bounds() -> None:
     found = np.flatnonzero(hmm_cusum(np.array([ground + foliage], np.float32), SCRIPT)[0])
     assert found[-1] == 40 + 42 + 1
     # an edge that raises an alarm and is rejected
-    edge = HmmParams(end="sprt", threshold=1.5)
+    edge = made(MarkovThresholds, sprt=True, threshold=1.5)
     assert not hmm_cusum(np.array([[*ground, -90.0, *ground]], np.float32), edge).any()
-    assert hmm_cusum(np.array([[*ground, -90.0, *ground]], np.float32), HmmParams(threshold=1.5)).any()
+    assert hmm_cusum(np.array([[*ground, -90.0, *ground]], np.float32), made(MarkovThresholds, threshold=1.5)).any()
 
 
 def test_close_regions_become_one_at_the_end_by_two_bounds() -> None:
     # calm samples enough to reject (5 nats), and then foliage enough for the next alarm
     crown, hole = [-90.0, 90.0] * 20, [0.0] * 18
     values = np.array([[90.0] * 30 + crown + hole + crown + [90.0] * 30], np.float32)
-    params = HmmParams(end="sprt", threshold=4.0)
-    apart = hmm_cusum(values, params.model_copy(update={"merge_gap": 18}))[0]
-    together = hmm_cusum(values, params.model_copy(update={"merge_gap": 19}))[0]
+    params = made(MarkovThresholds, sprt=True, threshold=4.0)
+    apart = hmm_cusum(values, params._replace(merge_gap=18))[0]
+    together = hmm_cusum(values, params._replace(merge_gap=19))[0]
     assert np.flatnonzero(together).tolist() == list(range(30, 30 + 98))
     assert np.flatnonzero(together & ~apart).tolist() == list(range(70, 88))
 
@@ -218,15 +228,16 @@ def test_extreme_values_and_long_sequences_stay_finite(rng: Generator) -> None:
     """Densities vanish with narrow states; likelihoods would long have vanished without their common scale."""
     values = rng.choice([-90.0, 15.0, 90.0], (2, 20_000)).astype(np.float32)
     values[1] = 50.0
-    for params in (SCRIPT, HmmParams()):
+    for params in (SCRIPT, MarkovThresholds()):
         found = hmm_cusum(values, params)
         assert found[0].mean() > 0.9
         assert not found[1].any()
     values[0] = rng.choice([-360.0, -180.0, 0.0, 180.0, 360.0], 20_000)
-    locked = HmmParams(sigmas_deg=(0.01, 0.01, 0.01), h1=((1, 0, 0), (0, 1, 0), (0, 0, 1)), h0=SLOW)
+    locked = made(MarkovThresholds, sigmas_deg=(0.01, 0.01, 0.01), h1=((1, 0, 0), (0, 1, 0), (0, 0, 1)), h0=SLOW)
     assert hmm_cusum(values, locked).shape == values.shape
     # no state but the first, and values far from it: neither model can explain them
-    nowhere = HmmParams(
+    nowhere = made(
+        MarkovThresholds,
         sigmas_deg=(0.01, 0.01, 0.01),
         h0=((1, 0, 0),) * 3,
         h1=((1, 0, 0),) * 3,
@@ -238,7 +249,7 @@ def test_extreme_values_and_long_sequences_stay_finite(rng: Generator) -> None:
 
 def test_false_alarms_are_rarer_than_the_bound(rng: Generator) -> None:
     """Wald: under model 0 itself at least exp(h) samples pass between two alarms on the mean."""
-    params = HmmParams(threshold=4, backdate=False)
+    params = made(MarkovThresholds, threshold=4, backdate=False)
     h0 = np.cumsum(params.h0, axis=1)
     state = np.full(2000, 1)
     values = np.empty((2000, 100), np.float32)
@@ -252,15 +263,14 @@ def test_false_alarms_are_rarer_than_the_bound(rng: Generator) -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"h0": [[0.9, 0.1, 0.1], [0.1, 0.9, 0.0], [0.0, 0.0, 1.0]]}, "h0 row 1 that add up to 1, found 1.1"),
-        ({"initial_h1": [0.5, 0.5, 0.5]}, "initial_h1 that add up to 1"),
+        ({"h0": [[0.9, 0.1, 0.1], [0.1, 0.9, 0.0], [0.0, 0.0, 1.0]]}, "h0.*add up to 1, found a sum of 1.1"),
+        ({"initial_h0": [0.5, 0.5, 0.5]}, "initial_h0.*add up to 1"),
         ({"h1": [[1.0, 0.0], [0.5, 0.5]]}, "h1"),
         ({"sigmas_deg": [30, 0, 30]}, "greater than 0"),
-        ({"end": "never"}, "end"),
-        ({"sprt_reject": 1}, "less than 0"),
+        ({"sprt": "never"}, "sprt"),
         ({"treshold": 1}, "did you mean 'threshold'"),
     ],
 )
 def test_wrong_parameters_are_told(table: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        build(HmmParams, table, "street.toml")
+        build(table_of(MarkovThresholds(), "vegetation"), table, "street.toml")

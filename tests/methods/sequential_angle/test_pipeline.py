@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,12 +20,9 @@ from prc_cli.kernels import KERNELS
 from prc_cli.methods.base import LABELS_ALONE, OneByOne, Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.methods.sequential_angle import pipeline
-from prc_cli.methods.sequential_angle.curb import CurbParams
-from prc_cli.methods.sequential_angle.ground import GroundParams
 from prc_cli.methods.sequential_angle.pipeline import (
     Beams,
     SequentialAngle,
-    SequentialAngleParams,
     SequentialAngleState,
     Undecided,
     classify_block,
@@ -36,10 +32,11 @@ from prc_cli.methods.sequential_angle.pipeline import (
     stages_in_columns,
     within_lines,
 )
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, GroundThresholds, SequentialAngleThresholds
 from tests.kernels.twins import twin
 from tests.simulated import static_arrays
 
-PARAMS = SequentialAngleParams()
+PARAMS = SequentialAngleThresholds().at_noise()
 
 
 def scan(elevation_step: float = 0.5, azimuth_step: float = 1.5, seed: int = 3) -> tuple[ScanBlock, U8]:
@@ -56,7 +53,7 @@ def cuts(block: ScanBlock, rng: np.random.Generator | None = None, lines: int = 
         start = stop
 
 
-def run(blocks: Iterator[ScanBlock], params: SequentialAngleParams, n_lines: int) -> tuple[list[np.ndarray], int]:
+def run(blocks: Iterator[ScanBlock], params: SequentialAngleThresholds, n_lines: int) -> tuple[list[np.ndarray], int]:
     """Feed blocks to the classifier; return all that it says, and the most lines that ever waited."""
     turn: OneByOne[SequentialAngleState] | None = None
     parts: list[list[np.ndarray]] = []
@@ -149,8 +146,8 @@ def test_static_street_scans_are_classified() -> None:
 def test_memory_is_bounded_by_the_curbs() -> None:
     block, _ = scan(elevation_step=1.0, azimuth_step=0.5)
     n_start = 50
-    update = {"curb": CurbParams(max_lines=20), "ground": GroundParams(start_heights=n_start)}
-    params = PARAMS.model_copy(update=update)
+    ground = GroundThresholds(start_heights=n_start)
+    params = PARAMS._replace(curb=CurbThresholds(max_lines=20), ground=ground)
     _, most = run(cuts(block, lines=10), params, block.n_lines)
     assert most <= n_start + 10 + 20
 
@@ -179,7 +176,7 @@ def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
 
 def test_without_ground_lines_wait_so_long_and_no_longer() -> None:
     ranges, beam = wall(300)
-    params = PARAMS.model_copy(update={"start_lines": 70, "curb": CurbParams(max_lines=20)})
+    params = PARAMS._replace(start_lines=70, curb=CurbThresholds(max_lines=20))
     block = ScanBlock(0, ranges, beam_rad=beam)
     (labels, _, _, height, *_), most = run(cuts(block, lines=7), params, 300)
     assert most <= 70
@@ -193,7 +190,7 @@ def test_heights_that_came_late_do_not_count_for_the_start() -> None:
     ranges, _ = wall(30, block.points_per_line)
     assert block.xyz_m is not None
     late = replace(block, range_m=np.concatenate([ranges, block.range_m]), xyz_m=None, beam_rad=block.beam_rad)
-    params = PARAMS.model_copy(update={"start_lines": 30})
+    params = PARAMS._replace(start_lines=30)
     at_once, _ = run(iter([late]), params, late.n_lines)
     in_parts, _ = run(cuts(late, lines=11), params, late.n_lines)
     for one, other in zip(at_once, in_parts, strict=True):
@@ -251,13 +248,13 @@ def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
     )
     none = np.zeros((1, 5), np.bool_)
     expected = [Label.GROUND, Label.CAR, Label.CAR, Label.CAR, Label.MISSING]
-    assert combine(rows, none, CurbParams()).tolist() == [expected]
+    assert combine(rows, none, CurbThresholds()).tolist() == [expected]
     curb = np.array([[False, False, True, False, False]])
     expected = [Label.GROUND, Label.CAR, Label.CURB, Label.VEGETATION, Label.MISSING]
-    assert combine(rows, curb, CurbParams(stands_below_m=1000)).tolist() == [expected]
+    assert combine(rows, curb, CurbThresholds(stands_below_m=1000.0)).tolist() == [expected]
     # the ground before the car is lower than the curb: it stands on the road
     expected = [Label.GROUND, Label.CAR, Label.CURB, Label.CAR, Label.MISSING]
-    assert combine(rows, curb, CurbParams()).tolist() == [expected]
+    assert combine(rows, curb, CurbThresholds()).tolist() == [expected]
 
 
 def config() -> RunConfig:
@@ -424,22 +421,9 @@ def test_the_state_holds_nothing_hidden() -> None:
     assert {each.name for each in fields(begun.state)} == set(SequentialAngleState.__slots__)
 
 
-@pytest.mark.parametrize(
-    ("options", "missing"),
-    [
-        ({"ground": {"enabled": False}}, {Label.GROUND, Label.CURB, Label.CAR}),
-        ({"curb": {"enabled": False}}, {Label.CURB}),
-    ],
-)
-def test_a_stage_that_is_switched_off_gives_no_labels(options: dict[str, Any], missing: set[Label]) -> None:
-    block, _ = scan()
-    (labels, *_), _ = run(iter([block]), SequentialAngleParams.model_validate(options), block.n_lines)
-    assert not np.isin(labels, list(missing)).any()
-
-
 def test_without_trigger_and_high_verticals_no_car_is_lost() -> None:
     block, _ = scan()
-    options = {"car": {"suspicious": {"enabled": False}, "high_verticals": {"enabled": False}}}
+    high = PARAMS.car.high_verticals._replace(height_m=1000.0)
     (usual, *_), _ = run(iter([block]), PARAMS, block.n_lines)
-    (labels, *_), _ = run(iter([block]), SequentialAngleParams.model_validate(options), block.n_lines)
+    (labels, *_), _ = run(iter([block]), PARAMS._replace(car=PARAMS.car._replace(high_verticals=high)), block.n_lines)
     assert not ((usual == Label.CAR) & (labels != Label.CAR)).any()

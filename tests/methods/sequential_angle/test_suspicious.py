@@ -10,13 +10,16 @@ from numpy.random import Generator
 
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
-from prc_cli.methods.sequential_angle.car import SuspiciousParams, increments, suspicious
+from prc_cli.methods.keys import table_of
+from prc_cli.methods.sequential_angle.car import increments, suspicious
+from prc_cli.methods.sequential_angle.thresholds import SuspiciousThresholds
+from tests.methods.sequential_angle.made import made
 
 CODES = {"M": 0, "T": 1, "H": 2, "V": 3, "U": 4}
-PARAMS = SuspiciousParams(enabled=True)
+PARAMS = made(SuspiciousThresholds, enabled=True)
 
 
-def trigger(states: str, params: SuspiciousParams = PARAMS) -> int:
+def trigger(states: str, params: SuspiciousThresholds = PARAMS) -> int:
     codes = np.array([[CODES[state] for state in states]], np.uint8)
     return int(suspicious(codes, np.array([len(states)], np.int32), params)[0])
 
@@ -65,12 +68,8 @@ def test_fill_is_not_missing() -> None:
     assert suspicious(codes, np.array([6], np.int32), PARAMS)[0] == 4
 
 
-def test_sky_fires_unless_only_closed_gaps_count() -> None:
-    closed = SuspiciousParams(enabled=True, closed_gaps_only=True)
+def test_sky_fires() -> None:
     assert trigger("HHHVVVMMMM") == 6
-    assert trigger("HHHVVVMMMM", closed) == -1
-    assert trigger("HHHVVVMMMV", closed) == 6
-    assert trigger("HHHHMMT", closed) == 5, "a point of T' is a return"
 
 
 def chain(rng: Generator, matrix: tuple[tuple[float, float, float], ...], n: int) -> str:
@@ -114,4 +113,4 @@ def test_regular_surface_fires_every_18_beams() -> None:
 )
 def test_matrices_hold_probabilities(table: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        build(SuspiciousParams, table, "test")
+        build(table_of(SuspiciousThresholds(), "suspicious"), table, "test")

@@ -9,18 +9,17 @@ from scipy.stats import norm
 
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F64, Mask
-from prc_cli.methods.sequential_angle.angles import AnglesParams, angle_differences, signed_angles
-from prc_cli.methods.sequential_angle.coarse import (
-    CoarseParams,
-    DenseVegetationParams,
-    TiltParams,
-    car_surface,
-    coarse,
-    dense_vegetation,
+from prc_cli.methods.sequential_angle.angles import angle_differences, signed_angles
+from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation
+from prc_cli.methods.sequential_angle.thresholds import (
+    ChordThresholds,
+    CoarseThresholds,
+    SequentialAngleThresholds,
+    SurfaceThresholds,
 )
 from tests.methods.sequential_angle.scenes import street_lines
 
-PARAMS = DenseVegetationParams()
+PARAMS = SequentialAngleThresholds().dense_vegetation
 
 
 @pytest.fixture
@@ -90,15 +89,15 @@ def test_nine_large_jumps_in_a_row_are_needed() -> None:
 
 def test_street(rng: Generator) -> None:
     lines, truth = street_lines(rng, 40)
-    signed = signed_angles(lines, AnglesParams()).signed_deg
+    signed = signed_angles(lines, ChordThresholds().at_noise()).signed_deg
     dense = dense_vegetation(angle_differences(signed), PARAMS)
-    image = car_surface(signed, dense, lines, TiltParams())
+    image = car_surface(signed, dense, lines, SurfaceThresholds())
     found, vegetation = image == Surface.VEGETATION, truth == Surface.VEGETATION
     # measured on 100 lines: precision .93, recall .74, false positives 1.1 %
     assert (found & vegetation).sum() / found.sum() > 0.88
     assert 0.55 < (found & vegetation).sum() / vegetation.sum() < 0.85
     assert found[~vegetation].mean() < 0.03
-    sensitive = coarse(signed, lines, CoarseParams()) == Surface.VEGETATION
+    sensitive = coarse(signed, lines, CoarseThresholds()) == Surface.VEGETATION
     assert (sensitive & vegetation).sum() > (found & vegetation).sum()
     # every valid shot has a label, those of T outside T' one of their own
     np.testing.assert_array_equal(image == Surface.MISSING, np.isnan(lines.range_m))
@@ -109,9 +108,9 @@ def test_street(rng: Generator) -> None:
 
 def test_shots_without_an_angle_inherit_it(rng: Generator) -> None:
     lines, _ = street_lines(rng, 10)
-    signed = signed_angles(lines, AnglesParams()).signed_deg
+    signed = signed_angles(lines, ChordThresholds().at_noise()).signed_deg
     dense = np.ones(signed.shape, bool)
-    image = car_surface(signed, dense, lines, TiltParams())
+    image = car_surface(signed, dense, lines, SurfaceThresholds())
     valid = ~np.isnan(lines.range_m)
     assert (valid & np.isnan(signed)).any()
     assert (image[valid] == Surface.VEGETATION).all()

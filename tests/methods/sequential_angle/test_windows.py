@@ -6,18 +6,22 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64, U8
+from prc_cli.methods.sequential_angle.coarse import without_windows
 from prc_cli.methods.sequential_angle.lines import VerticalLines
-from prc_cli.methods.sequential_angle.windows import WindowsParams, without_windows
+from prc_cli.methods.sequential_angle.thresholds import WindowThresholds
+from tests.methods.sequential_angle.made import made
 
 T, H, V = 1, 2, 3
 
 
-def label(x: F64, z: F64, codes: list[int], params: WindowsParams | None = None, noise_m: float = 0.005) -> list[int]:
+def label(
+    x: F64, z: F64, codes: list[int], params: WindowThresholds | None = None, noise_m: float = 0.005
+) -> list[int]:
     xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
     beams = np.arctan2(x, -z)[None]
     lines = VerticalLines(np.linalg.norm(xyz, axis=-1), xyz, xyz[..., 0].copy(), np.array([len(x)], np.int32), beams)
     surface: U8 = np.array([codes], np.uint8)
-    return without_windows(surface, lines, params or WindowsParams(), range_noise_m=noise_m)[0].tolist()
+    return without_windows(surface, lines, (params or WindowThresholds()).at_noise(noise_m))[0].tolist()
 
 
 @pytest.mark.parametrize("noise_m", [0.001, 0.005])
@@ -29,7 +33,7 @@ def test_panes_and_rooms_are_vertical_and_leaves_are_not(noise_m: float) -> None
     hedge = 9.0 + rng.exponential(0.17, 60)
     assert label(window, z, [T] * 60, noise_m=noise_m) == [V] * 60
     assert label(leaves, z, [T] * 60, noise_m=noise_m) == label(hedge, z, [T] * 60, noise_m=noise_m) == [T] * 60
-    assert label(window, z, [T] * 60, WindowsParams(share=1.0), noise_m) == [T] * 60
+    assert label(window, z, [T] * 60, made(WindowThresholds, share=1.0), noise_m) == [T] * 60
     assert label(window[:7], z[:7], [T] * 7) == [T] * 7
 
 
@@ -38,9 +42,9 @@ def test_a_wall_between_leaves_is_vertical() -> None:
     x = np.full(40, 12.0)
     codes = [V] * 20 + [T] * 20
     x[21::2] = np.linspace(8.0, 11.0, 10)
-    found = label(x, z, codes, WindowsParams(share=1.0))
+    found = label(x, z, codes, made(WindowThresholds, share=1.0))
     assert found == [V] * 20 + [V, T] * 10
-    assert label(x, z, codes, WindowsParams(share=1.0, wall_extent_m=0)) == codes
+    assert label(x, z, codes, made(WindowThresholds, share=1.0, wall_extent_m=0)) == codes
 
 
 def test_what_is_behind_a_wall_below_it_is_a_room_and_what_is_over_it_may_be_a_tree() -> None:

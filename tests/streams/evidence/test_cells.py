@@ -22,8 +22,7 @@ from prc_cli.streams.evidence.checks import (
     check_rounding,
     check_unplaced,
 )
-from prc_cli.streams.evidence.figures import Window
-from prc_cli.streams.evidence.seen import Seen
+from prc_cli.streams.evidence.figures import Seen, Window
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
 

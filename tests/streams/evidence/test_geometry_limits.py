@@ -15,9 +15,8 @@ from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import AngleStep
 from prc_cli.streams.down import DownGuess, wrap
 from prc_cli.streams.evidence import geometry
-from prc_cli.streams.evidence.figures import Window
+from prc_cli.streams.evidence.figures import Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
-from prc_cli.streams.evidence.seen import Seen
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
 BEAM: F64 = np.deg2rad(np.arange(-90.0, 90.0, 1.0))

@@ -12,7 +12,7 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.streams.evidence import lines
-from prc_cli.streams.evidence.figures import Figures, LineSample, Turned, Window, figures_of
+from prc_cli.streams.evidence.figures import Figures, LineSample, Seen, Turned, Window, figures_of
 from prc_cli.streams.evidence.lines import (
     check_columns_along,
     check_dropouts,
@@ -23,12 +23,11 @@ from prc_cli.streams.evidence.lines import (
     is_shifted,
 )
 from prc_cli.streams.evidence.periods import PeriodEstimate
-from prc_cli.streams.evidence.seen import Seen
 from tests.street import street
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
 USUAL = Figures(
-    random=2.0, shot=(0.02, 0.04), line=(0.02, 0.03, 0.04, 0.05), reversed_line=1.5, far_line=0.9,
+    random=2.0, shot=(0.02, 0.04), line=(0.02, 0.03, 0.04, 0.05), reversed_line=1.5,
     moved=(0.1, 0.5), noise_m=0.004, roughness=0.001, again=0.3, lonely_missing=0.01, n_between=1000,
 )  # fmt: skip
 M = 100

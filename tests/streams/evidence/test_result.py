@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
-from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ScanBlock, cut
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence.result import MAX_LINES, MAX_SCANNERS, RESULT_CHECKS, ResultWatch
+from prc_cli.streams.evidence.result import MAX_LINES, MAX_SCANNERS, ResultWatch
+from prc_cli.streams.evidence.table import check_table
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.simulated import drive_arrays
 
@@ -25,7 +26,7 @@ NO_EXTRA = np.empty(0, np.uint8)
 LABEL_OF_KIND = np.array(
     [0, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.NOISE, Label.UNCLASSIFIED, 0], np.uint8
 )
-NAMES = {one.name for one in RESULT_CHECKS}
+NAMES = set(LABEL_CHECKS)
 
 
 def usual_of(preset: str) -> UsualLabels:
@@ -66,7 +67,7 @@ def test_a_street_is_fine_in_all_checks() -> None:
 
 
 def test_every_check_is_explained() -> None:
-    for check in RESULT_CHECKS:
+    for check in (one for one in check_table() if one.name in NAMES):
         assert all((check.asks, check.limit, check.reason, check.blind)), check.name
 
 

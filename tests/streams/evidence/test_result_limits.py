@@ -24,7 +24,7 @@ BEAM: F64 = np.deg2rad(np.linspace(-75.0, 75.0, 50))
 
 
 def sample(range_m: F32, labels: U8, beam: F64 | None = BEAM, angle: F64 | None = BEAM) -> _Sample:
-    return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle, 3)
+    return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle)
 
 
 def asked(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
@@ -333,5 +333,4 @@ def test_columns_that_are_kept(m: int, columns: list[int]) -> None:
     assert one.beam_rad is not None
     assert one.angle_rad is not None
     assert one.beam_rad.tolist() == (-one.angle_rad).tolist() == columns
-    assert one.stride == 1
     assert len(one.range_m[0]) <= 128

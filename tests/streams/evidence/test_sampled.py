@@ -11,14 +11,13 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import EvidenceError
-from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence import lines as repeats
 from prc_cli.streams.evidence import periods as estimates
-from prc_cli.streams.evidence.checks import CHECKS
-from prc_cli.streams.evidence.figures import LineSample, lines_of_window
+from prc_cli.streams.evidence.figures import LineSample, Seen, lines_of_window
 from prc_cli.streams.evidence.lines import LineRepeats, check_repeats, digests
 from prc_cli.streams.evidence.periods import (
     RangeCorrelation,
@@ -27,7 +26,7 @@ from prc_cli.streams.evidence.periods import (
     range_correlation,
 )
 from prc_cli.streams.evidence.result import ResultWatch
-from prc_cli.streams.evidence.seen import Seen
+from prc_cli.streams.evidence.table import check_table
 from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
 
 
@@ -175,7 +174,7 @@ def test_counts_of_all_scanners_and_lines_of_four() -> None:
     assert stream.findings() == ()
     for _ in range(2):
         assert len(list(stream.blocks())) == 6
-    seen = stream.seen(is_whole=False)
+    seen = stream.seen()
     assert [one.scanner for one in seen] == [1, 3, 5, 7]
     for one in seen:
         assert (one.n_lines, one.n_shots, one.n_missing) == (30, 6 * 30 * 40, 33 + 6)
@@ -183,7 +182,7 @@ def test_counts_of_all_scanners_and_lines_of_four() -> None:
         assert one.beam_rad is not None
         assert one.beam_rad[0] == one.scanner
         assert one.angle_rad is Many.info.angle_rad
-        assert (one.is_whole, one.most_noise_m) == (False, 0.5)
+        assert one.most_noise_m == 0.5
         assert sum(len(window.range_m) for window in one.windows) == (0 if one.scanner == 7 else 30)
 
 
@@ -223,7 +222,7 @@ def test_the_worst_finding_of_a_live_stream_stays_and_is_told_once() -> None:
 
 
 def test_every_check_has_its_row_once() -> None:
-    assert [one.name for one in CHECKS] == list(dict.fromkeys(one.name for one in CHECKS))
+    assert [one.name for one in check_table()] == list(CHECK_NAMES)
 
 
 # -- estimates ---------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""First and last dividers of the intervals that may be cars (Stamos et al. 2012, sec. 7.3)."""
+"""Intervals of lines that may be cars, and their spectrum (Stamos et al. 2012, sec. 7.3 and 7.5)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,36 @@ from scipy import ndimage
 
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.methods.sequential_angle.thresholds import DividerThresholds
+from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds
+
+
+def high_frequencies(angles: F64, band: float, ratio: float) -> list[int]:
+    """Return S: the frequencies of the band that exceed a share of the largest one, equal within rounding not."""
+    n = len(angles)
+    spectrum = np.abs(np.fft.rfft(angles))
+    largest = spectrum.max()
+    return [k for k in range(len(spectrum)) if k >= band * n and spectrum[k] > ratio * (1 + 1e-9) * largest]
+
+
+def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
+    """Mark intervals with an empty S; see :func:`car_loops.stable_intervals`."""
+    decisions = []
+    for row, first, last in intervals:
+        angles = signed_deg[row, first : last + 1].astype(np.float64)
+        angles = angles[~np.isnan(angles)]
+        n = len(angles)
+        if n < max(thresholds.min_points, 1):
+            decisions.append(False)
+            continue
+        if 0 < thresholds.longest < n:
+            decisions.append(True)
+            continue
+        n_windows = -(-n // thresholds.window)
+        edges = [window * n // n_windows for window in range(n_windows + 1)]
+        empty = [not high_frequencies(angles[a:b], thresholds.band, thresholds.ratio) for a, b in pairwise(edges)]
+        decisions.append(sum(empty) >= n_windows / 2)
+    return np.array(decisions, dtype=np.bool_)
+
 
 H, V, T = int(Surface.HORIZONTAL), int(Surface.VERTICAL), int(Surface.VEGETATION)
 """Surface codes."""
@@ -88,7 +117,7 @@ def car_intervals(
     ground_m: F32,
     thresholds: DividerThresholds,
 ) -> I32:
-    """Cut triggered rows into intervals; see :func:`dividers_loops.car_intervals`."""
+    """Cut triggered rows into intervals; see :func:`car_loops.car_intervals`."""
     found: list[tuple[int, int, int]] = []
     for row in range(len(n_beams)):
         if not triggered[row] or np.isnan(ground_m[row]):
@@ -104,7 +133,7 @@ def car_intervals(
         distance = horizontal_m[row, beams].astype(np.float64)
 
         changes = [j for j in range(1, len(beams)) if codes[j - 1 : j + 1] == [H, V]]
-        chord_m, reach = thresholds.chord_m, thresholds.chord_reach
+        chord_m, reach = thresholds.change_chord_m, thresholds.change_reach
         angles = {j: change_angle(points, j, chord_m, reach) if chord_m > 0 else np.nan for j in changes}
         angles = {j: float(signed_deg[row, beams[j]]) if np.isnan(angle) else angle for j, angle in angles.items()}
         first_dividers = [
@@ -232,7 +261,7 @@ def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> b
     if high and len(heights) < thresholds.straight_points:
         return True
     residual_m, slope = (
-        (np.inf, thresholds.vertical_slope) if high else (thresholds.straight_residual_m, thresholds.straight_slope)
+        (np.inf, thresholds.vertical_slope) if high else (thresholds.straight_m, thresholds.straight_slope)
     )
     return is_upright(distance, heights, residual_m, slope, thresholds)
 
@@ -254,7 +283,7 @@ def cut_verticals(
     ground_m: F32,
     thresholds: DividerThresholds,
 ) -> I32:
-    """Take vertical runs out; see :func:`dividers_loops.cut_verticals`."""
+    """Take vertical runs out; see :func:`car_loops.cut_verticals`."""
     left: list[tuple[int, int, int]] = []
     for row, first, last in intervals.tolist():
         beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
@@ -305,7 +334,7 @@ def reliefs(
 
 
 def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:
-    """Mark intervals without much foliage; see :func:`dividers_loops.firm_intervals`."""
+    """Mark intervals without much foliage; see :func:`car_loops.firm_intervals`."""
     firm = []
     for row, first, last in intervals.tolist():
         codes = surface[row, first : last + 1]

@@ -1,4 +1,4 @@
-"""Loops that cut lines into intervals which may be cars (Stamos et al. 2012, sec. 7.3)."""
+"""Loops that cut lines into intervals which may be cars, and test their spectrum (Stamos et al. 2012, sec. 7)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,111 @@ import math
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import boolean, float32, helper, int32, kernel, record, uint8
-from prc_cli.methods.sequential_angle.thresholds import DividerThresholds
+from prc_cli.core.types import F32, F32_1, F32_2, F32_3, F64, F64_1, I32, I32_1, I32_2, U8, U8_2, Mask, Mask_1
+from prc_cli.kernels.cache import helper, kernel
+from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds
+
+_CHUNK = 64
+"""Frequencies computed at once: enough for vector instructions, few enough to stop early."""
+
+_TIE = 1e-9
+"""Relative difference between two frequencies that counts as none: a spectrum is not computed more exactly."""
+
+
+@kernel()
+def _powers(values: F64_1, first: int, n_frequencies: int, power: F64_1) -> None:
+    """Compute the power of successive frequencies by Goertzel's recursion, all of them sample after sample.
+
+    The loop over frequencies is the inner one because it is the one that vector instructions can take.
+    """
+    n = len(values)
+    turn = np.empty(n_frequencies, np.float64)
+    one = np.zeros(n_frequencies, np.float64)
+    two = np.zeros(n_frequencies, np.float64)
+    for k in range(n_frequencies):
+        turn[k] = 2.0 * math.cos(2.0 * math.pi * (first + k) / n)
+    odd = n % 2
+    if odd:
+        one[:] = values[0]
+    for i in range(odd, n, 2):  # two samples a round, so that nothing has to be moved
+        x, y = values[i], values[i + 1]
+        for k in range(n_frequencies):
+            newer = x + turn[k] * one[k] - two[k]
+            one[k] = y + turn[k] * newer - one[k]
+            two[k] = newer
+    for k in range(n_frequencies):
+        power[k] = max(0.0, one[k] * one[k] + two[k] * two[k] - turn[k] * one[k] * two[k])
+
+
+@kernel()
+def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
+    """Tell whether no frequency from ``band * N`` up exceeds ``ratio`` times the largest one.
+
+    With a ratio below 1 some frequency of the band exceeds that share of the largest of all if and only if one exceeds
+    that share of the largest below the band. Hence first the few frequencies below the band, then those of the
+    band until one exceeds; and none of them when all their energy together, which Parseval's theorem gives for
+    nothing, would not do.
+    """
+    n = len(values)
+    n_low = min(math.ceil(band * n), n // 2 + 1)
+    power = np.empty(max(n_low, _CHUNK), np.float64)
+    energy = 0.0
+    for x in values:
+        energy += x * x
+    energy *= n
+    rest = energy
+    largest = 0.0
+    for first in range(0, n_low, _CHUNK):
+        size = min(_CHUNK, n_low - first)
+        _powers(values, first, size, power)
+        for k in range(size):
+            largest = max(largest, power[k])
+            rest -= power[k] if first + k == 0 or 2 * (first + k) == n else 2.0 * power[k]
+    share = (ratio * (1.0 + _TIE)) ** 2
+    # every frequency but the one of N/2 has its energy twice, at k and at N - k; all of it is taken for that one
+    if rest + 1e-12 * energy <= share * largest:
+        return True
+    for first in range(n_low, n // 2 + 1, _CHUNK):
+        size = min(_CHUNK, n // 2 + 1 - first)
+        _powers(values, first, size, power)
+        for k in range(size):
+            if power[k] > share * largest:
+                return False
+    return True
+
+
+@kernel()
+def stable_intervals(signed_deg: F32_2, intervals: I32_2, thresholds: FourierThresholds) -> Mask_1:
+    """Mark intervals whose signed angles hold no high frequency.
+
+    Long intervals are cut into the least number of windows of nearly equal size; at least half of them must be without
+    high frequencies.
+
+    ``signed_deg`` (R, n) float32, degrees; ``intervals`` (K, 3) int32; returns (K,) bool.
+    """
+    stable = np.zeros(len(intervals), np.bool_)
+    values = np.empty(signed_deg.shape[1], np.float64)
+    for i in range(len(intervals)):
+        row = signed_deg[intervals[i, 0]]
+        n = 0
+        for k in range(intervals[i, 1], intervals[i, 2] + 1):
+            value = row[k]
+            if value == value:
+                values[n] = value
+                n += 1
+        if n < thresholds.min_points or n == 0:
+            continue
+        if thresholds.longest > 0 and n > thresholds.longest:
+            stable[i] = True
+            continue
+        n_windows = (n + thresholds.window - 1) // thresholds.window
+        n_stable = 0
+        for window in range(n_windows):
+            part = values[window * n // n_windows : (window + 1) * n // n_windows]
+            n_stable += _is_stable(part, thresholds.band, thresholds.ratio)
+        stable[i] = 2 * n_stable >= n_windows
+    return stable
+
 
 _MISSING, _VEGETATION = int(Surface.MISSING), int(Surface.VEGETATION)
 _HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
@@ -160,8 +262,8 @@ def _begins(
 ) -> bool:
     """Tell whether a change from H to V begins an interval: gradual, or sudden with something under it."""
     angle = math.nan
-    if thresholds.chord_m > 0.0:
-        angle = _change_angle(xyz_m, row, beam, size, j, thresholds.chord_m, thresholds.chord_reach)
+    if thresholds.change_chord_m > 0.0:
+        angle = _change_angle(xyz_m, row, beam, size, j, thresholds.change_chord_m, thresholds.change_reach)
     if angle != angle:
         angle = signed_deg[row, beam[j]]
     gradual = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
@@ -286,30 +388,18 @@ def _with_room(found: I32, size: int) -> I32:
     return larger
 
 
-@kernel(
-    int32[:, ::1](
-        uint8[:, ::1],
-        float32[:, ::1],
-        float32[:, :, ::1],
-        float32[:, ::1],
-        float32[:, ::1],
-        int32[::1],
-        boolean[::1],
-        float32[::1],
-        record(DividerThresholds),
-    )
-)
+@kernel()
 def car_intervals(
-    surface: U8,
-    range_m: F32,
-    xyz_m: F32,
-    horizontal_m: F32,
-    signed_deg: F32,
-    n_beams: I32,
-    triggered: Mask,
-    ground_m: F32,
+    surface: U8_2,
+    range_m: F32_2,
+    xyz_m: F32_3,
+    horizontal_m: F32_2,
+    signed_deg: F32_2,
+    n_beams: I32_1,
+    triggered: Mask_1,
+    ground_m: F32_1,
     thresholds: DividerThresholds,
-) -> I32:
+) -> I32_2:
     """Cut the triggered rows into intervals that may be cars.
 
     ``surface`` (R, n) uint8; ``range_m, horizontal_m`` (R, n) float32, metres; ``xyz_m`` (R, n, 3) float32, metres;
@@ -435,7 +525,7 @@ def _vertical_run(
     if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
         # what is higher than the side of a car need not be straight, nor upright where its points are few
         high = highest - lowest >= thresholds.vertical_extent_m
-        residual_m = np.inf if high else thresholds.straight_residual_m
+        residual_m = np.inf if high else thresholds.straight_m
         slope = thresholds.vertical_slope if high else thresholds.straight_slope
         few = n_points < thresholds.straight_points
         noise_m = thresholds.lean_noise_m
@@ -491,26 +581,16 @@ def _mark_reliefs(
         begin = last + 1
 
 
-@kernel(
-    int32[:, ::1](
-        uint8[:, ::1],
-        float32[:, :, ::1],
-        float32[:, ::1],
-        int32[::1],
-        int32[:, ::1],
-        float32[::1],
-        record(DividerThresholds),
-    )
-)
+@kernel()
 def cut_verticals(
-    surface: U8,
-    xyz_m: F32,
-    horizontal_m: F32,
-    n_beams: I32,
-    intervals: I32,
-    ground_m: F32,
+    surface: U8_2,
+    xyz_m: F32_3,
+    horizontal_m: F32_2,
+    n_beams: I32_1,
+    intervals: I32_2,
+    ground_m: F32_1,
     thresholds: DividerThresholds,
-) -> I32:
+) -> I32_2:
     """Take vertical runs out of intervals that are too high for a car, or straight and upright as no car is.
 
     Points behind an interval count in a run that goes on there.
@@ -561,8 +641,8 @@ def cut_verticals(
     return left[:n_left].copy()
 
 
-@kernel("boolean[::1](uint8[:, ::1], int32[:, ::1], float64, int64)")
-def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:
+@kernel()
+def firm_intervals(surface: U8_2, intervals: I32_2, most: float, least: int) -> Mask_1:
     """Mark intervals of so many returns of which no larger share is vegetation.
 
     ``surface`` (R, n) uint8; ``intervals`` (K, 3) int32; returns (K,) bool.

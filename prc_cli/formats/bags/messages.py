@@ -1,4 +1,4 @@
-"""Reads the fields of a message one after the other, as ROS 1 or as CDR (ROS 2) writes them."""
+"""Fields of messages as ROS 1 or CDR (ROS 2) writes them, and messages that hold a scanner's packets."""
 
 from __future__ import annotations
 
@@ -13,6 +13,12 @@ class ShortMessageError(ValueError):
     """A message ends before its fields do, or its lengths are wrong; the text says how."""
 
 
+def expect(is_so: bool, otherwise: str) -> None:
+    """Refuse a message with a text where something is not so."""
+    if not is_so:
+        raise ShortMessageError(otherwise)
+
+
 class Cursor:
     """Position in the bytes of a message.
 
@@ -25,9 +31,8 @@ class Cursor:
         self.at = self._start = 4 if is_cdr else 0
         self.order: Literal["<", ">"] = "<"
         if is_cdr:
-            if len(data) < 4 or data[0] != 0 or data[1] > 1:
-                message = f"begins with {data[:4].hex() or 'nothing'}, expected the four bytes of CDR"
-                raise ShortMessageError(message)
+            known = len(data) >= 4 and data[0] == 0 and data[1] <= 1
+            expect(known, f"begins with {data[:4].hex() or 'nothing'}, expected the four bytes of CDR")
             self.order = "<" if data[1] else ">"
 
     def _align(self, size: int) -> None:
@@ -37,9 +42,7 @@ class Cursor:
     def _need(self, n: int) -> int:
         """Return the position and move ``n`` bytes on."""
         start = self.at
-        if n > len(self.data) - start:
-            message = f"ends after {len(self.data)} bytes, expected {start + n} or more"
-            raise ShortMessageError(message)
+        expect(n <= len(self.data) - start, f"ends after {len(self.data)} bytes, expected {start + n} or more")
         self.at += n
         return start
 
@@ -85,3 +88,31 @@ class Cursor:
         """Read a time [s]."""
         seconds, nanoseconds = self.number("i" if self.is_cdr else "I"), self.number("I")
         return float(seconds + nanoseconds * 1e-9)
+
+
+VELODYNE, PANDAR, NEBULA = "velodyne_msgs/VelodyneScan", "pandar_msgs/PandarScan", "nebula_msgs/NebulaPackets"
+OUSTER = ("ouster_sensor_msgs/PacketMsg", "ouster_msgs/PacketMsg", "ouster_ros/PacketMsg")
+PACKED = (VELODYNE, PANDAR, NEBULA, *OUSTER)
+_LEAST = {VELODYNE: 1214, PANDAR: 1512, NEBULA: 12}
+"""Least bytes of a packet in a message."""
+
+
+def parse_packets(kind: str, data: bytes, time_s: float, *, is_cdr: bool) -> tuple[str, list[tuple[float, bytes]]]:
+    """Return the frame of a message, and its packets with the time when they were received [s]."""
+    cursor = Cursor(data, is_cdr=is_cdr)
+    if kind in OUSTER:
+        return "", [(time_s, cursor.array("u1").tobytes())]
+    _, frame = cursor.header()
+    n = cursor.number("I")
+    expect(n <= len(data) // _LEAST[kind], f"says it holds {n} packets, which it is too short for")
+    packets = []
+    for _ in range(n):
+        stamp_s = cursor.stamp()
+        if kind == VELODYNE:
+            packets.append((stamp_s, cursor.array("u1", 1206).tobytes()))
+        elif kind == NEBULA:
+            packets.append((stamp_s, cursor.array("u1").tobytes()))
+        else:
+            held = cursor.array("u1", 1500)
+            packets.append((stamp_s, held[: cursor.number("I")].tobytes()))
+    return frame, packets

@@ -1,0 +1,149 @@
+"""Several files of one drive, in order, as one list of records: a line that is cut by the end of a file is one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.facts import SourceFacts
+from prc_cli.formats import open_source
+from prc_cli.formats.options import Layout
+from prc_cli.formats.records import RecordChunk, RecordSource
+
+GAP_S = 1.0
+"""Longest time between the last record of a file and the first of the next one, where one drive goes on [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Break:
+    """Where files that were given together are not one drive."""
+
+    part: int
+    """Number of the file that begins anew."""
+    why: str
+
+
+@dataclass(frozen=True)
+class JoinedSource:
+    """Records of several files, one file after the other; numbers of records go on from file to file."""
+
+    parts: tuple[RecordSource, ...]
+
+    @property
+    def path(self) -> str:
+        """Name of the first file, for messages."""
+        return self.parts[0].path
+
+    @property
+    def format(self) -> str:
+        """Reader name."""
+        return self.parts[0].format
+
+    @property
+    def n_records(self) -> int | None:
+        """Number of records; None if only reading can tell."""
+        counts = [part.n_records for part in self.parts]
+        return None if None in counts else sum(count for count in counts if count is not None)
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that every file can deliver."""
+        return self.parts[0].dimensions
+
+    @property
+    def facts(self) -> SourceFacts:
+        """What the first file says of itself; notes and wishes concern all of them."""
+        every = [part.facts for part in self.parts]
+        notes = tuple(dict.fromkeys(note for facts in every for note in facts.notes))
+
+        def skip_intensity() -> None:
+            for facts in every:
+                facts.skip_intensity()
+
+        def check_layers() -> None:
+            for facts in every:
+                facts.check_layers()
+
+        return replace(
+            every[0], notes=notes, laz_contexts=None, skip_intensity=skip_intensity, check_layers=check_layers,
+            align_chunks=SourceFacts().align_chunks,
+        )  # fmt: skip
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named dimensions of all files."""
+        first = 0
+        for part in self.parts:
+            n = 0
+            for chunk in part.chunks(names):
+                record = None if chunk.record is None else chunk.record + first
+                yield replace(chunk, first_record=chunk.first_record + first, record=record)
+                n += chunk.n
+            first += n
+
+    def firsts(self) -> list[int]:
+        """Return the number of the first record of every file, and the number of all records."""
+        counts = [part.n_records if part.n_records is not None else _count(part) for part in self.parts]
+        return [0, *np.cumsum(counts).tolist()]
+
+
+def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSource:
+    """Open several files as one list of records.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        In the order in which they were recorded.
+    layout : Layout, optional
+        Of raw dumps and text files.
+
+    Raises
+    ------
+    InputError
+        For range images and organised scans, which are no lists of records.
+    """
+    parts: list[RecordSource] = []
+    for path in paths:
+        source = open_source(path, layout)
+        if source is None:
+            problem = "holds a range image or whole scans, expected records, where several files are one drive"
+            raise InputError(str(path), problem, "classify it by itself")
+        parts.append(source)
+    return JoinedSource(tuple(parts))
+
+
+def find_break(joined: JoinedSource) -> Break | None:
+    """Return the first place where the files are not one drive: other contents, another M, or a gap of time."""
+    for number in range(1, len(joined.parts)):
+        if why := _why_apart(joined.parts[number - 1], joined.parts[number]):
+            return Break(number, why)
+    return None
+
+
+def _why_apart(before: RecordSource, after: RecordSource) -> str:
+    """Say why a file does not go on where the one before ended; empty if it does."""
+    if (before.format, before.dimensions) != (after.format, after.dimensions):
+        return "it has other dimensions than the file before"
+    m = before.facts.points_per_line, after.facts.points_per_line
+    if m[0] != m[1]:
+        return f"it has {m[1]} shots a line, the file before {m[0]}"
+    if "time" not in before.dimensions:
+        return ""
+    last = first = np.nan
+    for chunk in before.chunks(("time",)):
+        last = chunk.values["time"][-1] if chunk.n else last
+    for chunk in after.chunks(("time",)):
+        if chunk.n:
+            first = chunk.values["time"][0]
+            break
+    step_s = float(first - last)
+    if step_s < 0.0:
+        return f"it begins {-step_s:.3f} s before the end of the file before"
+    return f"it begins {step_s:.3f} s after the end of the file before" if step_s > GAP_S else ""
+
+
+def _count(source: RecordSource) -> int:
+    return sum(chunk.n for chunk in source.chunks(source.dimensions[:1]))

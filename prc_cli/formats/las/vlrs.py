@@ -1,0 +1,211 @@
+"""What LAS files say of themselves in VLRs: the run record, names of classes, coordinate systems.
+
+laspy's own ``parse_crs`` needs pyproj, an extra of this program, and gives up on what pyproj does not understand.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import chain
+from pathlib import Path
+
+from prc_cli.core.classes import FIRST_USER_CODE
+from prc_cli.formats.las.header import (
+    GEO_KEYS_KEY,
+    RECORD_KEY,
+    WKT_KEY,
+    LasHeader,
+    Vlr,
+    make_vlr,
+    read_header,
+    text_of,
+)
+from prc_cli.formats.writing.record import RunRecord
+
+VLR_LIMIT = 65_535
+"""Largest content of a VLR [bytes]."""
+RECORD_TEXT = "prc run record"
+"""Description of the VLR that holds the run record."""
+LOOKUP_KEY = ("LASF_Spec", 0)
+"""LAS 1.4: entries of 16 bytes, the class number and 15 characters. The specification names the standard classes; user
+codes, 64 and up, mean what this record says."""
+_ENTRY_BYTES = 16
+
+_NAME = re.compile(r'^\s*\w+\s*\[\s*"([^"]*)"')
+_CODE = re.compile(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]\s*$', re.IGNORECASE)
+_LIBLAS_WKT_KEY = ("liblas", 2112)
+_USER_DEFINED = 32767
+_GEOGRAPHIC, _PROJECTED, _VERTICAL = 2048, 3072, 4096
+
+
+def with_record(vlrs: list[Vlr], record: RunRecord) -> list[Vlr]:
+    """Return the VLRs with a run record, replacing an old one, shortened if it is too long for a VLR."""
+    new = make_vlr(RECORD_KEY, record.to_json_within(VLR_LIMIT), RECORD_TEXT)
+    place = next((index for index, vlr in enumerate(vlrs) if vlr.has(RECORD_KEY)), len(vlrs))
+    vlrs = [vlr for vlr in vlrs if not vlr.has(RECORD_KEY)]
+    return [*vlrs[:place], new, *vlrs[place:]]
+
+
+def lookup_vlr(names: Mapping[int, str]) -> Vlr:
+    """Return a new record of names.
+
+    >>> len(lookup_vlr({64: "stem", 65: "car"}).data)
+    32
+    """
+    return make_vlr(LOOKUP_KEY, b"".join(_entry(*each) for each in sorted(names.items())), "Classification Lookup")
+
+
+def names_of_file(path: Path) -> dict[int, str]:
+    """Return the names of user codes that a LAS or LAZ file holds."""
+    found: dict[int, str] = {}
+    for data in read_header(path).find(LOOKUP_KEY):
+        for code, name in _names(data).items():
+            if code >= FIRST_USER_CODE and name:
+                found.setdefault(code, name)
+    return found
+
+
+def with_lookup(las: LasHeader, vlrs: list[Vlr], names: Mapping[int, str]) -> tuple[list[Vlr], tuple[str, ...]]:
+    """Return VLRs that name some classes, and notices; an existing record is extended in its place."""
+    if not names:
+        return vlrs, ()
+    if any(evlr.has(LOOKUP_KEY) for evlr in las.evlrs):
+        return vlrs, ("the names of classes stand behind the points; they were left as they are",)
+    place = next((index for index, vlr in enumerate(vlrs) if vlr.has(LOOKUP_KEY)), None)
+    if place is None:
+        return [*vlrs, lookup_vlr(names)], ()
+    data, notices = bytearray(vlrs[place].data or b""), []
+    if len(data) % _ENTRY_BYTES:
+        return vlrs, (f"the names of classes take {len(data)} bytes, no multiple of 16; they were left as they are",)
+    before = _names(bytes(data))
+    for code, name in sorted(names.items()):
+        entry = _entry(code, name)
+        if code not in before:
+            data += entry
+        elif before[code] != (new := text_of(entry[1:])):
+            at = bytes(data[::_ENTRY_BYTES]).index(code) * _ENTRY_BYTES
+            data[at : at + _ENTRY_BYTES] = entry
+            if before[code]:
+                notices.append(f"class {code} was named {before[code]!r} in the input; its name is now {new!r}")
+    if len(data) > VLR_LIMIT:
+        return vlrs, ("the names of classes fill their record; they were left as they are",)
+    return [*vlrs[:place], vlrs[place].with_data(bytes(data)), *vlrs[place + 1 :]], tuple(notices)
+
+
+def _entry(code: int, name: str) -> bytes:
+    return bytes([code]) + name.encode("ascii", "replace")[: _ENTRY_BYTES - 1].ljust(_ENTRY_BYTES - 1, b"\0")
+
+
+def _names(data: bytes) -> dict[int, str]:
+    """Return the names by code; the first of a code counts."""
+    starts = range(len(data) // _ENTRY_BYTES * _ENTRY_BYTES - _ENTRY_BYTES, -1, -_ENTRY_BYTES)
+    return {data[start]: text_of(data[start + 1 : start + _ENTRY_BYTES]) for start in starts}
+
+
+def find_crs(header: LasHeader) -> str | None:
+    """Return the coordinate system: WKT as it stands, else ``EPSG:CODE`` from GeoTIFF keys, else None."""
+    codes = (_horizontal(_geo_keys(data)) for data in header.find(GEO_KEYS_KEY))
+    named = (f"EPSG:{code}" for code in codes if code)
+    texts = (map(text_of, header.find(key)) for key in (WKT_KEY, _LIBLAS_WKT_KEY))
+    return next(filter(None, chain(next(texts), named, next(texts))), None)
+
+
+def _geo_keys(data: bytes) -> dict[int, int]:
+    """Return the GeoTIFF keys with a value in the key directory itself."""
+    from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeysHeaderStructs
+
+    if len(data) < GeoKeysHeaderStructs.size():
+        return {}
+    directory = GeoKeyDirectoryVlr()
+    directory.parse_record_data(data)
+    return {key.id: key.value_offset for key in directory.geo_keys if key.tiff_tag_location == 0}
+
+
+def _horizontal(keys: dict[int, int]) -> int | None:
+    """Return the EPSG code of the projected, else the geographic system; None if there is none."""
+    code = keys.get(_PROJECTED) or keys.get(_GEOGRAPHIC)
+    return code if code and code < _USER_DEFINED else None
+
+
+def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]:
+    """Return the VLRs with a WKT coordinate system, which point formats 6-10 need, and the notices about it.
+
+    GeoTIFF keys stay; a WKT is derived from their EPSG codes where pyproj is installed.
+    """
+    keys = {vlr.key: vlr for vlr in vlrs}
+    if WKT_KEY in keys:
+        return vlrs, "the coordinate system is now read from the file's own WKT"
+    if GEO_KEYS_KEY not in keys:
+        return vlrs, None
+    found = _geo_keys(keys[GEO_KEYS_KEY].data or b"")
+    horizontal, vertical = _horizontal(found), found.get(_VERTICAL, _USER_DEFINED)
+    tries = [(f"EPSG:{horizontal}", "")]
+    if vertical != _USER_DEFINED:
+        # old files give the code of a vertical datum instead of a coordinate system
+        remark = f" (vertical code {vertical} is no EPSG system and was left out)"
+        tries = [(f"EPSG:{horizontal}+{vertical}", ""), (f"EPSG:{horizontal}", remark)]
+    problem = "the GeoTIFF keys name no EPSG code"
+    for text, remark in tries if horizontal is not None else ():
+        vlr, problem = vlr_of_crs(text)
+        if vlr is not None:
+            return [*vlrs, vlr], f"coordinate system {text}{remark} added as WKT"
+    return vlrs, (
+        f"point format {point_format} wants its coordinate system as WKT, which could not be derived ({problem}); "
+        "the GeoTIFF keys were kept"
+    )
+
+
+def vlr_of_crs(crs: str) -> tuple[Vlr | None, str]:
+    """Return the record of a coordinate system as WKT, or None and why there is none."""
+    try:
+        import pyproj
+    except ImportError:
+        return None, "pyproj is not installed; pip install prc-cli[crs]"
+    try:
+        wkt = pyproj.CRS.from_user_input(crs).to_wkt("WKT1_GDAL").encode("ascii") + b"\0"
+    except (pyproj.exceptions.CRSError, UnicodeEncodeError) as error:
+        return None, f"{crs}: {error}"
+    if len(wkt) > VLR_LIMIT:
+        return None, f"{crs}: {len(wkt)} bytes, more than a VLR holds"
+    return make_vlr(WKT_KEY, wkt, "OGC COORDINATE SYSTEM WKT"), ""
+
+
+def short_crs(crs: str) -> str:
+    """Return the name of a coordinate system, with its EPSG code where it has one.
+
+    >>> short_crs('PROJCS["UTM 35N", GEOGCS["WGS 84"], AUTHORITY["EPSG","32635"]]')
+    'UTM 35N (EPSG:32635)'
+    """
+    name, code = _NAME.match(crs), _code(crs)
+    text = name.group(1) if name else " ".join(crs.split())[:60]
+    return text if code is None or code in text else f"{text} ({code})"
+
+
+def same_crs(one: str, other: str) -> bool:
+    """Compare two coordinate systems by text, by EPSG code, else with pyproj if installed.
+
+    >>> same_crs('PROJCS["UTM 35N", AUTHORITY["EPSG","32635"]]', "EPSG:32635")
+    True
+    """
+    if "".join(one.split()).lower() == "".join(other.split()).lower():
+        return True
+    codes = _code(one), _code(other)
+    if None not in codes:
+        return codes[0] == codes[1]
+    try:
+        import pyproj
+    except ImportError:
+        return False
+    try:
+        left, right = (pyproj.CRS.from_user_input(crs) for crs in (one, other))
+    except pyproj.exceptions.CRSError:
+        return False
+    return bool(left.equals(right, ignore_axis_order=True))
+
+
+def _code(crs: str) -> str | None:
+    if re.fullmatch(r"EPSG:\d+", crs.strip(), re.IGNORECASE):
+        return crs.strip().upper()
+    found = _CODE.search(crs)
+    return f"EPSG:{found.group(1)}" if found else None

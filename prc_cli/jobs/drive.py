@@ -1,0 +1,236 @@
+"""Classifies the files of one drive as one stream: labels as of the joined file, an output for every file.
+
+A gap of time, other dimensions or another M between two files is said, and a stream of its own begins there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.config import LoadedConfig, with_layout_beside
+from prc_cli.core.bytewise import count_bytes
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import check_unchanged, file_state, make_folder, prepare_outputs
+from prc_cli.core.findings import accept, notices, refuse
+from prc_cli.core.process import return_memory
+from prc_cli.core.stream import ExtraReturns, LabelledBlock, ReadTally
+from prc_cli.core.types import I64
+from prc_cli.formats import check_input
+from prc_cli.formats.joined import JoinedSource, find_break, open_joined
+from prc_cli.formats.writing import open_writer
+from prc_cli.formats.writing.base import StagedWriter
+from prc_cli.formats.writing.columns import LabelOutput
+from prc_cli.formats.writing.record import fingerprint, record_path
+from prc_cli.jobs.batch.discovery import SAME, output_name
+from prc_cli.jobs.classify import (
+    Counts,
+    Progress,
+    RunSummary,
+    open_decided,
+    run_record,
+    threads_of,
+    user_names,
+    usual_labels,
+    write_labels,
+)
+from prc_cli.kernels import Engine, use_engine
+from prc_cli.streams.evidence.result import ResultWatch
+from prc_cli.streams.evidence.watch import watched
+
+
+def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
+    """Return the output of every file: LAS and LAZ keep their names, of all others the labels are written.
+
+    >>> [path.name for path in outputs_of_drive([Path("a_01.laz"), Path("b.ply")], Path("out"))]
+    ['a_01.laz', 'b.ply.labels.npy']
+    """
+    outputs = [folder / output_name(part.name, SAME) for part in parts]
+    if len(set(outputs)) < len(outputs):
+        twice = next(output for output in outputs if outputs.count(output) > 1)
+        raise ConfigError(str(twice), "two inputs would write this output, expected files of different names")
+    return outputs
+
+
+def classify_drive(
+    parts: Sequence[Path],
+    folder: Path,
+    config: LoadedConfig,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    threads: int | None = None,
+    engine: Engine = "compiled",
+    loading: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> Iterator[RunSummary]:
+    """Classify the files of one drive, and yield a summary for every file.
+
+    Parameters
+    ----------
+    parts : sequence of Path
+        In the order in which they were recorded; lists of records (no range images, no organised scans).
+    folder : Path
+        For the outputs; made if it is not there.
+    config, overwrite, progress, threads, engine, loading
+        As for :func:`prc_cli.jobs.classify.classify`.
+
+    Raises
+    ------
+    InputError, OutputError, ConfigError
+        Nothing is left behind of a stream that fails; outputs of streams before a gap stay.
+    """
+    outputs = outputs_of_drive(parts, folder)
+    if config.config.input.window is not None:
+        raise ConfigError("input", "found a window, expected none where several files are one drive", "leave it out")
+    make_folder(folder)
+    for part, output in zip(parts, outputs, strict=True):
+        check_input(part)
+        prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=(*parts, *config.files))
+    first, why = 0, ""
+    while first < len(parts):
+        loaded = with_layout_beside(parts[first], config)
+        joined = open_joined(parts[first:], loaded.config.layout)
+        cut = find_break(joined)
+        n = len(parts) - first if cut is None else cut.part
+        run = _Run(tuple(parts[first : first + n]), tuple(outputs[first : first + n]), why)
+        with use_engine(engine):
+            yield from run.execute(
+                loaded, JoinedSource(joined.parts[:n]), overwrite=overwrite, progress=progress,
+                threads=threads_of(engine, threads), engine=engine, loading=loading,
+            )  # fmt: skip
+        first, why = first + n, "" if cut is None else cut.why
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Files that are one stream."""
+
+    parts: tuple[Path, ...]
+    outputs: tuple[Path, ...]
+    why: str
+    """Why a stream begins with the first file; empty for the first of the drive."""
+
+    def execute(
+        self, loaded: LoadedConfig, joined: JoinedSource,
+        *, overwrite: bool, progress: Progress | None, threads: int, engine: Engine,
+        loading: Callable[[], AbstractContextManager[None]],
+    ) -> Iterator[RunSummary]:  # fmt: skip
+        """Classify one stream and write its outputs."""
+        return_memory()  # before any thread
+        before = [file_state(part) for part in self.parts]
+        loaded, opened = open_decided(
+            self.parts[0], loaded, engine, geometry=False, only_ranges=True, loading=loading, parts=self.parts
+        )
+        needs = loaded.config.classifier.method().needs
+        stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m, others=loaded.findings)
+        firsts = joined.firsts()
+        with ExitStack() as stack:
+            writers = [
+                stack.enter_context(
+                    open_writer(
+                        LabelOutput(
+                            path=output, source=part, n_records=stop - start,
+                            points_per_line=stream.info.points_per_line, codes=loaded.config.classes,
+                            options=loaded.config.output, user_names=user_names(loaded.config),
+                        ),
+                        overwrite=overwrite,
+                    )
+                )
+                for part, output, start, stop in zip(self.parts, self.outputs, firsts[:-1], firsts[1:], strict=True)
+            ]  # fmt: skip
+            result = ResultWatch(usual_labels(loaded.config, stream.info))
+            divided = DividedWriter(writers, firsts)
+            counts = write_labels(stream, divided, loaded.config, threads, progress, result)
+            found = (*stream.findings(), *accept(result.findings(), stream.accepted))
+            refuse(str(self.parts[0]), found)
+            for part, state in zip(self.parts, before, strict=True):
+                check_unchanged(part, state)
+            missed = loaded.config.classifier.method().notices(
+                counts.labels, counts.tally, segments=loaded.config.output.segment_ids
+            )
+            for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
+                own = divided.counts[number]
+                record = run_record(stream.info, own, loaded, fingerprint(part))
+                told = (
+                    *loaded.notes,
+                    *joined.parts[number].facts.notes,
+                    *missed,
+                    *notices(found),
+                    *self._notes(number),
+                )
+                n_records = firsts[number + 1] - firsts[number]
+                record = writer.finish(replace(record, n_records=n_records, notices=told, engine=engine))
+                yield RunSummary(self.outputs[number], record, own, found)
+
+    def _notes(self, number: int) -> Iterator[str]:
+        if number == 0 and self.why:
+            yield f"a stream of its own begins with this file: {self.why}"
+        if len(self.parts) > 1:
+            yield f"one stream of {len(self.parts)} files, {self.parts[0].name} to {self.parts[-1].name}"
+
+
+class DividedWriter:
+    """Gives every file's writer the labels of its records.
+
+    Parameters
+    ----------
+    writers : sequence of StagedWriter
+    firsts : sequence of int
+        Number of the first record of every file, and the number of all records.
+    """
+
+    def __init__(self, writers: Sequence[StagedWriter], firsts: Sequence[int]) -> None:
+        self._writers = writers
+        self._firsts = np.array(firsts)
+        self.counts = [Counts.none() for _ in writers]
+        """Of every file; a line that is cut by the end of a file counts in both."""
+
+    def add(self, block: LabelledBlock) -> None:
+        """Take the labels of a block."""
+        scan = block.block
+        records, extra = scan.records(), scan.extra.record
+        known = np.concatenate([records[records >= 0], extra[extra >= 0]])
+        if not len(known):
+            return
+        low, high = np.searchsorted(self._firsts, [known.min(), known.max()], side="right") - 1
+        for number in range(low, min(high, len(self._writers) - 1) + 1):
+            start, stop = self._firsts[number], self._firsts[number + 1]
+            own = replace(
+                block,
+                block=replace(
+                    scan,
+                    record=_within(records, start, stop),
+                    extra=replace_records(scan.extra, _within(extra, start, stop)),
+                    tally=scan.tally if number == low else ReadTally(),
+                ),
+            )
+            self._writers[number].add(own)
+            self.counts[number] = _counted(self.counts[number], own)
+
+
+def _within(records: I64, start: int, stop: int) -> I64:
+    """Return numbers of records counted from the begin of a file, -1 outside it."""
+    inside = (records >= start) & (records < stop)
+    return np.where(inside, records - start, -1)
+
+
+def replace_records(extra: ExtraReturns, records: I64) -> ExtraReturns:
+    """Return further returns with other numbers of records."""
+    return ExtraReturns(extra.line, extra.column, extra.range_m, records)
+
+
+def _counted(counts: Counts, item: LabelledBlock) -> Counts:
+    """Add the lines and labels of a file's records in a block."""
+    inside = item.block.records() >= 0
+    lines = int(np.count_nonzero(inside.any(axis=1)))
+    labels = count_bytes(item.labels[inside])[: len(Label)]
+    extra = count_bytes(item.extra_labels[item.block.extra.record >= 0])[: len(Label)]
+    return replace(
+        counts, n_lines=counts.n_lines + lines, n_shots=counts.n_shots + int(np.count_nonzero(inside)),
+        labels=counts.labels + labels + extra, tally=counts.tally + item.block.tally,
+    )  # fmt: skip

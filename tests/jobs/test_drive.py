@@ -1,0 +1,133 @@
+"""Several files of one drive are one stream: labels as of the joined file, an output for every file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli.cli import cli
+from prc_cli.config import load_config
+from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.drive import classify_drive
+from tests.runner import runner
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+
+CUTS = (0, 40 * POINTS_PER_LINE + 77, 41 * POINTS_PER_LINE, N_LINES * POINTS_PER_LINE)
+"""Files end within a line, and after less than a line."""
+URBAN = load_config(preset="urban")
+WITH_M = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+
+
+def cut_raw(tmp_path: Path) -> tuple[Path, list[Path]]:
+    whole = write_raw(tmp_path / "drive.bin", street())
+    ranges = np.fromfile(whole, "<f4")
+    parts = [tmp_path / f"drive_{i}.bin" for i in range(3)]
+    for part, start, stop in zip(parts, CUTS[:-1], CUTS[1:], strict=True):
+        ranges[start:stop].tofile(part)
+    return whole, parts
+
+
+def cut_laz(tmp_path: Path, gap_s: float = 0.0) -> tuple[Path, list[Path]]:
+    """A LAZ of the street, and three files of its records; the last begins so much later."""
+    whole = tmp_path / "drive.laz"
+    classify(write_npz(tmp_path / "drive.npz", street()), whole, URBAN)
+    las = laspy.read(whole)
+    las.classification[:] = 0
+    las.gps_time = 100.0 + np.arange(len(las)) * 1e-5
+    cuts = [0, len(las) // 3 + 5, len(las) // 2, len(las)]
+    las.gps_time[cuts[2] :] += gap_s
+    las.write(whole)
+    parts = [tmp_path / f"drive_{i}.laz" for i in range(3)]
+    for part, start, stop in zip(parts, cuts[:-1], cuts[1:], strict=True):
+        piece = laspy.LasData(las.header, las.points[start:stop].copy())
+        piece.write(part)
+    return whole, parts
+
+
+def test_labels_of_parts_are_those_of_the_joined_dump(tmp_path: Path) -> None:
+    whole, parts = cut_raw(tmp_path)
+    classify(whole, tmp_path / "whole.npy", WITH_M)
+    found = list(classify_drive(parts, tmp_path / "out", WITH_M))
+    labels = [np.load(summary.output) for summary in found]
+    assert [len(each) for each in labels] == np.diff(CUTS).tolist()
+    assert np.array_equal(np.concatenate(labels), np.load(tmp_path / "whole.npy"))
+    assert [summary.record.n_records for summary in found] == np.diff(CUTS).tolist()
+    # the line that the first two files share counts in both
+    assert sum(summary.counts.n_lines for summary in found) == N_LINES + 1
+    assert "one stream of 3 files, drive_0.bin to drive_2.bin" in found[1].record.notices
+
+
+def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
+    whole, parts = cut_laz(tmp_path)
+    classify(whole, tmp_path / "whole.laz", URBAN)
+    expected = np.asarray(laspy.read(tmp_path / "whole.laz").classification)
+    found = list(classify_drive(parts, tmp_path / "out", URBAN, threads=1))
+    assert [summary.output.name for summary in found] == [part.name for part in parts]
+    written = [laspy.read(summary.output) for summary in found]
+    assert np.array_equal(np.concatenate([np.asarray(las.classification) for las in written]), expected)
+    for las, part in zip(written, parts, strict=True):
+        assert np.array_equal(las.gps_time, laspy.read(part).gps_time)
+    assert len(np.unique(expected)) >= 4
+
+
+def test_a_gap_of_time_begins_a_stream_of_its_own(tmp_path: Path) -> None:
+    _, parts = cut_laz(tmp_path, gap_s=7.0)
+    found = list(classify_drive(parts, tmp_path / "out", URBAN))
+    apart = "a stream of its own begins with this file: it begins 7.000 s after the end of the file before"
+    assert [apart in summary.record.notices for summary in found] == [False, False, True]
+    classify(parts[2], tmp_path / "alone.laz", URBAN)
+    alone = np.asarray(laspy.read(tmp_path / "alone.laz").classification)
+    assert np.array_equal(np.asarray(laspy.read(found[2].output).classification), alone)
+
+
+def test_other_columns_begin_a_stream_of_their_own(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", street())
+    write_csv(tmp_path / "b.csv", street(seed=2))
+    text = (tmp_path / "b.csv").read_text().replace("angle_deg", "bearing")
+    (tmp_path / "b.csv").write_text(text)
+    found = list(classify_drive([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", URBAN))
+    assert any("it has other dimensions than the file before" in notice for notice in found[1].record.notices)
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    _, parts = cut_raw(tmp_path)
+    image = write_npz(tmp_path / "image.npz", street())
+    with pytest.raises(InputError, match="image.npz: holds a range image"):
+        list(classify_drive([image, *parts], tmp_path / "out", WITH_M))
+    with pytest.raises(ConfigError, match="two inputs would write this output"):
+        list(classify_drive([parts[0], parts[0]], tmp_path / "out", WITH_M))
+    with pytest.raises(ConfigError, match="found a window"):
+        window = load_config(preset="urban", options={"input": {"only_lines": "0:9"}})
+        list(classify_drive(parts, tmp_path / "out", window))
+    list(classify_drive(parts, tmp_path / "out", WITH_M))
+    with pytest.raises(OutputExistsError, match="exists already"):
+        list(classify_drive(parts, tmp_path / "out", WITH_M))
+
+
+def test_one_command_takes_a_drive(tmp_path: Path) -> None:
+    _, parts = cut_raw(tmp_path)
+    words = [*map(str, parts), str(tmp_path / "out"), "--preset", "urban", "-M", str(POINTS_PER_LINE), "--json", "-q"]
+    done = runner().invoke(cli, ["classify", *words])
+    assert done.exit_code in (0, 4), done.output
+    records = json.loads(done.stdout)
+    assert [record["input"]["name"] for record in records] == [part.name for part in parts]
+    assert (tmp_path / "out" / "drive_2.bin.labels.npy").is_file()
+
+
+@pytest.mark.data
+def test_five_files_of_a_real_drive_are_one(real_data: Path, tmp_path: Path) -> None:
+    parts = sorted((real_data / "riegl").glob("sample_riegl_18_0*.ply"))
+    head, _, _ = parts[0].read_bytes().partition(b"end_header\n")
+    bodies = [part.read_bytes().partition(b"end_header\n")[2] for part in parts]
+    n = sum(map(len, bodies)) // 86
+    joined = tmp_path / "joined.ply"
+    joined.write_bytes(head.replace(b"vertex 30000", b"vertex %d" % n) + b"end_header\n" + b"".join(bodies))
+    classify(joined, tmp_path / "joined.npy")
+    found = list(classify_drive(parts, tmp_path / "out", load_config()))
+    labels = np.concatenate([np.load(summary.output) for summary in found])
+    assert np.array_equal(labels, np.load(tmp_path / "joined.npy"))

@@ -1,0 +1,95 @@
+"""Spinning scanners: firings of all rings as lines, turns as frames of KITTI, snow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.errors import ConfigError, OutputExistsError
+from prc_cli.jobs.simulate import Beside, simulate
+from prc_cli.simulation.scanners import SCANNERS
+from prc_cli.simulation.settings import load_settings, open_simulation
+
+COARSE = {"name": "vlp-32c", "azimuth_step_deg": 3.0, "line_hz": 1200.0}
+"""120 firings a turn, ten turns a second."""
+
+
+def options(**more: object) -> dict[str, object]:
+    return {"scanner": COARSE, "duration_s": 0.25, "seed": 5, **more}
+
+
+def test_a_line_is_one_firing_of_all_rings() -> None:
+    scan = open_simulation("street", load_settings("street", options=options()), with_xyz=True).scan
+    blocks = list(scan.labelled_blocks(60))
+    assert [block.block.range_m.shape for block in blocks] == [(60, 32)] * 5
+    block = blocks[1].block
+    assert block.xyz_m is not None
+    assert np.rad2deg(block.angle_rad)[[0, -1]] == pytest.approx([65.0, 105.0])
+    seen = ~np.isnan(block.range_m)
+    xyz = block.xyz_m.astype(np.float64)
+    elevation = np.rad2deg(np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1])))
+    rings = np.broadcast_to(SCANNERS["vlp-32c"].elevations_deg, elevation.shape)
+    assert np.abs(elevation - rings)[seen].max() < 1e-3
+    azimuth = np.rad2deg(np.arctan2(xyz[..., 1], xyz[..., 0])) % 360.0
+    expected = np.broadcast_to((3.0 * np.arange(60, 120))[:, None], azimuth.shape)
+    assert np.abs((azimuth - expected + 180.0) % 360.0 - 180.0)[seen].max() < 1e-3
+    ground = seen & (blocks[1].labels == Label.GROUND)
+    assert np.median(xyz[..., 2][ground]) == pytest.approx(-1.9, abs=0.15)
+
+
+def test_frames_lie_where_their_poses_say(tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    settings = load_settings("street", options=options(trajectory={"stop_every_m": 0.0}))
+    simulate("street", tmp_path / "drive.npz", settings, beside=Beside(frames=frames))
+    poses = np.loadtxt(frames / "poses.txt").reshape(-1, 3, 4)
+    assert np.loadtxt(frames / "times.txt") == pytest.approx([0.0, 0.1, 0.2])
+    assert len(poses) == 3
+    whole = np.load(tmp_path / "drive.npz")["range_m"]
+    heights = []
+    n_points = 0
+    for number, pose in enumerate(poses):
+        points = np.fromfile(frames / "velodyne" / f"{number:06d}.bin", "<f4").reshape(-1, 4)
+        codes = np.fromfile(frames / "labels" / f"{number:06d}.label", "<u4")
+        assert len(points) == len(codes)
+        # ring after ring from the lowest
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+        assert (np.diff(elevation) > -1e-4).all()
+        n_points += len(points)
+        world = points[:, :3] @ pose[:, :3].T + pose[:, 3]
+        near = (codes == ClassCodes().ground) & (np.hypot(points[:, 0], points[:, 1]) < 12.0)
+        heights.append(float(np.median(world[near, 2])))
+    assert n_points == np.count_nonzero(~np.isnan(whole))
+    assert np.ptp(heights) < 0.05
+    assert 0.5 < np.linalg.norm(poses[1][:, 3]) < 3.0
+
+
+def test_snow_is_noise_near_the_scanner() -> None:
+    def labelled(flake_m: float) -> tuple[np.ndarray, np.ndarray]:
+        settings = load_settings("street", options=options(flake_m=flake_m))
+        found = list(open_simulation("street", settings).scan.labelled_blocks(300))
+        return np.concatenate([one.block.range_m for one in found]), np.concatenate([one.labels for one in found])
+
+    clear, clear_labels = labelled(0.0)
+    snowy, snowy_labels = labelled(100.0)
+    flakes = (snowy_labels == Label.NOISE) & (clear_labels != Label.NOISE)
+    assert 0.03 < flakes.mean() < 0.15
+    assert np.median(snowy[flakes]) < 15.0
+    same = snowy_labels != Label.NOISE
+    assert np.array_equal(snowy[same], clear[same], equal_nan=True)
+    assert np.array_equal(snowy_labels[same], clear_labels[same])
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="rising elevations of a spinning scanner"):
+        load_settings("street", options=options(scanner={**COARSE, "elevations_deg": [1.0, 0.0]}))
+    with pytest.raises(ConfigError, match="a scanner that does not spin"):
+        simulate("street", tmp_path / "a.npz", load_settings("street", options={"lines": 9}),
+                 beside=Beside(frames=tmp_path / "frames"))  # fmt: skip
+    (tmp_path / "frames").mkdir()
+    with pytest.raises(OutputExistsError):
+        simulate("street", tmp_path / "a.npz", load_settings("street", options=options()),
+                 beside=Beside(frames=tmp_path / "frames"))  # fmt: skip
+    assert not (tmp_path / "a.npz").exists()
