@@ -141,7 +141,9 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
 def test_a_refusal_names_the_presets_that_list_the_codes(name: str, codes: list[int], side: Side, fits: str) -> None:
     with pytest.raises(InputError) as caught:
         load_mapping(name).class_indices(np.array(codes), side)
-    assert caught.value.hint.startswith(f"a mapping that lists them: {fits} (--mapping NAME); or list them under")
+    assert caught.value.hint.startswith(
+        f"a mapping that lists them: {fits} (--mapping NAME); or write a line for them under"
+    )
 
 
 def test_unlisted_negative_and_huge_codes_are_refused() -> None:
