@@ -24,14 +24,13 @@ from prc_cli.evaluation.reports import (
     Found,
     as_dict,
     doubts,
-    figure,
     gate_cells,
     match_line,
     matrix_of,
     percent,
     split_table,
 )
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Evaluation, GateResult, SplitPart, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Evaluation, GateResult, SplitPart, figure, scores
 
 _MORE_COLOURS = ((51, 34, 136), (136, 34, 85), (68, 170, 153), (153, 153, 51), (170, 68, 153), (221, 204, 119))
 """Colours of other classes (Paul Tol's muted scheme)."""
@@ -316,6 +315,7 @@ def _of_evaluation(found: Evaluation, shown: ConfusionMatrix) -> dict[str, Any]:
         "doubts": doubts(found),
         "splits": [_split(split, parts, shown) for split, parts in found.splits.items()],
         "match_line": match_line(match),
+        "three": found.three,
         "sides": (
             ("predicted", match.n_predicted, match.n_matched),
             ("reference", match.n_reference, n_reference_matched),

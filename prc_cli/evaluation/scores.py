@@ -294,6 +294,11 @@ def refuse_failed(results: Iterable[GateResult]) -> None:
         raise GateError(failed[0].name, told[0], more)
 
 
+def figure(value: float) -> str:
+    """Return a score with three decimals, ``-`` if it is undefined."""
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
 def _found(value: float) -> str:
     return "undefined (no such records)" if math.isnan(value) else f"{value:.4f}"
 

@@ -11,7 +11,7 @@ from prc_cli.core.brief import Brief
 from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.scores import ClassScores, scores
+from prc_cli.evaluation.scores import ClassScores, figure, scores
 
 STATES = ("both right", "only predicted right", "only third right", "both wrong, alike", "both wrong, differently")
 """What two labellings of a shot can be beside the reference."""
@@ -52,6 +52,14 @@ class ThreeWay(Brief):
         n = np.bincount(table.ravel(), self.counts.ravel(), NO_STATE + 1)
         return {name: int(n[k]) for k, name in enumerate(STATES)}
 
+    def sentences(self) -> tuple[str, ...]:
+        """Return how often either is right, and where both agree and are wrong."""
+        n, states = max(int(self.counts.sum()), 1), self.states()
+        shares = ", ".join(f"{name} {count:,} ({count / n:.1%})" for name, count in states.items())
+        errors = [f"{count:,} of {name} called {other}" for count, name, other in self.largest_errors()]
+        more = (f"Where both agree and are wrong: {'; '.join(errors)}.",) if errors else ()
+        return (f"Third labelling {self.third}, {n:,} shots that all three classify: {shares}.", *more)
+
     def largest_errors(self, most: int = 6) -> list[tuple[int, str, str]]:
         """Return where both agree and are wrong: shots, reference class, the class that both give."""
         found = [
@@ -62,18 +70,18 @@ class ThreeWay(Brief):
         ]
         return sorted((item for item in found if item[0]), reverse=True)[:most]
 
-    def table(self) -> tuple[list[str], list[list[float | str]]]:
+    def table(self) -> tuple[list[str], list[list[str]]]:
         """Return header and a row a class: scores of predicted and of third against the reference, and of both."""
         matrices = {"predicted": self.predicted, "third": self.other}
         by_name = {title: {item.name: item for item in scores(matrix).classes} for title, matrix in matrices.items()}
         agreement = {item.name: item.f1 for item in scores(self.between).classes}
         header = ["class", "shots", *(f"{title} {name}" for title in matrices for name in TABLE_SCORES)]
-        rows: list[list[float | str]] = []
+        rows: list[list[str]] = []
         for name, n in zip(self.reference_names, self.counts.sum(axis=(1, 2)).tolist(), strict=True):
             items: list[ClassScores | None] = [found.get(name) for found in by_name.values()]
             values = [getattr(item, score, np.nan) for item in items for score in TABLE_SCORES]
             if n or any(item is not None and item.n_predicted for item in items):
-                rows.append([name, n, *values, agreement.get(name, np.nan)])
+                rows.append([name, f"{n:,}", *map(figure, [*values, agreement.get(name, np.nan)])])
         return [*header, "predicted and third f1"], rows
 
 

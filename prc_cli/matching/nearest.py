@@ -23,9 +23,13 @@ TILE_RECORDS = 1 << 18
 """Records of both sides in a tile, about: trees of more do not fit the processor's caches."""
 LEAST_M = 0.002
 """Least tolerance by default: registered clouds are rounded to a millimetre or two."""
-SPREADS = 3.0
-"""The tolerance by default, in median distances: 99.7 % of partners whose error is normal on every axis are nearer."""
-_SAMPLED_TILES, _SAMPLED_RECORDS = 12, 4_000
+SPREADS, _LEAST_SPREADS = 3.0, 2.0
+"""Bounds of the tolerance by default, in median distances of the clouds or of the points of the right one."""
+_WIDER, _FEW_MORE, _STEP, _MARGIN = 1.2, 0.03, 1.05, 1.1
+"""The tolerance ends where one this much wider would find a partner for less than this share of those without;
+then a margin for places that the sample has not."""
+_FARTHEST_M = 3.0
+_SAMPLED_TILES, _SAMPLED_RECORDS = 12, 20_000
 _TREE = {"balanced_tree": False, "compact_nodes": False}
 """Medians are slow where many points share a coordinate, as on a grid."""
 _TIES = 4
@@ -170,31 +174,50 @@ class Fit:
     """Median distance of a left point to the nearest right one."""
     spacing_m: float
     """Median distance of a right point to the nearest other one."""
-
-    @property
-    def tolerance_m(self) -> float:
-        """Largest distance of partners: what the error of registration and the spacing of the reference explain."""
-        found = SPREADS * max(self.spread_m, self.spacing_m)
-        return max(LEAST_M, float(f"{found:.2g}"))
+    tolerance_m: float
+    """Largest distance of partners: where points of one surface end and those without partner are left."""
+    sparse: float
+    """Share of the left points beyond that lie no farther than the right ones there from each other."""
 
 
 def fit_of(left: Cloud, right: Cloud) -> Fit | None:
     """Measure two clouds in tiles spread over the left one; None where they have no tile in common."""
     boxes = tiles_of(left, right)
     random = np.random.default_rng(0)
-    apart: list[F64] = []
-    spacing: list[F64] = []
+    parts: list[tuple[F64, F64, F64]] = []
     for box in random.permutation(np.array(boxes).reshape(-1, 4)).tolist():
-        if len(apart) == _SAMPLED_TILES:
+        if len(parts) == _SAMPLED_TILES:
             break
-        ours, theirs = left.read(tuple(box)), right.read(tuple(box))
-        if len(ours["x"]) and len(theirs["x"]) > 1:
-            tree = _tree_of(xyz_of(theirs))
-            apart.append(tree.query(_sample(ours, random), workers=-1)[0])
-            spacing.append(tree.query(_sample(theirs, random), k=2, workers=-1)[0][:, 1])
-    if not apart:
+        ours = left.read(tuple(box))
+        if not len(ours["x"]):
+            continue
+        theirs, distance, found, tree = nearest_of(_sample(ours, random), right, tuple(box), _FARTHEST_M)
+        if tree is not None and len(theirs["x"]) > _NEIGHBOURS:
+            near = np.unique(found[np.isfinite(distance)])
+            apart = np.full((len(theirs["x"]), 2), np.inf)
+            apart[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1], workers=-1)[0]
+            around = np.append(apart, [[np.inf, 0.0]], axis=0)[found]
+            parts.append((distance, around[:, 1], apart[near, 0]))
+    if not parts:
         return None
-    return Fit(float(np.median(np.concatenate(apart))), float(np.median(np.concatenate(spacing))))
+    apart, around, spacing = (np.concatenate(part) for part in zip(*parts, strict=True))
+    spread, step = float(np.median(apart)), float(np.median(spacing))
+    tolerance = _tolerance(np.sort(apart), spread, step)
+    beyond = apart > tolerance
+    sparse = float(np.mean(apart[beyond] <= around[beyond])) if beyond.any() else 0.0
+    return Fit(spread, step, tolerance, sparse)
+
+
+def _tolerance(apart: F64, spread: float, step: float) -> float:
+    """Return the least distance beyond which few more partners are found, of sorted distances."""
+    most = max(SPREADS * max(spread, step), LEAST_M)
+    tolerance = max(LEAST_M, _LEAST_SPREADS * spread)
+    while tolerance < most:
+        beyond, wider = len(apart) - np.searchsorted(apart, [tolerance, tolerance * _WIDER], side="right")
+        if beyond - wider <= _FEW_MORE * beyond:
+            break
+        tolerance *= _STEP
+    return float(f"{min(_MARGIN * tolerance, most):.2g}")
 
 
 SHIFT_VOXEL_M = 0.25
@@ -249,10 +272,10 @@ def shift_of(left: Cloud, right: Cloud) -> F64 | None:
     return np.array(exact)
 
 
-def _sample(columns: Columns, random: np.random.Generator) -> F64:
+def _sample(columns: Columns, random: np.random.Generator) -> Columns:
     n = len(columns["x"])
-    chosen = random.choice(n, _SAMPLED_RECORDS) if n > _SAMPLED_RECORDS else np.arange(n)
-    return xyz_of({axis: columns[axis][chosen] for axis in AXES})
+    chosen = np.sort(random.choice(n, _SAMPLED_RECORDS)) if n > _SAMPLED_RECORDS else np.arange(n)
+    return {axis: columns[axis][chosen] for axis in AXES}
 
 
 def xyz_of(columns: Columns) -> F64:

@@ -189,53 +189,62 @@ class Trees:
         return found
 
 
-class Occupied:
-    """Squares of the plan that hold points of the reference, and where predicted shots lie beside them."""
+class Cover:
+    """Which squares of the plan the reference covers, and where predicted shots lie beside it."""
 
     EDGE_M, COARSE = 2.0, 8
+    FEW = 0.25
+    """Empty squares with fewer predicted shots than this share of the mean are air or sight behind a wall: noise."""
 
     def __init__(self) -> None:
-        self._keys = np.empty(0, np.int64)
+        self._held, self._coarse = np.empty(0, np.int64), np.empty(0, np.int64)
+        self._ours, self._n = np.empty(0, np.int64), np.empty(0, np.int64)
         self._empty: dict[int, int] = {}
         self.n_outside = 0
 
-    def add(self, x: F64, y: F64) -> None:
+    def add_reference(self, x: F64, y: F64) -> None:
         """Take points of the reference."""
-        self._keys = np.union1d(self._keys, cell_keys(x, y, self.EDGE_M))
+        self._held = np.union1d(self._held, cell_keys(x, y, self.EDGE_M))
+        self._coarse = np.union1d(self._coarse, cell_keys(x, y, self.EDGE_M * self.COARSE))
 
-    def holds(self, columns: Columns) -> Mask:
-        """Return which points lie in an occupied square."""
-        keys = cell_keys(columns["x"], columns["y"], self.EDGE_M)
-        if not len(self._keys):
-            return np.zeros(len(keys), np.bool_)
-        held: Mask = self._keys[np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)] == keys
-        return held
+    def add_predicted(self, x: F64, y: F64) -> None:
+        """Take predicted shots."""
+        keys, n = np.unique(cell_keys(x, y, self.EDGE_M), return_counts=True)
+        both, place = np.unique(np.concatenate([self._ours, keys]), return_inverse=True)
+        self._ours, self._n = both, np.bincount(place, np.concatenate([self._n, n])).astype(np.int64)
 
-    def leave(self, columns: Columns) -> None:
-        """Count predicted shots beside the reference."""
-        self.n_outside += len(columns["x"])
-        cells, n = np.unique(cell_keys(columns["x"], columns["y"], self.EDGE_M * self.COARSE), return_counts=True)
+    def holds(self, x: F64, y: F64) -> Mask:
+        """Return which predicted shots lie where the reference covers the plan; the others are counted."""
+        keys = cell_keys(x, y, self.EDGE_M)
+        coarse = cell_keys(x, y, self.EDGE_M * self.COARSE)
+        held = np.isin(keys, self._held)
+        covered = self._n[np.isin(self._ours, self._held)]
+        most = self.FEW * float(covered.mean()) if len(covered) else 0.0
+        held |= np.isin(coarse, self._coarse) & (self._n[np.searchsorted(self._ours, keys)] < most)
+        cells, n = np.unique(coarse[~held], return_counts=True)
+        self.n_outside += int(n.sum())
         for cell, count in zip(cells.tolist(), n.tolist(), strict=True):
             self._empty[cell] = self._empty.get(cell, 0) + count
+        return held
 
     def largest_gap(self) -> tuple[int, tuple[float, float, float, float]] | None:
-        """Return the shots in, and the bounds of, the largest group of neighbouring squares without reference [m]."""
+        """Return the shots in, and the bounds of, the largest group of squares full of shots without reference [m]."""
         from scipy.ndimage import label
 
-        column, row = cell_places(self._keys)
-        held = np.unique(cell_keys(column / 1.0, row / 1.0, self.COARSE))
-        cells = np.array(sorted(set(self._empty) - set(held.tolist())), np.int64)
+        edge = self.EDGE_M * self.COARSE
+        mean = float(self._n.sum()) / max(len(self._coarse), 1)
+        cells = np.array(sorted(cell for cell, n in self._empty.items() if n > self.FEW * mean), np.int64)
         if not len(cells):
             return None
         column, row = cell_places(cells)
-        column, row = column - column.min(), row - row.min()
-        if (column.max() + 1) * (row.max() + 1) > _MOST_BYTES:
+        shape = int(np.ptp(column)) + 1, int(np.ptp(row)) + 1
+        if shape[0] * shape[1] > _MOST_BYTES:
             return None
-        grid = np.zeros((column.max() + 1, row.max() + 1), np.int64)
-        grid[column, row] = [self._empty[cell] for cell in cells.tolist()]
-        names = label(grid > 0)[0][column, row]
-        n = np.bincount(names, grid[column, row])
+        grid = np.zeros(shape, np.int64)
+        place = column - column.min(), row - row.min()
+        grid[place] = [self._empty[cell] for cell in cells.tolist()]
+        names = label(grid > 0)[0][place]
+        n = np.bincount(names, grid[place])
         mine = names == int(np.argmax(n))
-        edge = self.EDGE_M * self.COARSE
-        (x, y) = (place[mine] * edge for place in cell_places(cells))
+        x, y = column[mine] * edge, row[mine] * edge
         return int(n.max()), (float(x.min()), float(y.min()), float(x.max() + edge), float(y.max() + edge))

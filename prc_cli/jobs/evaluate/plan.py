@@ -7,7 +7,7 @@ import io
 import numpy as np
 
 from prc_cli.core.types import F64, I64, U8
-from prc_cli.evaluation.three import NO_STATE, STATES
+from prc_cli.evaluation.three import NO_STATE
 from prc_cli.matching.nearest import cell_keys, cell_places
 
 EDGE_M = 0.5
@@ -59,6 +59,3 @@ def _worst(counts: I64) -> U8:
     wrong = counts[:, 1:]
     place = np.where(2 * wrong.sum(axis=1) > n, 2 + np.argmax(wrong, axis=1), 1)
     return np.where(n > 0, place, 0).astype(np.uint8)
-
-
-LEGEND = tuple(zip(STATES, STATE_COLOURS, strict=True))

@@ -14,7 +14,7 @@ from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.las.vlrs import same_crs, short_crs
 from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.jobs.evaluate.counts import Compared, Counts, Plan
-from prc_cli.jobs.evaluate.cuts import Area, Ground, Occupied, Trees
+from prc_cli.jobs.evaluate.cuts import Area, Cover, Ground, Trees
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.join import CODE, Columns, JoinTally, columns_of
 from prc_cli.matching.keys import AXES
@@ -27,6 +27,8 @@ REACHES = 8.0
 _OVERLAP_M = 0.5
 """Tiles that overlap by less are cut at one edge and rounded."""
 _DEGREES_SPAN = 0.1
+MOSTLY = 0.4
+"""Where more of the shots without partner lie within the spacing of the reference, it was thinned at random."""
 _GAP_SHARE = 0.002
 
 
@@ -39,10 +41,11 @@ class Registered:
         self._area = None if options.inside is None else Area(options.inside)
         self._trees = None if options.trees is None else Trees.read(options.trees)
         self._heights = options.height is not None or self._trees is not None
-        self._ground, self._occupied = Ground(), Occupied()
+        self._ground, self._cover = Ground(), Cover()
         self._bounds: dict[int, tuple[F64, F64]] = {}
         self.tolerance = options.tolerance or 0.0
-        self.n_cut = 0
+        self.n_cut = self._n_left_out = 0
+        self._is_thinned = False
         self._noise = dict.fromkeys(("reference", "predicted", "agreed", "sparse", "sparse_agreed"), 0)
         names = self._mapping.names("reference")
         asked = ((options.unmatched == NOISE, NOISE, "--unmatched noise"), (self._heights, GROUND, "heights"),
@@ -71,12 +74,12 @@ class Registered:
 
     def _predicted(self, side: Side, names: tuple[str, ...]) -> Iterator[Columns]:
         for columns in columns_of(side, names, sort=False, with_record=False):
-            if self._area is None:
-                yield columns
-                continue
-            inside = self._area.holds(columns["x"], columns["y"])
-            self.n_cut += len(inside) - int(np.count_nonzero(inside))
-            yield {name: values[inside] for name, values in columns.items()}
+            if self._area is not None:
+                inside = self._area.holds(columns["x"], columns["y"])
+                self.n_cut += len(inside) - int(np.count_nonzero(inside))
+                columns = {name: values[inside] for name, values in columns.items()}
+            self._cover.add_predicted(columns["x"], columns["y"])
+            yield columns
 
     def _reference(self, side: Side, names: tuple[str, ...], *, keep_file: bool) -> Iterator[Columns]:
         for columns in columns_of(side, names, sort=False, with_record=False):
@@ -88,7 +91,7 @@ class Registered:
                 mine = xyz[:, file == index]
                 low, high = self._bounds.get(index, (np.full(3, np.inf), np.full(3, -np.inf)))
                 self._bounds[index] = np.minimum(low, mine.min(axis=1)), np.maximum(high, mine.max(axis=1))
-            self._occupied.add(columns["x"], columns["y"])
+            self._cover.add_reference(columns["x"], columns["y"])
             rows = self._mapping.class_indices(columns[CODE], "reference")
             if self._heights:
                 ground = rows == self._mapping.names("reference").index(GROUND)
@@ -108,11 +111,12 @@ class Registered:
             raise InputError(right.path, "no point has the class ground, expected some to measure heights from",
                              "check the class mapping")  # fmt: skip
         fit = fit_of(ours, theirs)
+        self._is_thinned = fit is not None and fit.sparse > MOSTLY
         if self._options.tolerance is None and fit is not None:
             self.tolerance = fit.tolerance_m
             self._counts.note(
-                f"tolerance {self.tolerance:g} m: three times the larger of the median distance between the clouds "
-                f"({fit.spread_m:.3f} m) and the spacing of the reference ({fit.spacing_m:.3f} m); --max-distance sets "
+                f"tolerance {self.tolerance:g} m, beyond which few more partners are found (median distance of the "
+                f"clouds {fit.spread_m:.3f} m, spacing of the reference {fit.spacing_m:.3f} m); --max-distance sets "
                 "another"
             )
         elif self._options.tolerance is None:
@@ -145,11 +149,11 @@ class Registered:
     def _compared(self, item: Nearest, plan: Plan, third: Cloud | None) -> Iterator[Compared]:
         """Yield the shots of a tile that are scored."""
         partner = item.to >= 0
+        covered = self._is_covered(item.left, ~partner)
+        chosen = partner
         if self._options.unmatched == NOISE:
-            chosen = partner | self._is_covered(item.left, ~partner)
-        else:
-            self._is_covered(item.left, ~partner)
-            chosen = partner
+            chosen = partner | (covered & ~(item.sparse & self._is_thinned))
+            self._n_left_out += int(np.count_nonzero(covered & ~chosen))
         one = {name: values[chosen] for name, values in item.left.items()}
         to, sparse = item.to[chosen], item.sparse[chosen]
         codes, paired = np.zeros(len(to), np.int64), to >= 0
@@ -175,11 +179,9 @@ class Registered:
         yield Compared(one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third))
 
     def _is_covered(self, columns: Columns, asked: Mask) -> Mask:
-        """Return which shots without partner lie where the reference covers the ground; count the others."""
+        """Return which shots without partner lie where the reference covers the plan, or in the area that is given."""
         covered = np.zeros(len(asked), np.bool_)
-        some = {name: columns[name][asked] for name in ("x", "y")}
-        held = self._occupied.holds(some)
-        self._occupied.leave({name: values[~held] for name, values in some.items()})
+        held = self._cover.holds(columns["x"][asked], columns["y"][asked])
         covered[asked] = held | (self._area is not None)
         return covered
 
@@ -206,38 +208,46 @@ class Registered:
 
     def report(self, tally: JoinTally) -> None:
         """Note what was left out, and how sure the noise is."""
-        note, n_left = self._counts.note, tally.n_left
+        note, n_left = self._counts.note, max(tally.n_left, 1)
         note(f"{{n}} predicted shots are outside {self._options.inside}: not scored", self.n_cut)
-        outside, lone = self._occupied.n_outside, tally.n_left - tally.n_pairs
-        if gap := self._occupied.largest_gap():
-            n, (x0, y0, x1, y1) = gap
-            if n > _GAP_SHARE * n_left:
-                note(
-                    f"the reference has no points at x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, where {n:,} predicted "
-                    "shots lie: a tile may be missing"
-                )
-        share = f"({lone / max(n_left, 1):.1%}) have no partner within {self.tolerance:g} m"
+        gap = self._cover.largest_gap()
+        if gap is not None and gap[0] > _GAP_SHARE * n_left:
+            x0, y0, x1, y1 = gap[1]
+            note(
+                f"the reference has no points at x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, where {gap[0]:,} predicted "
+                "shots lie: a tile may be missing"
+            )
+        lone, outside = tally.n_left - tally.n_pairs, self._cover.n_outside
+        share = f"({lone / n_left:.1%}) have no partner within {self.tolerance:g} m"
         if self._options.unmatched != NOISE:
             note(f"{{n}} predicted shots {share}: not scored; --unmatched noise counts them as noise", lone)
             return
-        scored = lone if self._area is not None else lone - outside
+        note(f"{{n}} predicted shots {share}: noise in the reference, as far as it covers the plan", lone)
         if self._area is None:
-            note("{n} predicted shots without partner lie beside the reference: not scored", outside)
-        note(f"{{n}} predicted shots {share}; of these, {scored:,} count as noise in the reference", lone)
+            note("{n} of these lie beside the reference: not scored", outside)
+        self._note_noise()
+
+    def _note_noise(self) -> None:
+        """Note how much the noise depends on shots whose partner may only have been thinned away."""
+        if self._is_thinned:
+            self._counts.note(
+                "{n} of these lie no farther from the reference than its points there from each other, as most do: it "
+                "was thinned, so they are not scored",
+                self._n_left_out,
+            )
+            return
         found = self._noise
-        sure = [found[name] - found[less] for name, less in (("agreed", "sparse_agreed"), ("reference", "sparse"))]
-        values = [
-            (part / whole if whole else 0.0, other / rest if rest else 0.0)
-            for part, whole, other, rest in (
-                (found["agreed"], found["reference"], sure[0], sure[1]),
-                (found["agreed"], found["predicted"], sure[0], found["predicted"]),
+        sure, noise = found["agreed"] - found["sparse_agreed"], found["reference"] - found["sparse"]
+        spans = [
+            f"{name} {min(both):.3f} to {max(both):.3f}"
+            for name, both in (
+                ("recall", [a / b if b else 0.0 for a, b in ((found["agreed"], found["reference"]), (sure, noise))]),
+                ("precision", [a / max(found["predicted"], 1) for a in (found["agreed"], sure)]),
             )
         ]
-        spans = [f"{name} {min(both):.3f} to {max(both):.3f}" for name, both in
-                 zip(("recall", "precision"), values, strict=True)]  # fmt: skip
-        note(
-            f"noise in the reference: {{n}} of these shots lie no farther from it than its own points there from each "
-            f"other, so that thinning may have taken their partner: noise {' and '.join(spans)}",
+        self._counts.note(
+            "{n} of these lie no farther from the reference than its points there from each other, so that thinning "
+            f"may have taken their partner: noise {' and '.join(spans)}",
             found["sparse"],
         )
 
