@@ -16,6 +16,8 @@ from prc_cli.evaluation.scores import ClassScores, figure, scores
 STATES = ("both right", "only predicted right", "only third right", "both wrong, alike", "both wrong, differently")
 """What two labellings of a shot can be beside the reference."""
 NO_STATE = len(STATES)
+NOISE, LOST = "noise", -2
+"""Code of a shot that the third labelling lacks, where that makes it noise."""
 TABLE_SCORES = ("recall", "precision", "f1")
 
 
@@ -107,6 +109,8 @@ class ThreeCounts:
         columns = self._mapping.class_indices(predicted, "predicted")
         depths = np.full(len(third), -1)
         depths[third >= 0] = self._third.class_indices(third[third >= 0], "reference")
+        if NOISE in self._names[2]:
+            depths[third == LOST] = self._names[2].index(NOISE)
         known = (rows >= 0) & (columns >= 0) & (depths >= 0)
         index = rows[known], columns[known], depths[known]
         cells = np.ravel_multi_index(index, self._counts.shape)

@@ -98,8 +98,8 @@ class KeyedSource(DerivedSource):
         stored = values[rule.dimension]
         key, right = exact_keys(stored)
         expected = "a whole number below 2^53"
-        if rule.kind == "time":
-            right, expected = np.isfinite(key), "a finite time"
+        if rule.kind in ("time", "place"):
+            right, expected = np.isfinite(key), f"a finite {'time' if rule.kind == 'time' else 'coordinate'}"
         if not right.all():
             at = int(np.argmin(right))
             problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"

@@ -11,6 +11,7 @@ import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64, Mask
+from prc_cli.evaluation.three import LOST, NOISE
 from prc_cli.formats.las.vlrs import same_crs, short_crs
 from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.jobs.evaluate.counts import Compared, Counts, Plan
@@ -21,7 +22,7 @@ from prc_cli.matching.keys import AXES
 from prc_cli.matching.nearest import Cloud, Nearest, fit_of, nearest_join, nearest_of, shift_of
 from prc_cli.matching.sides import FILE, SECONDS, UNKNOWN, Side
 
-NOISE, GROUND, STEM = "noise", "ground", "stem"
+GROUND, STEM = "ground", "stem"
 REACHES = 8.0
 """Shots without partner are compared with the spacing of the reference up to this many tolerances."""
 _OVERLAP_M = 0.5
@@ -202,7 +203,7 @@ class Registered:
             return None
         theirs, distance, found, _ = nearest_of(one, third, item.box, self.tolerance)
         near = np.isfinite(distance)
-        codes = np.full(len(near), UNKNOWN)
+        codes = np.full(len(near), LOST if self._options.unmatched == NOISE else UNKNOWN)
         codes[near] = theirs[CODE][found[near]]
         return codes
 

@@ -18,9 +18,12 @@ class TransferOptions:
 
     match: str = "time"
     """``time``; ``order`` (equal on both sides; also ``record``), ``record:NAME`` (a dimension of the registered file
-    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides)."""
+    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides);
+    ``nearest`` (the label with the nearest coordinates)."""
     tolerance_s: float = 0.0
     """Largest difference of times [s]; float64 rounding at these times is always allowed in addition."""
+    tolerance_m: float | None = None
+    """``nearest``: largest distance [m]; None = chosen from both clouds, as ``prc evaluate`` does."""
     time_offset_s: float = 0.0
     """Added to the times of the labels [s]."""
     ignore_return: bool = False
@@ -41,11 +44,14 @@ class TransferOptions:
         if self.match == "order":  # as for prc evaluate
             object.__setattr__(self, "match", "record")
         kind, _, name = self.match.partition(":")
-        if self.match not in ("time", "record") and not (kind in ("record", "dimension") and name):
-            problem = f"found {self.match!r}, expected time, order, record:NAME or dimension:NAME"
+        if self.match not in ("time", "record", "nearest") and not (kind in ("record", "dimension") and name):
+            problem = f"found {self.match!r}, expected time, order, record:NAME, dimension:NAME or nearest"
             raise ConfigError("--match", problem)
         if not (math.isfinite(self.tolerance_s) and self.tolerance_s >= 0):
             raise ConfigError("--tolerance", f"found {self.tolerance_s}, expected seconds, 0 or more")
+        if self.tolerance_m is not None and (self.match != "nearest" or not 0 < self.tolerance_m < math.inf):
+            problem = f"found {self.tolerance_m} with --match {self.match}, expected metres above 0 with nearest"
+            raise ConfigError("--max-distance", problem)
         if not math.isfinite(self.time_offset_s):
             raise ConfigError("--time-offset", f"found {self.time_offset_s}, expected seconds")
         if self.match != "time" and (self.tolerance_s or self.time_offset_s):
