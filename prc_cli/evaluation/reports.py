@@ -248,7 +248,7 @@ def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
 def _three_dict(found: ThreeWay) -> dict[str, Any]:
     matrices = {"predicted": found.predicted, "third": found.other, "predicted_against_third": found.between}
     return {
-        "third": found.third,
+        "file": found.third,
         "states": found.states(),
         "both_wrong_alike": [
             {"records": n, "reference": name, "both": other} for n, name, other in found.largest_errors(most=100)

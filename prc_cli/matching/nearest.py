@@ -25,7 +25,7 @@ LEAST_M = 0.002
 """Least tolerance by default: registered clouds are rounded to a millimetre or two."""
 SPREADS, _LEAST_SPREADS = 3.0, 2.0
 """Bounds of the tolerance by default, in median distances of the clouds or of the points of the right one."""
-_WIDER, _FEW_MORE, _STEP, _MARGIN = 1.2, 0.03, 1.05, 1.1
+_WIDER, _FEW_MORE, _STEP, _MARGIN = 1.2, 0.03, 1.05, 1.07
 """The tolerance ends where one this much wider would find a partner for less than this share of those without;
 then a margin for places that the sample has not."""
 _FARTHEST_M = 3.0

@@ -220,9 +220,13 @@ def _compare(
         break
     counting.finish(left.path)
     _report(left, right, tally, counts, options)
+    outside = (0, 0)
     if registered is not None:
         counts.tolerances.add(registered.tolerance)
         registered.report(tally)
+        outside = registered.n_cut, registered.n_beside
+    if options.match != "order":
+        _refuse_poor(left, right, tally, options, outside)
     return options.match
 
 
@@ -344,11 +348,10 @@ def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: 
     counts.note(f"{{n}} pairs share their {shared} with other pairs: paired in their order", tally.n_in_order)
     if options.match == "time" and not (SAME in left.dimensions and SAME in right.dimensions):
         counts.note("return numbers are not on both sides: not compared")
-    _refuse_poor(left, right, tally, options)
 
 
-def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions) -> None:
-    n_left, n_right = left.tally.n_usable, right.tally.n_usable
+def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions, outside: tuple[int, int]) -> None:
+    n_left, n_right = left.tally.n_usable - outside[0], right.tally.n_usable - outside[1]
     smaller, other, found, of = (left, right, tally.n_pairs, n_left)
     if n_right < n_left:
         smaller, other, found, of = (right, left, tally.n_right, n_right)

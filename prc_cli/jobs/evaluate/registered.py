@@ -28,6 +28,7 @@ REACHES = 8.0
 _OVERLAP_M = 0.5
 """Tiles that overlap by less are cut at one edge and rounded."""
 _DEGREES_SPAN = 0.1
+_AROUND_M = 2.0
 MOSTLY = 0.4
 """Where more of the shots without partner lie within the spacing of the reference, it was thinned at random."""
 _GAP_SHARE = 0.002
@@ -45,7 +46,7 @@ class Registered:
         self._ground, self._cover = Ground(), Cover()
         self._bounds: dict[int, tuple[F64, F64]] = {}
         self.tolerance = options.tolerance or 0.0
-        self.n_cut = self._n_left_out = 0
+        self.n_cut = self.n_beside = self._n_left_out = 0
         self._is_thinned = False
         self._noise = dict.fromkeys(("reference", "predicted", "agreed", "sparse", "sparse_agreed"), 0)
         names = self._mapping.names("reference")
@@ -84,6 +85,8 @@ class Registered:
 
     def _reference(self, side: Side, names: tuple[str, ...], *, keep_file: bool) -> Iterator[Columns]:
         for columns in columns_of(side, names, sort=False, with_record=False):
+            if self._area is not None:
+                columns = self._around(columns)
             if not len(columns["x"]):
                 continue
             file = columns[FILE] if keep_file else columns.pop(FILE)
@@ -98,6 +101,15 @@ class Registered:
                 ground = rows == self._mapping.names("reference").index(GROUND)
                 self._ground.add(*xyz[:, ground])
             yield columns
+
+    def _around(self, columns: Columns) -> Columns:
+        """Return the reference points that can be partners of shots in the area; count those inside."""
+        assert self._area is not None
+        x, y = columns["x"], columns["y"]
+        x0, y0, x1, y1 = self._area.bounds
+        near = (x >= x0 - _AROUND_M) & (x <= x1 + _AROUND_M) & (y >= y0 - _AROUND_M) & (y <= y1 + _AROUND_M)
+        self.n_beside += len(x) - int(np.count_nonzero(self._area.holds(x, y)))
+        return {name: values[near] for name, values in columns.items()}
 
     def _check(self, ours: Cloud, theirs: Cloud) -> None:
         """Refuse clouds that cannot lie on each other, note how they do, and choose the tolerance."""
