@@ -246,7 +246,9 @@ def as_html(
         "mapped_names": () if mapping is None else tuple(dict.fromkeys((*mapping.reference, *mapping.predicted))),
         # "<" is escaped, so that user text cannot end the element
         "data": json.dumps(as_dict(found, gates), allow_nan=False).replace("<", "\\u003c"),
-        **(_of_evaluation(evaluation, shown) if evaluation is not None else {"doubts": (), "splits": ()}),
+        **(
+            _of_evaluation(evaluation, shown) if evaluation is not None else {"doubts": (), "splits": (), "three": None}
+        ),
     }
     filters: dict[str, Callable[..., Any]] = {
         "colour": class_colour,
