@@ -48,18 +48,13 @@ from prc_cli.jobs.transfer.options import TransferOptions
 )
 @click.option(
     "--tolerance",
+    "--max-distance",
     "tolerance_s",
     type=float,
     default=0.0,
-    metavar="SECONDS",
-    help="Largest difference of times.  [default: what float64 rounds]",
-)
-@click.option(
-    "--max-distance",
-    "tolerance_m",
-    type=float,
-    metavar="METRES",
-    help="With nearest: largest distance of a label.  [default: from the spacing and the distance of both clouds]",
+    metavar="NUMBER",
+    help="Largest difference: seconds (time), metres (nearest).  [default: what float64 rounds; metres from the "
+    "spacing and the distance of both clouds]",
 )
 @click.option(
     "--time-offset",

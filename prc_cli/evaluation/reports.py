@@ -58,7 +58,6 @@ def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
                 name: {"low": _defined(item.low), "high": _defined(item.high)} for name, item in found.intervals.items()
             },
             "interval_method": found.interval_method,
-            "three": None if found.three is None else _three_dict(found.three),
             "doubts": list(doubts(found)),
             "splits": {
                 name: [
@@ -73,6 +72,8 @@ def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
                 for gate in gates
             ],
         }
+        if found.three is not None:
+            table["three"] = _three_dict(found.three)
     return table
 
 

@@ -185,8 +185,8 @@ def _partners(
         for side, more in ((sides.points, ()), (sides.labels, beside))
     )
     fit = fit_of(points, labels)
-    sides.tolerance = options.tolerance_m or (1.0 if fit is None else fit.tolerance_m)
-    why = "given" if options.tolerance_m else "beyond it few more points find a label"
+    sides.tolerance = options.tolerance_s or (1.0 if fit is None else fit.tolerance_m)
+    why = "given" if options.tolerance_s else "beyond it few more points find a label"
     sides.assumptions.append(Assumption("transfer.tolerance_m", f"{sides.tolerance:g}", why))
     shift = shift_of(labels, points)
     if shift is not None:

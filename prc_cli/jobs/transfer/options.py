@@ -21,9 +21,8 @@ class TransferOptions:
     that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides);
     ``nearest`` (the label with the nearest coordinates)."""
     tolerance_s: float = 0.0
-    """Largest difference of times [s]; float64 rounding at these times is always allowed in addition."""
-    tolerance_m: float | None = None
-    """``nearest``: largest distance [m]; None = chosen from both clouds, as ``prc evaluate`` does."""
+    """Largest difference of times [s]; float64 rounding at these times is always allowed in addition. ``nearest``:
+    largest distance [m]; 0 = chosen from both clouds, as ``prc evaluate`` does."""
     time_offset_s: float = 0.0
     """Added to the times of the labels [s]."""
     ignore_return: bool = False
@@ -49,12 +48,9 @@ class TransferOptions:
             raise ConfigError("--match", problem)
         if not (math.isfinite(self.tolerance_s) and self.tolerance_s >= 0):
             raise ConfigError("--tolerance", f"found {self.tolerance_s}, expected seconds, 0 or more")
-        if self.tolerance_m is not None and (self.match != "nearest" or not 0 < self.tolerance_m < math.inf):
-            problem = f"found {self.tolerance_m} with --match {self.match}, expected metres above 0 with nearest"
-            raise ConfigError("--max-distance", problem)
         if not math.isfinite(self.time_offset_s):
             raise ConfigError("--time-offset", f"found {self.time_offset_s}, expected seconds")
-        if self.match != "time" and (self.tolerance_s or self.time_offset_s):
+        if self.match != "time" and ((self.tolerance_s and self.match != "nearest") or self.time_offset_s):
             problem = f"--tolerance and --time-offset are for times, found --match {self.match}"
             raise ConfigError("--match", problem, "leave them out")
         if not 0 <= self.min_matched <= 1:
