@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, BinaryIO, TypeAlias
@@ -10,6 +11,7 @@ from typing import Any, BinaryIO, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.threads import default_threads, ordered, read_ahead
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.writing.disk import scratch_errors
 from prc_cli.matching.join import Columns, JoinTally
@@ -63,11 +65,11 @@ class Cloud:
 
     def __init__(self, chunks: Iterator[Columns], handle: BinaryIO) -> None:
         """Read all chunks; each has ``x``, ``y``, ``z`` (finite) and the same other columns."""
-        self._handle = handle
+        self._handle, self._lock = handle, threading.Lock()
         self._dtype = np.dtype([(axis, np.float64) for axis in AXES])
         self.n = 0
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
-        parts = [self._put(columns, n) for columns in chunks if (n := len(columns["x"]))]
+        parts = [self._put(columns, n) for columns in read_ahead(chunks) if (n := len(columns["x"]))]
         parts.append((np.empty(0, np.int64),) * 3)
         cells, first, count = (np.concatenate(part) for part in zip(*parts, strict=True))
         order = np.argsort(cells, kind="stable")
@@ -126,7 +128,7 @@ class Cloud:
             records = np.empty(int(count[here].sum()), self._dtype)
             whole, at = records.view(np.uint8).data, 0
             size = self._dtype.itemsize
-            with scratch_errors("matching"):
+            with scratch_errors("matching"), self._lock:
                 for start, n in zip(first[here].tolist(), count[here].tolist(), strict=True):
                     self._handle.seek(start * size)
                     at += self._handle.readinto(whole[at : at + n * size])  # type: ignore[attr-defined]
@@ -195,7 +197,7 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
         if tree is not None and len(theirs["x"]) > _NEIGHBOURS:
             near = np.unique(found[np.isfinite(distance)])
             apart = np.full((len(theirs["x"]), 2), np.inf)
-            apart[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1], workers=-1)[0]
+            apart[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1])[0]
             around = np.append(apart, [[np.inf, 0.0]], axis=0)[found]
             parts.append((distance, around[:, 1], apart[near, 0]))
     if not parts:
@@ -311,28 +313,31 @@ def nearest_join(
 
     ``reach`` is the distance to which points without partner are compared with the spacing of the right cloud.
     """
-    for box in tiles_of(left, right):
+    reach = max(tolerance, reach or 0.0)
+
+    def join(box: Box) -> tuple[Nearest, F64, int]:
         # right points of the tile can be partners of left points just outside
         ours = left.read(box, tolerance)
         core = _inside(ours, box)
-        if not len(core):
-            continue
-        theirs, distance, found, tree = nearest_of(ours, right, box, max(tolerance, reach or 0.0), tolerance)
+        theirs, distance, found, tree = nearest_of(ours, right, box, reach, tolerance)
         to = np.where(distance <= tolerance, found, -1)
         used = np.unique(to[to >= 0])
-        tally.n_right += int(np.count_nonzero(_inside({axis: theirs[axis][used] for axis in "xy"}, box)))
-        if not core.any():
-            continue
+        n_used = int(np.count_nonzero(_inside({axis: theirs[axis][used] for axis in "xy"}, box)))
         ours, to, distance, found = {n: v[core] for n, v in ours.items()}, to[core], distance[core], found[core]
         sparse = np.zeros(len(to), np.bool_)
         lone = np.flatnonzero(np.isfinite(distance) & (to < 0))
         if len(lone):
-            around = tree.query(tree.data[found[lone]], k=_NEIGHBOURS + 1, workers=-1)[0][:, -1]
+            around = tree.query(tree.data[found[lone]], k=_NEIGHBOURS + 1)[0][:, -1]
             sparse[lone] = distance[lone] <= around
-        tally.n_left += len(to)
-        tally.n_pairs += int(np.count_nonzero(to >= 0))
-        tally.add_distances(distance, to >= 0)
-        yield Nearest(box, ours, theirs, to, sparse)
+        return Nearest(box, ours, theirs, to, sparse), distance, n_used
+
+    for item, distance, n_used in ordered(join, tiles_of(left, right), threads=default_threads()):
+        tally.n_right += n_used
+        tally.n_left += len(item.to)
+        tally.n_pairs += int(np.count_nonzero(item.to >= 0))
+        tally.add_distances(distance, item.to >= 0)
+        if len(item.to):
+            yield item
 
 
 def nearest_of(
@@ -352,7 +357,7 @@ def nearest_of(
     timed = TIME in ours and TIME in theirs
     k = min(_TIES, len(theirs["x"])) if timed else 1
     limit = float(np.nextafter(bound, math.inf))  # it is exclusive
-    distance, found = tree.query(xyz_of(ours) - origin, [*range(1, k + 1)], distance_upper_bound=limit, workers=-1)
+    distance, found = tree.query(xyz_of(ours) - origin, [*range(1, k + 1)], distance_upper_bound=limit)
     best = np.zeros(n, np.int64)
     if timed:
         # of several as near, the one of the nearest time

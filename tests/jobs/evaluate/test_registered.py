@@ -10,7 +10,9 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.html import as_html
@@ -19,6 +21,9 @@ from prc_cli.evaluation.reports import as_dict, as_markdown
 from prc_cli.evaluation.scores import Evaluation
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.transfer import transfer
+from prc_cli.jobs.transfer.options import TransferOptions
+from tests.runner import runner
 
 CODES = {"noise": (7,), "ground": (2,), "building": (6,), "stem": (64,), "car": (65,)}
 MAPPING = ClassMapping(predicted=CODES, reference=CODES, coarser={"car": "building"})
@@ -210,3 +215,38 @@ def test_a_mapping_without_noise_says_so(folder: Path) -> None:
     options = EvaluateOptions(match="nearest", unmatched="noise")
     with pytest.raises(ConfigError, match="--unmatched noise needs a class 'noise' in"):
         evaluate_all([folder / "run.las"], [folder / "tiles"], mapping, options=options)
+
+
+def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Path) -> None:
+    tile = folder / "tiles" / "tile_1.laz"
+    for tolerance in (0.0, 0.1):
+        options = TransferOptions(match="nearest", tolerance_s=tolerance)
+        counts = transfer(folder / "run.las", tile, tmp_path / "out.laz", options, overwrite=True).counts
+        assert counts.n_matched == counts.n_points > 10_000
+    las = laspy.read(tmp_path / "out.laz")
+    xyz = np.stack([las.x, las.y, las.z], axis=1)
+    nearest = cKDTree(np.round(town.xyz, 3)).query(xyz)[1]
+    assert np.mean(np.asarray(las.classification) == town.labels[nearest]) > 0.999
+    with pytest.raises(ConfigError, match="no dimension 'x'"):
+        np.save(tmp_path / "labels.npy", town.labels.astype(np.uint8))
+        (tmp_path / "times.csv").write_text("time\n" + "\n".join(map(str, range(len(town.labels)))) + "\n")
+        transfer(tmp_path / "labels.npy", tile, tmp_path / "o.laz", options, points=tmp_path / "times.csv")
+
+
+def test_every_option_is_typed_as_the_page_shows(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "trees.csv").write_text("x,y,radius\n50.5,10,0.4\n")
+    arguments = [
+        "evaluate", folder / "run.las", folder / "tiles", "--match", "nearest", "--mapping", "prc", "--max-distance", 0.5,
+        "--unmatched", "noise", "--inside", "0,0,100,21", "--height", "-1:5", "--trees", tmp_path / "trees.csv",
+        "--third", folder / "tiles", "--third-mapping", "prc", "-o", tmp_path / "page.html",
+    ]  # fmt: skip
+    found = runner().invoke(cli, [str(word) for word in arguments])
+    assert found.exit_code == 0, found.output
+    for expected in ("three labellings", "Matched by nearest within 0.5 m", "not from -1 to 5 m above ground"):
+        assert expected in found.output
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "From above: where predicted and third are right and wrong" in page
+    assert 'id="three"' in page
+    wrong = runner().invoke(cli, [*map(str, arguments[:5]), "--height", "2"])
+    assert isinstance(wrong.exception, ConfigError)
+    assert "expected heights above ground in metres, such as 0:2" in str(wrong.exception)
