@@ -182,7 +182,7 @@ class Registered:
                 rows[self._trees.holds(one, height)] = names.index(STEM)
             if self._options.height is not None:
                 low, high = self._options.height
-                kept = (height >= low) & (height <= high)
+                kept = (height >= low - self.tolerance) & (height <= high)
                 self._counts.note(
                     f"{{n}} predicted shots are not from {low:g} to {high:g} m above ground: not scored",
                     int(np.count_nonzero(~kept)),

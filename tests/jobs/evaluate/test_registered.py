@@ -236,9 +236,10 @@ def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Pa
 def test_every_option_is_typed_as_the_page_shows(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "trees.csv").write_text("x,y,radius\n50.5,10,0.4\n")
     arguments = [
-        "evaluate", folder / "run.las", folder / "tiles", "--match", "nearest", "--mapping", "prc", "--max-distance", 0.5,
-        "--unmatched", "noise", "--inside", "0,0,100,21", "--height", "-1:5", "--trees", tmp_path / "trees.csv",
-        "--third", folder / "tiles", "--third-mapping", "prc", "-o", tmp_path / "page.html",
+        "evaluate", folder / "run.las", folder / "tiles", "--match", "nearest", "--mapping", "prc",
+        "--max-distance", 0.5, "--unmatched", "noise", "--inside", "0,0,100,21", "--height", "-1:5",
+        "--trees", tmp_path / "trees.csv", "--third", folder / "tiles", "--third-mapping", "prc",
+        "-o", tmp_path / "page.html",
     ]  # fmt: skip
     found = runner().invoke(cli, [str(word) for word in arguments])
     assert found.exit_code == 0, found.output
