@@ -162,7 +162,8 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
     predicted[predicted == 0] = 1
     per_block = max(1, -(-len(scan.range_m) // BLOCKS))
     counts = GroupedCounts(mapping, "blocks")
-    counts.add((line // per_block).astype(np.int64), cells_of(mapping, predicted, reference))
+    rows = mapping.class_indices(reference, "reference")
+    counts.add((line // per_block).astype(np.int64), cells_of(mapping, predicted, rows))
     rows, columns = mapping.names("reference"), mapping.names("predicted")
     index = mapping.class_indices(predicted, "predicted")
     others = {}

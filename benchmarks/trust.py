@@ -214,7 +214,7 @@ def macro_f1(mapping: str, codes: U8, truth: I64) -> float:
     predicted = codes[judged].astype(np.int64)
     predicted[predicted == 0] = 1
     counts = GroupedCounts(classes, "cases")
-    cells = cells_of(classes, predicted, truth[judged])
+    cells = cells_of(classes, predicted, classes.class_indices(truth[judged], "reference"))
     counts.add(np.zeros(len(cells), np.int64), cells)
     found = Verdict(classes.names("reference"), classes.names("predicted"), counts.scored()).f1()
     return float(np.mean(np.nan_to_num(list(found.values()))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -37,124 +38,71 @@ DEFAULTS = EvaluateOptions()
 
 Pictures = Sequence[tuple[str, bytes]]
 
+_PATH = click.Path(path_type=Path)
 _OPTIONS = [
-    click.option(
-        "--mapping",
-        metavar="NAME|FILE.toml",
-        shell_complete=complete_mapping,
-        help="Which codes mean which class: a preset (prc, street, street_scan, oakland, ...) or a file.  "
-        "[default: that of the method in the run record beside PREDICTED, else prc]",
-    ),
+    click.option("--mapping", metavar="NAME|FILE.toml", shell_complete=complete_mapping,
+                 help="Which codes mean which class: a preset (prc, street, asprs, terrascan, ...) or a file.  "
+                 "[default: that of the method in the run record beside PREDICTED, else prc]"),
     click.option("--predicted-dimension", metavar="NAME", help="Column or dimension with the predicted codes."),
     click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
-    click.option(
-        "--pair",
-        "pairs",
-        multiple=True,
-        nargs=2,
-        type=click.Path(path_type=Path),
-        metavar="PREDICTED REFERENCE",
-        help="Another pair of files or folders, pooled into the same matrix.",
-    ),
-    click.option(
-        "--match",
-        default="order",
-        show_default=True,
-        metavar="HOW",
-        help="How records find their partner: order, time, dimension:NAME or nearest. Files of another length or "
-        "order are matched by line and column, where both know them.",
-    ),
-    click.option(
-        "--several", is_flag=True, help="With nearest: a reference record may be the partner of several predicted ones."
-    ),
-    click.option(
-        "--allow-missing", is_flag=True, help="Leave out files of a folder that have no partner in the other."
-    ),
-    click.option("--pool", is_flag=True, help="Take all files of a side as one, whatever their names; not with order."),
-    click.option(
-        "--tolerance",
-        type=float,
-        metavar="NUMBER",
-        help="Largest difference of a pair: seconds (time), metres (nearest).",
-    ),
-    click.option(
-        "--min-matched",
-        type=click.FloatRange(0, 1),
-        default=DEFAULTS.min_matched,
-        show_default=True,
-        help="Least share of the smaller side that must find a partner.",
-    ),
-    click.option(
-        "--predicted-points",
-        type=click.Path(path_type=Path),
-        metavar="PATH",
-        help="The points that predicted labels alone belong to, record by record: the input of the run, or a folder.",
-    ),
-    click.option(
-        "--reference-points",
-        type=click.Path(path_type=Path),
-        metavar="PATH",
-        help="The points that reference labels alone belong to, or their folder.",
-    ),
-    click.option("--by-range", "edges", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
-    click.option("--by-lines", type=click.IntRange(min=1), metavar="N", help="Split into parts of N scan lines."),
-    click.option("--by-scanner", is_flag=True, help="Split by scanner."),
-    click.option(
-        "--by-confidence",
-        "confidence_edges",
-        metavar="EDGES",
-        help="Split by the confidence of the predictions [per cent], e.g. 50,80,90,95,99: how reliable it is.",
-    ),
-    click.option(
-        "--min-confidence",
-        type=click.IntRange(0, 100),
-        metavar="PERCENT",
-        help="Leave out predictions with less confidence.",
-    ),
-    click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line of a dense stream."),
+    click.option("--pair", "pairs", multiple=True, nargs=2, type=_PATH, metavar="PREDICTED REFERENCE",
+                 help="Another pair of files or folders, pooled into the same matrix."),
+    click.option("--match", default="order", show_default=True, metavar="HOW",
+                 help="How records find their partner: order, time, dimension:NAME or nearest. Files of another length "
+                 "or order are matched by line and column, where both know them."),
+    click.option("--tolerance", "--max-distance", "tolerance", type=float, metavar="NUMBER",
+                 help="Largest difference of a pair: seconds (time), metres (nearest).  [default: 6e-7 s; metres from "
+                 "the spacing and the distance of both clouds]"),
+    click.option("--unmatched", type=click.Choice(["leave", "noise"]), default=DEFAULTS.unmatched, show_default=True,
+                 help="With nearest: predicted shots without partner are not scored, or are noise in the reference "
+                 "where it covers the ground (registered clouds mostly have their noise deleted)."),
+    click.option("--inside", metavar="X1,Y1,X2,Y2|FILE.geojson", help="With nearest: compare only shots inside."),
+    click.option("--height", metavar="LOW:HIGH",
+                 help="With nearest: score only shots this high above the reference's ground [m], e.g. 0:2."),
+    click.option("--trees", type=_PATH, metavar="FILE.csv",
+                 help="With nearest: shots inside these cylinders (x,y,radius[,height]) are stems in the reference."),
+    click.option("--third", type=_PATH, metavar="PATH",
+                 help="A third labelling, compared with both: by order or nearest."),
+    click.option("--third-mapping", metavar="NAME|FILE.toml", shell_complete=complete_mapping,
+                 help="Mapping whose [reference] lists the codes of the third.  [default: that of REFERENCE]"),
+    click.option("--allow-missing", is_flag=True,
+                 help="Leave out files of a folder that have no partner in the other."),
+    click.option("--pool", is_flag=True,
+                 help="Take all files of a side as one, whatever their names; not with order."),
+    click.option("--min-matched", type=click.FloatRange(0, 1), default=DEFAULTS.min_matched, show_default=True,
+                 help="Least share of the smaller side that must find a partner."),
+    click.option("--predicted-points", type=_PATH, metavar="PATH",
+                 help="The points that predicted labels alone belong to, record by record: the input of the run, or a "
+                 "folder."),
+    click.option("--reference-points", type=_PATH, metavar="PATH",
+                 help="The points that reference labels alone belong to, or their folder."),
+    click.option("--by-range", "split_range_m", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
+    click.option("--by-lines", "split_lines", type=click.IntRange(min=1), metavar="N",
+                 help="Split into parts of N scan lines."),
+    click.option("--by-scanner", "split_scanner", is_flag=True, help="Split by scanner."),
+    click.option("--by-confidence", "split_confidence", metavar="EDGES",
+                 help="Split by the confidence of the predictions [per cent], e.g. 50,80,90,95,99: how reliable it "
+                 "is."),
+    click.option("--min-confidence", type=click.IntRange(0, 100), metavar="PERCENT",
+                 help="Leave out predictions with less confidence."),
+    click.option("-M", "--points-per-line", type=click.IntRange(min=1),
+                 help="Shots in a scan line of a dense stream."),
     click.option("--intervals", is_flag=True, help="Confidence intervals of all scores, by a block jackknife."),
-    click.option(
-        "--interval-lines",
-        type=click.IntRange(min=1),
-        default=DEFAULTS.interval_lines,
-        show_default=True,
-        help="Scan lines of a block that is left out as a whole.",
-    ),
-    click.option(
-        "--format",
-        "form",
-        type=click.Choice(["table", "json", "csv", "markdown", "latex", "html"]),
-        help="How the result is printed.  [default: table]",
-    ),
+    click.option("--interval-lines", type=click.IntRange(min=1), default=DEFAULTS.interval_lines, show_default=True,
+                 help="Scan lines of a block that is left out as a whole."),
+    click.option("--format", "form", type=click.Choice(["table", "json", "csv", "markdown", "latex", "html"]),
+                 help="How the result is printed.  [default: table]"),
     click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),
-    click.option(
-        "-o",
-        "--output",
-        "outputs",
-        multiple=True,
-        type=click.Path(path_type=Path),
-        metavar="FILE",
-        help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times.",
-    ),
+    click.option("-o", "--output", "outputs", multiple=True, type=_PATH, metavar="FILE",
+                 help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times."),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
-    click.option(
-        "--picture",
-        "pictures",
-        multiple=True,
-        metavar="[TITLE=]FILE.png",
-        help="Put a picture into the HTML page; may be given several times.",
-    ),
-    click.option(
-        "-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for)."
-    ),
-    click.option(
-        "--fail-under",
-        "gates",
-        multiple=True,
-        metavar="SCORE.CLASS=VALUE",
-        help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9.",
-    ),
-]
+    click.option("--picture", "pictures", multiple=True, metavar="[TITLE=]FILE.png",
+                 help="Put a picture into the HTML page; may be given several times."),
+    click.option("-q", "--quiet", is_flag=True,
+                 help="Print nothing but errors (and what --json or --format asks for)."),
+    click.option("--fail-under", "gates", multiple=True, metavar="SCORE.CLASS=VALUE",
+                 help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9."),
+]  # fmt: skip
 
 
 def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -180,6 +128,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
       prc evaluate labels.npy reference.npy
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
       prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
+      prc evaluate drive.laz tiles/ --match nearest --unmatched noise --mapping asprs
     """
     if options["as_json_flag"] and options["form"] not in (None, "json"):
         message = f"--json and --format {options['form']} contradict each other"
@@ -205,6 +154,8 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
             ),
             *pictures,
         )
+    if found.plan is not None:
+        pictures = (("From above: where predicted and third are right and wrong", found.plan), *pictures)
     texts = [_text(FORMS[path.suffix.lower()], found, gates, mapping, pictures) for path in options["outputs"]]
     for path, text in zip(options["outputs"], texts, strict=True):
         with atomic_output(path, overwrite=options["overwrite"]) as temporary:
@@ -231,27 +182,31 @@ def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: Cl
 
 
 def _how(options: dict[str, Any]) -> EvaluateOptions:
-    return EvaluateOptions(
-        match=options["match"],
-        tolerance=options["tolerance"],
-        min_matched=options["min_matched"],
-        predicted_dimension=options["predicted_dimension"],
-        reference_dimension=options["reference_dimension"],
-        predicted_points=options["predicted_points"],
-        reference_points=options["reference_points"],
-        split_range_m=_edges(options["edges"]),
-        split_lines=options["by_lines"],
-        split_scanner=options["by_scanner"],
-        split_confidence=_per_cents(options["confidence_edges"]),
-        min_confidence=options["min_confidence"],
-        points_per_line=options["points_per_line"],
-        intervals=options["intervals"],
-        interval_lines=options["interval_lines"],
-        one_to_one=not options["several"],
-        allow_missing=options["allow_missing"],
-        pool=options["pool"],
-        window=_window(options),
-    )
+    """Return the options of the comparison; those of the command have its names."""
+    own = {item.name: options[item.name] for item in fields(EvaluateOptions) if item.name in options}
+    read = {
+        "split_range_m": _edges(options["split_range_m"]),
+        "split_confidence": _per_cents(options["split_confidence"]),
+        "height": _heights(options["height"]),
+        "window": _window(options),
+    }
+    return EvaluateOptions(**{**own, **read})
+
+
+def _heights(text: str | None) -> tuple[float, float] | None:
+    """Read heights above ground, ``0:2``."""
+    if text is None:
+        return None
+    words = text.split(":")
+    try:
+        low, high = (
+            float(word) if word.strip() else end for word, end in zip(words, (-math.inf, math.inf), strict=True)
+        )
+    except ValueError:
+        low = high = math.nan
+    if not low < high:
+        raise ConfigError("--height", f"found {text!r}, expected heights above ground in metres, such as 0:2")
+    return low, high
 
 
 _WINDOWS = ("only_lines", "only_time", "first")

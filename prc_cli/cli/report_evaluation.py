@@ -61,6 +61,16 @@ def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> 
         results().print(table)
         if len(rows) > MAX_PARTS:
             results().print(f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them")
+    if found.three is not None:
+        header, rows = found.three.table()
+        table = Table(title="three labellings")
+        for heading in header:
+            table.add_column(heading, justify="left" if heading == "class" else "right", overflow="fold")
+        for row in rows:
+            table.add_row(*row)
+        results().print(table)
+        for sentence in found.three.sentences():
+            results().print(sentence)
     for gate in gates:
         name, limit, value = gate_cells(gate)
         results().print(f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}")

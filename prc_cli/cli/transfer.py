@@ -43,15 +43,18 @@ from prc_cli.jobs.transfer.options import TransferOptions
     show_default=True,
     metavar="HOW",
     help="How points find their label: time (and return number), order (the same on both sides), record:NAME (a "
-    "dimension of REGISTERED with the index of the raw record), or dimension:NAME (an integer dimension of both).",
+    "dimension of REGISTERED with the index of the raw record), dimension:NAME (an integer dimension of both), or "
+    "nearest (in space).",
 )
 @click.option(
     "--tolerance",
+    "--max-distance",
     "tolerance_s",
     type=float,
     default=0.0,
-    metavar="SECONDS",
-    help="Largest difference of times.  [default: what float64 rounds]",
+    metavar="NUMBER",
+    help="Largest difference: seconds (time), metres (nearest).  [default: what float64 rounds; metres from the "
+    "spacing and the distance of both clouds]",
 )
 @click.option(
     "--time-offset",

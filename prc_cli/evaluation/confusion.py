@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,15 +107,12 @@ def accumulate(
     """
     predicted, reference = np.ravel(predicted_codes), np.ravel(reference_codes)
     refuse_poor_match(predicted.size, reference.size)
-    column = mapping.class_indices(predicted, "predicted")
-    row = mapping.class_indices(reference, "reference")
-    scored = (row >= 0) & (column >= 0)
-    n_rows, n_columns = len(state.reference_names), len(state.predicted_names)
-    cells = row[scored] * n_columns + column[scored]
-    found = np.bincount(cells, minlength=n_rows * n_columns).reshape(n_rows, n_columns)
-    n_ignored = predicted.size - cells.size
+    n_cells = state.counts.size
+    cells = cells_of(mapping, predicted, mapping.class_indices(reference, "reference"))
+    found = np.bincount(cells, minlength=n_cells + 1)
     names = mapping.names("reference"), mapping.names("predicted")
-    return state + ConfusionMatrix(*names, found.astype(np.int64), int(n_ignored))
+    counts = found[:n_cells].reshape(state.counts.shape).astype(np.int64)
+    return state + ConfusionMatrix(*names, counts, int(found[n_cells]))
 
 
 def refuse_poor_match(
@@ -198,6 +195,14 @@ class GroupedCounts:
         if other._row:
             self._add(np.fromiter(other._row, np.int64), other._counts[list(other._row.values())])
 
+    def fold(self, into: Mapping[str, str]) -> None:
+        """Add predicted classes to others, by name."""
+        rows, columns = self._names
+        cells = self._counts[:, :-1].reshape(-1, len(rows), len(columns))
+        for name, to in into.items():
+            cells[:, :, columns.index(to)] += cells[:, :, columns.index(name)]
+            cells[:, :, columns.index(name)] = 0
+
     def _check(self, n_groups: int) -> None:
         most = MAX_BYTES // (8 * self._counts.shape[1])
         if n_groups > most:
@@ -217,18 +222,16 @@ class GroupedCounts:
         return counts[counts.any(axis=1)].reshape(-1, len(rows), len(columns))
 
 
-def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], reference: NDArray[np.integer]) -> I64:
-    """Return the cell of the confusion matrix that every pair falls in.
+def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], rows: I64) -> I64:
+    """Return the cell of the confusion matrix that every pair falls in, by predicted code and reference class.
 
     >>> mapping = ClassMapping(ignore=[0], predicted={"ground": [2]}, reference={"ground": [2], "car": [65]})
-    >>> cells_of(mapping, np.array([2, 2, 0]), np.array([2, 65, 2]))
+    >>> cells_of(mapping, np.array([2, 2, 0]), mapping.class_indices(np.array([2, 65, 2]), "reference"))
     array([0, 1, 2])
     """
-    refuse_poor_match(len(predicted), len(reference))
     column = mapping.class_indices(predicted, "predicted")
-    row = mapping.class_indices(reference, "reference")
     n_rows, n_columns = len(mapping.names("reference")), len(mapping.names("predicted"))
-    return np.where((row >= 0) & (column >= 0), row * n_columns + column, n_rows * n_columns)
+    return np.where((rows >= 0) & (column >= 0), rows * n_columns + column, n_rows * n_columns)
 
 
 def check_edges(edges: Sequence[float]) -> F64:

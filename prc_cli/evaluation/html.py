@@ -24,14 +24,13 @@ from prc_cli.evaluation.reports import (
     Found,
     as_dict,
     doubts,
-    figure,
     gate_cells,
     match_line,
     matrix_of,
     percent,
     split_table,
 )
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Evaluation, GateResult, SplitPart, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Evaluation, GateResult, SplitPart, figure, scores
 
 _MORE_COLOURS = ((51, 34, 136), (136, 34, 85), (68, 170, 153), (153, 153, 51), (170, 68, 153), (221, 204, 119))
 """Colours of other classes (Paul Tol's muted scheme)."""
@@ -247,7 +246,9 @@ def as_html(
         "mapped_names": () if mapping is None else tuple(dict.fromkeys((*mapping.reference, *mapping.predicted))),
         # "<" is escaped, so that user text cannot end the element
         "data": json.dumps(as_dict(found, gates), allow_nan=False).replace("<", "\\u003c"),
-        **(_of_evaluation(evaluation, shown) if evaluation is not None else {"doubts": (), "splits": ()}),
+        **(
+            _of_evaluation(evaluation, shown) if evaluation is not None else {"doubts": (), "splits": (), "three": None}
+        ),
     }
     filters: dict[str, Callable[..., Any]] = {
         "colour": class_colour,
@@ -316,6 +317,7 @@ def _of_evaluation(found: Evaluation, shown: ConfusionMatrix) -> dict[str, Any]:
         "doubts": doubts(found),
         "splits": [_split(split, parts, shown) for split, parts in found.splits.items()],
         "match_line": match_line(match),
+        "three": found.three,
         "sides": (
             ("predicted", match.n_predicted, match.n_matched),
             ("reference", match.n_reference, n_reference_matched),

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.reports import NO_INTERVALS, Found, figure, match_line, matrix_of, split_table
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, Evaluation, Interval, scores
+from prc_cli.evaluation.reports import NO_INTERVALS, Found, match_line, matrix_of, split_table
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, Evaluation, Interval, figure, scores
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",

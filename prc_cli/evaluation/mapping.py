@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -30,6 +31,7 @@ NO_CODE = -1
 IGNORED = -1
 _UNLISTED = -2
 _TABLE_SIZE = 2**16
+_SHOWN = 8
 
 
 class ClassMapping(Params):
@@ -50,6 +52,9 @@ class ClassMapping(Params):
     )
     ignore: Codes = Field((), description="codes of either side that are not scored, for example 0 = missing")
     ignore_reference: Codes = Field((), description="codes of the reference alone that are not scored")
+    coarser: dict[ClassName, ClassName] = Field(
+        {}, description="predicted class = the predicted class it counts as where the reference never has it"
+    )
     predicted: dict[ClassName, Codes] = Field(description="class name = list of predicted codes, or ranges 'a-b'")
     reference: dict[ClassName, Codes] = Field(description="class name = list of reference codes, or ranges 'a-b'")
 
@@ -76,6 +81,10 @@ class ClassMapping(Params):
         for side in sides:
             for code, name, other in _listed_twice(self._spans(side)):
                 problem = f"every {side} code listed once, but {code} stands under {name!r} and again under {other!r}"
+                raise ValueError(problem)
+        for name in (name for pair in self.coarser.items() for name in pair):
+            if name not in self.names("predicted"):
+                problem = f"classes of [predicted] in coarser, found {name!r}"
                 raise ValueError(problem)
         if not self.scored_names:
             problem = "at least one class name that stands under both [predicted] and [reference]"
@@ -110,20 +119,15 @@ class ClassMapping(Params):
         return found
 
     def _refuse_unlisted(self, codes: NDArray[np.integer], found: I64, side: Side) -> None:
-        unlisted = codes[found == _UNLISTED]
-        if not unlisted.size:
-            return
-        distinct = np.unique(unlisted)
-        shown = ", ".join(str(code) for code in distinct[:8]) + (", ..." if distinct.size > 8 else "")
-        problem = f"found {unlisted.size} records with codes that the class mapping does not list: {shown}"
-        hint = f'list them under [{side}], under ignore, or set unlisted = "other"'
-        fitting = self._fitting(np.unique(codes), side)
-        if fitting:
-            hint = f"a mapping that lists them: {' or '.join(fitting)} (--mapping NAME); or {hint}"
-        where = f"{side} codes"
-        raise InputError(where, problem, hint)
+        if (found == _UNLISTED).any():
+            raise UnlistedError.of(self, side, [codes])
 
-    def _fitting(self, codes: NDArray[np.integer], side: Side) -> list[str]:
+    def is_unlisted(self, codes: I64, side: Side) -> NDArray[np.bool_]:
+        """Return which codes stand in no list."""
+        unlisted: NDArray[np.bool_] = self._search(codes, side) == _UNLISTED
+        return unlisted
+
+    def fitting(self, codes: NDArray[np.integer], side: Side) -> list[str]:
         """Names of the presets that list these codes, and on the other side what this one does; likest first."""
         other: Side = "reference" if side == "predicted" else "predicted"
         spans = np.array([span[:2] for span in self._spans(other)], dtype=np.int64)
@@ -171,6 +175,34 @@ class ClassMapping(Params):
         if side == "reference":
             spans += [(*_span(code), "ignore_reference") for code in self.ignore_reference]
         return spans
+
+
+class UnlistedError(InputError):
+    """Codes that a class mapping does not list."""
+
+    mapping: ClassMapping
+    side: Side
+
+    @classmethod
+    def of(cls, mapping: ClassMapping, side: Side, chunks: Iterable[NDArray[np.integer]]) -> UnlistedError:
+        """Name the codes that are not listed and how often they are found."""
+        every: Counter[int] = Counter()
+        for codes in chunks:
+            here, n = np.unique(codes, return_counts=True)
+            every.update(dict(zip(here.tolist(), n.tolist(), strict=True)))
+        found = np.array(sorted(every), np.int64)
+        unlisted = {code: every[code] for code in found[mapping.is_unlisted(found, side)].tolist()}
+        more = ", ..." if len(unlisted) > _SHOWN else ""
+        shown = ", ".join(f"{code} ({n:,})" for code, n in [*unlisted.items()][:_SHOWN]) + more
+        problem = f"found {sum(unlisted.values())} records with codes that the class mapping does not list: {shown}"
+        line = ", ".join(map(str, [*unlisted][:_SHOWN])) + more
+        hint = f'write a line for them under [{side}], such as other = [{line}], or set unlisted = "other"'
+        fitting = mapping.fitting(found, side)
+        if fitting:
+            hint = f"a mapping that lists them: {' or '.join(fitting)} (--mapping NAME); or {hint}"
+        error = cls(f"{side} codes", problem, hint)
+        error.mapping, error.side = mapping, side
+        return error
 
 
 def scored_names(reference: tuple[str, ...], predicted: tuple[str, ...]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import (
@@ -26,8 +26,12 @@ from prc_cli.evaluation.scores import (
     MatchReport,
     Scores,
     SplitPart,
+    figure,
     scores,
 )
+
+if TYPE_CHECKING:
+    from prc_cli.evaluation.three import ThreeWay
 
 Found: TypeAlias = ConfusionMatrix | Evaluation
 
@@ -68,6 +72,8 @@ def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
                 for gate in gates
             ],
         }
+        if found.three is not None:
+            table["three"] = _three_dict(found.three)
     return table
 
 
@@ -205,11 +211,6 @@ def gate_cells(gate: GateResult) -> tuple[str, str, str]:
     )
 
 
-def figure(value: float) -> str:
-    """Return a score with three decimals, ``-`` if it is undefined."""
-    return "-" if math.isnan(value) else f"{value:.3f}"
-
-
 def percent(value: float) -> str:
     """Return a share in per cent, ``-`` if it is undefined."""
     return "-" if math.isnan(value) else f"{value:.1%}"
@@ -245,6 +246,18 @@ def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
     }
 
 
+def _three_dict(found: ThreeWay) -> dict[str, Any]:
+    matrices = {"predicted": found.predicted, "third": found.other, "predicted_against_third": found.between}
+    return {
+        "file": found.third,
+        "states": found.states(),
+        "both_wrong_alike": [
+            {"records": n, "reference": name, "both": other} for n, name, other in found.largest_errors(most=100)
+        ],
+        **{name: _matrix_dict(matrix) for name, matrix in matrices.items()},
+    }
+
+
 def _csv_rows(
     matrix: ConfusionMatrix, intervals: Mapping[str, Interval], bounds: Sequence[str]
 ) -> Iterator[list[str | int]]:
@@ -276,6 +289,10 @@ def _evaluation_blocks(found: Evaluation, shown: ConfusionMatrix) -> Iterator[st
         yield f"By {_plain(split)}:"
         header, rows = split_table(parts, shown)
         yield _table(header, rows)
+    if found.three is not None:
+        yield "Three labellings:"
+        yield _table(*found.three.table())
+        yield from map(_plain, found.three.sentences())
     yield match_line(found.match).replace(found.match.method, _plain(found.match.method))
     yield from (_plain(note) for note in (*found.match.notes, *doubts(found)))
     files = [f"{side} {', '.join(map(_plain, names))}" for side, names in _sides(found)]

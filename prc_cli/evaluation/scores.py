@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from prc_cli.core.errors import ConfigError, GateError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import ClassMapping, scored_names
+
+if TYPE_CHECKING:
+    from prc_cli.evaluation.three import ThreeWay
 
 CLASS_SCORES: tuple[str, ...] = ("recall", "precision", "f1", "iou", "accuracy")
 """Scores that every class has, in the order of the reports."""
@@ -290,6 +294,11 @@ def refuse_failed(results: Iterable[GateResult]) -> None:
         raise GateError(failed[0].name, told[0], more)
 
 
+def figure(value: float) -> str:
+    """Return a score with three decimals, ``-`` if it is undefined."""
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
 def _found(value: float) -> str:
     return "undefined (no such records)" if math.isnan(value) else f"{value:.4f}"
 
@@ -353,3 +362,7 @@ class Evaluation(Brief):
     """Intervals by the score's name as in ``--fail-under``, such as ``recall.ground``; empty unless requested."""
     interval_method: str = ""
     """For example ``block jackknife, 120 blocks of 99 lines, 95 %``."""
+    three: ThreeWay | None = None
+    """Counts with a third labelling, if there is one."""
+    plan: bytes | None = None
+    """PNG picture from above of where predicted and third are right and wrong."""

@@ -98,8 +98,8 @@ class KeyedSource(DerivedSource):
         stored = values[rule.dimension]
         key, right = exact_keys(stored)
         expected = "a whole number below 2^53"
-        if rule.kind == "time":
-            right, expected = np.isfinite(key), "a finite time"
+        if rule.kind in ("time", "place"):
+            right, expected = np.isfinite(key), f"a finite {'time' if rule.kind == 'time' else 'coordinate'}"
         if not right.all():
             at = int(np.argmin(right))
             problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
@@ -210,8 +210,8 @@ _CODES = "class codes"
 """Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
 _MAX_ID = 1 << 31
 
-FARTHEST_M = 1e100
-"""Coordinates beyond are as good as not finite: their squares are not, nor are differences of differences [m]."""
+FARTHEST_M = 1e9
+"""Coordinates beyond are as good as not finite [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +219,8 @@ class SideFile:
     """The files that one file of a side is read from."""
 
     codes: CodeSource
+    name: str | None
+    """Dimension that holds the codes, as it was asked for."""
     table: RecordSource | None
     """The same file, if it holds more than codes."""
     points: RecordSource | None
@@ -239,7 +241,7 @@ class SideFile:
             if beside is None:
                 problem = "unknown suffix, expected points: LAS, LAZ, text, .npz or .parquet"
                 raise InputError(str(points), problem, "name the input of the run")
-        return cls(codes, table, beside, dense_line_beside(path))
+        return cls(codes, dimension, table, beside, dense_line_beside(path))
 
     @property
     def sources(self) -> tuple[RecordSource, ...]:

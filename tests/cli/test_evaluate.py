@@ -142,7 +142,6 @@ def test_pictures_are_put_into_the_page(prc: Prc, pair: tuple[Path, Path], tmp_p
             2,
             "which the mapping does not have on both sides",
         ),
-        (["--several"], 2, "--several: records matched by order have one partner"),
         (["--intervals"], 1, "make the blocks shorter with --interval-lines, or give -M"),
         (["--match", "magic"], 2, "magic"),
         (["--pair", "none.npy", "reference/a.csv"], 1, "none.npy: no such file"),

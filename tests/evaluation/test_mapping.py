@@ -15,16 +15,25 @@ SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "classes"
 STREET_SCAN = ("street_scan", "street_scan_kitti", "street_scan_oakland")
 PRESETS = (
     "asprs",
+    "cloudcompare_csf",
+    "lastools",
     "lehtola_forest",
     "lehtola_urban",
+    "lidr",
     "oakland",
+    "paris_lille_3d",
     "prc",
+    "semantic3d",
     "semantic_kitti",
+    "semantic_kitti_low_vegetation_ground",
+    "semantic_kitti_vegetation_unscored",
     "sequential_angle",
     "street",
     "street_kitti",
     "street_oakland",
     *STREET_SCAN,
+    "terrascan",
+    "toronto3d",
 )
 
 
@@ -85,6 +94,16 @@ def test_street_scan_presets_take_every_code_of_either_classifier(name: str) -> 
         ("asprs", 11, "ground"),
         ("asprs", 4, "vegetation"),
         ("asprs", 65, "other"),
+        ("terrascan", 8, "ground"),
+        ("terrascan", 1, None),
+        ("lastools", 5, "vegetation"),
+        ("cloudcompare_csf", 1, "rest"),
+        ("lidr", 18, "noise"),
+        ("semantic3d", 8, "car"),
+        ("toronto3d", 6, "pole"),
+        ("paris_lille_3d", 9, "vegetation"),
+        ("semantic_kitti_vegetation_unscored", 70, None),
+        ("semantic_kitti_low_vegetation_ground", 70, "ground"),
         ("lehtola_forest", 5, "noise"),
         ("prc", 65, "other"),
     ],
@@ -134,14 +153,15 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
             "street",
             [10, 18, 40, 48, 50, 70, 72, 80],
             "reference",
-            "street_kitti or semantic_kitti or street_scan_kitti",
+            "street_kitti or semantic_kitti or semantic_kitti_low_vegetation_ground",
         ),
     ],
 )
 def test_a_refusal_names_the_presets_that_list_the_codes(name: str, codes: list[int], side: Side, fits: str) -> None:
     with pytest.raises(InputError) as caught:
         load_mapping(name).class_indices(np.array(codes), side)
-    assert caught.value.hint.startswith(f"a mapping that lists them: {fits} (--mapping NAME); or list them under")
+    assert caught.value.hint.startswith(f"a mapping that lists them: {fits}")
+    assert "or write a line for them under [" in caught.value.hint
 
 
 def test_unlisted_negative_and_huge_codes_are_refused() -> None:

@@ -17,7 +17,7 @@ from prc_cli.jobs.batch import report
 from prc_cli.jobs.batch.report import drift
 from prc_cli.jobs.calibrate import sensor
 from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES
-from prc_cli.jobs.evaluate.options import NEAREST_TOLERANCE_M, TIME_TOLERANCE_S
+from prc_cli.jobs.evaluate.options import TIME_TOLERANCE_S
 from prc_cli.jobs.render.cloud import FromAbove, _panel
 from prc_cli.jobs.thin import _check_lines, _needed
 
@@ -237,7 +237,7 @@ def test_edges_of_bins_cover_all_scanners() -> None:
 
 def test_what_other_programs_and_pages_rely_on() -> None:
     assert (report.SCHEMA, report.FAILED) == (1, 1)
-    assert (TIME_TOLERANCE_S, NEAREST_TOLERANCE_M) == (6e-7, 0.05)
+    assert TIME_TOLERANCE_S == 6e-7
 
 
 def test_axes_of_a_view_from_above_are_in_metres() -> None:

@@ -3,58 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import I64
 from prc_cli.core.window import Window
-from prc_cli.evaluation.confusion import (
-    ConfusionMatrix,
-    GroupedCounts,
-    cells_of,
-    refuse_poor_match,
-)
-from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, refuse_poor_match
+from prc_cli.evaluation.mapping import ClassMapping, UnlistedError, load_mapping
 from prc_cli.evaluation.scores import Evaluation, MatchReport
-from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.las.vlrs import same_crs, short_crs
+from prc_cli.evaluation.three import ThreeCounts
+from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.counts import (
     SPLITS,
+    Compared,
+    Counting,
     Counts,
+    Plan,
     asked_parts,
-    count_pairs,
     intervals_of,
     reliability_notes,
     scored_parts,
 )
 from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options, tolerance_of
-from prc_cli.jobs.evaluate.pools import open_pools
-from prc_cli.jobs.evaluate.window import ScoredWindow
-from prc_cli.matching.join import (
-    CODE,
-    KEY,
-    SAME,
-    Columns,
-    JoinTally,
-    UnsortedError,
-    columns_of,
-    in_step,
-    merge_join,
-)
-from prc_cli.matching.keys import AXES, KeyRule, MutualKeys, NearestPlaces
+from prc_cli.jobs.evaluate.pools import open_pools, open_side
+from prc_cli.jobs.evaluate.registered import Registered
+from prc_cli.matching.join import CODE, KEY, SAME, Columns, JoinTally, UnsortedError, columns_of, in_step, merge_join
+from prc_cli.matching.keys import KeyRule, MutualKeys
 from prc_cli.matching.pairs import files_of
-from prc_cli.matching.sides import (
-    CONFIDENCE,
-    FILE,
-    LINE,
-    ROW,
-    SECONDS,
-    Side,
-)
+from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, ROW, SECONDS, Side
 
 
 def evaluate_all(
@@ -109,6 +89,9 @@ def evaluate_all(
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
     pools = open_pools(*paths, options)
     counts = Counts(found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))})
+    if options.third is not None:
+        other = found if options.third_mapping is None else load_mapping(options.third_mapping)
+        counts.third = ThreeCounts(found, other)
     if why:
         counts.note(f"class mapping {mapping}: {why}")
     # blocks are counted in lines only if the lines of every pool are known
@@ -116,13 +99,19 @@ def evaluate_all(
     names: list[str] = []
     how: list[str] = []
     for left, right in pools:
-        how.append(_compare(left, right, len(names), counts, options, by_lines=by_lines))
+        try:
+            how.append(_compare(left, right, len(names), counts, options, by_lines=by_lines))
+        except UnlistedError as error:
+            side = left if error.side == "predicted" else right
+            codes = (codes for file in side.files for codes in open_codes(Path(file.codes.path), file.name).chunks())
+            raise UnlistedError.of(error.mapping, error.side, codes) from error
         names += [file.codes.path for file in left.files]
     if options.allow_missing:
         _note_missing(paths, pools, counts)
     if CONFIDENCE in counts.parts:
         for sentence in reliability_notes(counts.parts[CONFIDENCE]):
             counts.note(sentence)
+    counts.fold()
     matrix = counts.parts["all"].matrix(0)
     intervals, method = intervals_of(counts, matrix, options, by_lines=by_lines)
     files = dict.fromkeys(names), dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files)
@@ -134,12 +123,17 @@ def evaluate_all(
         counts.n_predicted,
         counts.n_reference,
         counts.n_matched,
-        tolerance_of(options),
-        tuple(sentence.replace("{n}", str(n)) for sentence, n in counts.notes.items()),
+        max(counts.tolerances) if counts.tolerances else tolerance_of(options),
+        tuple(
+            sentence.replace("{n}", f"{n:,}" if options.match == "nearest" else str(n))
+            for sentence, n in counts.notes.items()
+        ),
         counts.n_reference_matched,
     )
     label = "" if isinstance(mapping, ClassMapping) else str(mapping)
-    return Evaluation(tuple(files[0]), tuple(files[1]), label, match, matrix, splits, intervals, method)
+    three = None if counts.third is None else counts.third.result(str(options.third))
+    plan = counts.plan.picture() if three is not None else None
+    return Evaluation(tuple(files[0]), tuple(files[1]), label, match, matrix, splits, intervals, method, three, plan)
 
 
 def evaluate(
@@ -198,30 +192,21 @@ def _compare(
     """Match one pool of files and count its pairs; return how they were matched."""
     left, right = _with_own_lines(left, right, counts)
     plan = _plan(left, right, options, by_lines=by_lines)
-    mapping = counts.mapping
     for name in plan.reference:
         counts.note(f"{SPLITS.get(name, name)}: taken from the reference")
-    if options.match == "nearest":
-        _check_crs(left, right, counts)
-        left, right = _keyed(left, right, KeyRule("place", _longest_axis(right)))
-    on_disk = [options.match == "nearest"] * 2
+    third = None if options.third is None else open_side(options.third, options, left.key)
+    on_disk = [False, False]
+    registered: Registered | None = None
     while True:
-        found = {name: GroupedCounts(mapping, name) for name in counts.parts}
-        tally, n_unsure = JoinTally(), 0
-        window = None if options.window is None else ScoredWindow(options.window)
+        counting, tally = Counting(counts, options, plan, first_file, by_lines=by_lines), JoinTally()
+        if options.match == "nearest":
+            registered = Registered(left, right, options, counts)
+            pairs = registered.pairs(plan, tally, third)
+        else:
+            pairs = _pairs(left, right, plan, tally, on_disk, options, counts.mapping, third)
         try:
-            for one, other in _pairs(left, right, plan, tally, on_disk, options):
-                beside = {name: other[name] for name in plan.reference} | {name: one[name] for name in plan.predicted}
-                if window is not None:
-                    (one, other), beside = window.inside(beside, one, other)
-                if FILE in beside:
-                    beside[FILE] = beside[FILE] + first_file
-                cells = cells_of(mapping, one[CODE], other[CODE])
-                if options.min_confidence is not None:
-                    sure = beside[CONFIDENCE] >= options.min_confidence
-                    n_unsure += len(sure) - int(np.count_nonzero(sure))
-                    cells, beside = cells[sure], {name: values[sure] for name, values in beside.items()}
-                count_pairs(found, beside, cells, options, by_lines=by_lines)
+            for item in pairs:
+                counting.add(item)
         except _UnequalError:
             counts.note("the files hold other records, or others first: matched by cell (scan line, column)")
             options = replace(options, match="cell")
@@ -233,12 +218,15 @@ def _compare(
             on_disk[error.side] = True
             continue
         break
-    for name, part in found.items():
-        counts.parts[name].merge(part)
-    if window is not None:
-        window.report(left.path, counts)
-    counts.note(f"{{n}} pairs have a confidence below {options.min_confidence} %: left out", n_unsure)
+    counting.finish(left.path)
     _report(left, right, tally, counts, options)
+    outside = (0, 0)
+    if registered is not None:
+        counts.tolerances.add(registered.tolerance)
+        registered.report(tally)
+        outside = registered.n_cut, registered.n_beside
+    if options.match != "order":
+        _refuse_poor(left, right, tally, options, outside)
     return options.match
 
 
@@ -250,17 +238,7 @@ class _UnequalError(Exception):
     """Files to be matched by order differ in length or in their order, but both know their cells."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    """Columns beside the codes, by the side they are read from."""
-
-    predicted: tuple[str, ...]
-    reference: tuple[str, ...]
-    keys: tuple[str, ...]
-    """Columns of both sides that the match itself needs."""
-
-
-def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> _Plan:
+def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> Plan:
     has, other_has, asked = left.dimensions, right.dimensions, asked_parts(options)
     wanted = dict.fromkeys(LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines)
     if options.window is not None:
@@ -284,11 +262,9 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
     if "blocks" in asked or LINE in asked:
         predicted += [FILE, ROW]
     keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
-    if options.match == "nearest":
-        keys = (KEY, *AXES)
-    elif options.match in ("time", "cell") and SAME in has and SAME in other_has:
+    if options.match in ("time", "cell") and SAME in has and SAME in other_has:
         keys = (KEY, SAME)
-    return _Plan(tuple(predicted), tuple(reference), keys)
+    return Plan(tuple(predicted), tuple(reference), keys)
 
 
 def _no_place(left: Side, right: Side, window: Window) -> ConfigError:
@@ -299,43 +275,55 @@ def _no_place(left: Side, right: Side, window: Window) -> ConfigError:
 
 
 def _pairs(
-    left: Side, right: Side, plan: _Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions
-) -> Iterator[tuple[Columns, Columns]]:
-    """Yield matched pairs of records."""
+    left: Side, right: Side, plan: Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions,
+    mapping: ClassMapping, third: Side | None,
+) -> Iterator[Compared]:  # fmt: skip
+    """Yield records with their partners by order or by key."""
+    if options.match == "order":
+        pairs = _in_order(left, right, plan, tally, third)
+    else:
+        tolerance = tolerance_of(options) or 0.0
+        one, other = (
+            columns_of(side, (CODE, *plan.keys, *names), sort=sort, with_record=False)
+            for side, names, sort in zip((left, right), (plan.predicted, plan.reference), on_disk, strict=True)
+        )
+        joined = merge_join(one, other, MutualKeys(tolerance), tolerance, tally, (left.path, right.path))
+        pairs = ((*item.pairs(), None) for item in joined)
+    for one_side, other_side, thirds in pairs:
+        rows = mapping.class_indices(other_side[CODE], "reference")
+        yield Compared(one_side, {name: other_side[name] for name in plan.reference}, rows, thirds)
+
+
+def _in_order(
+    left: Side, right: Side, plan: Plan, tally: JoinTally, third: Side | None
+) -> Iterator[tuple[Columns, Columns, I64 | None]]:
+    """Yield records of the same number; refuse sides of other lengths, or other cells where both know them."""
     knows_cells = all(len(side.files) == 1 and side.files[0].knows_cells for side in (left, right))
-    compared = options.match == "order" and knows_cells and any(side.files[0].has_cells for side in (left, right))
+    compared = knows_cells and any(side.files[0].has_cells for side in (left, right))
     if compared:
         left, right = _keyed(left, right, KeyRule("cell"))
-    keys = (*plan.keys, *([KEY] if compared else []))
-    columns = (CODE, *keys, *plan.predicted), (CODE, *keys, *plan.reference)
-    one, other = (
-        columns_of(side, names, sort=sort, with_record=False)
-        for side, names, sort in zip((left, right), columns, on_disk, strict=True)
-    )
-    names = left.path, right.path
-    if options.match == "order":
+    keys = (CODE, KEY) if compared else (CODE,)
+    asked = [(left, (*keys, *plan.predicted)), (right, (*keys, *plan.reference))]
+    asked += [] if third is None else [(third, (CODE,))]
+    streams = [columns_of(side, names, sort=False, with_record=False) for side, names in asked]
 
-        def check(n: Sequence[int]) -> None:
-            if n[0] != n[1] and knows_cells:
+    def check(n: Sequence[int]) -> None:
+        if n[0] != n[1] and knows_cells:
+            raise _UnequalError
+        for side, other in zip(n[1:], (right, third), strict=False):
+            refuse_poor_match(n[0], side, left.path, other.path if other else "")
+
+    off = None
+    for one, other, *more in in_step(streams, check):
+        if compared and len(one[KEY]):
+            # cells that are counted from other numbers are in the same order all the same
+            apart = other[KEY] - one[KEY]
+            off = apart[0] if off is None else off
+            if np.any(apart != off):
                 raise _UnequalError
-            refuse_poor_match(n[0], n[1], *names)
-
-        off = None
-        for pair in in_step((one, other), check):
-            if compared and len(pair[0][KEY]):
-                # cells that are counted from other numbers are in the same order all the same
-                apart = pair[1][KEY] - pair[0][KEY]
-                off = apart[0] if off is None else off
-                if np.any(apart != off):
-                    raise _UnequalError
-            tally.n_pairs += len(pair[0][CODE])
-            tally.n_right += len(pair[0][CODE])
-            yield pair[0], pair[1]
-        return
-    tolerance = tolerance_of(options) or 0.0
-    match = NearestPlaces(tolerance, options.one_to_one) if options.match == "nearest" else MutualKeys(tolerance)
-    for joined in merge_join(one, other, match, tolerance, tally, names):
-        yield joined.pairs()
+        tally.n_pairs += len(one[CODE])
+        tally.n_right += len(one[CODE])
+        yield one, other, more[0][CODE] if more else None
 
 
 def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: EvaluateOptions) -> None:
@@ -360,11 +348,10 @@ def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: 
     counts.note(f"{{n}} pairs share their {shared} with other pairs: paired in their order", tally.n_in_order)
     if options.match == "time" and not (SAME in left.dimensions and SAME in right.dimensions):
         counts.note("return numbers are not on both sides: not compared")
-    _refuse_poor(left, right, tally, options)
 
 
-def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions) -> None:
-    n_left, n_right = left.tally.n_usable, right.tally.n_usable
+def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions, outside: tuple[int, int]) -> None:
+    n_left, n_right = left.tally.n_usable - outside[0], right.tally.n_usable - outside[1]
     smaller, other, found, of = (left, right, tally.n_pairs, n_left)
     if n_right < n_left:
         smaller, other, found, of = (right, left, tally.n_right, n_right)
@@ -382,32 +369,3 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
         "nearest": "check that both clouds are registered in one coordinate system, or give a larger tolerance",
     }
     raise InputError(smaller.path, share, hints.get(options.match, "check that the ids come from one run"))
-
-
-def _longest_axis(side: Side) -> str:
-    """Return the axis along which a side is longest: a slab across it holds the fewest points."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for file in side.files:
-        place = file.find(("x",))
-        if place is not None and isinstance(place[0], LasSource):
-            header = place[0].header
-            low, high = np.minimum(low, header.mins), np.maximum(high, header.maxs)
-            continue
-        for chunk in Side([file], KeyRule("place", AXES[0])).chunks(AXES):
-            if chunk.n:
-                xyz = np.stack([chunk.values[axis] for axis in AXES])
-                low, high = np.minimum(low, xyz.min(axis=1)), np.maximum(high, xyz.max(axis=1))
-    with np.errstate(over="ignore"):  # any number may stand in a file
-        extent = high - low
-    return AXES[int(np.argmax(np.where(np.isfinite(extent), extent, -1.0)))]
-
-
-def _check_crs(left: Side, right: Side, counts: Counts) -> None:
-    """Refuse coordinates of different systems."""
-    named = [(file.codes.path, crs) for side in (left, right) for file in side.files if (crs := file.crs)]
-    for (path, crs), (other_path, other) in pairwise(named):
-        if not same_crs(crs, other):
-            problem = f"coordinates in {short_crs(crs)}, but {other_path} has {short_crs(other)}"
-            raise InputError(path, problem, "reproject one of them, or match by time or by a dimension")
-    if len(named) < len(left.files) + len(right.files):
-        counts.note("not every file names its coordinate system: taken to be the same")

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.core.types import I64
+from prc_cli.core.types import I64, Mask
 from prc_cli.evaluation.confusion import (
     UNKNOWN,
     ConfusionMatrix,
     GroupedCounts,
     block_groups,
+    cells_of,
     check_edges,
     file_and_block,
     range_bounds,
@@ -23,10 +24,11 @@ from prc_cli.evaluation.confusion import (
 )
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.scores import FEW_BLOCKS, LEVEL, Interval, SplitPart, block_intervals
+from prc_cli.evaluation.three import ThreeCounts
+from prc_cli.jobs.evaluate.cuts import ScoredWindow
 from prc_cli.jobs.evaluate.options import EvaluateOptions
-from prc_cli.matching.join import (
-    Columns,
-)
+from prc_cli.jobs.evaluate.plan import StatePlan
+from prc_cli.matching.join import CODE, Columns
 from prc_cli.matching.sides import (
     CONFIDENCE,
     FILE,
@@ -44,6 +46,35 @@ RECORDS_PER_LINE = 1000
 SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner", CONFIDENCE: "confidence"}
 
 
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Columns beside the codes, by the side they are read from."""
+
+    predicted: tuple[str, ...]
+    reference: tuple[str, ...]
+    keys: tuple[str, ...]
+    """Columns of both sides that the match itself needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Predicted records and what they are compared with."""
+
+    one: Columns
+    """Columns of the predicted side."""
+    other: Columns
+    """Those of the partners that the plan asks for."""
+    rows: I64
+    """(n,) reference class, as an index of its names; negative = not scored."""
+    third: I64 | None = None
+    """(n,) codes of the third labelling, -1 = none; None = there is none."""
+
+    def kept(self, keep: Mask) -> Compared:
+        """Return some of the records."""
+        one, other = ({name: values[keep] for name, values in side.items()} for side in (self.one, self.other))
+        return Compared(one, other, self.rows[keep], None if self.third is None else self.third[keep])
+
+
 @dataclass(slots=True)
 class Counts:
     """All counts, summed over all pairs of files."""
@@ -55,6 +86,10 @@ class Counts:
     n_reference: int = 0
     n_matched: int = 0
     n_reference_matched: int = 0
+    third: ThreeCounts | None = None
+    plan: StatePlan = field(default_factory=StatePlan)
+    tolerances: set[float] = field(default_factory=set)
+    """Largest distances of pairs, where they were chosen from the data."""
     notes: dict[str, int] = field(default_factory=dict)
     """Sentences with ``{n}``, and the number of records of each; 0 for those without a number."""
 
@@ -62,6 +97,20 @@ class Counts:
         """Add a sentence; numbers of equal sentences are added."""
         if n or "{n}" not in sentence:
             self.notes[sentence] = self.notes.get(sentence, 0) + n
+
+    def fold(self) -> None:
+        """Count predicted classes as coarser ones where the reference never has them, as the mapping says."""
+        matrix = self.parts["all"].matrix(0)
+        held = {name for name, n in zip(matrix.reference_names, matrix.counts.sum(axis=1), strict=True) if n}
+        into = {name: to for name, to in self.mapping.coarser.items() if name not in held}
+        moved = {name: to for name, to in into.items() if matrix.counts[:, matrix.predicted_names.index(name)].any()}
+        if moved:
+            told = ", ".join(f"{name} as {to}" for name, to in moved.items())
+            self.note(f"the reference has no {', '.join(moved)}: counted {told}")
+        for part in self.parts.values():
+            part.fold(moved)
+        if self.third is not None:
+            self.third.fold(moved)
 
 
 def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
@@ -76,23 +125,63 @@ def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
     return tuple(name for name, wanted in asked.items() if wanted)
 
 
-def count_pairs(
-    found: dict[str, GroupedCounts], beside: Columns, cells: I64, options: EvaluateOptions, *, by_lines: bool
-) -> None:
-    """Add pairs to the whole and to every part."""
-    found["all"].add(np.zeros(len(cells), np.int64), cells)
-    if RANGE in found:
-        found[RANGE].add(range_groups(beside[RANGE], check_edges(options.split_range_m)), cells)
-    if LINE in found and options.split_lines is not None:
-        found[LINE].add(block_groups(beside[FILE], beside[LINE], options.split_lines), cells)
-    if SCANNER in found:
-        found[SCANNER].add(beside[SCANNER], cells)
-    if CONFIDENCE in found:
-        found[CONFIDENCE].add(np.minimum(beside[CONFIDENCE], MOST_CONFIDENCE), cells)
-    if "blocks" in found:
-        index = beside[LINE if by_lines else ROW]
-        per_block = options.interval_lines * (1 if by_lines else RECORDS_PER_LINE)
-        found["blocks"].add(block_groups(beside[FILE], index, per_block), cells)
+class Counting:
+    """Counts of one pool of files, until its match has succeeded."""
+
+    def __init__(
+        self, counts: Counts, options: EvaluateOptions, plan: Plan, first_file: int, *, by_lines: bool
+    ) -> None:
+        self._counts, self._options, self._plan = counts, options, plan
+        self._first_file, self._by_lines = first_file, by_lines
+        self._parts = {name: GroupedCounts(counts.mapping, name) for name in counts.parts}
+        self._window = None if options.window is None else ScoredWindow(options.window)
+        self._n_unsure = 0
+
+    def add(self, item: Compared) -> None:
+        """Count pairs that are within the window and sure enough."""
+        beside = item.other | {name: item.one[name] for name in self._plan.predicted}
+        keep = np.ones(len(item.rows), np.bool_)
+        if self._window is not None:
+            keep = self._window.keep(beside)
+        if self._options.min_confidence is not None:
+            sure = beside[CONFIDENCE] >= self._options.min_confidence
+            self._n_unsure += int(np.count_nonzero(keep & ~sure))
+            keep &= sure
+        if not keep.all():
+            item, beside = item.kept(keep), {name: values[keep] for name, values in beside.items()}
+        if FILE in beside:
+            beside[FILE] = beside[FILE] + self._first_file
+        self._count(beside, cells_of(self._counts.mapping, item.one[CODE], item.rows))
+        if self._counts.third is not None and item.third is not None:
+            states = self._counts.third.add(item.one[CODE], item.rows, item.third)
+            if "x" in item.one:
+                self._counts.plan.add(item.one["x"], item.one["y"], states)
+
+    def _count(self, beside: Columns, cells: I64) -> None:
+        """Add pairs to the whole and to every part."""
+        found, options = self._parts, self._options
+        found["all"].add(np.zeros(len(cells), np.int64), cells)
+        if RANGE in found:
+            found[RANGE].add(range_groups(beside[RANGE], check_edges(options.split_range_m)), cells)
+        if LINE in found and options.split_lines is not None:
+            found[LINE].add(block_groups(beside[FILE], beside[LINE], options.split_lines), cells)
+        if SCANNER in found:
+            found[SCANNER].add(beside[SCANNER], cells)
+        if CONFIDENCE in found:
+            found[CONFIDENCE].add(np.minimum(beside[CONFIDENCE], MOST_CONFIDENCE), cells)
+        if "blocks" in found:
+            index = beside[LINE if self._by_lines else ROW]
+            per_block = options.interval_lines * (1 if self._by_lines else RECORDS_PER_LINE)
+            found["blocks"].add(block_groups(beside[FILE], index, per_block), cells)
+
+    def finish(self, path: str) -> None:
+        """Add the counts to those of the other pools, and note what was left out."""
+        for name, part in self._parts.items():
+            self._counts.parts[name].merge(part)
+        if self._window is not None:
+            self._counts.note(*self._window.outside(path))
+        least = self._options.min_confidence
+        self._counts.note(f"{{n}} pairs have a confidence below {least} %: left out", self._n_unsure)
 
 
 def scored_parts(counts: Counts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:

@@ -16,8 +16,6 @@ from prc_cli.evaluation.confusion import (
 TIME_TOLERANCE_S = 6e-7
 """Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s. Shots of scanners up to 1 MHz
 are further apart, so none is paired with its neighbour."""
-NEAREST_TOLERANCE_M = 0.05
-"""A few times the rounding of registered clouds. May exceed the point spacing, since pairs are mutually nearest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +27,8 @@ class EvaluateOptions:
     ``nearest``. Files of other length or order are matched by cell instead, where both know line and column.
     The dimension ``record`` is the record's index where a file has no such column (not in LAS)."""
     tolerance: float | None = None
-    """Largest difference of a pair: seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`,
-    :data:`NEAREST_TOLERANCE_M`."""
+    """Largest difference of a pair: seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`, or
+    chosen from the spacing of the reference and the distance of the two clouds."""
     min_matched: float = 0.5
     """Least share of the smaller side that must be matched."""
     predicted_dimension: str | None = None
@@ -57,8 +55,19 @@ class EvaluateOptions:
     """Whether confidence intervals of the scores are computed."""
     interval_lines: int = 99
     """Scan lines per block that is left out as a whole."""
-    one_to_one: bool = True
-    """``nearest``: only mutually nearest pairs; otherwise a reference record may have several partners."""
+    unmatched: str = "leave"
+    """``nearest``: predicted shots without partner are left out (``leave``), or are ``noise`` in the reference where it
+    covers the ground."""
+    inside: str | None = None
+    """``nearest``: only shots inside are compared: ``X1,Y1,X2,Y2`` or a GeoJSON file of polygons."""
+    height: tuple[float, float] | None = None
+    """``nearest``: only shots between these heights above the reference's ground are scored [m]."""
+    trees: Path | None = None
+    """``nearest``: a CSV file of trees; shots inside their cylinders are stems in the reference."""
+    third: Path | None = None
+    """A third labelling of the same shots: by ``order`` or ``nearest``."""
+    third_mapping: str | Path | None = None
+    """Class mapping whose reference codes the third labelling has; None = that of the reference."""
     allow_missing: bool = False
     """Whether files without partner in the other folder are left out instead of refused."""
     window: Window | None = None
@@ -79,9 +88,7 @@ def check_options(options: EvaluateOptions) -> None:
             raise ConfigError("tolerance", f"records matched by {options.match} have none", "leave it out")
         if not math.isfinite(tolerance) or tolerance < 0 or (tolerance == 0 and options.match == "nearest"):
             raise ConfigError("tolerance", f"found {tolerance:g}, expected a finite number above 0")
-    if not options.one_to_one and options.match != "nearest":
-        problem = f"records matched by {options.match} have one partner, --several asks for more"
-        raise ConfigError("--several", problem, "leave it out, or give --match nearest")
+    _check_places(options)
     if options.pool and options.match == "order":
         raise ConfigError("pool", "records of pooled files have no order", "match by time, dimension or nearest")
     if not 0 <= options.min_matched <= 1:
@@ -92,6 +99,21 @@ def check_options(options: EvaluateOptions) -> None:
             raise ConfigError(key, f"found {value}, expected at least 1")
     check_edges(options.split_range_m)
     _check_confidence(options)
+
+
+def _check_places(options: EvaluateOptions) -> None:
+    """Refuse options that need coordinates, or a match that has none."""
+    by_place = {"unmatched": options.unmatched != "leave", **{
+        key: getattr(options, key) is not None for key in ("inside", "height", "trees")}}  # fmt: skip
+    for key, is_asked in by_place.items():
+        if is_asked and options.match != "nearest":
+            problem = f"needs coordinates of both sides, records are matched by {options.match}"
+            raise ConfigError(f"--{key}", problem, "give --match nearest")
+    if options.third is not None and options.match not in ("order", "nearest"):
+        problem = f"a third labelling is matched by order or nearest, found {options.match}"
+        raise ConfigError("--third", problem, "give --match nearest")
+    if options.unmatched not in ("leave", "noise"):
+        raise ConfigError("--unmatched", f"found {options.unmatched!r}, expected leave or noise")
 
 
 def _check_confidence(options: EvaluateOptions) -> None:
@@ -107,5 +129,6 @@ def _check_confidence(options: EvaluateOptions) -> None:
 
 def tolerance_of(options: EvaluateOptions) -> float | None:
     """Return the largest difference of a pair, None where records are not matched by a tolerance."""
-    default = {"time": TIME_TOLERANCE_S, "nearest": NEAREST_TOLERANCE_M}.get(options.match)
-    return default if options.tolerance is None else options.tolerance
+    if options.tolerance is None and options.match == "time":
+        return TIME_TOLERANCE_S
+    return options.tolerance

@@ -33,19 +33,29 @@ def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOp
         for one, other in zip(predicted, reference, strict=True):
             pooled += _pair(one, other, options)
     keys = _keys(options)
+    sides = (
+        (options.predicted_dimension, options.predicted_points),
+        (options.reference_dimension, options.reference_points),
+    )
     pools = []
-    for left, right in pooled:
-        points = options.predicted_points, options.reference_points
-        sides = [
-            Side(_open(files, dimension, beside), key, options.points_per_line)
-            for files, dimension, beside, key in zip(
-                (left, right), (options.predicted_dimension, options.reference_dimension), points, keys, strict=True
-            )
-        ]
-        for side in sides:
-            side.check()
-        pools.append((sides[0], sides[1]))
+    for pool in pooled:
+        left, right = (
+            Side(_open(files, *asked), key, options.points_per_line)
+            for files, asked, key in zip(pool, sides, keys, strict=True)
+        )
+        left.check()
+        right.check()
+        pools.append((left, right))
     return pools
+
+
+def open_side(path: Path, options: EvaluateOptions, key: KeyRule | None) -> Side:
+    """Open a third labelling, a file or a folder."""
+    if not path.exists():
+        raise InputError(str(path), "no such file or folder, expected class codes", "check the name")
+    side = Side(_open(files_of([path]), None, None), key, options.points_per_line)
+    side.check()
+    return side
 
 
 def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[Path], list[Path]]]:
@@ -59,7 +69,7 @@ def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[P
 
 
 def _keys(options: EvaluateOptions) -> tuple[KeyRule | None, KeyRule | None]:
-    """Return the key of either side; for ``nearest`` the axis is chosen later."""
+    """Return the key of either side."""
     if options.match.startswith("dimension:"):
         left, _, right = options.match.removeprefix("dimension:").partition("=")
         return KeyRule("dimension", left), KeyRule("dimension", right or left)

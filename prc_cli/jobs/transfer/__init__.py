@@ -6,7 +6,8 @@ merge-joined; a spool brings the classes back to the record order of the registe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
+from prc_cli.core.stream import Assumption
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.las.rewrite import LasRecoder
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import Layout
+from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.formats.writing.record import (
     Fingerprint,
     RunRecord,
@@ -29,10 +32,11 @@ from prc_cli.formats.writing.record import (
 )
 from prc_cli.jobs.progress import tell_share
 from prc_cli.jobs.transfer.options import TransferOptions
-from prc_cli.jobs.transfer.sides import check_paths, open_sides
+from prc_cli.jobs.transfer.sides import TransferSides, check_paths, open_sides
 from prc_cli.jobs.transfer.verdict import TransferCounts, counts_of, notices_of, refuse_poor_match
-from prc_cli.matching.join import CODE, KEY, RECORD, SAME, JoinTally, columns_of, merge_join
-from prc_cli.matching.keys import SPARE_LABELS, NearestLabel
+from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Joined, JoinTally, columns_of, merge_join
+from prc_cli.matching.keys import AXES, SPARE_LABELS, NearestLabel
+from prc_cli.matching.nearest import Cloud, fit_of, nearest_join, shift_of
 from prc_cli.matching.sides import CONFIDENCE
 
 
@@ -122,13 +126,9 @@ def transfer(
     sides = open_sides(labels, registered, points, layout, options)
     tally = JoinTally()
     n_changed, n_done, n_unsure, moved = 0, 0, 0, np.zeros(256, np.bool_)
-    names = (KEY, SAME, CODE)
-    with LasRecoder(output, registered, options.carry) as writer:
-        target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
-        beside = dict.fromkeys((*options.carry, *(() if options.min_confidence is None else (CONFIDENCE,))))
-        origin = columns_of(sides.labels, (*names, *beside), sort=not sides.found[0].in_order)
-        match, paths = NearestLabel(sides.tolerance), (sides.points.path, sides.labels.path)
-        for item in merge_join(target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS):
+    beside = tuple(dict.fromkeys((*options.carry, *(() if options.min_confidence is None else (CONFIDENCE,)))))
+    with LasRecoder(output, registered, options.carry) as writer, ExitStack() as stack:
+        for item in _partners(sides, beside, options, tally, stack):
             record, codes = item.left[RECORD], item.left[CODE].copy()
             at, to = item.at, item.to
             if options.min_confidence is not None:
@@ -167,6 +167,34 @@ def transfer(
         )
         writer.name_classes({code: name for code, name in _user_names(labels).items() if moved[code]})
         return TransferSummary(output, writer.finish(stored), counts)
+
+
+def _partners(
+    sides: TransferSides, beside: tuple[str, ...], options: TransferOptions, tally: JoinTally, stack: ExitStack
+) -> Iterator[Joined]:
+    """Yield the registered points (left) with their labels (right)."""
+    if options.match != "nearest":
+        names = (KEY, SAME, CODE)
+        target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
+        origin = columns_of(sides.labels, (*names, *beside), sort=not sides.found[0].in_order)
+        match, paths = NearestLabel(sides.tolerance), (sides.points.path, sides.labels.path)
+        yield from merge_join(target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS)
+        return
+    points, labels = (
+        Cloud(columns_of(side, (*AXES, CODE, *more), sort=False), stack.enter_context(scratch_file("matching")))
+        for side, more in ((sides.points, ()), (sides.labels, beside))
+    )
+    fit = fit_of(points, labels)
+    sides.tolerance = options.tolerance_s or (1.0 if fit is None else fit.tolerance_m)
+    why = "given" if options.tolerance_s else "beyond it few more points find a label"
+    sides.assumptions.append(Assumption("transfer.tolerance_m", f"{sides.tolerance:g}", why))
+    shift = shift_of(labels, points)
+    if shift is not None:
+        axes = ", ".join(f"{axis} {value:+.2f}" for axis, value in zip(AXES, shift, strict=True))
+        sides.notices.append(f"the registered points are shifted by {np.linalg.norm(shift):.2f} m ({axes} m)")
+    for item in nearest_join(points, labels, sides.tolerance, tally):
+        at = np.flatnonzero(item.to >= 0)
+        yield Joined(item.left, item.right, at, item.to[at])
 
 
 def _user_names(labels: Path) -> dict[int, str]:

@@ -18,9 +18,11 @@ class TransferOptions:
 
     match: str = "time"
     """``time``; ``order`` (equal on both sides; also ``record``), ``record:NAME`` (a dimension of the registered file
-    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides)."""
+    that holds the index of the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides);
+    ``nearest`` (the label with the nearest coordinates)."""
     tolerance_s: float = 0.0
-    """Largest difference of times [s]; float64 rounding at these times is always allowed in addition."""
+    """Largest difference of times [s]; float64 rounding at these times is always allowed in addition. ``nearest``:
+    largest distance [m]; 0 = chosen from both clouds, as ``prc evaluate`` does."""
     time_offset_s: float = 0.0
     """Added to the times of the labels [s]."""
     ignore_return: bool = False
@@ -41,14 +43,14 @@ class TransferOptions:
         if self.match == "order":  # as for prc evaluate
             object.__setattr__(self, "match", "record")
         kind, _, name = self.match.partition(":")
-        if self.match not in ("time", "record") and not (kind in ("record", "dimension") and name):
-            problem = f"found {self.match!r}, expected time, order, record:NAME or dimension:NAME"
+        if self.match not in ("time", "record", "nearest") and not (kind in ("record", "dimension") and name):
+            problem = f"found {self.match!r}, expected time, order, record:NAME, dimension:NAME or nearest"
             raise ConfigError("--match", problem)
         if not (math.isfinite(self.tolerance_s) and self.tolerance_s >= 0):
             raise ConfigError("--tolerance", f"found {self.tolerance_s}, expected seconds, 0 or more")
         if not math.isfinite(self.time_offset_s):
             raise ConfigError("--time-offset", f"found {self.time_offset_s}, expected seconds")
-        if self.match != "time" and (self.tolerance_s or self.time_offset_s):
+        if self.match != "time" and ((self.tolerance_s and self.match != "nearest") or self.time_offset_s):
             problem = f"--tolerance and --time-offset are for times, found --match {self.match}"
             raise ConfigError("--match", problem, "leave them out")
         if not 0 <= self.min_matched <= 1:

@@ -22,7 +22,7 @@ from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.transfer.options import TransferOptions
-from prc_cli.matching.keys import KeyRule
+from prc_cli.matching.keys import AXES, KeyRule
 from prc_cli.matching.sides import (
     CONFIDENCE,
     CodesAlone,
@@ -105,7 +105,9 @@ def open_sides(
             sides.notices.append(text)
     _refuse_apart(sides, options)
     if isinstance(origin, LasSource) and (notice := _crs_notice(origin, target)):
-        sides.notices.append(notice)
+        if options.match == "nearest":
+            raise InputError(sides.labels.path, notice, "reproject one of them, or match by time")
+        sides.notices.append(f"{notice}; the match does not use coordinates")
     return sides
 
 
@@ -174,6 +176,8 @@ def _same(
 
 def _rules(options: TransferOptions, same: tuple[str, ...]) -> tuple[KeyRule, KeyRule]:
     kind, _, name = options.match.partition(":")
+    if kind == "nearest":
+        return KeyRule("place", AXES[0], same), KeyRule("place", AXES[0], same)
     if kind == "time":
         return KeyRule("time", "time", same, options.time_offset_s), KeyRule("time", "time", same)
     if kind == "dimension":
@@ -188,8 +192,8 @@ def _demand(source: RecordSource, rule: KeyRule) -> None:
         problem = f"no time to match by, found: {shown}"
         hint = "match by --match order, record:NAME or dimension:NAME"
         raise InputError(source.path, problem, hint)
-    if rule.kind == "dimension":
-        _demand_dimensions(source, (rule.dimension,))
+    if rule.kind in ("dimension", "place"):
+        _demand_dimensions(source, rule.key_names)
 
 
 def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
@@ -264,4 +268,4 @@ def _crs_notice(origin: LasSource, target: LasSource) -> str | None:
             return None
     except (ImportError, ValueError, RuntimeError):  # CRSError is a RuntimeError
         pass
-    return "the coordinate systems of labels and points differ; the match does not use coordinates"
+    return "the coordinate systems of labels and points differ"

@@ -1,0 +1,219 @@
+"""Classification before registration beside one after it (CAR), on a simulated drive with known classes.
+
+    python -m benchmarks.car             # writes docs/car_figures.md
+    python -m benchmarks.car --length 40 --page /tmp/page.md
+    python -m benchmarks.car --large 20000000 40000000   # memory of the nearest match alone, printed
+
+The drive is registered with a trajectory that has 2 cm of error on every axis, cut into tiles of 40 m, shuffled,
+cleaned of single points and thinned to one point in 5 cm, as an office delivers it. The CAR is made of what anybody
+can install: the cloth simulation filter (``pip install prc-cli[peers]``) finds the ground, and the shape of 16
+neighbours (SciPy) tells buildings from vegetation; it has the ASPRS codes 2, 5 and 6 alone. It is a plain one: offices
+have better.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+from scipy.spatial import cKDTree
+
+from benchmarks.peak import CHILD
+from prc_cli.core.types import F64, I64, Mask
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "car_figures.md"
+ERROR_M, THINNED_M, TILE_M = 0.02, 0.05, 40.0
+LONELY_M = 0.25
+NEIGHBOURS = 16
+GROUND, VEGETATION, BUILDING, NOISE = 2, 5, 6, 7
+LENGTH_M = 120.0
+SCORES = ("recall", "precision", "f1")
+
+
+def prc(*arguments: object) -> tuple[Any, float, float]:
+    """Run a command; return what it prints as JSON, its time [s] and its peak memory [MiB]."""
+    start = time.perf_counter()
+    command = [sys.executable, "-c", CHILD.replace("stdout=sys.stderr", "stdout=sys.stdout"), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    text, _, peak = done.stdout.rstrip().rpartition("\n")
+    return json.loads(text) if text.strip().startswith("{") else None, time.perf_counter() - start, float(peak)
+
+
+def registered(las: laspy.LasData, seed: int = 1) -> F64:
+    """Return coordinates with the error of a trajectory: another one every second, and lines between."""
+    time_s = np.asarray(las.gps_time)
+    random = np.random.default_rng(seed)
+    knots = np.arange(time_s.min() - 1, time_s.max() + 2)
+    error = [np.interp(time_s, knots, random.normal(0, ERROR_M, len(knots))) for _ in range(3)]
+    return np.stack([las.x, las.y, las.z], axis=1) + np.stack(error, axis=1)
+
+
+def delivered(xyz: F64, keep: Mask) -> I64:
+    """Return the points that an office delivers: one in every small cube."""
+    kept = np.flatnonzero(keep)
+    cubes = np.floor(xyz[kept] / THINNED_M).astype(np.int64)
+    return kept[np.unique(cubes, axis=0, return_index=True)[1]]
+
+
+def is_lonely(xyz: F64) -> Mask:
+    """Return points without six others around: what a cleaning step deletes."""
+    return np.asarray(cKDTree(xyz).query(xyz, k=7, workers=-1)[0][:, -1] > LONELY_M)
+
+
+def car_classes(xyz: F64) -> I64:
+    """Classify registered points: cloth simulation, then the shape of the neighbourhood."""
+    cloth = import_module("CSF").CSF()
+    cloth.params.bSloopSmooth, cloth.params.cloth_resolution, cloth.params.class_threshold = False, 0.5, 0.2
+    cloth.setPointCloud(np.ascontiguousarray(xyz))
+    module = import_module("CSF")
+    ground, other = module.VecInt(), module.VecInt()
+    cloth.do_filtering(ground, other, False)
+    codes = np.full(len(xyz), VEGETATION)
+    codes[np.array(ground, np.int64)] = GROUND
+    rest = np.array(other, np.int64)
+    tree = cKDTree(xyz)
+    for part in np.array_split(rest, max(1, len(rest) // 100_000)):
+        near = xyz[tree.query(xyz[part], k=NEIGHBOURS, workers=-1)[1]]
+        apart = near - near.mean(axis=1, keepdims=True)
+        spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", apart, apart))
+        planar = (spread[:, 1] - spread[:, 0]) / np.maximum(spread[:, 2], 1e-12)
+        codes[part[planar > 0.3]] = BUILDING
+    return codes
+
+
+def write_tiles(folder: Path, xyz: F64, codes: I64, seed: int = 2) -> None:
+    """Write tiles whose points are shuffled."""
+    folder.mkdir()
+    random = np.random.default_rng(seed)
+    tiles = np.floor(xyz[:, :2] / TILE_M).astype(np.int64)
+    for column, row in np.unique(tiles, axis=0).tolist():
+        mine = random.permutation(np.flatnonzero((tiles == (column, row)).all(axis=1)))
+        las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+        las.header.scales = np.full(3, 0.001)
+        las.x, las.y, las.z = xyz[mine].T
+        las.classification = codes[mine].astype(np.uint8)
+        las.write(folder / f"tile_{column}_{row}.laz")
+
+
+def make(folder: Path, length: float) -> dict[str, tuple[float, float]]:
+    """Write the drive, what the office delivers with the true classes, and the CAR; return time and memory."""
+    used = {}
+    drive = folder / "drive.laz"
+    used["simulate"] = prc("simulate", "street", "-o", drive, "--length", length, "--seed", 7, "-q")[1:]
+    las = laspy.read(drive)
+    xyz, codes = registered(las), np.asarray(las.classification).astype(np.int64)
+    kept = delivered(xyz, codes != NOISE)
+    write_tiles(folder / "truth", xyz[kept], codes[kept])
+    start = time.perf_counter()
+    kept = delivered(xyz, ~is_lonely(xyz))
+    write_tiles(folder / "car", xyz[kept], car_classes(xyz[kept]))
+    used["CAR"] = time.perf_counter() - start, float("nan")
+    return used
+
+
+def noise_of(found: Any) -> tuple[float, float]:
+    """Return recall and precision of noise."""
+    noise = found["classes"]["noise"]
+    return noise["recall"], noise["precision"]
+
+
+def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Return a Markdown table."""
+    lines = [header, ("---", *["---:"] * (len(header) - 1)), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def page(folder: Path, length: float) -> str:
+    """Run the walk and return its page of figures."""
+    used = make(folder, length)
+    run = folder / "prc.laz"
+    near = ("--match", "nearest", "--json")
+    used["1"] = prc("classify", folder / "drive.laz", run, "--preset", "fused", "-q")[1:]
+    exact, *_ = prc("evaluate", run, folder / "drive.laz", "--mapping", "street", "--json")
+    asprs, *used["2"] = prc("evaluate", run, folder / "car", *near, "--mapping", "asprs", "--unmatched", "noise")
+    noise, *used["3"] = prc("evaluate", run, folder / "truth", *near, "--mapping", "street", "--unmatched", "noise",
+                            "--inside", "-500,-500,500,500")  # fmt: skip
+    three, *used["4"] = prc("evaluate", run, folder / "truth", *near, "--mapping", "street", "--third", folder / "car",
+                            "--third-mapping", "asprs", "--unmatched", "noise")  # fmt: skip
+    tile = max((folder / "truth").iterdir(), key=lambda path: path.stat().st_size)
+    used["5"] = prc("transfer", run, tile, folder / "out.laz", "--match", "nearest", "-q")[1:]
+    n = exact["n_scored"]
+    names = {"simulate": "simulate the drive", "CAR": "clean, thin, classify after registration (CSF, SciPy)",
+             "1": "1 classify", "2": "2 evaluate against CAR", "3": "3 evaluate against the truth as delivered",
+             "4": "4 evaluate all three", "5": "5 transfer to the largest tile"}  # fmt: skip
+    commands = [(name, f"{used[key][0]:.1f}", "-" if np.isnan(used[key][1]) else f"{used[key][1]:.0f}")
+                for key, name in names.items()]  # fmt: skip
+    scored = three["three"]
+    classes = [
+        (name, *(f"{side['classes'].get(name, {}).get(score) or 0:.3f}" for side in
+                 (scored["predicted"], scored["third"]) for score in SCORES))
+        for name in ("ground", "building", "vegetation", "noise")
+    ]  # fmt: skip
+    truth, estimate = noise_of(exact), noise_of(noise)
+    parts = [
+        f"# Figures of PRC and CAR\n\nWritten by `python -m benchmarks.car --length {length:g}`: {n:,} shots.",
+        "Times are wall times on a machine shared with other work; peak memory is of the command",
+        "with its guard.\n\n## Time and memory\n",
+        table(("command", "time [s]", "memory [MiB]"), commands),
+        "## Scores against the truth\n",
+        table(("class", *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)), classes),
+        "## Noise\n",
+        table(("figure", "recall", "precision"),
+              [("true, all shots", *(f"{value:.3f}" for value in truth)),
+               ("from the reference without noise", *(f"{value:.3f}" for value in estimate)),
+               ("from the CAR", *(f"{value:.3f}" for value in noise_of(asprs)))]),
+        "## Agreement\n",
+        table(("shots", "share"), [(name, f"{count / max(sum(scored['states'].values()), 1):.1%}")
+                                   for name, count in scored["states"].items()]),
+        "## What evaluate says\n\n### Against CAR\n",
+        *(f"- {note}" for note in asprs["match"]["notes"]),
+        "\n### Against the truth\n",
+        *(f"- {note}" for note in noise["match"]["notes"]),
+    ]  # fmt: skip
+    return "\n".join(parts).replace(str(folder) + "/", "") + "\n"
+
+
+def large(n: int, folder: Path) -> str:
+    """Return time and memory of matching n shots with as many registered points, 200 on every square metre."""
+    for name, seed in (("run", 1), ("reference", 2)):
+        header = laspy.LasHeader(version="1.4", point_format=6)
+        header.scales = np.full(3, 0.001)
+        random = np.random.default_rng(seed)
+        with laspy.open(folder / f"{name}.las", "w", header=header) as writer:
+            for first in range(0, n, 1 << 20):
+                m = min(1 << 20, n - first)
+                points = laspy.ScaleAwarePointRecord.zeros(m, header=header)
+                points.x = first / 4000 + random.uniform(0, m / 4000, m)
+                points.y, points.z = random.uniform(0, 20, m), random.normal(0, 0.005, m)
+                points.classification[:] = GROUND
+                writer.write_points(points)
+    found, seconds, peak = prc("evaluate", folder / "run.las", folder / "reference.las", "--match", "nearest", "--json")
+    return f"{n:,} shots: {found['match']['n_matched']:,} pairs, {seconds:.0f} s, peak {peak:.0f} MiB"
+
+
+def main() -> None:
+    """Write the page, or print the figures of large files."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--length", type=float, default=LENGTH_M, help="length of the street [m]")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--large", type=int, nargs="+", metavar="SHOTS")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        if options.large:
+            for n in options.large:
+                print(large(n, Path(folder)), flush=True)
+            return
+        options.page.write_text(page(Path(folder), options.length), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

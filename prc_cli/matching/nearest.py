@@ -1,0 +1,373 @@
+"""Nearest points of two clouds of any order and size: both go to disk by cell and are joined tile by tile."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, BinaryIO, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.threads import default_threads, ordered, read_ahead
+from prc_cli.core.types import F64, I64, Mask
+from prc_cli.formats.writing.disk import scratch_errors
+from prc_cli.matching.join import Columns, JoinTally
+from prc_cli.matching.keys import AXES
+
+TIME = "seconds"
+"""Column that decides between reference points as near, where both sides have it [s]."""
+CELL_M = 16.0
+"""Edge of a cell; a power of two, so that cells and tiles have exactly the same edges [m]."""
+TILE_RECORDS = 1 << 18
+"""Records of both sides in a tile, about: trees of more do not fit the processor's caches."""
+LEAST_M = 0.002
+"""Least tolerance by default: registered clouds are rounded to a millimetre or two."""
+SPREADS, _LEAST_SPREADS = 3.0, 2.0
+"""Bounds of the tolerance by default, in median distances of the clouds or of the points of the right one."""
+_WIDER, _FEW_MORE, _STEP, _MARGIN = 1.2, 0.03, 1.05, 1.07
+"""The tolerance ends where one this much wider would find a partner for less than this share of those without;
+then a margin for places that the sample has not."""
+_FARTHEST_M = 3.0
+_SAMPLED_TILES, _SAMPLED_RECORDS = 12, 20_000
+_TREE = {"balanced_tree": False, "compact_nodes": False}
+"""Medians are slow where many points share a coordinate, as on a grid."""
+_TIES = 4
+_NEIGHBOURS = 5
+"""The distance to this many points of the reference is the spacing around a point."""
+_READ_AT_ONCE = 1 << 20
+_MIDDLE = 1 << 30
+_FINE_M = 1.0
+
+Box: TypeAlias = tuple[float, float, float, float]
+"""x and y of the lower corner, x and y of the upper one (exclusive) [m]."""
+
+
+def cell_keys(x: F64, y: F64, edge_m: float) -> I64:
+    """Return a number for the cell of every point, by x and then by y."""
+    column, row = np.floor(x / edge_m), np.floor(y / edge_m)
+    return ((column.astype(np.int64) + _MIDDLE) << 32) + row.astype(np.int64) + _MIDDLE
+
+
+def cell_places(keys: I64) -> tuple[I64, I64]:
+    """Return column and row of cells.
+
+    >>> cell_places(cell_keys(np.array([-0.5]), np.array([33.0]), 16.0))
+    (array([-1]), array([2]))
+    """
+    return (keys >> 32) - _MIDDLE, (keys & 0xFFFFFFFF) - _MIDDLE
+
+
+class Cloud:
+    """The points of one side in a temporary file, ordered by cell within every chunk."""
+
+    def __init__(self, chunks: Iterator[Columns], handle: BinaryIO) -> None:
+        """Read all chunks; each has ``x``, ``y``, ``z`` (finite) and the same other columns."""
+        self._handle, self._lock = handle, threading.Lock()
+        self._dtype = np.dtype([(axis, np.float64) for axis in AXES])
+        self.n = 0
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+        parts = [self._put(columns, n) for columns in read_ahead(chunks) if (n := len(columns["x"]))]
+        parts.append((np.empty(0, np.int64),) * 3)
+        cells, first, count = (np.concatenate(part) for part in zip(*parts, strict=True))
+        order = np.argsort(cells, kind="stable")
+        self._cells, self._first, self._count = cells[order], first[order], count[order]
+
+    def _put(self, columns: Columns, n: int) -> tuple[I64, I64, I64]:
+        """Write a chunk; return the cells of its segments, their first record and their length."""
+        if not self.n:
+            self._dtype = np.dtype([(name, values.dtype) for name, values in columns.items()])
+        cell = cell_keys(columns["x"], columns["y"], CELL_M)
+        order = np.argsort(cell, kind="stable")
+        records = np.empty(n, self._dtype)
+        for name, values in columns.items():
+            records[name] = values[order]
+        with scratch_errors("matching"):
+            self._handle.write(records.view(np.uint8).data)
+        for axis, name in enumerate(AXES):
+            self.low[axis] = min(self.low[axis], columns[name].min())
+            self.high[axis] = max(self.high[axis], columns[name].max())
+        cell = cell[order]
+        new = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
+        segments = cell[new], new + self.n, np.diff(new, append=n)
+        self.n += n
+        return segments
+
+    def counts(self) -> tuple[I64, I64]:
+        """Return the cells that hold points, and how many."""
+        cells, index = np.unique(self._cells, return_inverse=True)
+        return cells, np.bincount(index, self._count, len(cells)).astype(np.int64)
+
+    def read(self, box: Box, margin: float = 0.0) -> Columns:
+        """Return the points of a box and of a margin around it."""
+        x0, y0, x1, y1 = box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin
+        ends = cell_keys(np.array([x0, x1]), np.array([y0, y1]), CELL_M)
+        (low, high), (bottom, top) = cell_places(ends)
+        columns = (np.arange(low, high + 1) + _MIDDLE) << 32
+        starts = np.searchsorted(self._cells, columns + bottom + _MIDDLE, side="left")
+        stops = np.searchsorted(self._cells, columns + top + _MIDDLE, side="right")
+        chosen = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops, strict=True)])
+        chosen = chosen[np.argsort(self._first[chosen])]
+        parts = [np.empty(0, self._dtype)]
+        for records in self._segments(chosen):
+            x, y = records["x"], records["y"]
+            inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
+            parts.append(records if inside.all() else records[inside])
+        records = np.concatenate(parts)
+        # neighbours in memory are neighbours in space: queries of a tree are then twice as fast
+        order = np.argsort(cell_keys(records["x"], records["y"], _FINE_M), kind="stable")
+        return {name: records[name][order] for name in self._dtype.names or ()}
+
+    def _segments(self, chosen: I64) -> Iterator[NDArray[Any]]:
+        first, count = self._first[chosen], self._count[chosen]
+        groups = np.cumsum(count) // _READ_AT_ONCE
+        for group in np.unique(groups).tolist():
+            here = np.flatnonzero(groups == group)
+            records = np.empty(int(count[here].sum()), self._dtype)
+            whole, at = records.view(np.uint8).data, 0
+            size = self._dtype.itemsize
+            with scratch_errors("matching"), self._lock:
+                for start, n in zip(first[here].tolist(), count[here].tolist(), strict=True):
+                    self._handle.seek(start * size)
+                    at += self._handle.readinto(whole[at : at + n * size])  # type: ignore[attr-defined]
+            yield records
+
+
+def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
+    """Cut the plan into boxes with about as many points of both clouds, at most; none lies apart from the left one."""
+    mine, theirs = left.counts(), right.counts()
+    around = [mine[0] + (i << 32) + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    cells = np.union1d(mine[0], np.intersect1d(np.concatenate(around), theirs[0]))
+    n = np.zeros(len(cells), np.int64)
+    for keys, counts in (mine, theirs):
+        held = np.isin(keys, cells)
+        n[np.searchsorted(cells, keys[held])] += counts[held]
+    column, row = cell_places(cells)
+    found: list[Box] = []
+    if not len(cells):
+        return found
+    span = max(int(np.ptp(column)), int(np.ptp(row))) + 1
+    nodes = [(int(column.min()), int(row.min()), 1 << max(span - 1, 0).bit_length(), np.arange(len(cells)))]
+    while nodes:
+        x, y, size, members = nodes.pop()
+        total = int(n[members].sum())
+        if total > most and size > 1:
+            half = size // 2
+            east, north = column[members] >= x + half, row[members] >= y + half
+            quarters = ((~east & ~north, x, y), (~east & north, x, y + half),
+                        (east & ~north, x + half, y), (east & north, x + half, y + half))  # fmt: skip
+            nodes += [(a, b, half, members[where]) for where, a, b in reversed(quarters) if where.any()]
+            continue
+        # a cell of too many points is cut evenly
+        parts = 1 << max(0, math.ceil(math.log2(max(total, 1) / most) / 2)) if size == 1 else 1
+        edge = size * CELL_M / parts
+        corners = [(x * CELL_M + i * edge, y * CELL_M + j * edge) for i in range(parts) for j in range(parts)]
+        found += [(a, b, a + edge, b + edge) for a, b in corners]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How two clouds lie on each other, from a sample of both [m]."""
+
+    spread_m: float
+    """Median distance of a left point to the nearest right one."""
+    spacing_m: float
+    """Median distance of a right point to the nearest other one."""
+    tolerance_m: float
+    """Largest distance of partners: where points of one surface end and those without partner are left."""
+    sparse: float
+    """Share of the left points beyond that lie no farther than the right ones there from each other."""
+
+
+def fit_of(left: Cloud, right: Cloud) -> Fit | None:
+    """Measure two clouds in tiles spread over the left one; None where they have no tile in common."""
+    boxes = tiles_of(left, right)
+    random = np.random.default_rng(0)
+    parts: list[tuple[F64, F64, F64]] = []
+    for box in random.permutation(np.array(boxes).reshape(-1, 4)).tolist():
+        if len(parts) == _SAMPLED_TILES:
+            break
+        ours = left.read(tuple(box))
+        if not len(ours["x"]):
+            continue
+        theirs, distance, found, tree = nearest_of(_sample(ours, random), right, tuple(box), _FARTHEST_M)
+        if tree is not None and len(theirs["x"]) > _NEIGHBOURS:
+            near = np.unique(found[np.isfinite(distance)])
+            apart = np.full((len(theirs["x"]), 2), np.inf)
+            apart[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1])[0]
+            around = np.append(apart, [[np.inf, 0.0]], axis=0)[found]
+            parts.append((distance, around[:, 1], apart[near, 0]))
+    if not parts:
+        return None
+    apart, around, spacing = (np.concatenate(part) for part in zip(*parts, strict=True))
+    spread, step = float(np.median(apart)), float(np.median(spacing))
+    tolerance = _tolerance(np.sort(apart), spread, step)
+    beyond = apart > tolerance
+    sparse = float(np.mean(apart[beyond] <= around[beyond])) if beyond.any() else 0.0
+    return Fit(spread, step, tolerance, sparse)
+
+
+def _tolerance(apart: F64, spread: float, step: float) -> float:
+    """Return the least distance beyond which few more partners are found, of sorted distances."""
+    most = max(SPREADS * max(spread, step), LEAST_M)
+    tolerance = max(LEAST_M, _LEAST_SPREADS * spread)
+    while tolerance < most:
+        beyond, wider = len(apart) - np.searchsorted(apart, [tolerance, tolerance * _WIDER], side="right")
+        if beyond - wider <= _FEW_MORE * beyond:
+            break
+        tolerance *= _STEP
+    return float(f"{min(_MARGIN * tolerance, most):.2g}")
+
+
+SHIFT_VOXEL_M = 0.25
+_SHIFT_VOXELS = (192, 192, 96)
+_MOST_SHIFT_M = 12.0
+_CLEARER = 1.15
+"""Share of occupied voxels that fall on each other after a shift, over that before it, from which it is believed."""
+
+
+def shift_of(left: Cloud, right: Cloud) -> F64 | None:
+    """Return what the right cloud is shifted by against the left one (3,) [m]; None = not by more than a voxel.
+
+    The occupied voxels of the fullest tile of both are laid on each other at every shift (by Fourier transform).
+    """
+    from scipy import fft
+
+    boxes = tiles_of(left, right)
+    cells, n = left.counts()
+    if not boxes or not right.n:
+        return None
+    column, row = (place[int(np.argmax(n))] * CELL_M for place in cell_places(cells))
+    middle = np.array([column, row]) + CELL_M / 2
+    half = np.array(_SHIFT_VOXELS) * SHIFT_VOXEL_M / 2
+    box = (*(middle - half[:2]).tolist(), *(middle + half[:2]).tolist())
+    both = [cloud.read(box) for cloud in (left, right)]
+    if any(len(columns["z"]) < _SAMPLED_RECORDS // _NEIGHBOURS for columns in both):
+        return None
+    corner = np.append(middle, np.median(both[0]["z"])) - half
+    grids = []
+    for columns in both:
+        place = np.floor((xyz_of(columns) - corner) / SHIFT_VOXEL_M).astype(np.int64)
+        place = place[((place >= 0) & (place < _SHIFT_VOXELS)).all(axis=1)]
+        grid = np.zeros(_SHIFT_VOXELS, np.float32)
+        grid[tuple(place.T)] = 1.0
+        grids.append(fft.rfftn(grid))
+    score = fft.irfftn(np.conj(grids[0]) * grids[1], _SHIFT_VOXELS)
+    reach = int(_MOST_SHIFT_M / SHIFT_VOXEL_M)
+    for axis, size in enumerate(_SHIFT_VOXELS):
+        index = [slice(None)] * 3
+        index[axis] = slice(reach + 1, size - reach)
+        score[tuple(index)] = 0.0
+    peak = np.unravel_index(int(np.argmax(score)), score.shape)
+    steps = [at - size if at > size // 2 else at for at, size in zip(peak, _SHIFT_VOXELS, strict=True)]
+    if score[peak] < _CLEARER * score[0, 0, 0] or max(map(abs, steps)) < 2:
+        return None
+    # between the voxels: the parabola through the peak and its neighbours
+    exact = []
+    for axis, step in enumerate(steps):
+        around = [score[tuple(np.add(peak, np.eye(3, dtype=int)[axis] * k) % _SHIFT_VOXELS)] for k in (-1, 0, 1)]
+        bend = around[0] - 2 * around[1] + around[2]
+        exact.append((step + (0.5 * (around[0] - around[2]) / bend if bend else 0.0)) * SHIFT_VOXEL_M)
+    return np.array(exact)
+
+
+def _sample(columns: Columns, random: np.random.Generator) -> Columns:
+    n = len(columns["x"])
+    chosen = np.sort(random.choice(n, _SAMPLED_RECORDS)) if n > _SAMPLED_RECORDS else np.arange(n)
+    return {axis: columns[axis][chosen] for axis in AXES}
+
+
+def xyz_of(columns: Columns) -> F64:
+    """Return coordinates as (n, 3)."""
+    return np.stack([columns[axis] for axis in AXES], axis=1)
+
+
+def _tree_of(xyz: F64) -> Any:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(xyz, **_TREE)
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """Left points of a tile with the nearest right ones."""
+
+    box: Box
+    left: Columns
+    """Every left point comes once."""
+    right: Columns
+    to: I64
+    """(n,) index in ``right``; -1 = none within the tolerance."""
+    sparse: Mask
+    """(n,) points without partner that the right cloud may have lost: they are no farther from it than its points
+    there are from each other."""
+
+
+def nearest_join(
+    left: Cloud, right: Cloud, tolerance: float, tally: JoinTally, reach: float | None = None
+) -> Iterator[Nearest]:
+    """Find the nearest right point of every left one, tile by tile.
+
+    ``reach`` is the distance to which points without partner are compared with the spacing of the right cloud.
+    """
+    reach = max(tolerance, reach or 0.0)
+
+    def join(box: Box) -> tuple[Nearest, F64, int]:
+        # right points of the tile can be partners of left points just outside
+        ours = left.read(box, tolerance)
+        core = _inside(ours, box)
+        theirs, distance, found, tree = nearest_of(ours, right, box, reach, tolerance)
+        to = np.where(distance <= tolerance, found, -1)
+        used = np.unique(to[to >= 0])
+        n_used = int(np.count_nonzero(_inside({axis: theirs[axis][used] for axis in "xy"}, box)))
+        ours, to, distance, found = {n: v[core] for n, v in ours.items()}, to[core], distance[core], found[core]
+        sparse = np.zeros(len(to), np.bool_)
+        lone = np.flatnonzero(np.isfinite(distance) & (to < 0))
+        if len(lone):
+            around = tree.query(tree.data[found[lone]], k=_NEIGHBOURS + 1)[0][:, -1]
+            sparse[lone] = distance[lone] <= around
+        return Nearest(box, ours, theirs, to, sparse), distance, n_used
+
+    for item, distance, n_used in ordered(join, tiles_of(left, right), threads=default_threads()):
+        tally.n_right += n_used
+        tally.n_left += len(item.to)
+        tally.n_pairs += int(np.count_nonzero(item.to >= 0))
+        tally.add_distances(distance, item.to >= 0)
+        if len(item.to):
+            yield item
+
+
+def nearest_of(
+    ours: Columns, cloud: Cloud, box: Box, bound: float, margin: float = 0.0
+) -> tuple[Columns, F64, I64, Any]:
+    """Return the points of a cloud around a box, the distance to and the index of the nearest one, and their tree.
+
+    Points of ours may lie up to ``margin`` outside the box. The distance is infinite where none is within ``bound``.
+    """
+    theirs = cloud.read(box, margin + bound)
+    n = len(ours["x"])
+    if not len(theirs["x"]):
+        return theirs, np.full(n, np.inf), np.zeros(n, np.int64), None
+    # coordinates of a projection are millions of metres: the tree works beside the origin
+    origin = np.array([theirs[axis][0] for axis in AXES])
+    tree = _tree_of(xyz_of(theirs) - origin)
+    timed = TIME in ours and TIME in theirs
+    k = min(_TIES, len(theirs["x"])) if timed else 1
+    limit = float(np.nextafter(bound, math.inf))  # it is exclusive
+    distance, found = tree.query(xyz_of(ours) - origin, [*range(1, k + 1)], distance_upper_bound=limit)
+    best = np.zeros(n, np.int64)
+    if timed:
+        # of several as near, the one of the nearest time
+        apart = np.abs(np.append(theirs[TIME], np.nan)[found] - ours[TIME][:, None])
+        equal = (distance == distance[:, :1]) & np.isfinite(apart)
+        best = np.argmin(np.where(equal, apart, np.inf), axis=1)
+    return theirs, distance[:, 0], found[np.arange(n), best], tree
+
+
+def _inside(columns: Columns, box: Box) -> Mask:
+    x, y = columns["x"], columns["y"]
+    inside: Mask = (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])
+    return inside

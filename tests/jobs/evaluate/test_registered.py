@@ -1,0 +1,253 @@
+"""A registered reference: its area, heights, trees and noise, what is wrong with it, and a third labelling."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from prc_cli.cli import cli
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import F64, I64
+from prc_cli.evaluation.html import as_html
+from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.evaluation.reports import as_dict, as_markdown
+from prc_cli.evaluation.scores import Evaluation
+from prc_cli.jobs.evaluate import evaluate_all
+from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.transfer import transfer
+from prc_cli.jobs.transfer.options import TransferOptions
+from tests.runner import runner
+
+CODES = {"noise": (7,), "ground": (2,), "building": (6,), "stem": (64,), "car": (65,)}
+MAPPING = ClassMapping(predicted=CODES, reference=CODES, coarser={"car": "building"})
+
+
+class Town:
+    """A street of 100 m with a wall, a post and noise in the air; every point once."""
+
+    def __init__(self) -> None:
+        random = np.random.default_rng(5)
+        ground = random.uniform(0, 1, (60_000, 3)) * [100, 20, 0.005]
+        wall = random.uniform(0, 1, (30_000, 3)) * [100, 0.005, 6] + [0, 20, 0]
+        post = random.uniform(-1, 1, (3_000, 3)) * [0.1, 0.1, 2] + [50.5, 10, 2]
+        cubes = [random.uniform(0, 1, (1_500, 3)) * [0.5, 0.5, 2] + [x, 4, 0] for x in (20, 43, 71, 90)]
+        noise = random.uniform(0, 1, (4_000, 3)) * [100, 18, 8] + [0, 1, 1]
+        parts = [ground, wall, post, *cubes, noise]
+        self.xyz = np.concatenate(parts)
+        self.codes = np.repeat([2, 6, 64, 65, 65, 65, 65, 7], [len(part) for part in parts])
+        self.error = random.normal(0, 0.004, self.xyz.shape)
+        # of the noise, four in five are found; of the ground, one in a hundred is called noise
+        found = random.random(len(self.codes))
+        self.labels = np.where((self.codes == 7) & (found > 0.8), 6, self.codes)
+        self.labels[(self.codes == 2) & (found < 0.01)] = 7
+
+
+def write(path: Path, xyz: F64, codes: I64) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    las.header.scales = np.full(3, 0.001)
+    las.x, las.y, las.z = xyz.T
+    las.classification = codes.astype(np.uint8)
+    las.write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def town() -> Town:
+    return Town()
+
+
+@pytest.fixture(scope="module")
+def folder(town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("town")
+    write(folder / "run.las", town.xyz, town.labels)
+    tiles(town, folder / "tiles")
+    return folder
+
+
+def tiles(town: Town, folder: Path, shift: float = 0.0, drop: int | None = None, wide: float = 0.0) -> Path:
+    """Write tiles of 25 m: shuffled, without noise, half of the points."""
+    random = np.random.default_rng(1)
+    xyz = town.xyz + town.error + [shift, 0, 0]
+    for k in range(4):
+        inside = (xyz[:, 0] >= 25 * k) & (xyz[:, 0] < 25 * (k + 1) + wide) & (town.codes != 7)
+        mine = random.permutation(np.flatnonzero(inside & (np.arange(len(xyz)) % 2 == 0)))
+        if k != drop:
+            write(folder / f"tile_{k}.laz", xyz[mine], town.codes[mine])
+    return folder
+
+
+def run(folder: Path, reference: Path | None = None, **options: Any) -> Evaluation:
+    sides = [folder / "run.las"], [folder / "tiles" if reference is None else reference]
+    return evaluate_all(*sides, MAPPING, options=EvaluateOptions(match="nearest", **options))
+
+
+def noted(found: Evaluation, text: str) -> str:
+    return next((note for note in found.match.notes if text in note), "")
+
+
+def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
+    noise, said = town.codes == 7, town.labels == 7
+    true = (noise & said).sum() / noise.sum(), (noise & said).sum() / said.sum()
+    for options in ({"max": 0.5}, {"max": 0.5, "inside": "0,0,100,21"}):
+        found = run(folder, unmatched="noise", tolerance=options.pop("max"), **options)
+        item = next(item for item in as_dict(found)["classes"].items() if item[0] == "noise")[1]
+        assert (item["recall"], item["precision"]) == pytest.approx(true, abs=0.02)
+        assert noted(found, "have no partner within 0.5 m: noise in the reference")
+    left = run(folder, tolerance=0.5)
+    assert as_dict(left)["classes"]["noise"]["n_reference"] == 0
+    assert noted(left, "--unmatched noise counts them as noise")
+    assert 0.01 < (run(folder).match.tolerance or 0) < 0.4
+    assert noted(run(folder), "median distance of the clouds")
+
+
+@pytest.mark.parametrize("kind", ["bounds", "polygon"])
+def test_an_area_leaves_out_the_rest(town: Town, folder: Path, tmp_path: Path, kind: str) -> None:
+    area = "10,0,30,12"
+    if kind == "polygon":
+        pytest.importorskip("shapely")
+        ring = [[10, 0], [30, 0], [30, 12], [10, 12], [10, 0]]
+        feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+        (tmp_path / "a.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+        area = str(tmp_path / "a.geojson")
+    x, y = np.round(town.xyz[:, 0], 3), np.round(town.xyz[:, 1], 3)
+    n = int(((x >= 10) & (x <= 30) & (y >= 0) & (y <= 12)).sum())
+    found = run(folder, inside=area, unmatched="noise", tolerance=0.3)
+    assert found.match.n_predicted == len(x)
+    assert abs(found.matrix.n_scored - n) <= 3
+    assert noted(found, f"predicted shots are outside {area}: not scored")
+
+
+def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
+    found = run(folder, height=(1.0, 3.0), tolerance=0.3)
+    rows = dict(zip(found.matrix.reference_names, found.matrix.counts.sum(axis=1), strict=True))
+    assert rows["ground"] == 0
+    assert rows["building"] == pytest.approx(10_000, rel=0.05)
+    with (tmp_path / "trees.csv").open("w", newline="") as handle:
+        csv.writer(handle).writerows([["x", "y", "radius", "height"], [50.5, 10, 0.4, 2.0], [20.25, 4.25, 0.5, 9]])
+    found = run(folder, trees=tmp_path / "trees.csv", tolerance=0.3)
+    rows = dict(zip(found.matrix.reference_names, found.matrix.counts.sum(axis=1), strict=True))
+    # half of the post is higher than its cylinder, and a block stands in the other one
+    assert rows["stem"] == pytest.approx(3_000 + 1_500 * 1.7 / 2, rel=0.05)
+
+
+def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_path: Path) -> None:
+    cases = (
+        ("shift", {"shift": 1.0}, "shifted by 1.0"),
+        ("gap", {"drop": 2}, "x 48 to 80, y 0 to 32, where"),
+        ("wide", {"wide": 5.0}, "overlap: tile_"),
+    )
+    for name, wrong, expected in cases:
+        found = run(folder, tiles(town, tmp_path / name, **wrong), unmatched="noise", min_matched=0.3)
+        assert noted(found, expected), found.match.notes
+    for name, xyz, expected in (
+        ("degrees", town.xyz * [1e-5, 1e-5, 1] + [24.5, 60.1, 0], "coordinates in degrees, expected metres"),
+        ("far", town.xyz + 500.0, "nothing overlaps; check that both are registered in one system"),
+    ):
+        path = write(tmp_path / name / "a.las", xyz, town.codes)
+        with pytest.raises(InputError, match=expected):
+            run(folder, path)
+    moved = write(tmp_path / "moved" / "run.las", town.xyz + np.array([500, 0, 0]), town.labels)
+    with pytest.raises(InputError, match="x and y are swapped in one of them"):
+        run(moved.parent, write(tmp_path / "s.las", town.xyz[:, [1, 0, 2]] + np.array([0, 500, 0]), town.codes))
+
+
+def test_classes_that_the_reference_never_has_are_coarser(town: Town, folder: Path, tmp_path: Path) -> None:
+    coarse = np.where(town.codes == 65, 6, town.codes)
+    path = write(tmp_path / "coarse.las", town.xyz, coarse)
+    found = run(folder, path, tolerance=0.3)
+    assert noted(found, "the reference has no car: counted car as building")
+    assert found.matrix.counts[:, found.matrix.predicted_names.index("car")].sum() == 0
+    assert not noted(run(folder, tolerance=0.3), "the reference has no")
+
+
+def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
+    third = np.where(town.codes == 65, 6, town.codes)
+    path = write(tmp_path / "third.las", town.xyz, third)
+    truth = write(tmp_path / "truth.las", town.xyz, town.codes)
+    for match in ("nearest", "order"):
+        options = EvaluateOptions(match=match, third=path, tolerance=0.001 if match == "nearest" else None)
+        found = evaluate_all([folder / "run.las"], [truth], MAPPING, options=options)
+        assert found.three is not None
+        states = found.three.states()
+        right = town.labels == town.codes, third == town.codes
+        assert states["both right"] == np.sum(right[0] & right[1])
+        assert states["only predicted right"] == np.sum(right[0] & ~right[1]) == np.sum(third != town.codes)
+        assert states["only third right"] == np.sum(~right[0] & right[1])
+        assert sum(states.values()) == len(town.codes)
+        assert "three labellings" in as_markdown(found).lower()
+        assert as_dict(found)["three"]["file"] == str(path)
+        assert "only third right" in as_html(found)
+        assert (found.plan is None) == (match == "order")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"inside": "1,2,3"}, "expected X1,Y1,X2,Y2 or a .geojson file"),
+        ({"inside": "900,900,901,901"}, "none of the .* predicted shots is in 900"),
+        ({"inside": "bad.geojson"}, "no GeoJSON"),
+        ({"trees": Path("bad.geojson")}, "expected a CSV file with the columns x,y,radius"),
+        ({"trees": Path("nowhere.csv")}, "nowhere.csv: cannot be read"),
+        ({"unmatched": "car"}, "expected leave or noise"),
+    ],
+)
+def test_options_that_cannot_be_used(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], message: str
+) -> None:
+    pytest.importorskip("shapely")
+    monkeypatch.chdir(tmp_path)
+    Path("bad.geojson").write_text("{}")
+    with pytest.raises((ConfigError, InputError), match=message):
+        run(folder, **options)
+
+
+def test_a_mapping_without_noise_says_so(folder: Path) -> None:
+    bare = {name: codes for name, codes in CODES.items() if name != "noise"}
+    mapping = ClassMapping(predicted=CODES, reference=bare)
+    options = EvaluateOptions(match="nearest", unmatched="noise")
+    with pytest.raises(ConfigError, match="--unmatched noise needs a class 'noise' in"):
+        evaluate_all([folder / "run.las"], [folder / "tiles"], mapping, options=options)
+
+
+def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Path) -> None:
+    tile = folder / "tiles" / "tile_1.laz"
+    for tolerance in (0.0, 0.1):
+        options = TransferOptions(match="nearest", tolerance_s=tolerance)
+        counts = transfer(folder / "run.las", tile, tmp_path / "out.laz", options, overwrite=True).counts
+        assert counts.n_matched == counts.n_points > 10_000
+    las = laspy.read(tmp_path / "out.laz")
+    xyz = np.stack([las.x, las.y, las.z], axis=1)
+    nearest = cKDTree(np.round(town.xyz, 3)).query(xyz)[1]
+    assert np.mean(np.asarray(las.classification) == town.labels[nearest]) > 0.999
+    with pytest.raises(ConfigError, match="no dimension 'x'"):
+        np.save(tmp_path / "labels.npy", town.labels.astype(np.uint8))
+        (tmp_path / "times.csv").write_text("time\n" + "\n".join(map(str, range(len(town.labels)))) + "\n")
+        transfer(tmp_path / "labels.npy", tile, tmp_path / "o.laz", options, points=tmp_path / "times.csv")
+
+
+def test_every_option_is_typed_as_the_page_shows(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "trees.csv").write_text("x,y,radius\n50.5,10,0.4\n")
+    arguments = [
+        "evaluate", folder / "run.las", folder / "tiles", "--match", "nearest", "--mapping", "prc",
+        "--max-distance", 0.5, "--unmatched", "noise", "--inside", "0,0,100,21", "--height", "-1:5",
+        "--trees", tmp_path / "trees.csv", "--third", folder / "tiles", "--third-mapping", "prc",
+        "-o", tmp_path / "page.html",
+    ]  # fmt: skip
+    found = runner().invoke(cli, [str(word) for word in arguments])
+    assert found.exit_code == 0, found.output
+    for expected in ("three labellings", "Matched by nearest within 0.5 m", "not from -1 to 5 m above ground"):
+        assert expected in found.output
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "From above: where predicted and third are right and wrong" in page
+    assert 'id="three"' in page
+    wrong = runner().invoke(cli, [*map(str, arguments[:5]), "--height", "2"])
+    assert isinstance(wrong.exception, ConfigError)
+    assert "expected heights above ground in metres, such as 0:2" in str(wrong.exception)

@@ -1,0 +1,91 @@
+"""Nearest points of two clouds, against those found one by one."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from prc_cli.core.types import F64
+from prc_cli.matching.join import Columns, JoinTally
+from prc_cli.matching.nearest import Cloud, fit_of, nearest_join, shift_of, tiles_of
+
+
+def cloud(xyz: F64, seconds: F64 | None = None, step: int = 37) -> Cloud:
+    def chunks() -> Iterator[Columns]:
+        for first in range(0, len(xyz), step):
+            part = slice(first, first + step)
+            columns: Columns = {axis: xyz[part, k] for k, axis in enumerate("xyz")}
+            columns["id"] = np.arange(len(xyz))[part]
+            yield columns if seconds is None else {**columns, "seconds": seconds[part]}
+
+    return Cloud(chunks(), io.BytesIO())
+
+
+def points(n: int, seed: int, span: float = 60.0) -> F64:
+    random = np.random.default_rng(seed)
+    return random.uniform(-span, span, (n, 3)) * [1, 1, 0.01] + [6.7e5, 6.2e6, 40.0]
+
+
+@pytest.mark.parametrize(("tolerance", "n", "most"), [(0.5, 900, 50), (3.0, 300, 7), (3.0, 20, 1000), (0.5, 0, 50)])
+def test_every_point_comes_once_with_its_nearest_one(
+    monkeypatch: pytest.MonkeyPatch, tolerance: float, n: int, most: int
+) -> None:
+    monkeypatch.setattr(tiles_of, "__defaults__", (most,))
+    left, right = points(n, 1), points(700, 2)
+    tally = JoinTally()
+    found = np.full(n, -2)
+    for item in nearest_join(cloud(left), cloud(right), tolerance, tally):
+        assert np.all(found[item.left["id"]] == -2)
+        found[item.left["id"]] = np.where(item.to >= 0, item.right["id"][item.to], -1)
+    apart = np.linalg.norm(left[:, None] - right[None], axis=2)
+    expected = np.where(apart.min(axis=1) <= tolerance, apart.argmin(axis=1), -1)
+    np.testing.assert_array_equal(found, expected)
+    used = len(set(expected.tolist()) - {-1})
+    assert (tally.n_left, tally.n_pairs, tally.n_right) == (n, int((expected >= 0).sum()), used)
+
+
+def test_a_cell_of_too_many_points_is_cut() -> None:
+    left = points(5000, 3, 2.0)
+    boxes = tiles_of(cloud(left), cloud(left), 500)
+    assert len(boxes) > 20
+    inside = [(left[:, 0] >= a) & (left[:, 0] < c) & (left[:, 1] >= b) & (left[:, 1] < d) for a, b, c, d in boxes]
+    assert np.array_equal(np.sum(inside, axis=0), np.ones(len(left)))
+
+
+def test_of_points_as_near_the_one_of_the_nearest_time_is_taken() -> None:
+    here = np.zeros((1, 3))
+    right = np.array([[0.1, 0, 0], [0.1, 0, 0], [-0.1, 0, 0]])
+    for seconds, expected in (([1.0, 5.0, 9.0], 1), ([5.0, 1.0, 9.0], 0), ([1.0, 1.0, 5.0], 2)):
+        clouds = cloud(here, np.array([5.0])), cloud(right, np.array(seconds))
+        (item,) = nearest_join(*clouds, 0.5, JoinTally())
+        assert item.right["id"][item.to].tolist() == [expected]
+
+
+@pytest.mark.parametrize(
+    ("error", "thinned", "low", "high"), [(0.0, 1, 0.002, 0.3), (0.02, 1, 0.05, 0.3), (0.0, 9, 0.4, 1)]
+)
+def test_the_tolerance_follows_error_and_spacing(error: float, thinned: int, low: float, high: float) -> None:
+    random = np.random.default_rng(0)
+    flat = np.stack([*(axis.ravel() * 0.1 for axis in np.mgrid[0:300, 0:300]), np.zeros(90_000)], axis=1)
+    kept = flat[random.random(len(flat)) < 1 / thinned]
+    fit = fit_of(cloud(flat, step=10_000), cloud(kept + random.normal(0, error, kept.shape), step=10_000))
+    assert fit is not None
+    assert low <= fit.tolerance_m <= high
+    assert fit_of(cloud(flat[:50]), cloud(flat[:50] + 1000.0)) is None
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -2.5, 0.5), (0.0, 0.0, 1.0)])
+def test_a_shift_is_measured(shift: tuple[float, float, float]) -> None:
+    random = np.random.default_rng(0)
+    ground = random.uniform(-20, 20, (30_000, 3)) * [1, 1, 0.001]
+    wall = random.uniform(0, 6, (15_000, 3)) * [2, 0.001, 1] + [3, 6, 0]
+    posts = np.concatenate([random.uniform(0, 3, (500, 3)) * [0.05, 0.05, 1] + [*at, 0] for at in
+                            random.uniform(-15, 15, (12, 2)).tolist()])  # fmt: skip
+    whole = np.concatenate([ground, wall, posts])
+    found = shift_of(
+        cloud(whole, step=9000), cloud(whole[::2] + shift + random.normal(0, 0.02, whole[::2].shape), step=9000)
+    )
+    assert np.allclose(np.zeros(3) if found is None else found, shift, atol=0.06)
