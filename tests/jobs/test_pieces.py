@@ -91,15 +91,13 @@ def test_a_kind_of_drive_that_was_there_is_not_odd(n_alike: int, n_usual: int, i
 
 
 def rules(**given: Any) -> Any:
-    usual = {
-        "lines": "angle-wrap", "columns": "angle", "line_hz": None, "time_origin_s": None, "angle_start_deg": None,
-        "angle_step_deg": None,
-    }  # fmt: skip
-    grid = SimpleNamespace(angle_grid=SimpleNamespace(start_rad=math.radians(5.0), step_rad=math.radians(0.25)))
+    config = {key: given.pop(key, None) for key in ("time_origin", "angle_start", "angle_step")}
+    usual = {"lines": "angle-wrap", "columns": "angle", "line_hz": None, "config": SimpleNamespace(**config)}
+    grid = SimpleNamespace(grid=SimpleNamespace(start_rad=math.radians(5.0), step_rad=math.radians(0.25)))
     times = iter([SimpleNamespace(values={"time": np.array([7.25, 8.0])})])
     return SimpleNamespace(
         rules=SimpleNamespace(**{**usual, **given}),
-        setups=dict(enumerate([SimpleNamespace(found=one) for one in (grid, SimpleNamespace(angle_grid=None), grid)])),
+        setups=dict(enumerate([SimpleNamespace(columns=one) for one in (grid, SimpleNamespace(grid=None), grid)])),
         source=SimpleNamespace(chunks=lambda _: times),
     )  # fmt: skip
 
@@ -129,12 +127,12 @@ MOVE = "columns follow from the times: shots that share a stamp may move by a co
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({}, (ANGLES,)), ({"angle_start_deg": 1.0}, (ANGLES,)), ({"angle_step_deg": 1.0}, (ANGLES,)),
-        ({"angle_start_deg": 1.0, "angle_step_deg": 1.0}, ()), ({"columns": "scan"}, ()),
+        ({}, (ANGLES,)), ({"angle_start": 1.0}, (ANGLES,)), ({"angle_step": 1.0}, (ANGLES,)),
+        ({"angle_start": 1.0, "angle_step": 1.0}, ()), ({"columns": "scan"}, ()),
         ({"columns": "time"}, (MOVE,)),
         ({"columns": "scan", "line_hz": 50.0}, (ORIGIN,)),
-        ({"columns": "scan", "line_hz": 50.0, "time_origin_s": 1.0}, ()),
-        ({"line_hz": 50.0, "columns": "time"}, (ORIGIN, MOVE)), ({"columns": "scan", "time_origin_s": 1.0}, ()),
+        ({"columns": "scan", "line_hz": 50.0, "time_origin": 1.0}, ()),
+        ({"line_hz": 50.0, "columns": "time"}, (ORIGIN, MOVE)), ({"columns": "scan", "time_origin": 1.0}, ()),
     ],
 )  # fmt: skip
 def test_options_that_a_thinned_file_needs(given: dict[str, Any], told: tuple[str, ...]) -> None:
