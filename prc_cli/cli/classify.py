@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import after_classify
-from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
 from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
@@ -34,7 +34,7 @@ FEW_SHOTS = 100
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("source", metavar="IN", type=ScanPath())
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @stream_options
 @window_options

@@ -28,6 +28,22 @@ CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 _FILE = click.Path(path_type=Path)
 
 
+class ScanPath(click.Path):
+    """Name of an input: that of a folder stands for the file in it where it is one recording."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the file to read."""
+        path = super().convert(value, param, ctx)
+        if not path.is_dir():
+            return path
+        from prc_cli.formats import scan_file  # here: most inputs are files
+
+        return scan_file(path)
+
+
 class SharedOption(NamedTuple):
     """An option of several commands."""
 

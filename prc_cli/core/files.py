@@ -255,10 +255,15 @@ def remove_stale(path: Path) -> tuple[Path, ...]:
     removed = []
     for part in parts_of(path, _machine()):
         if is_left_behind(part):
+            import shutil  # here: it takes time to load
+
             with contextlib.suppress(OSError):
                 if is_same(part, path):
                     path.unlink()
-                part.unlink()
+                if part.is_dir():
+                    shutil.rmtree(part)
+                else:
+                    part.unlink()
                 removed.append(part)
     return tuple(removed)
 
