@@ -255,12 +255,12 @@ def remove_stale(path: Path) -> tuple[Path, ...]:
     removed = []
     for part in parts_of(path, _machine()):
         if is_left_behind(part):
-            import shutil  # here: it takes time to load
-
             with contextlib.suppress(OSError):
                 if is_same(part, path):
                     path.unlink()
                 if part.is_dir():
+                    import shutil
+
                     shutil.rmtree(part)
                 else:
                     part.unlink()

@@ -64,6 +64,8 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
     """Return which file of a folder to name."""
     if (own := scan_file(path)) != path:
         return f"name the file in it: {own}"
+    if (own := scan_file(path)) != path:
+        return f"name the file in it: {own}"
     bags = _files_with(path, _BAG_PARTS)
     if bags and (path / _BAG_METADATA).is_file():
         more = f", or {bags[1]}" if len(bags) == 2 else f", or another of its {len(bags)} parts"

@@ -67,44 +67,16 @@ class Cloud:
         return len(self.ring)
 
 
-class Packed(NamedTuple):
-    """A message before its points are decoded."""
-
-    stamp_s: float
-    frame: str
-    fields: dict[str, tuple[int, int]]
-    """Offset and type of every field, by name."""
-    order: str
-    step: int
-    """Bytes of a point."""
-    points: bytes
-    """(n * step) bytes, without what rows have behind their points."""
-    width: int
-    n_fields: int
-    fields_at: tuple[int, int]
-    """Where the number of the fields stands in the message, and where they end."""
-    is_dense: bytes
-
-
 def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
     """Decode a message."""
-    held = unpack_cloud(data, is_cdr=is_cdr)
-    table = np.frombuffer(held.points, _point(held.fields, held.step, held.order))
-    return _decoded(held.frame, held.stamp_s, table)
-
-
-def unpack_cloud(data: bytes, *, is_cdr: bool) -> Packed:
-    """Find the fields and points of a message."""
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
-    height, width = cursor.number("I"), cursor.number("I")
-    begin, n_fields = cursor.at, cursor.number("I")
+    height, width, n_fields = (cursor.number("I") for _ in range(3))
     expect(n_fields <= _MAX_FIELDS, f"says that a point has {n_fields} fields, expected at most {_MAX_FIELDS}")
     fields = {}
     for _ in range(n_fields):
         name, offset, kind, _ = cursor.text(), cursor.number("I"), cursor.number("B"), cursor.number("I")
         fields[name] = (offset, kind)
-    fields_at = (begin, cursor.at)
     order = ">" if cursor.number("B") else "<"
     step, row_step = cursor.number("I"), cursor.number("I")
     raw = cursor.array("u1")
@@ -115,8 +87,7 @@ def unpack_cloud(data: bytes, *, is_cdr: bool) -> Packed:
     expect(is_whole, f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes")
     # rows may be longer than their points
     rows = np.lib.stride_tricks.as_strided(raw, (height, n_row) if n_row else (0, step), (row_step, 1), writeable=False)
-    is_dense = data[cursor.at : cursor.at + 1] or b"\0"
-    return Packed(stamp_s, frame, fields, order, step, rows.tobytes(), width, n_fields, fields_at, is_dense)
+    return _decoded(frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)))
 
 
 def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:

@@ -105,7 +105,7 @@ def _mend(path: Path) -> str:
 
 
 @contextlib.contextmanager
-def _errors(path: Path) -> Iterator[None]:
+def bag_errors(path: Path) -> Iterator[None]:
     """Make one line of whatever a damaged bag does to a library."""
     try:
         yield
@@ -137,7 +137,7 @@ def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
                 if topic_of(one) not in topics:
                     indexes[one.id].clear()
 
-    with _errors(path), Lean(path) if suffix_of(path) == ".bag" else rosbag2.Reader(path) as reader:
+    with bag_errors(path), Lean(path) if suffix_of(path) == ".bag" else rosbag2.Reader(path) as reader:
         yield reader
 
 
@@ -168,7 +168,7 @@ def _database(bag: Bag) -> Iterator[tuple[sqlite3.Connection, dict[int, Topic]]]
         beside = path.with_name(path.name + suffix)
         if beside.is_file() and beside.stat().st_size:
             bag.problem = f"the recorder did not finish: {beside.name} holds more messages, which are not read"
-    with _errors(path):
+    with bag_errors(path):
         # immutable: nothing is written beside the bag
         base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
         try:

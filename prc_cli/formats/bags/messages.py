@@ -90,21 +90,6 @@ class Cursor:
         return float(seconds + nanoseconds * 1e-9)
 
 
-class Builder:
-    """The bytes of a message that is made anew behind the beginning of another one."""
-
-    def __init__(self, begin: bytes, like: Cursor) -> None:
-        self.data, self._like = bytearray(begin), like
-
-    def put(self, form: str, *numbers: int) -> None:
-        """Add numbers of :mod:`struct` format letters, each aligned as CDR does."""
-        for letter, number in zip(form, numbers, strict=True):
-            value = struct.pack(self._like.order + letter, number)
-            if self._like.is_cdr:
-                self.data += bytes(-(len(self.data) - 4) % len(value))
-            self.data += value
-
-
 VELODYNE, PANDAR, NEBULA = "velodyne_msgs/VelodyneScan", "pandar_msgs/PandarScan", "nebula_msgs/NebulaPackets"
 OUSTER = ("ouster_sensor_msgs/PacketMsg", "ouster_msgs/PacketMsg", "ouster_ros/PacketMsg")
 PACKED = (VELODYNE, PANDAR, NEBULA, *OUSTER)

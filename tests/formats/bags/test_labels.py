@@ -21,7 +21,7 @@ from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import U8
 from prc_cli.formats import scan_file
 from prc_cli.formats.bags.containers import Bag
-from prc_cli.formats.bags.labels import label_cloud
+from prc_cli.formats.bags.labels import CloudCodec
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
@@ -166,7 +166,7 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
     store = made.STORES[2]
     data = bytes(store.serialize_cdr(message, message.__msgtype__))
     found = store.deserialize_cdr(
-        label_cloud(data, lambda n: np.arange(n, dtype=np.uint8), is_cdr=True), message.__msgtype__
+        CloudCodec(is_cdr=True).label(data, lambda n: np.arange(n, dtype=np.uint8)), message.__msgtype__
     )
     table["label"] = np.arange(6)
     assert (found.height, found.width, found.point_step, found.row_step) == (2, 3, step, 3 * step)
