@@ -60,8 +60,8 @@ def classify(
 ) -> None:  # fmt: skip
     """Give every shot of IN its class and write OUT.
 
-    OUT is .las or .laz (class codes; everything else stays as it is in IN), or the labels alone: .npy, .csv,
-    .parquet. The run is recorded in OUT and in OUT.prc.json beside it.
+    OUT is .las or .laz (class codes; everything else stays as it is in IN), a bag where IN is one, or the labels
+    alone: .npy, .csv, .parquet. The run is recorded in OUT and in OUT.prc.json beside it.
 
     Without --preset, --method or a configuration that names one, the method that labels IN best is taken: fused where
     the angles of the beams are known, with its forest classes where the place looks like a forest; else PRC. A line on

@@ -24,16 +24,12 @@ def scan_file(path: Path) -> Path:
         return path
     from prc_cli.formats.echopulse import count_file
 
-    counts = count_file(path)
-    if counts is not None:
-        return counts
-    bags = _files_with(path, _BAG_PARTS)
+    found, bags = count_file(path), _files_with(path, _BAG_PARTS)
     with contextlib.suppress(OSError):
-        told = read_small(path / _BAG_METADATA, 1 << 20)
         # of a split bag, parts may be missing here
-        if len(bags) == 1 and len(set(re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", told))) <= 1:
-            return bags[0]
-    return path
+        told = set(re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", read_small(path / _BAG_METADATA, 1 << 20)))
+        found = bags[0] if found is None and len(bags) == 1 and len(told) <= 1 else found
+    return path if found is None else found
 
 
 def check_input(path: Path) -> str:
@@ -64,12 +60,10 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
     """Return which file of a folder to name."""
     if (own := scan_file(path)) != path:
         return f"name the file in it: {own}"
-    if (own := scan_file(path)) != path:
-        return f"name the file in it: {own}"
     bags = _files_with(path, _BAG_PARTS)
     if bags and (path / _BAG_METADATA).is_file():
-        more = f", or {bags[1]}" if len(bags) == 2 else f", or another of its {len(bags)} parts"
-        return f"name the file in this bag: {bags[0]}{more if len(bags) > 1 else ''}"
+        more = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
+        return f"name the file in this bag: {bags[0]}{more}"
     scans = _files_with(path, known)
     if not scans:
         return "name a file; this folder itself has no scan"

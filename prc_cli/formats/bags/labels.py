@@ -33,7 +33,6 @@ from prc_cli.formats.writing.record import RunRecord
 FIELD, _UINT8 = "label", 2
 """Field of a point that holds its class code, and its type."""
 _DATABASE, _METADATA = ".db3", "metadata.yaml"
-_PARTS = (_DATABASE, ".mcap")
 
 Take: TypeAlias = Callable[[int], U8]
 """Gives the codes of the next n records, (n,) uint8."""
@@ -57,8 +56,9 @@ class CloudCodec:
         if field is None:
             return cloud, None
         form = ">" if cloud.is_bigendian else "<"
-        kind: Any = {"names": ["code"], "formats": [form + TYPES[field.datatype]], "offsets": [field.offset]}
-        return cloud, self._rows(cloud).view(np.dtype({**kind, "itemsize": cloud.point_step}))[:, 0]
+        point: Any = {"names": ["code"], "formats": [form + TYPES[field.datatype]], "offsets": [field.offset]}
+        point["itemsize"] = cloud.point_step
+        return cloud, self._rows(cloud).view(np.dtype(point))[:, 0]
 
     def _rows(self, cloud: Any) -> U8:
         """Return the bytes of every point, (n, bytes), without what rows have behind their points."""
@@ -132,8 +132,8 @@ class BagRewriter(ScatterWriter):
 
     def _beside(self, metadata: Path) -> Path | None:
         """Return the temporary name of what makes a bag of a folder; None where the folder has another one."""
-        others = [one for one in metadata.parent.iterdir() if suffix_of(one) in _PARTS and one.name != self.path.name]
-        if others or (metadata.exists() and not self.path.exists()):
+        others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
+        if others & {_DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
             self._notice(f"no {_METADATA} was written: the folder has another bag; a folder of its own would get one")
             return None
         remove_stale(metadata)
@@ -189,7 +189,7 @@ class BagRewriter(ScatterWriter):
         from rosbags import rosbag1, rosbag2
 
         suffix = self.path.suffix.lower()
-        if suffix not in _PARTS:
+        if suffix == ".bag":
             with rosbag1.Writer(self._temporary) as first:
                 yield first
             return

@@ -236,6 +236,7 @@ def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
     assert not left.exists()
 
 
+@pytest.mark.data
 def test_packets_are_refused(tmp_path: Path, real_data: Path) -> None:
     with pytest.raises(
         OutputError, match="holds packets, which have no place for classes; write the labels alone: .npy"
@@ -244,6 +245,7 @@ def test_packets_are_refused(tmp_path: Path, real_data: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.data
 @pytest.mark.parametrize("name", ["ros/sick_lms1xx_ros1.bag", "cartographer/b0_short.bag"])
 def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
     source, output = real_data / name, tmp_path / "out.bag"
