@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import Sectioned, config_from, stream_options, window_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, stream_options, window_options
 from prc_cli.cli.report import line_progress, print_doubts, print_line, results, table_of
 from prc_cli.cli.safe import printable_lines
 from prc_cli.core.errors import ConfigError
@@ -34,7 +34,7 @@ from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("source", metavar="IN", type=ScanPath())
 @click.option(
     "-o",
     "--output",

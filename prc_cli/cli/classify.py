@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import after_classify
-from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
 from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
@@ -35,7 +35,7 @@ FEW_SHOTS = 100
 
 
 @click.command(cls=Sectioned)
-@click.argument("sources", metavar="IN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="IN...", nargs=-1, required=True, type=ScanPath())
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @stream_options
 @window_options
@@ -61,9 +61,9 @@ def classify(
 ) -> None:  # fmt: skip
     """Give every shot of IN its class and write OUT.
 
-    OUT is .las or .laz (class codes; everything else stays as it is in IN), or the labels alone: .npy, .csv,
-    .parquet. The run is recorded in OUT and in OUT.prc.json beside it. The files of one drive, in order, are one
-    stream: OUT is then a folder, with an output for each.
+    OUT is .las or .laz (class codes; everything else stays as it is in IN), a bag where IN is one, or the labels
+    alone: .npy, .csv, .parquet. The run is recorded in OUT and in OUT.prc.json beside it. The files of one drive, in
+    order, are one stream: OUT is then a folder, with an output for each.
 
     Without --preset, --method or a configuration that names one, the method that labels IN best is taken: fused where
     the angles of the beams are known, with its forest classes where the place looks like a forest; else PRC. A line on

@@ -9,14 +9,14 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import Sectioned, config_from, input_options, output_options, window_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, input_options, output_options, window_options
 from prc_cli.cli.report import NOT_KEPT, line_progress, print_assumptions, print_doubts, print_line, print_notices
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("source", metavar="IN", type=ScanPath())
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @input_options
 @window_options

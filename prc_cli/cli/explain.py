@@ -9,7 +9,7 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import Sectioned, config_from, stream_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, stream_options
 from prc_cli.cli.report import compiling_note, line_progress, results
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.explain import Explanation
@@ -17,7 +17,7 @@ from prc_cli.jobs.explain import explain as explain_shot
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("source", metavar="IN", type=ScanPath())
 @click.option("--at", "place", required=True, metavar="LINE,COLUMN", help="The shot, both counted from 0.")
 @click.option("--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]")
 @stream_options

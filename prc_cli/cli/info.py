@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import output_for
-from prc_cli.cli.options import Sectioned, config_from, given_words, output_options, stream_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, given_words, output_options, stream_options
 from prc_cli.cli.safe import printable
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
@@ -26,7 +26,7 @@ from prc_cli.streams.evidence.table import check_table
 
 
 @click.command(cls=Sectioned)
-@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=ScanPath())
 @click.option("--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs.")
 @stream_options
 @click.option(

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
 from prc_cli.cli.report import compiling_note, line_progress, print_doubts, print_line, print_notices, print_taken
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import KINDS, Thing, find_objects
@@ -17,7 +17,7 @@ from prc_cli.jobs.objects.write import COLUMNS, plain
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("source", metavar="IN", type=ScanPath())
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), metavar="OUT", help="A .csv, .geojson or .parquet file."
 )

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -21,11 +22,20 @@ from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.core.samples import or_sample
+from prc_cli.formats import scan_file
 from prc_cli.methods.methods import METHODS
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 _FILE = click.Path(path_type=Path)
+
+
+class ScanPath(click.Path):
+    """Name of an input: that of a folder stands for the file in it where it is one recording."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the file to read."""
+        return scan_file(Path(os.fsdecode(super().convert(value, param, ctx))))
 
 
 class SharedOption(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import Sectioned, config_from, stream_options
+from prc_cli.cli.options import ScanPath, Sectioned, config_from, stream_options
 from prc_cli.cli.report import line_progress, print_line
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import (
@@ -26,7 +26,7 @@ _FILE = click.Path(path_type=Path)
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="IN", type=_FILE)
+@click.argument("source", metavar="IN", type=ScanPath())
 @click.argument("output", metavar="[OUT]", type=_FILE, required=False)
 @click.option(
     "--html",

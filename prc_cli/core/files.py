@@ -13,6 +13,7 @@ import os
 import platform
 import re
 import secrets
+import shutil
 import stat
 import time
 from collections.abc import Iterator, Sequence
@@ -272,7 +273,7 @@ def remove_stale(path: Path) -> tuple[Path, ...]:
             with contextlib.suppress(OSError):
                 if is_same(part, path):
                     path.unlink()
-                part.unlink()
+                shutil.rmtree(part) if part.is_dir() else part.unlink()
                 removed.append(part)
     return tuple(removed)
 

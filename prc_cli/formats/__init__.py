@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import suffix_of
+from prc_cli.core.files import read_small, suffix_of
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats.las import SUFFIXES as LAS_SUFFIXES
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import by_suffix
 
-_BAG_PARTS = (".db3", ".mcap")
+_BAG_PARTS, _BAG_METADATA = (".db3", ".mcap"), "metadata.yaml"
 """Files of a ROS 2 bag, which is a folder."""
+
+
+def scan_file(path: Path) -> Path:
+    """Return the file that stands for a folder: of a bag in one part, or of pulses; of others the folder itself."""
+    if not path.is_dir():
+        return path
+    from prc_cli.formats.echopulse import count_file
+
+    found, bags = count_file(path), _files_with(path, _BAG_PARTS)
+    with contextlib.suppress(OSError):
+        # of a split bag, parts may be missing here
+        told = set(re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", read_small(path / _BAG_METADATA, 1 << 20)))
+        found = bags[0] if found is None and len(bags) == 1 and len(told) <= 1 else found
+    return path if found is None else found
 
 
 def check_input(path: Path) -> str:
@@ -42,15 +58,12 @@ def check_input(path: Path) -> str:
 
 def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
     """Return which file of a folder to name."""
-    from prc_cli.formats.echopulse import count_file
-
-    counts = count_file(path)
-    if counts is not None:
-        return f"name the file that counts its returns: {counts}"
+    if (own := scan_file(path)) != path:
+        return f"name the file in it: {own}"
     bags = _files_with(path, _BAG_PARTS)
-    if bags and (path / "metadata.yaml").is_file():
-        more = f", or {bags[1]}" if len(bags) == 2 else f", or another of its {len(bags)} parts"
-        return f"name the file in this bag: {bags[0]}{more if len(bags) > 1 else ''}"
+    if bags and (path / _BAG_METADATA).is_file():
+        more = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
+        return f"name the file in this bag: {bags[0]}{more}"
     scans = _files_with(path, known)
     if not scans:
         return "name a file; this folder itself has no scan"
@@ -67,7 +80,7 @@ def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
 
 def _not_a_scan(path: Path) -> str:
     """Return what to do with a file of an unknown suffix: its scan may lie beside it."""
-    if path.name == "metadata.yaml" and path.is_file():
+    if path.name == _BAG_METADATA and path.is_file():
         bags = _files_with(path.parent, _BAG_PARTS)
         if bags:
             return f"this describes a bag: name the file beside it, {bags[0]}"
@@ -89,4 +102,4 @@ def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> S
     return by_suffix("scans")[suffix_of(path)].open_images(path, config, lines_at_once)
 
 
-__all__ = ["LAS_SUFFIXES", "check_input", "open_images", "open_source"]
+__all__ = ["LAS_SUFFIXES", "check_input", "open_images", "open_source", "scan_file"]

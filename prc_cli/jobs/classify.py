@@ -28,7 +28,7 @@ from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats import LAS_SUFFIXES, check_input
+from prc_cli.formats import LAS_SUFFIXES, check_input, scan_file
 from prc_cli.formats.las import LAZ
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud, keeps_points
@@ -145,7 +145,7 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     InputError
         When the file is damaged, or ranges cannot be computed from it.
     """
-    path = Path(path)
+    path = scan_file(Path(path))
     return _open(path, with_layout_beside(path, LoadedConfig.of(config)).config, geometry=True)
 
 
@@ -292,7 +292,7 @@ def classify(
         load_classifier(loaded, engine)
     with use_engine(engine):
         return _classify(
-            Path(source), Path(output), loaded,
+            scan_file(Path(source)), Path(output), loaded,
             overwrite=overwrite, progress=progress, threads=threads_of(engine, threads), engine=engine, loading=loading,
         )  # fmt: skip
 
@@ -344,6 +344,7 @@ def _classify(
                 laz_contexts=stream.info.facts.laz_contexts,
                 user_names=user_names(loaded.config),
                 is_part=loaded.config.input.window is not None,
+                rules=loaded.config.input,
                 place=place,
             ),
             overwrite=overwrite,

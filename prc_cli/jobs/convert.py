@@ -284,7 +284,7 @@ def open_items(
             carried = carry(records, class_name, XYZ if shares else axes, output, stack)
             if loaded.config.input.window is None:
                 carried.read_all()
-        elif records is None and codes and format_of(source, "codes") is not None:
+        elif records is None and codes and stream.info.format == "array":
             carried = _carry_array(source, stream.info, output, stack)
         made_up = None
         if xyz and not axes and first.xyz_m is None and is_cloud(output):

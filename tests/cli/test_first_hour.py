@@ -124,7 +124,7 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(prc: Prc, tm
     assert "this folder itself has no scan" in prc("info", bag).err
     (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
     (bag / "bag_0.db3").write_bytes(b"SQLite format 3\0")
-    assert prc("info", bag).err.endswith(f"name the file in this bag: {bag / 'bag_0.db3'}\n")
+    assert f"{bag / 'bag_0.db3'}: found no SQLite header" in prc("info", bag).err
     assert prc("info", bag / "metadata.yaml").err.endswith(f"name the file beside it, {bag / 'bag_0.db3'}\n")
     (bag / "bag_1.db3").write_bytes(b"SQLite format 3\0")
     assert prc("info", bag).err.endswith(f"bag_0.db3, or {bag / 'bag_1.db3'}\n")

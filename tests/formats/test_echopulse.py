@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
-from prc_cli.formats import check_input, open_source
+from prc_cli.formats import check_input, open_source, scan_file
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from tests.cli.test_commands import Prc
@@ -51,7 +51,8 @@ def test_lengths_that_contradict(tmp_path: Path, name: str, content: bytes, told
 
 def test_the_folder_names_the_file_to_give(tmp_path: Path) -> None:
     pulse_folder(tmp_path / "p")
-    with pytest.raises(InputError, match="name the file that counts its returns: .*pulse-uint8-n_echo.bin"):
+    assert scan_file(tmp_path / "p") == tmp_path / "p" / "pulse-uint8-n_echo.bin"
+    with pytest.raises(InputError, match="name the file in it: .*pulse-uint8-n_echo.bin"):
         check_input(tmp_path / "p")
 
 

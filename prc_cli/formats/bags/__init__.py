@@ -2,4 +2,15 @@
 
 from prc_cli.formats.registry import Format
 
-FORMATS = (Format(name="bag", scans=(".bag", ".db3", ".mcap"), images="prc_cli.formats.bags.read:open_bag"),)
+_SUFFIXES = (".bag", ".db3", ".mcap")
+FORMATS = (
+    Format(
+        name="bag",
+        scans=_SUFFIXES,
+        images="prc_cli.formats.bags.read:open_bag",
+        labels=_SUFFIXES,
+        write_labels="prc_cli.formats.bags.labels:BagRewriter",
+        codes=_SUFFIXES,
+        open_codes="prc_cli.formats.bags.labels:open_bag_codes",
+    ),
+)

@@ -29,7 +29,7 @@ LIGHTS = ("intensity", "reflectivity", "signal", "i")
 MAX_RINGS = 256
 _WIDTHS = (4, 8, 16, 32, 40, 64, 80, 128, MAX_RINGS)
 """Rings of scanners: a ring that does not return in the first message has its place."""
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _MAX_FIELDS = 100
 _ABSOLUTE_S = 1e6
 """Times beyond are not counted from the stamp of the message [s]."""
@@ -98,8 +98,8 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
     has_all = bool(step) and not lacking
     expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {', '.join(fields)[:200]})")
     parts = {part: found[0] for part, found in held.items() if found}
-    expect(all(kind in _TYPES for _, kind in parts.values()), "has fields of a type that is not there")
-    kinds = [np.dtype(order + _TYPES[kind]) for _, kind in parts.values()]
+    expect(all(kind in TYPES for _, kind in parts.values()), "has fields of a type that is not there")
+    kinds = [np.dtype(order + TYPES[kind]) for _, kind in parts.values()]
     offsets = [offset for offset, _ in parts.values()]
     inside = all(at + kind.itemsize <= step for at, kind in zip(offsets, kinds, strict=True))
     expect(inside, f"has fields beyond the {step} bytes of a point")
@@ -163,9 +163,9 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
     Lasers that fire together have few times: every one is a column, and the period may vary with the motor. Lasers that
     fire in turn follow a clock: a ring's times are a multiple of the period apart.
 
-    >>> time_s = np.array([0.0, 0.1, 0.3, 0.02, 0.12, 0.22])
-    >>> find_columns(np.array([0, 0, 0, 1, 1, 1]), time_s).column.tolist()
-    [0, 1, 3, 0, 1, 2]
+    >>> time_s = np.array([0.0, 0.1, 0.3, 0.02, 0.12, 0.22, 0.04, 0.14, 0.34])
+    >>> find_columns(np.repeat([0, 1, 2], 3), time_s).column.tolist()
+    [0, 1, 3, 0, 1, 2, 0, 1, 3]
     """
     start = float(time_s.min())
     every, which = _unique_times(time_s - start)

@@ -48,6 +48,8 @@ class Message:
     time_ns: int
     """When it was recorded."""
     data: bytes
+    connection: int
+    """Its connection: several of a bag may have one topic."""
 
 
 @dataclass(slots=True)
@@ -71,6 +73,11 @@ class Bag:
         """Yield the messages of some topics, in the order they were recorded."""
         return bounded(self.path, _rows(self, topics) if _is_database(self.path) else _decoded(self.path, topics))
 
+    def connections(self) -> list[Any]:
+        """Return the connections as rosbags has them, in the order of the file."""
+        with _library(self.path, ()) as reader:
+            return list(reader.connections)
+
     def _survey(self) -> Iterator[None]:
         """Count messages, in steps."""
         if _is_database(self.path):
@@ -78,7 +85,7 @@ class Bag:
             return
         with _library(self.path, ()) as reader:
             topics = reader.topics
-            self.counts.update({_topic(one): topics[one.topic].msgcount for one in reader.connections})
+            self.counts.update({topic_of(one): topics[one.topic].msgcount for one in reader.connections})
             if reader.message_count:
                 self.start_ns, self.end_ns = reader.start_time, reader.end_time - 1
         yield
@@ -98,7 +105,7 @@ def _mend(path: Path) -> str:
 
 
 @contextlib.contextmanager
-def _errors(path: Path) -> Iterator[None]:
+def bag_errors(path: Path) -> Iterator[None]:
     """Make one line of whatever a damaged bag does to a library."""
     try:
         yield
@@ -127,25 +134,26 @@ def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
         def read_index_data(self, pos: int, indexes: dict[int, Any]) -> None:
             super().read_index_data(pos, indexes)
             for one in self.connections:
-                if _topic(one) not in topics:
+                if topic_of(one) not in topics:
                     indexes[one.id].clear()
 
-    with _errors(path), Lean(path) if suffix_of(path) == ".bag" else rosbag2.Reader(path) as reader:
+    with bag_errors(path), Lean(path) if suffix_of(path) == ".bag" else rosbag2.Reader(path) as reader:
         yield reader
 
 
-def _topic(connection: Any) -> Topic:
+def topic_of(connection: Any) -> Topic:
+    """Return the topic of a connection of rosbags."""
     form = getattr(connection.ext, "serialization_format", "ros1")
-    kind = _kind(connection.msgtype) if form in ("cdr", "ros1") else str(form)
-    return Topic(connection.topic, kind, form == "cdr")
+    kind = _kind(connection.msgtype) if form in ("cdr", "", "ros1") else str(form)
+    return Topic(connection.topic, kind, form in ("cdr", ""))
 
 
 def _decoded(path: Path, topics: Collection[Topic]) -> Iterator[Message]:
     with _library(path, topics) as reader:
-        chosen = {one.id: _topic(one) for one in reader.connections if _topic(one) in topics}
+        chosen = {one.id: topic_of(one) for one in reader.connections if topic_of(one) in topics}
         if chosen:
             for one, time_ns, data in reader.messages([one for one in reader.connections if one.id in chosen]):
-                yield Message(chosen[one.id], time_ns, data)
+                yield Message(chosen[one.id], time_ns, data, one.id)
 
 
 # SQLite of rosbag2
@@ -160,7 +168,7 @@ def _database(bag: Bag) -> Iterator[tuple[sqlite3.Connection, dict[int, Topic]]]
         beside = path.with_name(path.name + suffix)
         if beside.is_file() and beside.stat().st_size:
             bag.problem = f"the recorder did not finish: {beside.name} holds more messages, which are not read"
-    with _errors(path):
+    with bag_errors(path):
         # immutable: nothing is written beside the bag
         base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
         try:
@@ -254,7 +262,8 @@ def _rows(bag: Bag, topics: Collection[Topic]) -> Iterator[Message]:
             where = f"{bag.path}: message {n}"
             if not isinstance(data, bytes) or not isinstance(time_ns, int):
                 raise InputError(where, "found no bytes and time in it", "copy it again")
-            yield Message(every[number], time_ns, _unpack(data, where) if data[:4] == _ZSTD_MAGIC else data)
+            data = _unpack(data, where) if data[:4] == _ZSTD_MAGIC else data
+            yield Message(every[number], time_ns, data, number)
 
 
 def _unpack(data: bytes, where: str) -> bytes:

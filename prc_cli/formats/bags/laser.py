@@ -66,8 +66,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         ranges, n_echoes = cursor.array("f4"), None
         intensity = cursor.array("f4")
     else:
-        ranges, n_echoes = _echoes(cursor)
-        intensity, n_of = _echoes(cursor)
+        ranges, n_echoes = read_echoes(cursor)
+        intensity, n_of = read_echoes(cursor)
         if not np.array_equal(n_of, n_echoes):
             intensity = np.empty(0, np.float32)
     m = len(ranges) if n_echoes is None else len(n_echoes)
@@ -84,7 +84,7 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     return LaserScan(stamp_s, frame, first, step, shot_s, ranges, intensity, n_echoes, n_beyond)
 
 
-def _echoes(cursor: Cursor) -> tuple[F32, I64]:
+def read_echoes(cursor: Cursor) -> tuple[F32, I64]:
     """Read a list of lists; return their values in a row, and their lengths."""
     n = cursor.number("I")
     expect(n <= len(cursor.data) // 4, f"says it holds {n} beams, which it is too short for")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,6 +24,14 @@ MAX_SCANNERS = 256
 LASERS = (LASER, ECHOES)
 READABLE = (*PACKED, *LASERS, CLOUD)
 """Types of messages that hold scans."""
+LABELS = "/labels"
+"""What the name of a topic of laser scans gets where their intensities are class codes."""
+
+
+def is_labels(topic: Topic, topics: Collection[Topic]) -> bool:
+    """Whether a topic of a bag holds the class codes of another one."""
+    scans = replace(topic, name=topic.name.removesuffix(LABELS))
+    return topic.kind in LASERS and scans != topic and scans in topics
 
 
 class BagStream:
@@ -31,10 +40,11 @@ class BagStream:
     def __init__(self, path: Path, config: InputConfig) -> None:
         check_rules(path, config, "a recording of scans")
         self._path, self._config = path, config
-        self._bag = Bag(path)
+        self.bag = Bag(path)
         self._firsts = self._first_messages()
         self._frames = self._readable()
-        self._chosen = self._choose()
+        self.topics = self._choose()
+        """Topics that are read."""
         self._notes: list[str] = []
         self._numbers: dict[str, int] = {}
         """Numbers of scanners, in the order they are met."""
@@ -45,9 +55,9 @@ class BagStream:
     @property
     def info(self) -> StreamInfo:
         """What is known before reading, and afterwards also what was found while reading."""
-        counts = self._bag.counts
-        names = ", ".join(topic.name for topic in self._chosen)
-        others = [topic.name for topic in counts if topic not in self._chosen and topic in self._frames]
+        counts = self.bag.counts
+        names = ", ".join(topic.name for topic in self.topics)
+        others = [topic.name for topic in counts if topic not in self.topics and topic in self._frames]
         why = "the bag has no other scans" if not others else f"other scans: {', '.join(others[:10])} (input.topic)"
         if self._config.topic is not None:
             why = "input.topic names it"
@@ -56,15 +66,15 @@ class BagStream:
             shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.items())
             assumed.append(Assumption("input.scanner", "one a topic and frame", shown[:500]))
         notes = list(self._notes)
-        if self._bag.problem:
-            notes.insert(0, f"{self._bag.problem}: it was read up to there")
-        lasers = all(topic.kind in LASERS for topic in self._chosen)
+        if self.bag.problem:
+            notes.insert(0, f"{self.bag.problem}: it was read up to there")
+        lasers = all(topic.kind in LASERS for topic in self.topics)
         return StreamInfo(
             path=str(self._path),
             format="bag",
             points_per_line=self._widest,
             n_records=None,
-            n_lines=sum(counts[topic] for topic in self._chosen) if lasers else None,
+            n_lines=sum(counts[topic] for topic in self.topics) if lasers else None,
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
@@ -76,15 +86,16 @@ class BagStream:
         )
 
     def _describe(self) -> dict[str, str]:
-        bag = self._bag
+        bag = self.bag
         told = {f"topic {one.name}": f"{one.kind}, {n or 'no'} messages" for one, n in bag.counts.items()}
         return {"recorded": f"{(bag.end_ns - bag.start_ns) * 1e-9:.3f} s from {bag.start_ns * 1e-9:.3f} s", **told}
 
     def _first_messages(self) -> dict[Topic, Message]:
         """Return the first message of every topic that can be read."""
-        wanted = {topic for topic, n in self._bag.counts.items() if n and topic.kind in READABLE}
+        counts = self.bag.counts
+        wanted = {one for one, n in counts.items() if n and one.kind in READABLE and not is_labels(one, counts)}
         found: dict[Topic, Message] = {}
-        for message in self._bag.messages(wanted) if wanted else ():
+        for message in self.bag.messages(wanted) if wanted else ():
             found.setdefault(message.topic, message)
             if len(found) == len(wanted):
                 break
@@ -106,7 +117,7 @@ class BagStream:
 
     def _choose(self) -> tuple[Topic, ...]:
         """Return the topics to read."""
-        topics = {topic.name: topic for topic in self._bag.counts}
+        topics = {topic.name: topic for topic in self.bag.counts}
         shown = ", ".join(f"{name} ({topic.kind})" for name, topic in topics.items())[:600] or "none"
         if self._config.topic is not None:
             chosen = []
@@ -125,14 +136,14 @@ class BagStream:
         others = [one for one, frame in self._frames.items() if one.kind == CLOUD or frame not in clouds]
         if packed or others:
             return tuple(sorted(packed or others, key=lambda topic: topic.name))
-        ended = f" ({self._bag.problem})" if self._bag.problem else ""
+        ended = f" ({self.bag.problem})" if self.bag.problem else ""
         problem = f"no topic with scans{ended}, expected {', '.join(READABLE)}; it has: {shown}"
         raise InputError(str(self._path), problem, "record the scanner's own topic")
 
     def _look(self) -> int:
         """Return the longest line, from the first message of every topic."""
         widest, why = 0, ("no message with shots, expected scans", "name another topic: --topic NAME")
-        for topic in self._chosen:
+        for topic in self.topics:
             if topic in self._firsts:
                 reader = self._reader(topic)
                 for _ in reader.add(self._firsts[topic], 0):
@@ -141,7 +152,7 @@ class BagStream:
                 self._has_returns = self._has_returns or any(lines.has_returns for lines in reader.frames.values())
                 why = reader.nothing()
         if not widest:
-            names = ", ".join(topic.name for topic in self._chosen)
+            names = ", ".join(topic.name for topic in self.topics)
             raise InputError(f"{self._path}: {names}", *why)
         return widest
 
@@ -150,9 +161,9 @@ class BagStream:
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""
-        readers = {topic: self._reader(topic) for topic in self._chosen}
+        readers = {topic: self._reader(topic) for topic in self.topics}
         record = 0
-        for message in self._bag.messages(set(readers)):
+        for message in self.bag.messages(set(readers)):
             reader = readers[message.topic]
             yield from reader.add(message, record)
             record += reader.n_taken

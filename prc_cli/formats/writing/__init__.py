@@ -25,8 +25,8 @@ def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
     >>> open_writer(tif, overwrite=False)
     Traceback (most recent call last):
     ...
-    prc_cli.core.errors.ConfigError: a.tif: found suffix '.tif', expected one of .csv, .las, .laz, .npy, .parquet, \
-.pcd, .ply; choose an output name that ends in one of them
+    prc_cli.core.errors.ConfigError: a.tif: found suffix '.tif', expected one of .bag, .csv, .db3, .las, .laz, \
+.mcap, .npy, .parquet, .pcd, .ply; choose an output name that ends in one of them
     """
     path, known = output.path, by_suffix("labels")
     suffix = path.suffix.lower()

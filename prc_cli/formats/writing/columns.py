@@ -16,6 +16,7 @@ from prc_cli.core.config import Params
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.facts import ClassContexts
 from prc_cli.core.stream import LabelledBlock
+from prc_cli.formats.options import InputConfig
 from prc_cli.formats.writing.coordinates import Placement
 
 HIGH_NOISE_CODE = 18
@@ -72,7 +73,7 @@ class LabelOutput:
     path: Path
     """Its suffix decides the format."""
     source: Path
-    """Input; LAS, PLY and PCD outputs of an input of the same kind read it again."""
+    """Input; LAS, PLY, PCD and bags of an input of the same kind read it again."""
     n_records: int | None
     """Records of the input; None if unknown before reading."""
     points_per_line: int
@@ -85,6 +86,8 @@ class LabelOutput:
     """Name of every user code that may be written; LAS and LAZ hold them."""
     is_part: bool = False
     """Only a window of the input is classified: the output holds its records alone."""
+    rules: InputConfig = field(default_factory=InputConfig)
+    """How the input was read; of a bag, which of its topics."""
     place: Placement | None = None
     """Where returns lie in a new point cloud; None = relative to the scanner."""
 

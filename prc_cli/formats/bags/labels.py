@@ -1,0 +1,254 @@
+"""Class codes in bags: clouds with a field of them, laser scans with a topic of them beside; written and read.
+
+Messages of laser scans stay as they are. Their codes are the intensities of a scan of the same kind, so that every
+viewer draws them in colours at the place of the scan, and their stamps bring both together.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.files import remove_stale, suffix_of, temporary_name
+from prc_cli.core.types import I64, U8, Mask
+from prc_cli.formats.bags.cloud import CLOUD, TYPES
+from prc_cli.formats.bags.containers import Bag, Message, bag_errors, topic_of
+from prc_cli.formats.bags.laser import ECHOES, parse_laser, read_echoes
+from prc_cli.formats.bags.messages import PACKED, Cursor
+from prc_cli.formats.bags.read import LABELS, LASERS, BagStream, is_labels
+from prc_cli.formats.labels import CodeSource
+from prc_cli.formats.writing.base import ScatterWriter
+from prc_cli.formats.writing.columns import LabelOutput, asked_columns
+from prc_cli.formats.writing.record import RunRecord
+
+FIELD, _UINT8 = "label", 2
+"""Field of a point that holds its class code, and its type."""
+_DATABASE, _METADATA = ".db3", "metadata.yaml"
+
+Take: TypeAlias = Callable[[int], U8]
+"""Gives the codes of the next n records, (n,) uint8."""
+
+
+class CloudCodec:
+    """Reads and writes the messages of clouds, as rosbags knows them."""
+
+    def __init__(self, *, is_cdr: bool) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        store = get_typestore(Stores.LATEST if is_cdr else Stores.ROS1_NOETIC)
+        self._read = store.deserialize_cdr if is_cdr else store.deserialize_ros1
+        self._write = store.serialize_cdr if is_cdr else store.serialize_ros1
+        self._field = store.types["sensor_msgs/msg/PointField"]
+
+    def points(self, data: bytes, name: str) -> tuple[Any, NDArray[np.void] | None]:
+        """Return a message, and its points with a field as ``code``; None where they lack it."""
+        cloud: Any = self._read(data, "sensor_msgs/msg/PointCloud2")
+        field = next((one for one in cloud.fields if one.name == name), None)
+        if field is None:
+            return cloud, None
+        form = ">" if cloud.is_bigendian else "<"
+        point: Any = {"names": ["code"], "formats": [form + TYPES[field.datatype]], "offsets": [field.offset]}
+        point["itemsize"] = cloud.point_step
+        return cloud, self._rows(cloud).view(np.dtype(point))[:, 0]
+
+    def _rows(self, cloud: Any) -> U8:
+        """Return the bytes of every point, (n, bytes), without what rows have behind their points."""
+        n_row = cloud.width * cloud.point_step
+        rows: U8 = cloud.data[: cloud.height * max(cloud.row_step, n_row)].reshape(cloud.height, -1)[:, :n_row]
+        return rows.reshape(-1, cloud.point_step).copy()
+
+    def label(self, data: bytes, take: Take) -> bytes:
+        """Return a message with the codes of its points; a field of this name keeps its place and type."""
+        cloud, points = self.points(data, FIELD)
+        if points is None:
+            # points of whole words stay aligned to them
+            own, step = self._rows(cloud), cloud.point_step
+            cloud.point_step += 1 if step % 4 else 4
+            cloud.fields.append(self._field(FIELD, step, _UINT8, 1))
+            rows = np.zeros((len(own), cloud.point_step), np.uint8)
+            rows[:, :step], rows[:, step] = own, take(len(own))
+            cloud.data = rows.ravel()
+        else:
+            points["code"] = take(len(points))
+            cloud.data = points.view(np.uint8).ravel()
+        cloud.row_step = cloud.width * cloud.point_step
+        return bytes(self._write(cloud, "sensor_msgs/msg/PointCloud2"))
+
+
+def label_laser(message: Message, take: Take) -> bytes:
+    """Return a scan whose intensities are the codes of its echoes; beams without any have none."""
+    cursor = Cursor(message.data, is_cdr=message.topic.is_cdr)
+    cursor.header()
+    cursor.numbers("f", 7)
+    if message.topic.kind != ECHOES:
+        n = len(cursor.array("f4"))
+        words = take(n).astype(cursor.order + "f4")
+    else:
+        counts = read_echoes(cursor)[1]
+        n = len(counts)
+        words = np.empty(n + int(counts.sum()), cursor.order + "f4")
+        is_code: Mask = np.ones(len(words), np.bool_)
+        is_code[np.cumsum(counts + 1) - (counts + 1)] = False
+        words.view(cursor.order + "u4")[~is_code] = counts
+        words[is_code] = take(int(np.maximum(counts, 1).sum()))[_has_echo(counts)]
+    return message.data[: cursor.at] + struct.pack(f"{cursor.order}I", n) + words.tobytes()
+
+
+def _has_echo(n_echoes: I64) -> Mask:
+    """Return which records of a scan are echoes, (records,)."""
+    found: Mask = np.repeat(n_echoes > 0, np.maximum(n_echoes, 1))
+    return found
+
+
+class BagRewriter(ScatterWriter):
+    """Writer of a bag with everything that the input has, and the class codes of what was read."""
+
+    def __init__(self, labels: LabelOutput) -> None:
+        source, path = labels.source, labels.path
+        if suffix_of(source) != path.suffix.lower():
+            problem = f"found {source.name}, expected a {path.suffix} to be written again with its classes"
+            raise OutputError(str(path), problem, "write .npy, or another kind of file")
+        self._stream = BagStream(source, labels.rules)
+        packed = [topic.name for topic in self._stream.topics if topic.kind in PACKED]
+        refused = f"{packed[0]} holds packets, which have no place for classes" if packed else self._stream.bag.problem
+        refused = refused or ("a bag holds whole messages, not a window of them" if labels.is_part else "")
+        if refused:
+            raise OutputError(str(path), refused, "write the labels alone: .npy")
+        super().__init__(labels, (), labels.n_records)
+        for column in asked_columns(labels.options):
+            self._notice(f"bags hold class codes only; {column.what}s need .csv, .parquet, .las or .laz")
+        self._metadata: Path | None = None
+        if path.suffix.lower() == _DATABASE:
+            self._metadata = self._beside(path.with_name(_METADATA))
+
+    def _beside(self, metadata: Path) -> Path | None:
+        """Return the temporary name of what makes a bag of a folder; None where the folder has another one."""
+        others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
+        if others & {_DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
+            self._notice(f"no {_METADATA} was written: the folder has another bag; a folder of its own would get one")
+            return None
+        remove_stale(metadata)
+        return self._output(metadata)
+
+    def _write(self, record: RunRecord) -> RunRecord:
+        total, n_done = self._total(record), 0
+
+        def take(n: int) -> U8:
+            nonlocal n_done
+            n_done += n
+            codes: U8 = self._code_spool.span(n_done - n, n_done) if n else np.empty(0, np.uint8)
+            self._count(codes)
+            return codes
+
+        try:
+            with self._opened() as sink:
+                self._copy(sink, take)
+        except sqlite3.Error as error:
+            raise OutputError(str(self.path), f"cannot be written ({error})", "free space on the disk") from error
+        if n_done < total:
+            problem = f"found {n_done} records, expected {total} as at the start of the run"
+            raise InputError(str(self._stream.bag.path), problem, "run again when nothing else writes the input")
+        return self._completed(record)
+
+    def _copy(self, sink: Any, take: Take) -> None:
+        """Copy every message, those that were read with their codes."""
+        bag, read = self._stream.bag, self._stream.topics
+        old = [topic for topic in bag.counts if is_labels(topic, read)]
+        if old:
+            self._notice(f"the input has {', '.join(topic.name for topic in old)} already; they were replaced")
+        outs = {}
+        for one in bag.connections():
+            # labels come behind their scans: readers take what has one time in the order of connections
+            has_labels = topic_of(one) in read and topic_of(one).kind in LASERS
+            if topic_of(one) not in old:
+                outs[one.id] = _connect(sink, one), _connect(sink, one, LABELS) if has_labels else None
+        codec = CloudCodec(is_cdr=any(topic.is_cdr for topic in read))
+        for message in bag.messages([topic for topic in bag.counts if topic not in old]):
+            data, codes, (own, beside) = message.data, b"", outs[message.connection]
+            with bag_errors(bag.path):
+                if message.topic in read and message.topic.kind == CLOUD:
+                    data = codec.label(data, take)
+                elif beside is not None:
+                    codes = label_laser(message, take)
+            sink.write(own, message.time_ns, data)
+            if beside is not None:
+                sink.write(beside, message.time_ns, codes)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        """Open a writer of rosbags, and bring what it wrote under the temporary names at the end."""
+        from rosbags import rosbag1, rosbag2
+
+        suffix = self.path.suffix.lower()
+        if suffix == ".bag":
+            with rosbag1.Writer(self._temporary) as first:
+                yield first
+            return
+        plugin = rosbag2.StoragePlugin.SQLITE3 if suffix == _DATABASE else rosbag2.StoragePlugin.MCAP
+        folder = temporary_name(self.path)
+        self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        # programs of ROS 2 from Humble on read this version
+        with rosbag2.Writer(folder / self.path.stem, version=8, storage_plugin=plugin) as sink:
+            yield sink
+        (sink.path / f"{self.path.stem}{suffix}").replace(self._temporary)
+        if self._metadata is not None:
+            (sink.path / _METADATA).replace(self._metadata)
+
+
+def _connect(sink: Any, one: Any, after: str = "") -> Any:
+    """Add a connection as it was in the input, its topic with something behind its name.
+
+    The writers' own way refuses two of one publisher, and those without a definition, which older bags do not have.
+    """
+    added = one._replace(id=len(sink.connections) + 1, topic=one.topic + after, msgcount=0, owner=sink)
+    if hasattr(sink, "chunks"):
+        sink.write_connection(added, sink.chunks[-1].data)
+    else:
+        from rosbags.rosbag2.metadata import dump_qos_v8
+
+        if one.msgtype not in sink.added_types and (one.msgdef.format.value or sink.storage_plugin.name == "MCAP"):
+            sink.storage.add_msgtype(added)
+            sink.added_types.add(one.msgtype)
+        sink.storage.add_connection(added, dump_qos_v8(one.ext.offered_qos_profiles))
+        sink.counts[added.id] = 0
+    sink.connections.append(added)
+    return added
+
+
+def open_bag_codes(path: Path, dimension: str | None) -> CodeSource:
+    """Open the codes of a bag: a field of its clouds (``label``), and the labels beside its laser scans."""
+    bag, name = Bag(path), dimension or FIELD
+    lasers = {topic for topic in bag.counts if name == FIELD and is_labels(topic, bag.counts)}
+    topics = lasers | {topic for topic in bag.counts if topic.kind == CLOUD}
+
+    def read() -> Iterator[NDArray[Any]]:
+        n, codec = 0, CloudCodec(is_cdr=any(topic.is_cdr for topic in topics))
+        for message in bag.messages(topics) if topics else ():
+            with bag_errors(path):
+                codes = _laser_codes(message) if message.topic in lasers else codec.points(message.data, name)[1]
+            if codes is not None:
+                n += len(codes)
+                yield codes if codes.dtype.names is None else codes["code"]
+        if not n:
+            problem = f"no field {name!r} in its clouds, and no laser scans with {LABELS} beside them"
+            raise InputError(str(path), problem, "name a bag that prc classify wrote")
+
+    return CodeSource(path, None, read, name=name)
+
+
+def _laser_codes(message: Message) -> NDArray[Any]:
+    scan = parse_laser(message.data, is_cdr=message.topic.is_cdr, is_multi=message.topic.kind == ECHOES)
+    if scan.n_echoes is None:
+        return scan.intensity
+    codes = np.zeros(scan.n_records, np.float32)
+    codes[_has_echo(scan.n_echoes)] = scan.intensity
+    return codes

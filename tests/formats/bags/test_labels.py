@@ -1,0 +1,278 @@
+"""Bags with the classes of their scans: what was there stays, and the labels read back equal."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags import rosbag1, rosbag2
+from rosbags.highlevel import AnyReader
+
+from prc_cli.cli import cli
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.files import remove_stale, temporary_name
+from prc_cli.core.stream import LabelledBlock, ReadTally
+from prc_cli.core.types import U8
+from prc_cli.formats import scan_file
+from prc_cli.formats.bags.containers import Bag
+from prc_cli.formats.bags.labels import CloudCodec
+from prc_cli.formats.bags.read import BagStream
+from prc_cli.formats.labels import open_codes
+from prc_cli.formats.options import InputConfig
+from prc_cli.jobs.classify import classify
+from tests.formats import common
+from tests.formats.bags import recordings as made
+from tests.formats.bags.test_cloud import drive, messages
+from tests.runner import runner
+
+POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")]
+SENT: dict[str, Callable[[int], list[made.Sent]]] = {
+    "lasers": lambda version: made.lasers(version),
+    "echoes": lambda version: echoes(version),
+    "clouds": lambda version: clouds(version, POINT),
+    "packed clouds": lambda version: clouds(version, [*POINT, ("reflex", "u1")]),
+    "big clouds": lambda version: clouds(version, [(name, kind.replace("<", ">")) for name, kind in POINT]),
+    "mixed": lambda version: [
+        *made.lasers(version, "/b"), *clouds(version, POINT), *made.lasers(version, "/a", "other"),
+    ],
+}  # fmt: skip
+WRITE = {".bag": made.write_bag, ".mcap": made.write_mcap, ".db3": made.write_db3}
+
+
+def clouds(version: int, point: list[tuple[str, str]]) -> list[made.Sent]:
+    return messages(drive(), np.dtype(point), version=version)
+
+
+def echoes(version: int) -> list[made.Sent]:
+    lists = [[3.0, 5.0], [], [7.0], [4.0, 9.0, 0.0], [200.0], []]
+    store, times = made.STORES[version], [made.START_NS + i * made.PERIOD_NS for i in range(3)]
+    kind = "sensor_msgs/msg/MultiEchoLaserScan"
+    return [made.Sent("/scan", kind, at, made.echoes(store, at, lists, lists)) for at in times]
+
+
+def recorded(folder: Path, name: str, suffix: str, **options: Any) -> Path:
+    version = 1 if suffix == ".bag" else 2
+    return WRITE[suffix](folder / f"in{suffix}", [*SENT[name](version), *made.strings(version)], **options)
+
+
+def write(source: Path, output: Path, *, seed: int = 1, **options: Any) -> U8:
+    """Write random classes of a bag; return those of every record."""
+    rng, rules = np.random.default_rng(seed), InputConfig(**options)
+    blocks, tally = [], ReadTally()
+    for block in BagStream(source, rules).blocks():
+        labels = rng.choice(np.array(common.URBAN, np.uint8), block.range_m.shape)
+        labels[np.isnan(block.range_m)] = Label.MISSING
+        blocks.append(LabelledBlock(block, labels, rng.choice(np.array(common.URBAN, np.uint8), len(block.extra))))
+        tally = tally + block.tally
+    record = common.run_record(n_records=tally.n_records)
+    alone = output.with_name(f"{output.name}.npy")
+    common.write(alone, source, blocks, record)
+    written = common.write(output, source, blocks, record, rules=rules)
+    codes: U8 = np.load(alone)
+    assert {one.code: one.count for one in written.classes} == {
+        int(code): int(n) for code, n in zip(*np.unique(codes, return_counts=True), strict=True)
+    }
+    assert len(codes) == tally.n_records
+    return codes
+
+
+def read_codes(path: Path, dimension: str | None = None) -> Any:
+    return np.concatenate(list(open_codes(path, dimension).chunks()))
+
+
+def by_topic(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    bag = Bag(path)
+    for one in bag.messages(list(bag.counts)):
+        found.setdefault(one.topic.name, []).append((one.time_ns, one.data))
+    return found
+
+
+def out_folder(folder: Path) -> Path:
+    (folder / "out").mkdir()
+    return folder / "out"
+
+
+@pytest.mark.parametrize("suffix", WRITE)
+@pytest.mark.parametrize("name", SENT)
+def test_labels_read_back_equal_and_all_else_stays(tmp_path: Path, name: str, suffix: str) -> None:
+    source = recorded(tmp_path, name, suffix)
+    output = out_folder(tmp_path) / f"drive{suffix}"
+    codes = write(source, output)
+    np.testing.assert_array_equal(read_codes(output), codes)
+    before, after = by_topic(source), by_topic(output)
+    added = {name for name in after if name.endswith("/labels")}
+    assert added == {f"{topic}/labels" for topic in before if topic in ("/scan", "/a", "/b")}
+    for topic in set(before) - {"/points"}:
+        assert before[topic] == after[topic]
+    # what is read of the scans is what was read before, and the labels are no scanner
+    one, other = (list(BagStream(path, InputConfig()).blocks()) for path in (source, output))
+    for first, second in zip(one, other, strict=True):
+        np.testing.assert_array_equal(first.range_m, second.range_m)
+        np.testing.assert_array_equal(first.records(), second.records())
+        assert first.scanner == second.scanner
+
+
+@pytest.mark.parametrize("suffix", WRITE)
+def test_other_readers_find_points_and_codes(tmp_path: Path, suffix: str) -> None:
+    source = recorded(tmp_path, "mixed", suffix)
+    folder = out_folder(tmp_path)
+    output = folder / f"drive{suffix}"
+    write(source, output)
+    version = 1 if suffix == ".bag" else 2
+    store = made.STORES[version]
+    read = store.deserialize_ros1 if version == 1 else store.deserialize_cdr
+    # a database has its metadata beside it: a bag of its own
+    named = folder if suffix == ".db3" else output
+    codes = []
+    with AnyReader([source], default_typestore=store) as old, AnyReader([named], default_typestore=store) as new:
+        points = [read(data, one.msgtype) for one, _, data in old.messages() if one.topic == "/points"]
+        for one, _, data in new.messages():
+            found: Any = read(data, one.msgtype)
+            if one.topic in ("/a/labels", "/b/labels"):
+                assert (found.header.frame_id, len(found.ranges)) == (
+                    {"/a": "other", "/b": "laser"}[one.topic[:2]],
+                    made.M,
+                )
+                codes.append(found.intensities.astype(int))
+            elif one.topic == "/points":
+                was: Any = points.pop(0)
+                added = found.fields[-1]
+                assert found.fields[:-1] == was.fields
+                assert (added.name, added.datatype, added.count) == ("label", 2, 1)
+                rows = found.data.reshape(-1, found.point_step)
+                np.testing.assert_array_equal(rows[:, : was.point_step], was.data.reshape(-1, was.point_step))
+                assert (found.width, found.height, found.is_dense) == (was.width, was.height, was.is_dense)
+                assert (found.row_step, found.is_bigendian) == (found.width * found.point_step, was.is_bigendian)
+                codes.append(rows[:, added.offset].astype(int))
+    assert not points
+    np.testing.assert_array_equal(np.sort(np.concatenate(codes)), np.sort(read_codes(output)))
+
+
+def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
+    table = np.zeros(6, np.dtype([*POINT, ("label", "<u2")]))
+    table["x"], table["label"] = np.arange(6), 7
+    message = made.cloud(2, 5, table, height=2)
+    step = table.dtype.itemsize
+    padded = np.zeros((2, 3 * step + 10), np.uint8)
+    padded[:, : 3 * step] = np.frombuffer(table.tobytes(), np.uint8).reshape(2, -1)
+    message.data, message.row_step = padded.ravel(), 3 * step + 10
+    store = made.STORES[2]
+    data = bytes(store.serialize_cdr(message, message.__msgtype__))
+    found = store.deserialize_cdr(
+        CloudCodec(is_cdr=True).label(data, lambda n: np.arange(n, dtype=np.uint8)), message.__msgtype__
+    )
+    table["label"] = np.arange(6)
+    assert (found.height, found.width, found.point_step, found.row_step) == (2, 3, step, 3 * step)
+    assert found.data.tobytes() == table.tobytes()
+    assert found.fields == message.fields
+
+
+def test_a_named_topic_alone_is_labelled_and_again(tmp_path: Path) -> None:
+    source = recorded(tmp_path, "mixed", ".mcap")
+    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+    codes = write(source, first, topic="/a")
+    np.testing.assert_array_equal(read_codes(first), codes)
+    assert "/b/labels" not in by_topic(first)
+    again = write(first, second, seed=2, topic="/a")
+    np.testing.assert_array_equal(read_codes(second), again)
+    assert len(by_topic(second)["/a/labels"]) == made.N_LINES
+
+
+def test_a_packed_database_and_one_beside_another_bag(tmp_path: Path) -> None:
+    source = recorded(tmp_path, "lasers", ".db3", packed=True)
+    codes = write(source, tmp_path / "beside.db3")
+    np.testing.assert_array_equal(read_codes(tmp_path / "beside.db3"), codes)
+    assert not (tmp_path / "metadata.yaml").exists()
+    folder = out_folder(tmp_path)
+    write(source, folder / "own.db3")
+    assert scan_file(folder) == folder / "own.db3"
+    assert sorted(one.name for one in folder.iterdir()) == [
+        "metadata.yaml", "own.db3", "own.db3.npy", "own.db3.npy.prc.json", "own.db3.prc.json",
+    ]  # fmt: skip
+    with pytest.raises(OutputError, match="exists already"):
+        common.writer(folder / "own.db3", source)
+    with common.writer(folder / "own.db3", source, overwrite=True):
+        pass
+    assert scan_file(folder) == folder / "own.db3"
+
+
+@pytest.mark.parametrize(
+    ("output", "changes", "told"),
+    [("a.mcap", {}, "found in.bag, expected a .mcap"), ("a.bag", {"is_part": True}, "not a window of them")],
+)
+def test_what_cannot_be_written_is_refused(tmp_path: Path, output: str, changes: dict[str, Any], told: str) -> None:
+    source = recorded(tmp_path, "lasers", ".bag")
+    with pytest.raises(OutputError, match=told):
+        common.writer(tmp_path / output, source, **changes)
+    with pytest.raises(InputError, match="no laser scans with /labels beside them"):
+        read_codes(source)
+
+
+@pytest.mark.parametrize("suffix", WRITE)
+def test_nothing_is_left_of_a_run_that_ends_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
+    source, folder = recorded(tmp_path, "lasers", suffix), out_folder(tmp_path)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(rosbag1.Writer if suffix == ".bag" else rosbag2.Writer, "write", full)
+    with pytest.raises(OutputError, match="the disk is full"):
+        write(source, folder / f"a{suffix}")
+    assert {one.name for one in folder.iterdir()} == {f"a{suffix}.npy", f"a{suffix}.npy.prc.json"}
+
+
+def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
+    left = temporary_name(tmp_path / "a.db3")
+    left = left.with_name(left.name.replace(f"-{os.getpid()}-", "-999999999-"))
+    (left / "a").mkdir(parents=True)
+    remove_stale(tmp_path / "a.db3")
+    assert not left.exists()
+
+
+@pytest.mark.data
+def test_packets_are_refused(tmp_path: Path, real_data: Path) -> None:
+    with pytest.raises(
+        OutputError, match="holds packets, which have no place for classes; write the labels alone: .npy"
+    ):
+        classify(real_data / "ros" / "nebula_vlp16", tmp_path / "a.db3")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["ros/sick_lms1xx_ros1.bag", "cartographer/b0_short.bag"])
+def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
+    source, output = real_data / name, tmp_path / "out.bag"
+    codes = write(source, output)
+    np.testing.assert_array_equal(read_codes(output), codes)
+    before, after = by_topic(source), by_topic(output)
+    assert {topic: after[topic] for topic in before} == before
+    assert ClassCodes().code(Label.GROUND) in codes
+    with AnyReader([output]) as reader:
+        kinds = {one.topic: one.msgtype for one in reader.connections}
+    assert all(kinds[topic] == kinds[topic.removesuffix("/labels")] for topic in kinds)
+
+
+def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    made.write_db3(folder / "bag_0.db3", [*made.lasers(2), *made.strings(2)])
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  relative_file_paths:\n    - bag_0.db3\n")
+    out = out_folder(tmp_path)
+    for name in ("labels.npy", "drive.db3"):
+        arguments = ["classify", str(folder), str(out / name), "--preset", "urban", "--quiet"]
+        result = runner().invoke(cli, arguments)
+        assert result.exit_code in (0, 4), result.stderr
+    np.testing.assert_array_equal(np.load(out / "labels.npy"), read_codes(out / "drive.db3"))
+    told = runner().invoke(cli, ["evaluate", str(out / "labels.npy"), str(out / "drive.db3"), "--json"])
+    assert told.exit_code == 0, told.stderr
+    assert '"accuracy": 1.0' in told.stdout
+    (folder / "metadata.yaml").write_text("relative_file_paths:\n  - bag_0.db3\n  - bag_1.db3\n")
+    told = runner().invoke(cli, ["info", str(folder)])
+    assert "name the file in this bag" in told.stderr
