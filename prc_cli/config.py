@@ -130,6 +130,8 @@ class MethodChoice:
     why: str
     lacks: str = ""
     """What is missing for a better method; empty where nothing is."""
+    others: tuple[str, ...] = ()
+    """Topics of the scanners that lack nothing, where one does."""
 
     @property
     def method(self) -> MethodName:
@@ -147,7 +149,8 @@ class MethodChoice:
         found = f"PRC as published was taken: {self.lacks}"
         expected = "the angles of the beams, with which fused labels streets (mean F1 0.96 there, of PRC 0.59)"
         hint = "give them: --set input.angle_start=DEG --set input.angle_step=DEG; or name the method: --preset urban"
-        return (Finding("method", Verdict.DOUBTFUL, found, expected, hint),)
+        alone = f"read the other scanners alone: --topic {','.join(self.others)}; or " if self.others else ""
+        return (Finding("method", Verdict.DOUBTFUL, found, expected, alone + hint),)
 
     @property
     def assumption(self) -> Assumption:

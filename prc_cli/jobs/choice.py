@@ -103,8 +103,10 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         return choice_by_beams(next(iter(directed.blocks())), directed.blocks(), *known), directed
     except (InputError, ConfigError) as refusal:
         scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
-        lacks = f"{scanner}: {refusal.problem}" if scanner in stream.info.facts.scanners else refusal.problem
-        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks), stream
+        every = stream.info.facts.scanners
+        lacks = f"{scanner}: {refusal.problem}" if scanner in every else refusal.problem
+        others = tuple(name.partition(" (")[0] for name in every if scanner in every and name != scanner)
+        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, others), stream
 
 
 def decide_stream(
