@@ -104,11 +104,11 @@ def write_tiles(folder: Path, xyz: F64, codes: I64, seed: int = 2) -> None:
         las.write(folder / f"tile_{column}_{row}.laz")
 
 
-def make(folder: Path, length: float) -> dict[str, tuple[float, float]]:
+def make(folder: Path, length: float, seed: int) -> dict[str, tuple[float, float]]:
     """Write the drive, what the office delivers with the true classes, and the CAR; return time and memory."""
     used = {}
     drive = folder / "drive.laz"
-    used["simulate"] = prc("simulate", "street", "-o", drive, "--length", length, "--seed", 7, "-q")[1:]
+    used["simulate"] = prc("simulate", "street", "-o", drive, "--length", length, "--seed", seed, "-q")[1:]
     las = laspy.read(drive)
     xyz, codes = registered(las), np.asarray(las.classification).astype(np.int64)
     kept = delivered(xyz, codes != NOISE)
@@ -132,9 +132,9 @@ def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
-def page(folder: Path, length: float) -> str:
+def page(folder: Path, length: float, seed: int) -> str:
     """Run the walk and return its page of figures."""
-    used = make(folder, length)
+    used = make(folder, length, seed)
     run = folder / "prc.laz"
     near = ("--match", "nearest", "--json")
     used["1"] = prc("classify", folder / "drive.laz", run, "--preset", "fused", "-q")[1:]
@@ -203,6 +203,7 @@ def large(n: int, folder: Path) -> str:
 def main() -> None:
     """Write the page, or print the figures of large files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=7, help="of the street; 7 decided the rule of unmatched noise")
     parser.add_argument("--length", type=float, default=LENGTH_M, help="length of the street [m]")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--large", type=int, nargs="+", metavar="SHOTS")
@@ -212,7 +213,7 @@ def main() -> None:
             for n in options.large:
                 print(large(n, Path(folder)), flush=True)
             return
-        options.page.write_text(page(Path(folder), options.length), encoding="utf-8")
+        options.page.write_text(page(Path(folder), options.length, options.seed), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -170,6 +170,10 @@ class _Run:
         totals = {"done": len(summary.done), "failed": len(summary.failed), "doubted": summary.n_doubted}
         self._journal.end_run(code, totals)
         write_summary(summary)
+        if summary.evaluation is not None:
+            from prc_cli.jobs.batch.night import write_night  # the page's modules take a while to load
+
+            write_night(summary, self._settings.to)
         if stop is not None:
             raise stop
         return summary
