@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.core.errors import PrcError
-from prc_cli.core.files import atomic_output, read_own, remove_stale
+from prc_cli.core.files import atomic_output, read_own, read_small, remove_stale
 from prc_cli.core.pages import render_page
 from prc_cli.evaluation.html import Curve, class_colour, line_chart
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import scores
+from prc_cli.formats.writing.record import LARGEST_RECORD, record_path
 from prc_cli.jobs.batch.discovery import output_name
 from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary
 from prc_cli.jobs.batch.types import OWN_FOLDER, Compared, own_name
@@ -52,7 +53,7 @@ def write_night(summary: BatchSummary, to: str) -> Path | None:
         "trend": _trend(nights, names),
         "files": [(one, scores(one.matrix)) for one in worst[:LISTED] if one.matrix is not None],
         "n_more": max(len(worst) - LISTED, 0),
-        "pictures": [(one.name, _pictures(one, summary.out, to, found)) for one in worst[:WORST]],
+        "pictures": [(one.name, _pictures(one, summary, to, found)) for one in worst[:WORST]],
     }  # fmt: skip
     page = render_page("prc_cli.jobs.batch", "night.html", values, {"percent": percent, "colour": class_colour})
     path = summary.out / own_name("report", summary.shard, ".html")
@@ -93,12 +94,16 @@ def _trend(nights: list[dict[str, Any]], names: list[str]) -> str:
     return line_chart("F1 by night", "night", dates, [int(night["records"]) for night in nights], curves, ticks)
 
 
-def _pictures(one: Compared, out: Path, to: str, found: BatchEvaluation) -> list[tuple[str, str]]:
+def _pictures(one: Compared, summary: BatchSummary, to: str, found: BatchEvaluation) -> list[tuple[str, str]]:
     """Draw a file's classes beside those of its reference; none where its lines are not known."""
     if one.reference is None or found.settings.mapping_name is None:
         return []
-    with contextlib.suppress(PrcError, OSError, ValueError):
-        paths = out / output_name(one.name, to), found.settings.tree / one.reference
-        drawn = class_pictures(*paths, load_mapping(found.settings.mapping_name))
+    predicted, mapping = summary.out / output_name(one.name, to), load_mapping(found.settings.mapping_name)
+    with contextlib.suppress(PrcError, OSError, ValueError, KeyError, TypeError):
+        record = json.loads(read_small(record_path(predicted), LARGEST_RECORD))
+        drawn = class_pictures(
+            predicted, found.settings.tree / one.reference, mapping, record["stream"]["points_per_line"],
+            points=(summary.archive / one.name, None),
+        )  # fmt: skip
         return [(caption, base64.b64encode(png).decode()) for caption, png in drawn]
     return []
