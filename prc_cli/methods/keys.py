@@ -44,7 +44,7 @@ def table_of(defaults: tuple[Any, ...], name: str, base: type[Params] = Params) 
             fields[field] = (annotation, Field(value, description=texts[kind.__name__, field]))
     title = "".join(word.title() for word in name.split("_")) + "Params"
     table = create_model(title, __base__=base, __doc__=kind.__doc__, __module__=kind.__module__, **fields)
-    setattr(sys.modules[kind.__module__], title, table)  # where pickle looks for it
+    vars(sys.modules[kind.__module__]).setdefault(title, table)  # where pickle looks for it
     return table
 
 

@@ -11,7 +11,7 @@ import pytest
 from prc_cli.config import PRESETS, RunConfig, json_schema, load_config, parse_assignment, to_toml
 from prc_cli.core.config import merge
 from prc_cli.core.errors import ConfigError
-from prc_cli.methods.fused.thresholds import FOREST, RINGS, STREET
+from prc_cli.methods.fused.thresholds import FOREST, STREET
 
 
 def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> None:
@@ -135,8 +135,6 @@ def test_the_schema_names_every_table() -> None:
         ("leaves.share", STREET.decision.leaf_share),
         ("cars.top_m", STREET.decision.car_top_m),
         ("curbs.margin", STREET.curbs and STREET.curbs.margin),
-        ("rings.memory_lines", RINGS.walk.memory_lines),
-        ("rings.car_share", RINGS.roofs.share),
         ("forest.soil_m", FOREST.classes.soil_m),
         ("forest.stems.gaps.longest_m", FOREST.runs.gap_m),
         ("forest.terrain.reach_m", FOREST.reach_m),

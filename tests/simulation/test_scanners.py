@@ -91,4 +91,4 @@ def test_every_key_has_a_description_and_plain_bounds() -> None:
     json.dumps(schema, allow_nan=False)
     for name, about in schema["properties"].items():
         assert about["description"], name
-        assert about["type"] in ("boolean", "string") or {"minimum", "exclusiveMinimum"} & set(about), name
+        assert about["type"] in ("boolean", "string", "array") or {"minimum", "exclusiveMinimum"} & set(about), name

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.jobs.classify import label_blocks, open_stream
+from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.fused.pipeline import FusedParams
 from prc_cli.simulation.settings import load_settings, open_simulation
 
@@ -52,14 +51,3 @@ def test_on_a_push_broom_strip(real_data: Path) -> None:
     range_m = table[:, 2].reshape(n_lines, -1).astype(np.float32)
     beam_rad = np.deg2rad(table[: range_m.shape[1], 1])
     assert max(changed(range_m, beam_rad, 1, 16)) < MOST
-
-
-@pytest.mark.data
-def test_on_a_turning_scanner(real_data: Path) -> None:
-    config = Path(__file__).resolve().parents[3] / "sample_configs" / "kitti_frame.toml"
-    stream = open_stream(real_data / "kitti" / "000000.bin", load_config(config, preset="fused"))
-    blocks = list(stream.blocks())
-    beam_rad = blocks[0].beam_rad
-    assert beam_rad is not None
-    range_m = np.concatenate([block.range_m for block in blocks])[:600]
-    assert changed(range_m, beam_rad, 1, 16, 128) == [0] * 3

@@ -62,7 +62,7 @@ def test_the_depth_that_does_not_count_is_in_standard_deviations_of_the_range() 
     points = [(4.0, 0.0), (4.05, 0.0), (4.1, 0.0)]
     for sigmas, ahead in ((3.0, [1, 2, -1]), (5.0, [2, -1, -1])):
         params = plain(range_noise_m=0.01, min_chord_sigmas=1.0, chord_depth_sigmas=sigmas)
-        assert params.thresholds().depth_m == pytest.approx(sigmas * 0.01)
+        assert params.at_noise().depth_m == pytest.approx(sigmas * 0.01)
         assert signed_angles(lines_through(points), params).ahead[0].tolist() == ahead
 
 
