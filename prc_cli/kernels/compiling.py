@@ -50,6 +50,7 @@ def compile_missing(modules: Sequence[str]) -> None:
         n = max(1, min(default_threads(), len(missing)))
         with _children([missing[i::n] for i in range(1, n)]):
             compile_modules(missing[::n])
+        compile_modules([module for module in missing if not is_compiled(module, folder)])  # what no child did
 
 
 def compile_modules(modules: Sequence[str]) -> None:

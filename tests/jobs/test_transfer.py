@@ -19,6 +19,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcE
 from prc_cli.jobs.transfer import TransferSummary, sides, transfer
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.matching.sides import Survey
+from prc_cli.streams import order
 from tests.formats.las.lasbytes import parse
 
 N = 5000
@@ -238,9 +239,7 @@ def test_raw_dump_with_a_layout(drive: Drive, tmp_path: Path) -> None:
 def test_the_order_of_either_side_changes_nothing(
     drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from prc_cli.streams import sorting
-
-    monkeypatch.setattr(sorting, "_SortedSource", _small_runs(sorting._SortedSource))
+    monkeypatch.setattr(order, "_SortedSource", _small_runs(order._SortedSource))
     shuffled = RNG(3).permutation(len(drive))
     record = drive.registered()
     registered = write_las(tmp_path / "registered.las", drive, record)

@@ -64,7 +64,7 @@ def write_night(summary: BatchSummary, to: str) -> Path | None:
 def _write(path: Path, text: str) -> None:
     remove_stale(path)  # of a run that was killed just here
     with atomic_output(path, overwrite=True) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")  # names may be any bytes
 
 
 def _earlier(path: Path) -> list[dict[str, Any]]:

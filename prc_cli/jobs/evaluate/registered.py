@@ -182,7 +182,8 @@ class Registered:
                 rows[self._trees.holds(one, height)] = names.index(STEM)
             if self._options.height is not None:
                 low, high = self._options.height
-                kept = (height >= low - self.tolerance) & (height <= high)
+                # the ground itself scatters by as much around its height of 0
+                kept = (height >= (low - self.tolerance if low <= 0.0 else low)) & (height <= high)
                 self._counts.note(
                     f"{{n}} predicted shots are not from {low:g} to {high:g} m above ground: not scored",
                     int(np.count_nonzero(~kept)),
