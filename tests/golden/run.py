@@ -79,7 +79,7 @@ def digest_of_file(path: Path, folder: Path) -> str:
             ).fetchall()
         return digest(plain(repr(rows), folder))
     data = path.read_bytes()
-    if path.suffix in (".json", ".jsonl") and not path.name.endswith(".prc.json"):
+    if (path.suffix in (".json", ".jsonl") and not path.name.endswith(".prc.json")) or path.name == "report.html":
         return digest(plain(data.decode(errors="surrogateescape"), folder))
     return digest(data)
 
