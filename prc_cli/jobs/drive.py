@@ -82,7 +82,7 @@ def classify_drive(
     Raises
     ------
     InputError, OutputError, ConfigError
-        Nothing is left behind of a stream that fails; outputs of streams before a gap stay.
+        Outputs that were finished before stay: of streams before a gap, and of files before the one that failed.
     """
     outputs = outputs_of_drive(parts, folder)
     if config.config.input.window is not None:

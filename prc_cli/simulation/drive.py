@@ -201,6 +201,8 @@ def _as_static(found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind
     )
 
 
+NEAREST_FLAKE_M = 1.0
+"""Flakes nearer than this are not answered [m]."""
 FLAKE_SEEN_M = 9.0
 """A flake is answered with a chance that falls by e over this distance [m]."""
 FLAKE_POWER = 0.02
@@ -219,9 +221,6 @@ def in_snow(found: Measured, flake_m: float, first_line: int, seed: int) -> Meas
     label[hit] = Label.NOISE
     intensity[hit] = FLAKE_POWER * (10.0 / way[hit]) ** 2 * (0.5 + hashed(seed, 42, shot[hit]))
     return replace(found, range_m=range_m, label=label, intensity=intensity)
-
-
-NEAREST_FLAKE_M = 1.0
 
 
 def _counts(power: F32, range_m: F32) -> F32:
