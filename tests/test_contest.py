@@ -7,13 +7,12 @@ import tomllib
 import numpy as np
 import pytest
 
-from benchmarks.contest_chains import CHAINS
 from benchmarks.contest_data import TEST_FORESTS, TEST_STREETS, TRAIN, TRAIN_FOREST, Scan, Simulated, save, simulated
 from benchmarks.contest_files import ScanFile, write
 from benchmarks.contest_judge import MAPPINGS, judge, mapping_of, pooled
 from benchmarks.contest_methods import PAPERS, label, label_scan
-from benchmarks.contest_peers import FILTERS, Points, run
-from benchmarks.contest_runs import DataSet, Store, as_image, points_of
+from benchmarks.contest_peers import Points, run
+from benchmarks.contest_runs import DataSet, Store
 from prc_cli.config import load_config
 from prc_cli.jobs.classify import open_stream
 
@@ -34,21 +33,6 @@ def test_seeds_for_tuning_are_never_reported() -> None:
     assert not tuned & reported
     assert len(tuned) == len(TRAIN) + len(TRAIN_FOREST)
     assert len(reported) == len(TEST_STREETS) + len(TEST_FORESTS)
-
-
-def test_cars_are_told_but_not_judged() -> None:
-    scan = scan_of([[2, 2, 65, 65], [6, 7, 1, 0]])
-    found = judge(scan, np.array([[2, 6, 2, 5], [6, 7, 7, 2]]), none())
-    assert found.counts.sum() == 4
-    assert found.score("precision.ground") == 1.0
-    assert found.score("recall.ground") == 0.5
-    assert found.others["cars"] == {"noise": 0, "ground": 1, "building": 0, "vegetation": 1, "other": 0}
-    assert found.others["poles, signs, wires, people"]["noise"] == 1
-
-
-def test_a_return_that_is_left_out_counts_against_its_class() -> None:
-    found = judge(scan_of([[2, 2]]), np.array([[2, 0]]), none())
-    assert found.score("recall.ground") == 0.5
 
 
 def test_macro_is_over_the_classes_that_exist() -> None:
@@ -124,10 +108,6 @@ def test_smrf_leaves_a_box_on_a_plane() -> None:
     np.testing.assert_array_equal(codes == 2, ~box)
 
 
-def test_chains_name_filters_that_there_are() -> None:
-    assert {step["filter"] for chain in CHAINS.values() for step in chain} <= set(FILTERS)
-
-
 def test_results_are_kept_until_something_changes(tmp_path) -> None:
     told: list[str] = []
     made: list[str] = []
@@ -144,15 +124,3 @@ def test_results_are_kept_until_something_changes(tmp_path) -> None:
     np.testing.assert_array_equal(first.verdict.counts, again.verdict.counts)
     Store(tmp_path, told.append).stream_run(item, PAPERS[1])
     assert len(told) == 2
-
-
-def test_points_and_their_codes_go_and_come_back() -> None:
-    spec = Simulated("toy", 9051, 1.0, "residential", "profiler-1mhz", noise=0.05)
-    scan = simulated(spec)
-    points = points_of(scan)
-    codes = np.arange(len(points.xyz_m)) % 200 + 1
-    image, extra = as_image(scan, codes.astype(np.uint8))
-    there = ~np.isnan(scan.range_m)
-    np.testing.assert_array_equal(np.concatenate([image[there], extra]), codes)
-    assert not image[~there].any()
-    np.testing.assert_array_equal(points.line[: np.count_nonzero(there)], np.nonzero(there)[0])

@@ -17,8 +17,7 @@ import pytest
 
 import prc_cli.jobs.classify as pipeline
 from prc_cli.config import load_config
-from prc_cli.core.errors import InputError, OutputError
-from prc_cli.core.profile import profiling
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.jobs.classify import classify, load_classifier
@@ -213,31 +212,3 @@ def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) 
     assert run.returncode == 130, told
     assert "Traceback" not in told
     assert list(out.iterdir()) == []
-
-
-def test_a_profile_covers_the_run(tmp_path: Path, image: np.ndarray) -> None:
-    source = write_raw(tmp_path / "drive.bin", np.tile(image, (4, 1)))
-    for threads in (1, 2):
-        with profiling() as profile:
-            classify(source, tmp_path / "labels.npy", SHORT, threads=threads, overwrite=True)
-        found = {each.name: each for each in profile.stages()}
-        expected = {
-            "opening", "reading", "support", "background", "components", "votes", "surfaces", "classes", "writing",
-            "fingerprint", "finishing the output",
-        }  # fmt: skip
-        assert expected <= set(found)
-        assert found["support"].calls == found["writing"].calls
-        assert sum(each.cpu_s for each in found.values()) <= profile.cpu_s
-        if threads == 1:
-            assert sum(each.wall_s for each in found.values()) <= profile.wall_s
-
-
-def test_output_errors_in_the_writer_thread_are_output_errors(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
-) -> None:
-    full = OSError(28, "No space left on device")
-    monkeypatch.setattr("prc_cli.formats.writing.disk.DiskColumn._write", after(1, lambda *_: None, full))
-    source = write_raw(tmp_path / "drive.bin", image)
-    with pytest.raises(OutputError, match="the disk is full"):
-        classify(source, tmp_path / "labels.npy", SHORT, threads=2)
-    assert os.listdir(tmp_path) == ["drive.bin"]

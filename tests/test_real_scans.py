@@ -15,8 +15,6 @@ from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.info import inspect
-from prc_cli.methods.fused import pipeline
-from prc_cli.methods.fused.thresholds import STREET
 from tests.profiler import (
     JAKARTO_M,
     jakarto,
@@ -131,45 +129,6 @@ def test_unordered_files_are_refused_with_the_evidence(real_data: Path, tmp_path
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
     assert "not in the order" in inspect(source, options(**inputs)).problem
-
-
-def test_the_mobile_file_is_accepted_sorted_by_time(real_data: Path, tmp_path: Path) -> None:
-    source = real_data / "las" / "mls_not_in_time_order.las"
-    las = laspy.read(source)
-    origin = origin_above(las, 3.0)
-    # lines that no scanner made
-    accepted = ["line-length", "line-order"]
-    inputs = {
-        "lines": "fixed",
-        "points_per_line": 100,
-        "range": origin,
-        "partial_line": "pad",
-        "accept_doubts": accepted,
-    }
-    summary = classify(source, tmp_path / "out.las", options(**inputs, order="sort-time"))
-    assert summary.record.tally.n_time_steps_back == 0
-    assert_only_classes_differ(source, tmp_path / "out.las")
-    trusted = classify(source, tmp_path / "trusted.las", options(**inputs, order="trust"))
-    assert trusted.record.tally.n_time_steps_back == 9941
-    # and info says so, with the evidence still told
-    for order, problem in (("require", True), ("sort-time", False), ("trust", False)):
-        found = inspect(source, options(**inputs, order=order))
-        assert bool(found.problem) is problem
-        assert found.order is not None
-        assert not found.order.is_chronological
-
-
-def test_trees_four_metres_away_are_no_walls(real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source, shares, smooth = real_data / "forest" / "tls_park.npz", [], STREET.smoothness
-    next_one = smooth._replace(pairs=smooth.pairs._replace(apart_m=np.float32(0)))
-    for name, limits in (("as is", STREET), ("next", STREET._replace(smoothness=next_one))):
-        monkeypatch.setattr(pipeline, "STREET", limits)
-        output = tmp_path / f"{name}.npy"
-        classify(source, output, load_config(preset="fused"))
-        codes = np.load(output)
-        shares.append(float((codes == 6).sum() / (codes > 0).sum()))
-    assert shares[0] < 0.15
-    assert shares[1] > 0.4
 
 
 def test_park_with_the_forest_preset(real_data: Path, tmp_path: Path) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from prc_cli.cli import cli
-from prc_cli.config import PRESETS, RunConfig, load_config, preset_file, preset_table
+from prc_cli.config import PRESETS, load_config, preset_file, preset_table
 from prc_cli.core.config import flatten, merge
 from prc_cli.core.samples import samples_folder
 from prc_cli.jobs.batch.plan import BatchConfig
@@ -86,14 +83,6 @@ def test_a_preset_is_its_file(name: str) -> None:
     assert loaded.sources == dict.fromkeys(dict(flatten(preset_table(name))), f"preset {name}")
 
 
-def test_the_literal_preset_holds_no_reading_of_ours() -> None:
-    config = load_config(preset="street-scan-published").config.sequential_angle
-    assert (config.angles.min_chord_sigmas, config.angles.chord_depth_sigmas) == (0.0, 0.0)
-    assert config.coarse.vegetation.initial_h0 == (1 / 3, 1 / 3, 1 / 3) == config.dense_vegetation.initial_h0
-    assert (config.coarse.vegetation.sprt, config.dense_vegetation.sprt) == (True, True)
-    assert (config.ground.jump_m, config.ground.bridge, config.ground.resume) == (1000.0, 0, False)
-
-
 def test_the_folder_inside_the_package_comes_first(tmp_path: Path) -> None:
     package = tmp_path / "prc_cli"
     package.mkdir()
@@ -109,29 +98,3 @@ def test_the_wheel_and_the_source_archive_take_the_samples_in() -> None:
     for name in targets["sdist"]["include"]:
         assert (ROOT / name).exists(), name
     assert "sample_configs" in targets["sdist"]["include"]
-
-
-def test_presets_are_listed_one_a_line() -> None:
-    result = CliRunner().invoke(cli, ["config", "presets"])
-    assert result.exit_code == 0
-    table, samples, last = result.output.split("\n\n")
-    head, *rows = table.splitlines()
-    assert head.split() == ["preset", "changed", "what", "for"]
-    assert [row.split()[0] for row in rows] == list(PRESETS)
-    assert [int(row.split()[1]) for row in rows] == [1, 6, 1, 2, 1, 1, 56]
-    assert all(len(row) <= 150 and row.endswith(".") for row in rows)
-    others = {path.name for path in FILES} - {preset_file(name).name for name in PRESETS}
-    assert {row.split()[0] for row in samples.splitlines()[1:]} == others
-    assert "prc info FILE" in last
-
-
-def test_presets_as_json_hold_every_value() -> None:
-    result = CliRunner().invoke(cli, ["config", "presets", "--json"])
-    presets = json.loads(result.output)["presets"]
-    assert [row["name"] for row in presets] == list(PRESETS)
-    defaults = dict(flatten(RunConfig().to_table()))
-    for row in presets:
-        assert row["values"] == dict(flatten(preset_table(row["name"])))
-        assert row["changed"] == sum(defaults.get(key) != value for key, value in row["values"].items())
-        assert row["method"] == load_config(preset=row["name"]).config.method
-        assert Path(row["file"]).read_text(encoding="utf-8").startswith(f"# {row['purpose']}\n")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import errno
-import gzip
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import laspy
@@ -18,7 +16,7 @@ import pytest
 from prc_cli.formats.writing.base import StagedWriter
 from tests import patience
 from tests.cli.test_commands import Prc, prc
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+from tests.street import POINTS_PER_LINE, street, write_npz, write_raw
 
 __all__ = ["prc"]
 
@@ -34,195 +32,6 @@ def las(folder: Path, name: str = "drive.las") -> Path:
     (folder / f"{name}.prc.json").unlink()
     (folder / "source.npz").unlink()
     return path
-
-
-def empty(folder: Path) -> Path:
-    path = folder / "drive.las"
-    path.touch()
-    return path
-
-
-def not_las(folder: Path) -> Path:
-    path = folder / "drive.las"
-    path.write_bytes(b"x" * 1000)
-    return path
-
-
-def las_header_only(folder: Path) -> Path:
-    path = folder / "drive.las"
-    with laspy.open(path, mode="w", header=laspy.LasHeader(point_format=6, version="1.4")):
-        pass
-    return path
-
-
-def las_truncated(folder: Path) -> Path:
-    path = las(folder)
-    os.truncate(path, path.stat().st_size - 1000)
-    return path
-
-
-def laz_truncated(folder: Path) -> Path:
-    path = las(folder, "drive.laz")
-    os.truncate(path, path.stat().st_size * 2 // 3)
-    return path
-
-
-def las_count_lies(folder: Path) -> Path:
-    path = las(folder)
-    data = bytearray(path.read_bytes())
-    data[247:255] = (2**62).to_bytes(8, "little")
-    path.write_bytes(data)
-    return path
-
-
-def raw_truncated(folder: Path) -> Path:
-    path = write_raw(folder / "drive.bin", street())
-    os.truncate(path, path.stat().st_size - 3)
-    return path
-
-
-def raw_wrong_m(folder: Path) -> Path:
-    path = write_raw(folder / "drive.bin", street())
-    os.truncate(path, path.stat().st_size - 4)
-    return path
-
-
-def csv_not_a_number(folder: Path) -> Path:
-    path = write_csv(folder / "drive.csv", street())
-    rows = path.read_text().split("\n")
-    rows[1000] = "5,99,198.0,7.x2"
-    path.write_text("\n".join(rows))
-    return path
-
-
-def csv_without_range(folder: Path) -> Path:
-    path = folder / "drive.csv"
-    path.write_text("scan_line,column,distnace\n0,0,1.5\n")
-    return path
-
-
-def csv_header_only(folder: Path) -> Path:
-    path = folder / "drive.csv"
-    path.write_text("scan_line,column,range\n")
-    return path
-
-
-def gz_truncated(folder: Path) -> Path:
-    path = folder / "drive.csv.gz"
-    data = gzip.compress(write_csv(folder / "plain.csv", street()).read_bytes())
-    (folder / "plain.csv").unlink()
-    path.write_bytes(data[: len(data) // 2])
-    return path
-
-
-def npz_wrong_type(folder: Path) -> Path:
-    path = folder / "drive.npz"
-    np.savez(path, range_m=np.array([["a", "b"]]))
-    return path
-
-
-def npz_not_a_zip(folder: Path) -> Path:
-    path = folder / "drive.npz"
-    path.write_bytes(b"not a zip at all")
-    return path
-
-
-def npy_one_dimension(folder: Path) -> Path:
-    path = folder / "drive.npy"
-    np.save(path, street().ravel())
-    return path
-
-
-def unknown_suffix(folder: Path) -> Path:
-    path = folder / "drive.shp"
-    path.write_text("1 2 3\n")
-    return path
-
-
-def no_file(folder: Path) -> Path:
-    return folder / "none.las"
-
-
-def folder_as_file(folder: Path) -> Path:
-    path = folder / "drive.las"
-    path.mkdir()
-    return path
-
-
-CASES: list[tuple[Callable[[Path], Path], tuple[str, ...], int, list[str]]] = [
-    (empty, (), 1, ["empty", "0 bytes"]),
-    (not_las, (), 1, ["drive.las", "LASF"]),
-    (las_header_only, (), 1, ["drive.las", "0 records"]),
-    (las_truncated, (), 1, ["drive.las", "the file is cut short"]),
-    (laz_truncated, (), 1, ["drive.laz"]),
-    (las_count_lies, (), 1, ["drive.las", "the header promises 4611686018427387904 records"]),
-    (raw_truncated, M, 1, ["drive.bin", "expected"]),
-    (raw_wrong_m, M, 1, [f"{N_LINES * POINTS_PER_LINE - 1}", f"{POINTS_PER_LINE}"]),
-    (raw_wrong_m, (), 1, ["points_per_line", "prc info"]),
-    (csv_not_a_number, (), 1, ["1001", "7.x2", "range"]),
-    (csv_without_range, (), 1, ["range", "distnace"]),
-    (csv_header_only, (), 1, ["drive.csv", "no "]),
-    (gz_truncated, (), 1, ["drive.csv.gz"]),
-    (npz_wrong_type, (), 1, ["range_m"]),
-    (npz_not_a_zip, (), 1, ["drive.npz", "zip"]),
-    (npy_one_dimension, (), 1, ["points_per_line"]),
-    (unknown_suffix, (), 1, [".shp", ".laz", ".npz"]),
-    (no_file, (), 1, ["no such file"]),
-    (folder_as_file, (), 1, ["is a folder"]),
-]
-
-
-@pytest.mark.parametrize(("make", "options", "code", "words"), CASES, ids=lambda value: getattr(value, "__name__", ""))
-def test_one_clear_line_and_nothing_left(
-    prc: Prc, tmp_path: Path, make: Callable[[Path], Path], options: tuple[str, ...], code: int, words: list[str]
-) -> None:
-    source = make(tmp_path)
-    before = sorted(os.listdir(tmp_path))
-    result = prc("classify", source, tmp_path / "labels.npy", *options)
-    assert result.code == code, result.err
-    assert result.out == ""
-    lines = result.err.strip().splitlines()
-    assert len(lines) == 1, result.err
-    assert lines[0].startswith("error: ")
-    for word in words:
-        assert word in lines[0]
-    assert sorted(os.listdir(tmp_path)) == before
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--set", "prc.support.zeta=1"), ["unknown key 'prc.support.zeta'", "did you mean"]),
-        (("--set", "prc.background.alpha=0.9"), ["prc.background.alpha", "0.9"]),
-        (("--lines", "hourly"), ["input.lines", "hourly"]),
-        (("--config", "none.toml"), ["none.toml"]),
-    ],
-)
-def test_wrong_options_are_exit_code_two(prc: Prc, tmp_path: Path, options: tuple[str, ...], words: list[str]) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    result = prc("classify", source, tmp_path / "labels.npy", *options)
-    assert result.code == 2
-    for word in words:
-        assert word in result.err
-    assert sorted(os.listdir(tmp_path)) == ["drive.npz"]
-
-
-@pytest.mark.parametrize(
-    ("output", "code", "words"),
-    [
-        ("none/labels.npy", 1, ["output folder does not exist"]),
-        ("labels.xyz", 2, [".xyz", ".laz"]),
-        ("labels", 2, [".laz"]),
-        ("drive.npz", 2, ["the output is the input itself"]),
-    ],
-)
-def test_wrong_outputs(prc: Prc, tmp_path: Path, output: str, code: int, words: list[str]) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    result = prc("classify", source, tmp_path / output, "--overwrite")
-    assert result.code == code, result.err
-    for word in words:
-        assert word in result.err
-    assert sorted(os.listdir(tmp_path)) == ["drive.npz"]
 
 
 def test_odd_ranges_are_missing_and_counted(prc: Prc, tmp_path: Path) -> None:
@@ -342,14 +151,6 @@ def test_what_the_system_refuses_is_named(
     result = prc("convert", write_npz(tmp_path / "drive.npz", street()), tmp_path / "drive.csv")
     assert result.code == 1
     assert result.err.startswith(f"error: {line}")
-
-
-def test_usage_errors_are_one_line(prc: Prc, tmp_path: Path) -> None:
-    for arguments in (["classify", "a"], ["classify", "a", "b", "-M", "x"], ["evaluate", "a"], ["nonsense"]):
-        result = prc(*arguments)
-        assert result.code == 2
-        assert len(result.err.splitlines()) == 1
-        assert result.err.startswith("error: ")
 
 
 @pytest.mark.parametrize("output", ["a.laz", "a.las", "a.npy"])

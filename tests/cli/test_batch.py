@@ -15,17 +15,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-import prc_cli
 from prc_cli.cli import main
-from prc_cli.cli.batch_report import Final, Teller, failed_words, print_status, status_dict
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.cli.batch_report import Final, Teller, print_status, status_dict
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
 from prc_cli.jobs.batch import run as run_module
 from prc_cli.jobs.batch.lock import Holder, Owner
-from prc_cli.jobs.batch.plan import Estimate, Plan, Planned
+from prc_cli.jobs.batch.plan import Plan
 from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary, Compared
 from prc_cli.jobs.batch.run import (
     Again,
@@ -46,7 +44,6 @@ from prc_cli.jobs.batch.types import (
     Progress,
     ReferenceSettings,
     Started,
-    Task,
 )
 from prc_cli.jobs.batch.types import Run as JournalRun
 from tests import patience
@@ -137,23 +134,6 @@ def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -
     assert all(line["time"].endswith("Z") for line in lines)
 
 
-def test_status_says_what_failed_and_summary_json_holds_it(office: tuple[Path, Path], prc: Run) -> None:
-    found = prc("status", office[1])
-    assert found.code == 0
-    assert "3 files: 2 done, 1 failed" in found.out
-    assert "failed night/bad.laz: byte" in found.out
-    assert "no run is at work" in found.out
-    table = json.loads(prc("status", office[1], "--json").out)
-    assert {entry["name"]: entry["state"] for entry in table["files"]} == {
-        "drive.npz": "done",
-        ODD: "done",
-        "night/bad.laz": "failed",
-    }
-    summary = json.loads((office[1] / "summary.json").read_text())
-    assert summary["counts"]["done"] == 2
-    assert summary["exit_code"] == 1
-
-
 def test_what_a_dead_run_left_is_not_called_at_work_while_another_run_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,29 +153,6 @@ def test_what_a_dead_run_left_is_not_called_at_work_while_another_run_is(
         (True, False),
         (False, True),
     ]
-
-
-def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(
-    office: tuple[Path, Path], prc: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    archive, out = office
-    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
-    found = prc(archive, out, "--preset", "urban", "--exclude", "bad.laz", "--set", "prc.surfaces.gamma=1", "--dry-run")
-    assert found.code == 0
-    assert "2 files to do" in found.out
-    assert "changed config  drive.npz -> drive.npz.labels.npy" in found.out
-    assert "nothing was written" in found.out
-    options = (archive, out, "--preset", "urban", "--exclude", "bad.laz", "--dry-run")
-    table = json.loads(prc(*options, "--json").out)
-    assert (table["todo"], table["skipped"]) == ([], 2)
-    # after an upgrade all is due, unless outputs of the old version are to be kept
-    old = prc_cli.__version__
-    monkeypatch.setattr("prc_cli.jobs.batch.plan.__version__", "99")
-    assert "changed version drive.npz" in prc(*options).out
-    assert "0 files to do" in prc(*options, "--keep-version", "1", "--keep-version", old).out
-    # which may know keys that the old one did not
-    assert "0 files to do" in prc(*options, "--keep-version", old, "--set", "prc.surfaces.gamma=1").out
-    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
 
 
 def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
@@ -444,40 +401,11 @@ def test_status_shows_doubts(capsys: pytest.CaptureFixture[str], tmp_path: Path)
     assert table["counts"] == {"done": 2}
 
 
-def test_the_last_failure_is_told_although_nothing_follows_it(prc: Run, play: Callable[..., None]) -> None:
-    play(failed("z.laz"), BusyError("lock", "was lost"))
-    assert "failed z.laz" in prc("a", "o").err
-
-
-def test_why_there_is_nothing_to_do(prc: Run, play: Callable[..., None]) -> None:
-    play()
-    assert prc("a", "o").err == "nothing to do: no files were found (o)\n"
-    assert prc("a", "o", "--only-failed").err == "nothing to do: no file failed or was cut off (o)\n"
-
-
 def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]) -> None:
     play(done(":warning:[bold]{x}%s.laz"), failed(":smile:[/].laz"))
     found = prc("a", "o")
     assert "done :warning:[bold]{x}%s.laz: " in found.err
     assert "failed :smile:[/].laz: is cut short" in found.err
-
-
-def test_time_stamps_come_only_when_asked_for(prc: Run, play: Callable[..., None]) -> None:
-    play(done("a.laz"))
-    assert prc("a", "o").err.startswith("[-] done a.laz")
-    assert prc("a", "o", "--time-stamps").err[:2] == "20"
-    verbose = prc("a", "o", "-v").err
-    assert "note a.laz: a note" in verbose
-
-
-def test_the_end_has_pooled_classes_and_what_was_left_out(prc: Run, play: Callable[..., None]) -> None:
-    play(done("a.laz"), done("b.laz", 3_000_000), left_out=(LeftOut("x\x07", "not a regular file"),), n_waiting=3)
-    found = prc("a", "o")
-    assert "classes of 2 files" in found.err
-    assert "66.7%" in found.err
-    assert r"left out x\x07: not a regular file" in found.err
-    assert "3 left for another run" in found.err
-    assert json.loads(prc("a", "o", "--json", "-q").out)["labels"]["ground"] == 2_000_000
 
 
 def test_a_log_that_cannot_be_written_does_not_end_the_run(prc: Run, play: Callable[..., None]) -> None:
@@ -556,29 +484,6 @@ def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None
     assert (found.archive, found.out) == (Path("status"), Path("retry"))
 
 
-def test_an_estimate_that_is_not_known_is_said(prc: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = Task("a.bin", Path("a/a.bin"), Path("o/a.bin.labels.npy"), LoadedConfig(RunConfig()), "")
-    plan = Plan((Planned(task, "new", 3 << 20),), done=("x",))
-    monkeypatch.setattr(run_module, "plan_batch", lambda *_: (plan, Estimate(None, None, ("bin: nothing known",), 1)))
-    found = prc("a", "o", "--dry-run")
-    assert "1 file to do (3.0 MiB), 1 done already" in found.out
-    assert "an unknown time, an unknown amount of memory, without 1 file" in found.out
-    assert json.loads(prc("a", "o", "--dry-run", "--json").out)["estimate"]["seconds"] is None
-
-
-@pytest.mark.parametrize(
-    ("where", "expected"),
-    [
-        ("/data/night/a.laz: byte 7", "night/a.laz: byte 7: bad"),
-        ("night/a.laz", "night/a.laz: bad"),
-        ("/tmp/trajectory.csv", "night/a.laz: /tmp/trajectory.csv: bad"),
-        ("", "night/a.laz: bad"),
-    ],
-)
-def test_a_failed_file_is_named_once(where: str, expected: str) -> None:
-    assert failed_words(Failed("night/a.laz", None, 0.0, Problem("InputError", where, "bad"))) == expected
-
-
 def test_long_lists_are_cut_and_the_worst_files_are_shown(prc: Run, play: Callable[..., None]) -> None:
     names = ("ground", "noise")
     matrices = [ConfusionMatrix(names, names, np.array([[k, 30 - k], [0, 9]])) for k in range(30)]
@@ -621,20 +526,6 @@ def test_a_bar_shows_the_archive_and_a_file_in_work(capsys: pytest.CaptureFixtur
     assert "2/2 files, 1 failed" in text
 
 
-def test_a_configuration_with_overrides_can_be_checked(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    file = tmp_path / "archive.toml"
-    file.write_text('preset = "urban"\n[[override]]\nmatch = "a/*"\npreset = "forest"\n')
-    with pytest.raises(SystemExit) as stop:
-        main(["config", "check", str(file)])
-    assert stop.value.code == 0
-    assert "and 1 override" in capsys.readouterr().out
-    file.write_text('[[override]]\nmatch = "a/*"\n[override.prc.surfaces]\ngama = 1\n')
-    with pytest.raises(SystemExit) as stop:
-        main(["config", "check", str(file)])
-    assert stop.value.code == 2
-    assert "override 1: unknown key 'prc.surfaces.gama'" in capsys.readouterr().err
-
-
 def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple[Path, Path], tmp_path: Path) -> None:
     command = [*PRC, "batch", str(office[0]), "out", "--preset", "urban", "--exclude", "night", "--log-json", "-"]
     read, write = os.pipe()
@@ -644,9 +535,3 @@ def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple
     assert found.returncode == 0
     assert (tmp_path / "out" / "drive.npz.labels.npy").exists()
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["done"] == 1
-
-
-def test_the_sample_of_an_archive_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["config", "check", str(Path(__file__).resolve().parents[2] / "sample_configs" / "archive.toml")])
-    assert stop.value.code == 0

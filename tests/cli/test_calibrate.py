@@ -14,57 +14,6 @@ from tests.street import street, write_npz
 __all__ = ["prc"]
 
 
-def test_without_a_reference(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "street.npz", street())
-    result = prc(
-        "calibrate", source, "--method", "prc", "-o", tmp_path / "street.toml", "--plot", tmp_path / "street.svg"
-    )
-    assert result.code == 0, result.err
-    assert "standard deviation about a plane" in result.out
-    assert "prc.background.d_c" in result.out
-    assert load_config(tmp_path / "street.toml").config.prc.surfaces.area == 12.0
-    assert (tmp_path / "street.svg").read_text(encoding="utf-8").startswith("<svg")
-    result = prc("classify", source, tmp_path / "labels.npy", "--config", tmp_path / "street.toml")
-    assert result.code == 0, result.err
-
-
-def test_with_a_reference(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "street.npz", street())
-    prc("classify", source, tmp_path / "reference.npy", "--preset", "urban", "--set", "prc.surfaces.area=4.0")
-    options = [
-        "--method",
-        "prc",
-        "--reference",
-        tmp_path / "reference.npy",
-        "--set",
-        "prc.lines_per_block=20",
-        "--budget",
-        6,
-    ]
-    result = prc("calibrate", source, *options, "--json", "-q")
-    assert (result.code, result.err) == (0, "")
-    assert json.loads(result.out)["search"]["n_trials"] == 6
-    result = prc("calibrate", source, *options, "--format", "markdown", "-q")
-    assert "| search | held-out |" in result.out
-    result = prc("calibrate", source, *options)
-    assert "6 trials" in result.out
-
-
-def test_thresholds_in_the_order_that_the_paper_advises_against_are_told(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "street.npz", street())
-    expected = "prc.support.zeta_s = 0.1 m is below zeta_p = 1 m: zeta_s >= zeta_p is advisable"
-    (tmp_path / "odd.toml").write_text('method = "prc"\n[prc.support]\nzeta_s = 0.1\n', encoding="utf-8")
-    result = prc("classify", source, tmp_path / "labels.npy", "--config", tmp_path / "odd.toml")
-    assert (result.code, f"note: {expected}" in result.err) == (0, True)
-    result = prc("config", "check", tmp_path / "odd.toml")
-    assert (result.code, f"warning: {expected}" in result.err) == (0, True)
-    for preset in ("urban", "forest"):
-        assert "advisable" not in prc("classify", source, tmp_path / f"{preset}.npy", "--preset", preset).err
-    result = prc("calibrate", source, "--config", tmp_path / "odd.toml", "-o", tmp_path / "mended.toml", "-q")
-    support = load_config(tmp_path / "mended.toml").config.prc.support
-    assert support.zeta_s >= support.zeta_p
-
-
 def test_parameters_of_a_doubted_stream_are_told(prc: Prc, tmp_path: Path) -> None:
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :180] = street()

@@ -34,10 +34,3 @@ def test_files_are_written_though_nobody_listens(tmp_path: Path) -> None:
     code, _, _ = run("<&- >&- 2>&-", "classify", str(source), str(output), "-M", "9", "--json")
     assert code == 0
     assert np.load(output).size == 180
-
-
-def test_no_result_is_printed_nowhere(tmp_path: Path) -> None:
-    source = tmp_path / "drive.npy"
-    np.save(source, np.full((20, 9), 7.0, np.float32))
-    code, _, err = run(">&-", "info", str(source))
-    assert (code, err) == (0, "")

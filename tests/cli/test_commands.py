@@ -14,11 +14,9 @@ import pytest
 
 from prc_cli.cli import main, report
 from prc_cli.core.findings import CHECK_NAMES
-from prc_cli.jobs.demo import DemoResult
-from prc_cli.streams.evidence.periods import PeriodEstimate
 from tests import patience
 from tests.patience import HANGS_S, wait_until
-from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_endless, write_npz, write_raw
+from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_endless, write_npz, write_raw
 
 
 class Result:
@@ -48,25 +46,6 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
     return Prc(capsys)
 
 
-def test_classify_prints_a_summary_on_stderr_and_keeps_stdout_clean(prc: Prc, tmp_path: Path) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "urban", "-M", POINTS_PER_LINE)
-    assert (result.code, result.out) == (0, "")
-    assert "ground" in result.err
-    assert f"{N_LINES} lines of {POINTS_PER_LINE} shots" in result.err
-    assert np.load(tmp_path / "labels.npy").shape == (N_LINES * POINTS_PER_LINE,)
-
-
-def test_quiet_prints_nothing_and_json_goes_to_stdout(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    result = prc("classify", source, tmp_path / "labels.csv", "--quiet")
-    assert (result.code, result.out, result.err) == (0, "", "")
-    result = prc("classify", source, tmp_path / "labels.parquet", "--quiet", "--json")
-    assert json.loads(result.out)["stream"]["points_per_line"] == POINTS_PER_LINE
-    result = prc("classify", source, tmp_path / "labels.npy", "--verbose")
-    assert "taken for granted" in result.err
-
-
 def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
     source = write_raw(tmp_path / "drive.bin", street())
     layout = tmp_path / "layout.toml"
@@ -82,38 +61,6 @@ def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
     las = laspy.read(tmp_path / "out.las")
     assert las["segment_id"].max() > 1
     assert las["range"].max() <= 80
-
-
-def test_existing_output_needs_overwrite(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    assert prc("classify", source, tmp_path / "a.npy", "-q").code == 0
-    result = prc("classify", source, tmp_path / "a.npy", "-q")
-    assert result.code == 2
-    assert "exists already" in result.err
-    assert prc("classify", source, tmp_path / "a.npy", "-q", "--overwrite").code == 0
-
-
-def test_info_describes_a_stream(prc: Prc, tmp_path: Path) -> None:
-    source = write_csv(tmp_path / "drive.csv", street())
-    result = prc("info", source)
-    assert result.code == 0
-    assert f"{N_LINES} of {POINTS_PER_LINE} shots" in result.out
-    assert "yes, fused can classify it as it is\ntype: prc classify" in result.out
-    found = json.loads(prc("info", source, "--json").out)
-    assert found["classifiable"] is True
-    assert found["facts"]["n_lines"] == N_LINES
-    assert found["facts"]["n_missing"] == int(np.isnan(street()).sum())
-    assert found["period"]["points_per_line"] == POINTS_PER_LINE
-
-
-def test_info_estimates_m_of_a_raw_dump(prc: Prc, tmp_path: Path) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    found = json.loads(prc("info", source, "--json").out)
-    assert found["classifiable"] is False
-    assert "points_per_line" in found["problem"] + found["hint"]
-    assert found["period"]["points_per_line"] == POINTS_PER_LINE
-    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
-    assert found["classifiable"] is True
 
 
 @pytest.mark.parametrize("told", [(), ("-M", POINTS_PER_LINE - 1), ("-M", 7)])
@@ -152,27 +99,6 @@ def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -
     assert found["command"] == ""
 
 
-def test_info_tells_a_shuffled_stream(prc: Prc, tmp_path: Path) -> None:
-    image = street().ravel()
-    np.random.default_rng(3).shuffle(image)
-    source = write_raw(tmp_path / "drive.bin", image.reshape(N_LINES, POINTS_PER_LINE))
-    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
-    assert found["classifiable"] is False
-    assert "ranges of neighbouring shots differ" in found["problem"]
-    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE, "--trust-order").out)
-    assert found["classifiable"] is True
-    assert found["facts"]["correlation"]["ratio"] > 0.7
-
-
-def test_info_tells_an_array_whose_lines_are_out_of_order(prc: Prc, tmp_path: Path) -> None:
-    times = np.random.default_rng(4).permutation(N_LINES) / 48.0
-    np.savez(tmp_path / "drive.npz", range_m=street(), time_s=times)
-    found = json.loads(prc("info", tmp_path / "drive.npz", "--json").out)
-    assert found["classifiable"] is False
-    assert "time_s decreases in" in found["problem"]
-    assert prc("classify", tmp_path / "drive.npz", tmp_path / "a.npy").code == 1
-
-
 def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     result = prc("info", tmp_path / "none.las", source, "--json")
@@ -180,46 +106,6 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     assert result.code == 1
     assert "no such file" in found[0]["error"]
     assert found[1]["classifiable"] is True
-
-
-def test_evaluate_in_every_form_and_its_gates(prc: Prc, tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.array([2, 2, 6, 6, 7, 5], np.uint8))
-    np.save(tmp_path / "b.npy", np.array([2, 6, 6, 6, 7, 5], np.uint8))
-    files = (tmp_path / "a.npy", tmp_path / "b.npy")
-    assert "ground" in prc("evaluate", *files).out
-    assert json.loads(prc("evaluate", *files, "--json").out)["classes"]["building"]["recall"] == pytest.approx(2 / 3)
-    assert prc("evaluate", *files, "--format", "csv").out.startswith("class,")
-    assert "| reference" in prc("evaluate", *files, "--format", "markdown").out
-    assert prc("evaluate", *files, "--fail-under", "recall.ground=1", "--fail-under", "accuracy=0.8").code == 0
-    result = prc("evaluate", *files, "--fail-under", "recall.building=0.9")
-    assert result.code == 3
-    assert "recall.building: found 0.6667, demanded at least 0.9000" in result.err
-    assert prc("evaluate", *files, "--fail-under", "recall.stem=0.5").code == 3  # undefined has not reached it
-    assert prc("evaluate", *files, "--fail-under", "recall.ground").code == 2
-    assert prc("evaluate", *files, "--fail-under", "accuracy=0.8", "--quiet").out == ""
-    for wrong in ("recal.ground=0.5", "recall.grond=0.5", "recall.ground=nan", "recall.ground=95"):
-        result = prc("evaluate", *files, "--fail-under", wrong)
-        assert (result.code, result.out) == (2, "")
-    assert prc("evaluate", *files, "--json", "--format", "csv").code == 2
-
-
-def test_config_commands(prc: Prc, tmp_path: Path) -> None:
-    shown = prc("config", "show", "--preset", "forest", "--set", "prc.surfaces.gamma=1").out
-    path = tmp_path / "run.toml"
-    path.write_text(shown)
-    assert "# from: preset forest" in shown
-    assert prc("config", "check", path).code == 0
-    assert json.loads(prc("config", "show", "--config", path, "--json").out)["config"]["prc"]["surfaces"]["gamma"] == 1
-    assert "properties" in json.loads(prc("config", "schema").out)
-    path.write_text("[prc.suport]\nzeta_s = 1\n")
-    result = prc("config", "check", path)
-    assert result.code == 2
-    assert "did you mean 'support'?" in result.err
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_scripts_name_the_command(prc: Prc, shell: str) -> None:
-    assert "_PRC_COMPLETE" in prc("completion", shell).out
 
 
 def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
@@ -255,28 +141,6 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--output", folder)
     assert result.code == 2
     assert "holds files already" in result.err
-
-
-def test_demo_ends_with_what_to_open(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.cli.demo.run_demo", lambda folder, **_: DemoResult({}, (folder / "street.png",)))
-    folder = tmp_path / "demo"
-    folder.mkdir()
-    (folder / "street.png").touch()
-    lines = prc("demo", "--output", folder).err.splitlines()
-    assert lines[-6] == f"look around in it, in a browser: {folder / 'street.html'}"
-    assert lines[-2] == f"the other scans, labels and configurations: {folder / 'more'}"
-    assert lines[-1] == "your own file: prc info FILE prints the command to type"
-
-
-def test_unknown_commands_and_options_are_usage_errors(prc: Prc) -> None:
-    result = prc("clasify", "a", "b")
-    assert result.code == 2
-    assert "did you mean 'classify'?" in result.err
-    assert prc("classify", "--nonsense").code == 2
-    contradiction = prc("classify", "a.las", "b.las", "--sort-by-time", "--trust-order")
-    assert contradiction.code == 2
-    assert "contradict each other" in contradiction.err
-    assert prc("--version").out.startswith("prc, version")
 
 
 def test_a_terminal_gets_a_progress_bar_and_a_pipe_none(tmp_path: Path) -> None:
@@ -403,23 +267,3 @@ def test_info_says_doubts_behind_the_command(prc: Prc, tmp_path: Path) -> None:
     assert said[0].endswith(f"can classify it, but look at {', '.join(doubts)}")
     assert said[1].startswith("type: ")
     assert [line.split(":")[0] for line in said[2 : 2 + len(doubts)]] == [f"look at {name}" for name in doubts]
-
-
-def test_info_says_which_of_two_lengths_of_a_line_is_used(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    assert "not used" not in prc("info", source, "-v").out
-    other = PeriodEstimate(POINTS_PER_LINE // 2, 1.0, 9000, "as an example")
-    monkeypatch.setattr("prc_cli.jobs.info.estimate_points_per_line", lambda _: other)
-    assert "M estimated" not in prc("info", source).out
-    told = " ".join(prc("info", source, "-v").out.split())
-    assert f"(as an example); not used: the lines have {POINTS_PER_LINE} shots" in told
-
-
-def test_info_of_a_dump_types_no_method_that_lacked_m(prc: Prc, tmp_path: Path) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    assert (
-        f"\ntype: prc classify {source} {tmp_path / 'drive_labels.npy'} -M {POINTS_PER_LINE}\n"
-        in prc("info", source).out
-    )

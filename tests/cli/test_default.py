@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 
@@ -15,7 +14,6 @@ import prc_cli
 from prc_cli import classify_ranges, load_config
 from prc_cli.config import RunConfig, from_layers, preset_table
 from prc_cli.core.errors import ConfigError, InputError
-from tests import patience
 from tests.cli.test_commands import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.evidence.test_place import forest_lines
@@ -79,23 +77,6 @@ def test_measured_angles_that_are_uncertain_are_a_doubt(prc: Prc, scans: Path) -
     assert prc("classify", scans / "waves.bin", scans / "o.npy", "-M", M, *accepted).code == 0
 
 
-def test_a_las_file_holds_the_choice(prc: Prc, scans: Path) -> None:
-    assert prc("classify", scans / "street.npz", scans / "o.laz", "--set", "input.nadir=0", "-q").code == 0
-    header = laspy.read(scans / "o.laz").header
-    record = next(vlr for vlr in (*header.vlrs, *header.evlrs) if vlr.user_id == "prc-cli")
-    assert json.loads(record.record_data_bytes())["assumptions"][0]["value"] == "fused (--preset fused)"
-
-
-def test_the_pipe_takes_the_same(prc: Prc, scans: Path) -> None:
-    for given, preset in ((("-M", M), "fused"), (ANGLES, "fused")):
-        assert prc("classify", scans / "street.bin", scans / "o.npy", *given, "--overwrite", "-q").code == 0
-        command = [sys.executable, "-m", "prc_cli", "stream", "--report", "0", *map(str, given)]
-        with (scans / "street.bin").open("rb") as source:
-            done = patience.run(command, stdin=source, capture_output=True, check=True)
-        assert done.stdout == np.load(scans / "o.npy").tobytes()
-        assert f"(--preset {preset})" in done.stderr.decode()
-
-
 def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
     down = ("--set", "input.nadir=0")
     for given in (("--segment-ids",), ("--engine", "reference"), ("--set", "prc.support.zeta_p=0.5")):
@@ -156,11 +137,6 @@ def test_tables_and_presets_decide() -> None:
     assert from_layers([("a.toml", {"prc": {}})]).sources["method"] == "the table [prc]"
     with pytest.raises(ConfigError, match=r"the tables \[prc\] and \[fused\] and no method"):
         from_layers([("a.toml", {"prc": {}, "fused": {}})])
-
-
-def test_a_printed_configuration_stays_undecided(prc: Prc, tmp_path: Path) -> None:
-    (tmp_path / "all.toml").write_text(prc("config", "show").out)
-    assert load_config(tmp_path / "all.toml").config == RunConfig()
 
 
 def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scans: Path) -> None:

@@ -67,30 +67,6 @@ def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(monkeypatch: p
     assert found.hint == "pip install 'numpy>=999.1' 'no-such-thing>=2'"
 
 
-def test_versions_compare_as_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    installed = {"a": "0.10.0", "b": "2.0rc1", "c": "3"}
-    monkeypatch.setattr(metadata, "requires", lambda name: ["a>=0.9.1", "b>=2", "c>=3.0.0"])
-    monkeypatch.setattr(metadata, "version", lambda name: installed.get(name, "1"))
-    monkeypatch.setattr(doctor, "_broken_packages", lambda names: {})
-    assert checks()["packages"].status == "ok"
-
-
-def test_a_source_tree_that_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str) -> None:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "requires", absent)
-    assert checks()["packages"].status == "warn"
-
-
-def test_extras_of_users_are_listed_and_those_of_developers_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    texts = ["numpy>=2", "no-such-thing>=1; extra == 'magic'", "pytest>=8; extra == 'test'"]
-    monkeypatch.setattr(metadata, "requires", lambda name: texts)
-    found = checks()["extras"]
-    assert "magic: no (pip install 'prc-cli[magic]')" in found.found
-    assert "pytest" not in found.found
-
-
 def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
     class Broken:
         def __init__(self, *_: object) -> None:
@@ -246,13 +222,6 @@ def test_the_file_system_of_a_folder(tmp_path: Path) -> None:
     assert file_system(tmp_path, mounts) == "xfs"
     assert file_system(Path("/"), mounts) == "ext4"
     assert file_system(tmp_path, tmp_path / "none") == ""
-
-
-def test_quiet_prints_only_what_is_not_well(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = run(capsys, "--no-run", "-q")
-    assert code == 0
-    assert not [line for line in out.splitlines() if line.startswith("ok")]
-    assert err == ""
 
 
 def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> None:

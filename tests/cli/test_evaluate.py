@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from prc_cli.cli import main
 
@@ -41,83 +40,6 @@ def save(folder: Path, name: str, predicted: list[int], reference: list[int]) ->
     with paths[1].open("w", encoding="utf-8") as handle:
         csv.writer(handle).writerows([["class"], *([code] for code in reference)])
     return paths
-
-
-@pytest.fixture
-def pair(tmp_path: Path) -> tuple[Path, Path]:
-    return save(tmp_path, "a", [2, 2, 6, 6, 5, 0], [2, 2, 6, 5, 5, 0])
-
-
-@pytest.mark.parametrize(
-    ("suffix", "sign"),
-    [
-        (".json", '"n_scored": 5'),
-        (".csv", "class,n_reference"),
-        (".md", "| reference  |"),
-        (".tex", r"\toprule"),
-        (".html", "<!DOCTYPE html>"),
-    ],
-)
-def test_output_in_every_form_leaves_stdout_as_it_was(
-    prc: Prc, pair: tuple[Path, Path], tmp_path: Path, suffix: str, sign: str
-) -> None:
-    target = tmp_path / f"report{suffix}"
-    plain = prc(*pair)
-    assert prc(*pair, "--output", target) == plain
-    assert sign in target.read_text(encoding="utf-8")
-    code, out, err = prc(*pair, "--output", target)
-    assert (code, out) == (2, "")
-    assert "report" in err
-    assert "exists already; choose another name or add --overwrite" in err
-    assert prc(*pair, "--output", target, "--overwrite", "-q")[:2] == (0, "")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["reference", f"report{suffix}", "run"]
-
-
-def test_several_outputs_and_stdout_say_the_same(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
-    names = [tmp_path / f"report{suffix}" for suffix in (".json", ".csv", ".md", ".tex", ".html")]
-    outputs = [word for name in names for word in ("--output", name)]
-    assert prc(*pair, *outputs, "--quiet") == (0, "", "")
-    for name, form in zip(names, ("json", "csv", "markdown", "latex", "html"), strict=True):
-        assert prc(*pair, "--format", form)[1] == name.read_text(encoding="utf-8")
-
-
-def test_failed_gates_are_written_and_end_with_3(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
-    page, table = tmp_path / "report.html", tmp_path / "report.json"
-    gates = ["--fail-under", "recall.ground=1", "--fail-under", "recall.vegetation=0.9", "--fail-under", "kappa=0.99"]
-    code, out, err = prc(*pair, *gates, "--output", page, "--output", table)
-    assert code == 3
-    assert "recall.vegetation: found 0.5000, demanded at least 0.9000; kappa: found" in err
-    assert "recall.ground: found 1.0000, demanded 1: passed" in out
-    assert [gate["passed"] for gate in json.loads(table.read_text())["gates"]] == [True, False, False]
-    assert "2 of 3 gates failed" in page.read_text(encoding="utf-8")
-
-
-def test_folders_and_pairs_are_pooled(prc: Prc, tmp_path: Path) -> None:
-    first = save(tmp_path, "a", [2, 2, 6], [2, 2, 5])
-    second = save(tmp_path, "b", [5, 5], [5, 6])
-    single = [json.loads(prc(*files, "--json")[1]) for files in (first, second)]
-    pooled = json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])
-    counts = [np.array(table["confusion"]["counts"]) for table in (*single, pooled)]
-    assert np.array_equal(counts[0] + counts[1], counts[2])
-    assert pooled["files"]["predicted"] == [str(first[0]), str(second[0])]
-    by_pair = json.loads(prc(*first, "--pair", *second, "--json")[1])
-    assert by_pair == pooled
-
-
-def test_match_is_told(prc: Prc, pair: tuple[Path, Path]) -> None:
-    assert "Matched by order: 6 pairs of 6 predicted and 6 reference records." in prc(*pair)[1]
-    assert json.loads(prc(*pair, "--json")[1])["match"]["method"] == "order"
-
-
-def test_pictures_are_put_into_the_page(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
-    picture = tmp_path / "a=b.png"
-    Image.new("RGB", (4, 3), "red").save(picture)
-    page = tmp_path / "report.html"
-    assert prc(*pair, "-q", "-o", page, "--picture", picture, "--picture", f"Classes & more={picture}")[0] == 0
-    text = page.read_text(encoding="utf-8")
-    assert text.count("data:image/png;base64,") == 2
-    assert "<figcaption>a=b</figcaption>" in text
-    assert "<figcaption>Classes &amp; more</figcaption>" in text
 
 
 @pytest.mark.parametrize(
@@ -181,23 +103,6 @@ def test_three_strips_of_a_street_as_one_page(prc: Prc, real_data: Path, tmp_pat
     parts = [evaluate(name, name, mapping).n_scored for name in names]
     assert found["n_scored"] == sum(parts)
     assert "unlisted" not in page.read_text(encoding="utf-8")
-
-
-def test_page_of_a_dense_stream_has_pictures_of_its_own(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
-    page = tmp_path / "report.html"
-    assert prc(*pair, "-q", "-o", page, "-M", 3)[0] == 0
-    text = page.read_text(encoding="utf-8")
-    assert text.count("data:image/png;base64,") == 3
-    assert "Predicted, lines 0-1 of a.npy" in text
-
-
-def test_undefined_figures_are_told_in_words(prc: Prc, tmp_path: Path) -> None:
-    pair = save(tmp_path, "a", [2, 2, 6], [2, 2, 2])
-    code, out, err = prc(*pair, "--fail-under", "recall.building=0.5")
-    assert code == 3
-    assert "recall.building: found undefined (no such records), demanded at least 0.5" in err
-    assert "(-)" in out
-    assert "nan" not in out + err
 
 
 def record(path: Path, method: str, **tables: object) -> None:

@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
 
-from prc_cli.cli.report import results
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.jobs.classify import classify
@@ -109,22 +108,6 @@ def test_places_that_are_not_there(prc: Prc, folder: Path, place: str, code: int
     result = prc("explain", folder / "street.npz", "--at", place, "--preset", "urban")
     assert result.code == code
     assert said in result.err
-
-
-def test_a_narrow_table_is_whole(prc: Prc, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "60")
-    results.cache_clear()
-    found = prc("explain", folder / "street.npz", "--at", "100,300")
-    results.cache_clear()
-    assert found.code == 0
-    assert max(map(len, found.out.splitlines()[1:-2])) <= 60
-    assert "…" not in found.out
-
-
-def test_a_missing_option_is_one_sentence(prc: Prc, folder: Path) -> None:
-    result = prc("explain", folder / "street.npz")
-    assert result.code == 2
-    assert result.err == "error: Missing option '--at'; see prc explain --help\n"
 
 
 def test_scanners_have_lines_of_their_own(prc: Prc, folder: Path) -> None:

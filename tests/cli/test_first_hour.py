@@ -31,19 +31,6 @@ def test_a_folder_is_no_output(prc: Prc, tmp_path: Path, output: str, monkeypatc
     assert found.err == f"error: {output or '.'}: is a folder, expected a file name; name the file inside it\n"
 
 
-def test_debug_shows_where_an_error_was_raised(prc: Prc, tmp_path: Path) -> None:
-    found = prc("--debug", "classify", tmp_path / "nothing.bin", tmp_path / "o.npy")
-    assert found.err.startswith("Traceback (most recent call last):\n")
-    assert "InputError" in found.err
-    assert "NoneType" not in found.err
-
-
-def test_a_stream_offers_no_sorting(prc: Prc) -> None:
-    assert "--sort-by-time" not in prc("stream", "--help").out
-    assert "--sort-by-time" in prc("classify", "--help").out
-    assert "--sort-by-time" in prc("convert", "--help").out
-
-
 def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Path) -> None:
     layout = tmp_path / "layout.toml"
     layout.write_text(LAYOUT)
@@ -60,14 +47,6 @@ def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Pa
     assert "input.range_scale" in found.err
     dump = write_raw(tmp_path / "drive.bin", street())
     assert "not used" not in prc("classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE).err
-
-
-def test_calibrate_tells_the_line_frequency_from_the_times(prc: Prc, tmp_path: Path) -> None:
-    image = street()
-    time_s = np.arange(image.size).reshape(image.shape) / (48.0 * POINTS_PER_LINE)
-    np.savez(tmp_path / "drive.npz", range_m=image, time_s=time_s)
-    found = prc("calibrate", tmp_path / "drive.npz", "-o", tmp_path / "c.toml")
-    assert "0.0208 m for every m/s of speed (48 lines a second)" in found.out + found.err
 
 
 def test_lines_of_the_files_come_before_a_line_length(prc: Prc, tmp_path: Path) -> None:
@@ -95,17 +74,6 @@ def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Pat
     assert repr(found).startswith(f"{N_LINES} lines of {POINTS_PER_LINE} shots: ")
     assert sum(found.counts.values()) == image.size == len(angles()) * N_LINES
     assert issubclass(prc_cli.EvidenceError, prc_cli.PrcError)
-
-
-def test_help_stands_in_sections(prc: Prc) -> None:
-    text = prc("classify", "--help").out
-    places = [text.index(f"\n{name}:\n") for name in ("Method", "Input", "Output", "Run")]
-    assert places == sorted(places)
-    for option, section in (("--preset", 0), ("--sort-by-time", 1), ("--overwrite", 2), ("--quiet", 3), ("--help", 3)):
-        after = places[section + 1] if section < 3 else len(text)
-        assert places[section] < text.index(f"{option} ", places[section]) < after
-    assert "\nOptions:\n" not in text
-    assert "\nOptions:\n" in prc("evaluate", "--help").out
 
 
 def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
@@ -159,21 +127,3 @@ def frame_xyz() -> np.ndarray:
     )
     flat = distance * np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)])
-
-
-def test_the_name_of_a_sample_is_enough(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("sick_push_broom.toml", "sample_configs/sick_push_broom.toml"):
-        assert "area = 12.0" in prc("config", "show", "--config", name).out
-    (tmp_path / "sick_push_broom.toml").write_text("prc.surfaces.area = 7.0\n")
-    assert "area = 7.0" in prc("config", "show", "--config", "sick_push_broom.toml").out
-    assert prc("config", "show", "--config", "nobody.toml").code == 2
-
-
-def test_a_result_says_how_to_draw_and_compare_it(prc: Prc, tmp_path: Path) -> None:
-    drive = write_raw(tmp_path / "drive.bin", street())
-    found = prc("classify", drive, tmp_path / "l.npy", "-M", POINTS_PER_LINE, "--preset", "urban")
-    draw = f"draw it: prc render {drive} {tmp_path / 'l.png'} --labels {tmp_path / 'l.npy'} -M {POINTS_PER_LINE}\n"
-    assert draw in found.err
-    assert f"compare it: prc evaluate {tmp_path / 'l.npy'} REFERENCE\n" in found.err
-    assert "draw it" not in prc("classify", drive, tmp_path / "q.npy", "-M", POINTS_PER_LINE, "-q").err

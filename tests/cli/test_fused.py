@@ -10,7 +10,6 @@ import pytest
 
 from prc_cli import classify_ranges, load_config
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
@@ -56,25 +55,6 @@ def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: P
     with dump.open("rb") as source:
         piped = patience.run(command, stdin=source, capture_output=True, check=True).stdout
     assert piped == np.load(out).tobytes()
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_what_lacks_is_said_in_one_line(prc: Prc, dump: Path, preset: str) -> None:
-    out = dump.with_name("labels.npy")
-    few = dump.with_name("few.npy")
-    np.save(few, np.fromfile(dump, np.float32).reshape(-1, M)[:, ::12])  # too few columns to measure their angles
-    result = prc("classify", few, out, "--preset", preset)
-    assert result.code == 1
-    assert "input.angle_start and input.angle_step" in result.err
-    result = prc("classify", dump, out, "--preset", preset, *ANGLES)
-    assert result.code == 0, result.err
-    assert "straight down is taken to be at scan angle 0.0 deg (guessed" in result.err
-
-
-@pytest.mark.parametrize("value", [-1.0, 2.0])
-def test_a_noise_that_cannot_be_is_refused(value: float) -> None:
-    with pytest.raises(ConfigError, match="range_noise_m"):
-        load_config(preset="fused", options={"fused": {"sensor": {"range_noise_m": value}}})
 
 
 @pytest.mark.parametrize("preset", PRESETS)

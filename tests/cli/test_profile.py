@@ -5,14 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from prc_cli.cli import main
-from tests.street import POINTS_PER_LINE, angles, street, write_raw
-
-NADIR = "input.nadir=0"
-
+from tests.street import POINTS_PER_LINE, street, write_raw
 
 URBAN = ("--preset", "urban")
 
@@ -60,20 +56,3 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
     # without it the record is the same
     assert run(*arguments, "--overwrite", "--threads", 1) == 0
     assert json.loads(capsys.readouterr().out) == {**found, "doubts": []}
-
-
-def test_the_sequential_angle_method_has_its_own_stages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.savez(tmp_path / "scan.npz", range_m=street(), angle_deg=np.rad2deg(angles()))
-    source, output = tmp_path / "scan.npz", tmp_path / "a.npy"
-    code = run("classify", source, output, "--method", "sequential-angle", "--profile", "-q", "--set", NADIR)
-    told = capsys.readouterr().err
-    assert code == 0, told
-    for word in ("vertical lines", "angles", "coarse", "ground", "cars", "curbs", "classes"):
-        assert word in told
-
-
-@pytest.mark.parametrize("threads", ["0", "-1", "two"])
-def test_threads_are_at_least_one(tmp_path: Path, capsys: pytest.CaptureFixture[str], threads: str) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    assert run("classify", source, tmp_path / "a.npy", "-M", POINTS_PER_LINE, "--threads", threads) != 0
-    assert "threads" in capsys.readouterr().err

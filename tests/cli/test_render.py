@@ -11,48 +11,12 @@ from PIL import Image
 
 from tests.cli.test_commands import Prc, Result
 from tests.cli.test_commands import prc as prc
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz
+from tests.street import street, write_npz
 
 
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
     return write_npz(tmp_path / "drive.npz", street())
-
-
-def test_it_says_what_it_drew_on_stderr(prc: Prc, drive: Path, tmp_path: Path) -> None:
-    result = prc("render", drive, tmp_path / "drive.png", "--preset", "urban")
-    assert (result.code, result.out) == (0, "")
-    assert f"drive.npz · preset urban · all {N_LINES} lines" in result.err
-    assert "drive.png (" in result.err
-    with Image.open(tmp_path / "drive.png") as image:
-        assert image.width > 1000
-
-
-def test_json_goes_to_stdout_and_quiet_prints_nothing_else(prc: Prc, drive: Path, tmp_path: Path) -> None:
-    result = prc("render", drive, tmp_path / "a.html", "--steps", "range, classes", "--block", 1, "--json", "--quiet")
-    assert (result.code, result.err) == (0, "")
-    found = json.loads(result.out)
-    assert found["files"] == [str(tmp_path / "a.html")]
-    assert found["lines"] == [99, N_LINES]
-    assert found["steps"] == ["range", "classes"]
-    assert sum(found["counts"].values()) == (N_LINES - 99) * POINTS_PER_LINE
-    page = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert page.count("<img") == 2
-    assert page.count("data:image/png;base64,") == 2
-    assert "http" not in page
-
-
-def test_a_result_is_drawn_beside_its_reference(prc: Prc, drive: Path, tmp_path: Path) -> None:
-    labels = tmp_path / "labels.csv"
-    assert prc("classify", drive, labels, "--quiet").code == 0
-    result = prc(
-        "render", drive, tmp_path / "a.png", "--labels", labels, "--reference", labels, "--only-lines", "10:60",
-        "--steps", "classes,reference,difference", "--json",
-    )  # fmt: skip
-    found = json.loads(result.out)
-    assert (found["n_differing"], found["lines"]) == (0, [10, 60])
-    assert found["n_compared"] > 5000
-    assert "labels of labels.csv" in result.err
 
 
 def test_a_page_to_look_into(prc: Prc, drive: Path, tmp_path: Path) -> None:
@@ -104,14 +68,6 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     out.write_bytes(b"old")
     refused(prc("render", drive, out), 2, "exists already", "--overwrite")
     assert prc("render", drive, out, "--overwrite").code == 0
-
-
-def test_a_damaged_input_leaves_no_picture(prc: Prc, tmp_path: Path) -> None:
-    source = tmp_path / "drive.bin"
-    source.write_bytes(street().tobytes()[:-7])
-    result = prc("render", source, tmp_path / "a.png", "-M", POINTS_PER_LINE)
-    assert result.code == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["drive.bin"]
 
 
 @pytest.mark.data

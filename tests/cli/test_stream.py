@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main
-from prc_cli.core.classes import ClassCodes
 from tests import patience
 from tests.patience import HANGS_S
-from tests.street import POINTS_PER_LINE, angles, street
+from tests.street import POINTS_PER_LINE, street
 
 URBAN = ("--preset", "urban", "-M", str(POINTS_PER_LINE), "--set", "prc.lines_per_block=16")
 
@@ -65,17 +64,6 @@ def test_the_bytes_of_classify(tmp_path: Path) -> None:
     assert "x real time" in err
 
 
-def test_the_bytes_of_classify_with_the_other_classifier(tmp_path: Path) -> None:
-    data = street().tobytes()
-    step = 360 / POINTS_PER_LINE
-    options = ("--preset", "street-scan", "-M", str(POINTS_PER_LINE))
-    angle = ("--set", "input.angle_start=0", "--set", f"input.angle_step={step}", "--set", "input.nadir=0")
-    code, out, err = run(data, *options, *angle)
-    assert code == 0, err
-    assert out == reference(tmp_path, data, *options, *angle)
-    assert angles()[0] == 0
-
-
 def test_a_block_leaves_when_two_more_lines_are_there() -> None:
     image = street()
     process = start(*URBAN, "-q")
@@ -116,21 +104,6 @@ def test_an_end_inside_a_record_loses_no_label() -> None:
     )
 
 
-def test_a_last_line_that_is_not_whole_is_labelled_too() -> None:
-    image = street()
-    data = image.tobytes()[: -4 * 50]
-    code, out, err = run(data, *URBAN, "-q")
-    assert (code, err) == (0, "")
-    assert len(out) == image.size - 50
-
-
-def test_nothing_comes() -> None:
-    code, out, err = run(b"", *URBAN, "-q")
-    assert (code, out) == (1, b"")
-    assert err.startswith("error: stdin: ended before the first record of 4 bytes")
-    assert err.count("\n") == 1
-
-
 def test_the_reader_of_the_labels_goes() -> None:
     process = start(*URBAN, "-q")
     assert process.stdout is not None
@@ -150,19 +123,6 @@ def test_a_signal_ends_it_within_seconds() -> None:
     assert (process.returncode, out) == (128 + signal.SIGTERM, b"")
 
 
-def test_json_goes_to_stderr() -> None:
-    code, out, err = run(street().tobytes(), *URBAN, "--json", "--line-hz", "48", "--report", "0.001")
-    assert code == 0
-    *reports, told = [json.loads(line) for line in err.splitlines()]
-    assert reports
-    assert all(0 < report["lines"] <= 137 for report in reports)
-    assert told["lines"] == 137
-    assert told["shots"] == len(out) == sum(told["labels"].values())
-    counts = np.bincount(np.frombuffer(out, np.uint8), minlength=256)
-    assert told["labels"]["ground"] == counts[ClassCodes().ground]
-    assert told["real_time_factor"] > 0
-
-
 def test_doubts_are_told_and_end_with_exit_code_4() -> None:
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = street()
@@ -178,16 +138,3 @@ def test_doubts_are_told_and_end_with_exit_code_4() -> None:
     assert (told["doubt"]["check"], told["doubt"]["verdict"]) == ("returns", "doubtful")
     code, _, err = run(thin.tobytes(), *options, "-q", "--accept-doubt", "returns")
     assert (code, err) == (0, "")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--scanner", "user_data"), "labels of one scanner leave in the order of its shots"),
-        (("--set", "input.order=sort-time"), "a pipe cannot be sorted by time"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_at_once(options: tuple[str, ...], message: str) -> None:
-    code, out, err = run(street()[:1].tobytes(), *URBAN, "-q", *options)
-    assert (code, out) == (2, b"")
-    assert message in err

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 
@@ -20,7 +19,7 @@ from tests.formats.organised_files import (
     write_e57,
     write_text,
 )
-from tests.simulated import HEIGHT_M, static_arrays
+from tests.simulated import static_arrays
 
 __all__ = ["prc"]
 
@@ -74,28 +73,6 @@ def test_every_format_of_a_scan_gets_the_same_labels(prc: Prc, tmp_path: Path, m
     for label in (Label.GROUND, Label.VERTICAL, Label.VEGETATION):
         code = codes.code(label)
         assert np.mean(found[reference == code] == code) > 0.5, label.name
-
-
-@pytest.mark.parametrize("make", [ptx, e57])
-def test_organised_scans_become_laz_with_the_stages(prc: Prc, tmp_path: Path, make: Callable[[Path], Path]) -> None:
-    output = tmp_path / "scan.laz"
-    result = prc("classify", make(tmp_path), output, "--preset", "street-scan", "--set", "output.stages=true")
-    assert result.code == 0, result.err
-    las = laspy.read(output)
-    grid = points()[0]
-    there = grid[..., :3].any(axis=2)
-    assert len(las.points) == np.count_nonzero(there)
-    np.testing.assert_allclose(las.xyz, grid[there][:, :3], atol=0.0006)
-    assert set(np.unique(las["surface"])) <= {1, 2, 3, 4}
-    assert np.nanmedian(las["ground_height"]) == pytest.approx(-HEIGHT_M, abs=0.1)
-    assert {2, 5, 67, 68} <= set(np.unique(las.classification))
-
-
-def test_info_says_where_down_is_and_who_can_classify(prc: Prc, tmp_path: Path) -> None:
-    result = prc("info", ptx(tmp_path), "--preset", "street-scan")
-    assert result.code == 0, result.err
-    assert "nadir " in result.out
-    assert "yes, sequential-angle can classify it as it is" in result.out
 
 
 def ptx_that_lies(folder: Path) -> Path:
@@ -173,15 +150,6 @@ def test_lines_of_fewer_than_two_shots_stay_unclassified(prc: Prc, tmp_path: Pat
     np.testing.assert_array_equal(labels, np.where(np.isnan(ranges), 0, 1))
 
 
-def test_a_scan_without_a_return_is_all_missing(prc: Prc, tmp_path: Path) -> None:
-    source = tmp_path / "scan.npz"
-    np.savez(source, range_m=np.full((60, 30), np.nan, np.float32), zenith_deg=np.linspace(120, 40, 30))
-    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
-    assert result.code == 4, result.err
-    assert "warning: returns: 0.00% of the shots have a range" in result.err
-    assert not np.load(tmp_path / "labels.npy").any()
-
-
 def two_scans(folder: Path, second: Array) -> Path:
     return write_text(folder / "two.ptx", ptx_scan(points()[0]) + ptx_scan(second))
 
@@ -203,14 +171,6 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(prc: Prc, tmp_path: Path, 
     assert "scan 1: no" in " ".join(result.out.split())
 
 
-def test_a_scan_of_coordinates_without_a_return_is_all_missing(prc: Prc, tmp_path: Path) -> None:
-    np.savez(tmp_path / "scan.npz", xyz=np.full((60, 30, 3), np.nan))
-    result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy", "--preset", "street-scan")
-    assert result.code == 4, result.err
-    assert "warning: returns: 0.00% of the shots have a range" in result.err
-    assert not np.load(tmp_path / "labels.npy").any()
-
-
 def test_its_own_laz_is_read_again(prc: Prc, tmp_path: Path) -> None:
     source = ptx(tmp_path)
     prc("classify", source, tmp_path / "scan.laz", "--preset", "street-scan")
@@ -221,45 +181,6 @@ def test_its_own_laz_is_read_again(prc: Prc, tmp_path: Path) -> None:
     assert np.mean(np.load(tmp_path / "again.npy") == np.load(tmp_path / "labels.npy")[there]) > 0.98
     result = prc("info", tmp_path / "scan.laz", "--preset", "street-scan")
     assert "relative to the scanner" in " ".join(result.out.split())
-
-
-@pytest.mark.parametrize("make", [level, registered, ranges_alone])
-def test_info_prints_its_table_for_what_is_refused(prc: Prc, tmp_path: Path, make: Callable[[Path], Path]) -> None:
-    result = prc("info", make(tmp_path), "--preset", "street-scan")
-    assert result.code == 0, result.err
-    said = " ".join(result.out.split())
-    assert "no, sequential-angle cannot classify it: no vertical direction known" in said
-    assert "scan lines" in said
-
-
-def test_info_of_coordinates_alone_says_how_lines_can_be_found(prc: Prc, tmp_path: Path) -> None:
-    np.savetxt(tmp_path / "a.csv", points()[0].reshape(-1, 4)[:500, :3], delimiter=",", header="x,y,z", comments="")
-    result = prc("info", tmp_path / "a.csv", "--preset", "street-scan")
-    said = " ".join(result.out.split())
-    assert result.code == 0, result.err
-    assert "prc info estimates" not in said
-    assert "--lines elevation:DEG with --range sensor-xyz" in said
-
-
-def test_matrices_whose_rows_are_no_probabilities_are_refused(prc: Prc, tmp_path: Path) -> None:
-    wrong = "sequential_angle.dense_vegetation.h0=[[0.1,0.8,0.2],[0.1,0.8,0.1],[0.1,0.8,0.1]]"
-    result = prc("classify", npz(tmp_path), tmp_path / "labels.npy", "--preset", "street-scan", "--set", wrong)
-    assert result.code == 2
-    (line,) = result.err.strip().splitlines()
-    assert "h0" in line
-
-
-def test_ranges_beyond_the_reach_are_told_and_keep_a_class(prc: Prc, tmp_path: Path) -> None:
-    source = npz(tmp_path)
-    far = int(np.count_nonzero(np.linalg.norm(points()[0][..., :3], axis=2) > 30))
-    limit = "sequential_angle.max_range_m=30"
-    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan", "--set", limit)
-    assert result.code == 0, result.err
-    assert f"{far} ranges lie beyond sequential_angle.max_range_m = 30 m" in result.err
-    labels = np.load(tmp_path / "labels.npy").reshape(points()[0].shape[:2])
-    there = points()[0][..., :3].any(axis=2)
-    assert (labels[there] != 0).all()
-    assert (labels[~there] == 0).all()
 
 
 @pytest.mark.parametrize(
@@ -291,16 +212,3 @@ def test_ground_that_leans_is_followed_around_the_kitti_frame(prc: Prc, real_dat
         assert result.code in (0, 4), result.err
         shares.append((np.load(output)[flat] == ClassCodes().ground).mean())
     assert shares[0] > 0.95 > shares[1] + 0.3
-
-
-def test_segments_of_a_method_without_segments_are_told(prc: Prc, tmp_path: Path) -> None:
-    result = prc("classify", npz(tmp_path), tmp_path / "labels.csv", "--preset", "street-scan", "--segment-ids")
-    assert result.code == 0
-    assert "every segment id is 0" in result.err
-
-
-def test_text_without_names_asks_for_a_layout(prc: Prc, tmp_path: Path) -> None:
-    np.savetxt(tmp_path / "a.csv", points()[0].reshape(-1, 4)[:500, :3])
-    result = prc("classify", tmp_path / "a.csv", tmp_path / "labels.npy", "--preset", "street-scan")
-    assert result.code == 1
-    assert "give a layout that names them" in result.err

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from prc_cli.core.blocks import (
     cut,
-    join,
     look_ahead_lines,
     regroup,
 )
@@ -125,15 +124,3 @@ def test_look_ahead_reaches_the_shots_that_are_asked_for(m: int) -> None:
     reach = max(last + m + 1, last + 4)
     assert reach < (1 + ahead) * m
     assert reach >= ahead * m  # and not a line more
-
-
-def test_an_empty_stream_has_no_blocks() -> None:
-    assert list(regroup(iter([]), 5)) == []
-
-
-def test_fields_that_one_part_lacks_are_dropped() -> None:
-    one = stream(2, 3)
-    other = replace(cut(one, 1, 2), intensity=None)
-    joined = join([cut(one, 0, 1), other])
-    assert joined.intensity is None
-    assert joined.time_s is not None

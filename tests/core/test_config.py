@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from prc_cli.config import PRESETS, RunConfig, json_schema, load_config, parse_assignment, to_toml
-from prc_cli.core.config import merge
+from prc_cli.config import PRESETS, load_config, parse_assignment, to_toml
 from prc_cli.core.errors import ConfigError
 from prc_cli.methods.fused.thresholds import FOREST, STREET
 
@@ -96,29 +93,6 @@ def test_what_is_shown_can_be_read_back(preset: str | None, comments: bool, tmp_
     path = tmp_path / "shown.toml"
     path.write_text(to_toml(loaded, comments=comments))
     assert load_config(path).config == loaded.config
-
-
-def test_assignments_are_toml_or_bare_words() -> None:
-    assert parse_assignment("prc.support.zeta_p=0.1") == {"prc": {"support": {"zeta_p": 0.1}}}
-    assert parse_assignment("a=true") == {"a": True}
-    assert parse_assignment("a = word") == {"a": "word"}
-    for wrong in ("a", "=3", "a..b=3"):
-        with pytest.raises(ConfigError, match="expected KEY=VALUE"):
-            parse_assignment(wrong)
-
-
-def test_merge_leaves_its_inputs_alone() -> None:
-    base: dict[str, object] = {"a": {"x": 1}, "b": 1}
-    assert merge(base, {"a": {"y": 2}, "b": {"z": 3}}) == {"a": {"x": 1, "y": 2}, "b": {"z": 3}}
-    assert base == {"a": {"x": 1}, "b": 1}
-
-
-def test_the_schema_names_every_table() -> None:
-    schema = json_schema()
-    json.dumps(schema)
-    assert set(schema["properties"]) == {"preset", *RunConfig.model_fields}
-    shown = tomllib.loads(to_toml(load_config(), comments=False))
-    assert set(shown) <= set(schema["properties"])
 
 
 @pytest.mark.parametrize(

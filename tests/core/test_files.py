@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import io
 import os
-import pickle
 import stat
 import sys
 import time
@@ -14,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from prc_cli.core import files
-from prc_cli.core.errors import ConfigError, GateError, InputError, OutputError, OutputExistsError, PrcError
+from prc_cli.core.errors import OutputError, OutputExistsError
 from prc_cli.core.files import atomic_output, atomic_outputs, check_output, is_left_behind, temporary_name
 from tests import patience
 from tests.patience import wait_until
@@ -91,16 +90,6 @@ def test_every_byte_is_on_the_disk_before_the_name_and_the_name_before_the_end(
         trace.clear()
 
 
-def test_long_names_have_temporary_ones(tmp_path: Path) -> None:
-    target = tmp_path / ("ä" * 120 + ".laz.npy")
-    with atomic_output(target) as temporary:
-        temporary.write_bytes(b"x")
-        assert list(files.parts_of(target)) == [temporary]
-    assert os.listdir(tmp_path) == [target.name]
-    with pytest.raises(OutputError, match="a name of 256 bytes, expected at most 255; choose a shorter one"):
-        check_output(tmp_path / ("n" * 252 + ".npy"), overwrite=True)
-
-
 def test_only_small_regular_files_are_read(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"12345")
     assert files.read_small(tmp_path / "a", 5) == b"12345"
@@ -127,11 +116,6 @@ def test_a_full_disk_is_said_so(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_reading_errors_inside_keep_their_own_name(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), atomic_output(tmp_path / "out.npy"):
-        (tmp_path / "folder" / "input.las").read_bytes()
-
-
 def test_check_output_refuses_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = tmp_path / "drive.las"
     source.write_bytes(b"x")
@@ -152,21 +136,6 @@ def test_check_output_refuses_before_any_work(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(files.os, "access", lambda path, mode: False)
     with pytest.raises(OutputError, match="not writable"):
         check_output(tmp_path / "out.las", overwrite=False)
-
-
-def test_cache_folder_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
-    assert files.cache_folder().name == "prc-cli"
-
-
-@pytest.mark.parametrize("kind", [PrcError, InputError, OutputError, ConfigError, GateError])
-def test_errors_survive_worker_processes(kind: type[PrcError]) -> None:
-    error = kind("drive.las", "found 3, expected 4", "look")
-    again = pickle.loads(pickle.dumps(error))
-    assert type(again) is kind
-    assert str(again) == "drive.las: found 3, expected 4; look"
-    assert again.exit_code in (1, 2, 3)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes can only be asked on POSIX")

@@ -55,11 +55,6 @@ def test_results_come_in_order(threads: int) -> None:
     assert list(ordered(uneven, [], threads=threads)) == []
 
 
-def test_work_is_done_at_the_same_time() -> None:
-    barrier = threading.Barrier(2)
-    assert len(list(ordered(lambda _: barrier.wait(HANGS_S), range(4), threads=2))) == 4
-
-
 @pytest.mark.parametrize(("threads", "ahead", "most"), [(1, None, 1), (2, None, 4), (2, 3, 3), (3, 1, 1)])
 def test_few_items_are_in_flight(threads: int, ahead: int | None, most: int) -> None:
     source = Source(40)
@@ -95,14 +90,6 @@ def test_error_of_the_items_comes_after_the_results_before_it(threads: int) -> N
     with pytest.raises(OSError, match="4"):
         found.extend(ordered(uneven, Source(10, fails_at=4)(), threads=threads))
     assert found == [0, 1, 4, 9]
-
-
-def test_timeout_error_of_an_item_is_not_taken_for_waiting() -> None:
-    def work(_: int) -> None:
-        raise TimeoutError("network drive")
-
-    with pytest.raises(TimeoutError, match="network drive"):
-        list(ordered(work, range(3), threads=2))
 
 
 @pytest.mark.parametrize("threads", THREADS)

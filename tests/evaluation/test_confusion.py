@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate, refuse_poor_match
-from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.mapping import ClassMapping
 
 MAPPING = ClassMapping(
     ignore=(0,),
@@ -44,23 +44,12 @@ def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -
     assert whole.n_scored + whole.n_ignored == len(pairs)
 
 
-def test_images_are_taken_cell_by_cell() -> None:
-    image = np.full((3, 4), 2, dtype=np.uint8)
-    matrix = accumulate(ConfusionMatrix.empty(MAPPING), image, image, MAPPING)
-    assert matrix.n_scored == 12
-
-
 def test_different_lengths_are_refused_with_both_counts() -> None:
     with pytest.raises(InputError, match="3 records, but reference holds 2; matched by order needs equal counts"):
         accumulate(ConfusionMatrix.empty(MAPPING), np.array([2, 2, 2]), np.array([2, 2]), MAPPING)
     with pytest.raises(InputError, match=r"a\.npy: 5 records, but b\.las holds 4;"):
         refuse_poor_match(5, 4, "a.npy", "b.las")
     refuse_poor_match(4, 4)
-
-
-def test_matrices_of_different_classes_do_not_add_up() -> None:
-    with pytest.raises(InputError, match="confusion matrix: found the classes"):
-        ConfusionMatrix.empty(MAPPING) + ConfusionMatrix.empty(load_mapping("prc"))
 
 
 def test_shares_of_empty_rows_and_columns_are_undefined() -> None:
@@ -77,7 +66,3 @@ def test_trimmed_keeps_a_class_that_one_side_uses() -> None:
     assert shown.predicted_names == ("ground", "building")
     assert shown.counts.tolist() == [[4, 0], [2, 0]]
     assert shown.n_ignored == 3
-
-
-def test_empty_matrix_can_be_trimmed() -> None:
-    assert ConfusionMatrix.empty(MAPPING).trimmed().counts.shape == (0, 0)

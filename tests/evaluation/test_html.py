@@ -4,20 +4,17 @@ import json
 import math
 import re
 from html.parser import HTMLParser
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.html import Curve, as_html, class_colour, line_chart
+from prc_cli.evaluation.html import Curve, as_html, line_chart
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.reports import as_dict
-from prc_cli.evaluation.scores import CLASS_SCORES, Evaluation, Gate, check_gates, scores
+from prc_cli.evaluation.scores import Evaluation, Gate, check_gates, scores
 from tests.evaluation import samples
 
 VOID = {"meta", "input", "img", "br", "link"}
@@ -91,45 +88,6 @@ def test_page_is_well_formed_and_needs_nothing_else() -> None:
     assert len(set(identifiers)) == len(identifiers)
 
 
-def test_page_shows_every_figure() -> None:
-    found, text = full_page()
-    page = Page(text)
-    table = as_dict(found)
-    whole = {f"{n:,}" for row in table["confusion"]["counts"] for n in row}
-    whole |= {f"{item[key]:,}" for item in table["classes"].values() for key in ("n_reference", "n_predicted")}
-    scores_of = [value for item in table["classes"].values() for key, value in item.items() if key in CLASS_SCORES]
-    scores_of += table["overall"].values()
-    scores_of += [end for item in table["intervals"].values() for end in item.values()]
-    for parts in table["splits"].values():
-        for part in parts:
-            assert part["name"] in page.text
-            whole.add(f"{part['n_scored']:,}")
-            for item in part["classes"].values():
-                scores_of += [item["recall"], item["precision"]]
-    words = set(re.split(r"[\s–]+", page.text))
-    # stems that nobody has are left out, and with them their one against rest
-    assert {f"{value:.3f}" for value in scores_of if value is not None} <= words | {"1.000"}
-    assert whole <= words
-    assert "31 blocks of 99 lines" in page.text
-    assert "3,212 pairs of 4,000 predicted and 3,500 reference records" in page.text
-    assert "1200-1206, 1301" in page.text  # codes of the mapping
-
-
-def test_page_holds_the_json() -> None:
-    found, text = full_page()
-    gates = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
-    assert json.loads(Page(text).data) == as_dict(found, gates)
-
-
-def test_gates_are_shown() -> None:
-    found = samples.evaluation()
-    both = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
-    assert "1 of 2 gates failed" in Page(as_html(found, both)).text
-    assert "the gate passed" in Page(as_html(found, both[:1])).text
-    assert "the gate failed" in Page(as_html(found, both[1:])).text
-    assert "gate" not in Page(as_html(found)).text
-
-
 def test_text_of_users_is_shown_and_never_read_as_html() -> None:
     found = samples.evaluation(predicted=NASTY, mapping=NASTY, note=NASTY, part=NASTY)
     text = as_html(found, pictures=[(NASTY, PNG)], title=NASTY)
@@ -138,13 +96,6 @@ def test_text_of_users_is_shown_and_never_read_as_html() -> None:
     assert page.seen.count("script") == 1
     assert page.text.count(NASTY) >= 6
     assert json.loads(page.data)["files"]["predicted"] == [NASTY]
-
-
-def test_page_of_a_matrix_alone_and_of_nothing() -> None:
-    assert "2,073" in Page(as_html(samples.MATRIX)).text
-    empty = samples.EMPTY
-    page = Page(as_html(empty))
-    assert "nan" not in page.text
 
 
 def test_pictures_that_are_not_png_are_refused() -> None:
@@ -169,12 +120,6 @@ def test_any_matrix_has_a_page(names: list[str], seed: int) -> None:
     assert all(f"{count:,}" in page.text for count in shown.counts.ravel().tolist())
 
 
-def test_colours_are_those_of_the_program() -> None:
-    for label in Label:
-        assert class_colour(label.name.lower()) == "#{:02x}{:02x}{:02x}".format(*LABEL_COLOURS[label])
-    assert class_colour("road") == class_colour("road") != class_colour("ground")
-
-
 def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
     values = (0.1, 0.9, math.nan, 0.5, math.nan, 1.0, 0.0)
     names = [f"{i} <m>" for i in range(7)]
@@ -196,36 +141,3 @@ def test_curves_break_where_the_next_file_begins() -> None:
     chart = line_chart("recall", "line", names, [1] * 6, [Curve("car", (0.5,) * 6, 2)], names, {2, 5})
     assert [len(line.split()) for line in re.findall(r'<polyline points="([^"]*)"', chart)] == [2, 3]
     assert chart.count('class="break"') == 2
-
-
-@pytest.mark.parametrize("n", [1, 3, 30, 700])
-def test_labels_of_the_axis_do_not_touch(n: int) -> None:
-    ticks = [str(99 * i) for i in range(n)]
-    curves = [Curve("car", (0.5,) * n, 2)]
-    chart = line_chart("recall", "line", ticks, [1] * n, curves, ticks)
-    y = re.findall(r'<text x="([\d.]+)" y="(\d+)" text-anchor="middle">', chart)
-    places = [float(x) for x, _ in y]
-    assert len(places) >= 1
-    assert all(right - left > 6.4 * max(map(len, ticks)) for left, right in pairwise(places))
-    assert chart.count("<polygon") == (n if n <= 80 else 0)
-
-
-def test_the_page_says_what_made_it_and_what_to_do_next() -> None:
-    text = as_html(samples.MATRIX, origin=("2023-11-14", "prc 0.1.0", "fused <b>", "input drive.laz"))
-    page = Page(text)
-    assert "2023-11-14 · prc 0.1.0 · fused <b> · input drive.laz" in page.text
-    assert ("href", "#next") in page.attributes
-    assert ("id", "next") in page.attributes
-    for words in (
-        "IoU (intersection over union): records that",
-        "1: all equal, 0: as by chance",
-        "prc calibrate INPUT",
-    ):
-        assert words in page.text
-    assert "2023" not in Page(as_html(samples.MATRIX)).text
-
-
-def test_white_and_grey_of_pictures_are_explained() -> None:
-    page = Page(as_html(samples.MATRIX, pictures=[("a", PNG)]))
-    assert "no return, or not scored" in page.text
-    assert "they agree (last picture)" in page.text

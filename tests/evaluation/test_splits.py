@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import ConfigError
-from prc_cli.evaluation import confusion
 from prc_cli.evaluation.confusion import (
     UNKNOWN,
     ConfusionMatrix,
     GroupedCounts,
     accumulate,
-    block_groups,
     cells_of,
     check_edges,
-    file_and_block,
     range_bounds,
     range_groups,
 )
@@ -62,14 +59,6 @@ def test_blocks_without_scored_pairs_do_not_count() -> None:
     assert len(counts.scored()) == 1
 
 
-def test_too_many_groups_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(confusion, "MAX_BYTES", 10_000)
-    for step in (1, 10**9):
-        counts = GroupedCounts(MAPPING, "split by lines")
-        with pytest.raises(ConfigError, match="split by lines: more than 178 groups"):
-            counts.add(np.arange(1000) * step, np.zeros(1000, np.int64))
-
-
 def test_ranges() -> None:
     edges = check_edges((0.0, 10.0, 20.0))
     groups = range_groups(np.array([0.0, 9.99, 10.0, 20.0, 1e9, np.nan]), edges)
@@ -82,9 +71,3 @@ def test_ranges() -> None:
 def test_bad_edges(edges: tuple[float, ...]) -> None:
     with pytest.raises(ConfigError, match="expected ascending ranges"):
         check_edges(edges)
-
-
-def test_blocks_of_files() -> None:
-    groups = block_groups(np.array([0, 0, 3, 3]), np.array([0, 99, 100, -1]), 99)
-    assert [file_and_block(int(group)) for group in groups[:3]] == [(0, 0), (0, 1), (3, 1)]
-    assert groups[3] == UNKNOWN

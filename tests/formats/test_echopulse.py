@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
-from prc_cli.formats import check_input, open_source, scan_file
+from prc_cli.formats import check_input, scan_file
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from tests.cli.test_commands import Prc
@@ -30,23 +30,6 @@ def test_every_pulse_is_a_shot(tmp_path: Path) -> None:
     np.testing.assert_array_equal(block.range_m[np.isfinite(block.range_m)], ranges[last])
     np.testing.assert_allclose(np.asarray(block.time_s).ravel(), 100 + 1e-5 * np.arange(720))
     assert len(block.extra) == count.sum() - np.count_nonzero(count)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "told"),
-    [
-        ("echo-float32-range.bin", b"\0" * 40, "holds 10 values, expected"),
-        ("pulse-float32-theta.bin", b"\0" * 41, "no multiple of 4"),
-        ("time.txt", b"720 entries now + 1 pulse_index", "found '720 entries now"),
-        ("time.txt", b"721 entries 1 + 1 pulse_index", "721 entries, but 720"),
-        ("pulse-uint8-n_echo.bin", b"\x01" * 719, "holds 720 values, expected 719|720 entries, but 719"),
-    ],
-)
-def test_lengths_that_contradict(tmp_path: Path, name: str, content: bytes, told: str) -> None:
-    path = pulse_folder(tmp_path / "p")
-    (tmp_path / "p" / name).write_bytes(content)
-    with pytest.raises(InputError, match=told):
-        open_source(path)
 
 
 def test_the_folder_names_the_file_to_give(tmp_path: Path) -> None:

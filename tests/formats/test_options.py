@@ -12,8 +12,6 @@ from prc_cli.formats.options import (
     MAX_RECORD_BYTES,
     InputConfig,
     Layout,
-    parse_origin,
-    record_dtype,
 )
 
 
@@ -28,21 +26,6 @@ def test_records_larger_than_any_scanner_writes(size: int) -> None:
     message = refused(Layout, record_bytes=size)
     assert message.startswith(f"prc.toml: record_bytes: found {size}, expected: ")
     assert "less than or equal to 1048576" in message
-
-
-def test_the_largest_record_is_a_type() -> None:
-    layout = build(Layout, {"record_bytes": MAX_RECORD_BYTES, "fields": [{"name": "range"}]}, "prc.toml")
-    assert record_dtype(layout).itemsize == MAX_RECORD_BYTES
-
-
-@pytest.mark.parametrize("numbers", ["nan,0,0", "0,inf,0", "0,0,-1e999", "1,2", "1,2,3,4", "a,b,c", ",,"])
-def test_an_origin_is_three_finite_numbers(numbers: str) -> None:
-    message = refused(InputConfig, range=f"origin:{numbers}")
-    assert f"range = origin:X,Y,Z with three numbers, all finite, found 'origin:{numbers}'" in message
-
-
-def test_the_numbers_of_an_origin() -> None:
-    assert parse_origin("origin: -1.5,2e3,0") == (-1.5, 2000.0, 0.0)
 
 
 @pytest.mark.parametrize("rule", ["time:1e999", "time:-1", "time:0", "time:e"])

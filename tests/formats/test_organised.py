@@ -10,7 +10,6 @@ import pytest
 
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read, ptx
-from prc_cli.formats.organised.scans import Pose, is_rotation
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
     Scan,
@@ -52,23 +51,3 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path, monkeypatch: pytest.
             path = write_e57(tmp_path / "a.e57", [Scan(reordered(fields, order))])
         peaks.append(peak_bytes(path))
     assert peaks[2] < 1.3 * peaks[1] + 50_000
-
-
-def test_a_pose_turns_every_point_alike_however_many_there_are() -> None:
-    rng = np.random.default_rng(4)
-    xyz = rng.normal(0, 50, (1000, 3))
-    pose = Pose(turn_x(33.3).T, np.array([1.0, 2.0, 3.0]))
-    placed = pose.apply(xyz)
-    np.testing.assert_allclose(placed, xyz @ turn_x(33.3).T + [1, 2, 3], rtol=1e-12)
-    for n in (1, 2, 3, 7):
-        assert np.array_equal(np.concatenate([pose.apply(xyz[i : i + n]) for i in range(0, 1000, n)]), placed)
-    assert np.array_equal(Pose.none().apply(xyz), xyz)
-
-
-@pytest.mark.parametrize("degrees", [0, 12.5, 180])
-def test_rotations_with_four_digits_are_rotations(degrees: float) -> None:
-    assert is_rotation(turn_x(degrees).round(4))
-    assert not is_rotation(turn_x(degrees) * [1, 1, -1])
-    assert not is_rotation(turn_x(degrees) * 1.01)
-    assert not is_rotation(np.full((3, 3), np.nan))
-    assert not is_rotation(np.full((3, 3), 1e300))

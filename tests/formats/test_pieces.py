@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.errors import OutputError
 from prc_cli.core.types import I64
 from prc_cli.formats.las import laz
 from prc_cli.formats.las.header import find_points_per_line, open_source, read_header
 from prc_cli.formats.las.laz import LazRecords
 from prc_cli.formats.organised import ptx
-from prc_cli.formats.tables.read import _check_names, _damaged
-from prc_cli.formats.writing.base import MISSING_CODE, ScatterWriter, StagedWriter
+from prc_cli.formats.writing.base import StagedWriter
 
 
 def lines_of(data: bytes) -> list[bytes]:
@@ -84,74 +83,6 @@ def test_values_that_do_not_fit_their_type(values: list[int], problem: str | Non
         assert str(refused.value).endswith("set [output] segments = false")
     column.of_shots = lambda _: None
     assert StagedWriter._cells(writer, column, SimpleNamespace(labels=np.zeros((2, 2)))).tolist() == [[9, 9], [9, 9]]  # type: ignore[arg-type]
-
-
-def test_records_beyond_the_input_have_no_label() -> None:
-    put: list[tuple[list[int], list[int]]] = []
-    spool = SimpleNamespace(put=lambda record, codes: put.append((record.tolist(), codes.tolist())))
-    writer: Any = SimpleNamespace(path=Path("labels.csv"), _n_records=5, _code_spool=spool, _spools={}, _is_part=False)
-    records: I64 = np.array([4, 5, -1, 0])
-    ScatterWriter._put(writer, records, np.array([7, MISSING_CODE, 7, 8], np.uint8), {})
-    ScatterWriter._put(writer, records[:1], np.array([9], np.uint8), {})
-    assert put == [([4, 0], [7, 8]), ([4], [9])]
-    with pytest.raises(OutputError, match="found a label for record 5, expected records below 5"):
-        ScatterWriter._put(writer, records, np.array([7, 1, 7, 8], np.uint8), {})
-    writer._n_records = None
-    ScatterWriter._put(writer, records[:2], np.array([7, 1], np.uint8), {})
-    assert put[-1] == ([4, 5], [7, 1])
-
-
-def test_messages_of_tables() -> None:
-    source: Any = SimpleNamespace(dimensions=tuple(f"d{k}" for k in range(50)), path="a.npz")
-    with pytest.raises(Exception, match="no dimension 'x' in the file; it has: d0, .*, d39$"):
-        _check_names(source, ("d0", "x"))
-    source.dimensions = ()
-    with pytest.raises(Exception, match="it has: none$"):
-        _check_names(source, ("x",))
-    text = "ab " * 100
-    assert str(_damaged(Path("a.parquet"), ValueError(text))) == (
-        f"a.parquet: no whole Parquet file ({text[:160]}); copy it from the archive again"
-    )
-
-
-def bounds(data: bytes, offset: int, n_bytes: int) -> tuple[int, int]:
-    """Return the bounds of the chunk table of records that begin at an offset."""
-    one: Any = LazRecords.__new__(LazRecords)
-    one._where, one.header = "a.laz", SimpleNamespace(file_bytes=n_bytes, data_offset=offset, n_records=9)
-    handle = io.BytesIO(data)
-    one._source = SimpleNamespace(seek=handle.seek, read=handle.read, exact=lambda n, _: handle.read(n))
-    found: tuple[int, int] = one._table_bounds()
-    return found
-
-
-@pytest.mark.parametrize(
-    ("position", "expected"),
-    [
-        (108, (108, 200)), (192, (192, 200)), (107, "begin at byte 107, found the file's end at byte 200"),
-        (193, "begin at byte 193, found the file's end at byte 200"), (0, "was never written"),
-        (-2, "was never written"),
-    ],
-)  # fmt: skip
-def test_where_the_chunk_table_may_begin(position: int, expected: tuple[int, int] | str) -> None:
-    data = bytes(100) + struct.pack("<q", position) + bytes(92)
-    if isinstance(expected, tuple):
-        assert bounds(data, 100, 200) == expected
-    else:
-        with pytest.raises(InputError, match=expected):
-            bounds(data, 100, 200)
-
-
-@pytest.mark.parametrize(("position", "is_read"), [(108, True), (184, True), (185, False), (107, False)])
-def test_files_from_pipes_have_the_position_at_their_end(position: int, is_read: bool) -> None:
-    data = bytes(100) + struct.pack("<q", -1) + bytes(84) + struct.pack("<q", position)
-    if is_read:
-        assert bounds(data, 100, 200) == (position, 192)
-    else:
-        with pytest.raises(InputError, match=f"begin at byte {position}, found the file's end at byte 192"):
-            bounds(data, 100, 200)
-    # too short for a second position
-    with pytest.raises(InputError, match="never written"):
-        bounds(data[:115], 100, 115)
 
 
 @pytest.fixture(scope="module")

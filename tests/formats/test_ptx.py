@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.errors import PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import ptx
 from prc_cli.formats.organised.ptx import PtxStream
-from prc_cli.jobs.classify import classify
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
     Array,
@@ -79,20 +78,6 @@ def test_columns_are_lines_and_zeros_are_missing(tmp_path: Path) -> None:
     assert block.tally.n_not_positive == 0
 
 
-def test_several_scans_of_different_sizes(tmp_path: Path) -> None:
-    first, second, third = grid_points(5, 4), grid_points(3, 11, 2), grid_points(1, 1, 3, missing=0)
-    text = ptx_scan(first) + ptx_scan(second, colour=True) + ptx_scan(third[..., :3])
-    stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
-    blocks = scans_of(stream)
-    assert [block.range_m.shape for block in blocks] == [(5, 4), (3, 11), (1, 1)]
-    assert [block.scanner for block in blocks] == [0, 1, 2]
-    assert [int(block.records()[0, 0]) for block in blocks] == [0, 20, 53]
-    assert blocks[2].intensity is None
-    assert (stream.info.points_per_line, stream.info.n_lines, stream.info.n_records) == (11, 9, 54)
-    for block, points in zip(blocks, (first, second, third), strict=True):
-        assert equal(block.range_m, expected(points)[0])
-
-
 def test_the_pose_turns_z_up_and_leaves_the_scanner_at_the_origin(tmp_path: Path) -> None:
     points, turn = grid_points(6, 5), turn_x(75)
     stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points, rotation=turn, shift=(4e5, 5e6, 90))), AUTO)
@@ -102,16 +87,6 @@ def test_the_pose_turns_z_up_and_leaves_the_scanner_at_the_origin(tmp_path: Path
     np.testing.assert_allclose(block.xyz_m, xyz @ turn.T, atol=1e-4)
     assert stream.info.facts.notes == ()
     assert any("turned by" in item.why for item in stream.info.assumptions)
-
-
-def test_points_that_are_registered_already_are_taken_back_to_the_scanner(tmp_path: Path) -> None:
-    points, place = grid_points(6, 5, missing=0), np.array([1000.0, 2000.0, 30.0])
-    registered = points.copy()
-    registered[..., :3] += place
-    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(registered, position=place)), AUTO)
-    (block,) = scans_of(stream)
-    np.testing.assert_allclose(block.range_m, expected(points)[0], atol=1e-4)
-    assert "scan 0" in stream.info.facts.notes[0]
 
 
 def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
@@ -154,33 +129,6 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         assert block.tally == one.tally
 
 
-def test_a_position_that_was_left_out_is_no_position(tmp_path: Path) -> None:
-    points = grid_points(6, 5, missing=0)
-    text = ptx_scan(points, shift=(5e5, 5e6, 30.0), position=(0, 0, 0))
-    stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
-    (block,) = scans_of(stream)
-    np.testing.assert_allclose(block.range_m, expected(points)[0], atol=1e-4)
-    assert not stream.info.facts.notes
-
-
-def test_missing_points_do_not_tell_the_scale_of_intensities(tmp_path: Path) -> None:
-    points = grid_points(60, 50, missing=0)
-    points[..., 3] = np.arange(3000).reshape(60, 50) % 900 + 2
-    points[:30] = [0, 0, 0, 0.5]
-    (block,) = scans_of(PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points)), AUTO))
-    assert block.intensity is not None
-    assert equal(block.intensity[30:], points[30:, :, 3].astype(np.float32))
-
-
-def test_intensities_beyond_one_stay_as_they_are(tmp_path: Path) -> None:
-    points = grid_points(4, 5, missing=0)
-    points[..., 3] = np.arange(20).reshape(4, 5) - 7
-    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points)), AUTO)
-    (block,) = scans_of(stream)
-    assert equal(block.intensity, points[..., 3].astype(np.float32))
-    assert any("as in the file" in item.value for item in stream.info.assumptions)
-
-
 def test_bounds_and_odd_coordinates_are_missing(tmp_path: Path) -> None:
     rows = "1 0 0 1\nnan 1 1 1\ninf 0 0 1\n1e300 0 0 1\n0 0 90 1\n0 0 1e-30 1\n"
     stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_header(1, 6) + rows), InputConfig(max_range=80.0))
@@ -205,15 +153,6 @@ def test_a_last_column_cut_short_is_padded_if_told(tmp_path: Path) -> None:
     assert any("lacks 2 shots" in item.why for item in stream.info.assumptions)
     short = write_text(tmp_path / "b.ptx", ptx_header(4, 5) + ptx_rows(points.reshape(-1, 4)[:14]))
     assert "ends after 14 points" in refused(short, InputConfig(partial_line="pad"))
-
-
-def test_scans_without_points_are_left_out_and_told(tmp_path: Path) -> None:
-    text = ptx_header(0, 0) + ptx_scan(grid_points(2, 3)) + ptx_header(5, 0)
-    stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
-    (block,) = scans_of(stream)
-    assert block.scanner == 1
-    assert "left out: 0, 2" in stream.info.facts.notes[0]
-    assert "without points" in refused(write_text(tmp_path / "b.ptx", ptx_header(0, 7)))
 
 
 GOOD = ptx_scan(grid_points(4, 5, missing=0))
@@ -251,63 +190,12 @@ def test_a_file_that_lies_is_refused_in_one_line(tmp_path: Path, text: str, part
         assert part in message
 
 
-def test_a_line_without_end_is_refused(tmp_path: Path) -> None:
-    for text in (
-        "1" * (3 << 20),
-        ptx_header(3, 3) + "1 " * (2 << 20),
-        ptx_header(1, 2) + "1 2 3 1\n" + "9" * (6 << 20),
-    ):
-        assert "without a line end" in refused(write_text(tmp_path / "a.ptx", text)) or "numbers" in refused(
-            tmp_path / "a.ptx"
-        )
-
-
-def test_rules_of_record_lists_are_refused(tmp_path: Path) -> None:
-    path = write_text(tmp_path / "a.ptx", GOOD)
-    given: list[dict[str, Any]] = [
-        {"lines": "fixed"},
-        {"columns": "order"},
-        {"range": "origin:0,0,0"},
-        {"scanner": "user_data"},
-        {"order": "sort-time"},
-        {"angle_start": 1.0},
-    ]
-    for keys in given:
-        with pytest.raises(ConfigError, match="organised scans"):
-            PtxStream(path, InputConfig(**keys))
-    assert "expected 7 as" in refused(path, InputConfig(points_per_line=7))
-    assert len(scans_of(PtxStream(path, InputConfig(points_per_line=5, range="sensor-xyz")))) == 1
-
-
 def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> None:
     path = write_text(tmp_path / "a.ptx", GOOD)
     stream = PtxStream(path, AUTO)
     path.write_bytes(path.read_bytes()[:500])
     with pytest.raises(PrcError, match=r"fewer points|numbers, expected"):
         scans_of(stream)
-
-
-def test_las_and_labels_out(tmp_path: Path) -> None:
-    import laspy
-
-    first, second = grid_points(20, 15), grid_points(12, 18, 2)
-    path = write_text(tmp_path / "a.ptx", ptx_scan(first) + ptx_scan(second))
-    classify(path, tmp_path / "a.laz")
-    cloud = laspy.read(tmp_path / "a.laz")
-    every = np.concatenate([first.reshape(-1, 4), second.reshape(-1, 4)])
-    there = every[:, :3].any(axis=1)
-    scan = np.repeat([0, 1], [300, 216])[there]
-    order = np.argsort(cloud.point_source_id, kind="stable")
-    assert np.array_equal(np.asarray(cloud.point_source_id)[order], scan)
-    np.testing.assert_allclose(cloud.xyz[order], every[there, :3], atol=0.0006)
-    np.testing.assert_allclose(np.asarray(cloud.intensity)[order], every[there, 3] * 65535, atol=1)
-    classify(path, tmp_path / "a.npy")
-    labels = np.load(tmp_path / "a.npy")
-    assert labels.shape == (516,)
-    assert np.array_equal(labels != 0, there)
-    assert np.array_equal(labels[there], np.asarray(cloud.classification)[order])
-    classify(path, tmp_path / "a.csv")
-    assert len((tmp_path / "a.csv").read_text().splitlines()) == 517
 
 
 @pytest.mark.data

@@ -22,17 +22,6 @@ def shots(time: list[float], number_of_returns: list[int], return_number: list[i
     return [int(i) for i in np.cumsum(starts)]
 
 
-def test_single_returns_are_shots_even_with_one_stamp() -> None:
-    assert shots([1, 1, 1], [1, 1, 1]) == [1, 2, 3]
-    assert shots([1, 1, 1], [0, 0, 0]) == [1, 2, 3]
-
-
-def test_returns_share_time_and_count() -> None:
-    assert shots([1, 1, 1, 2, 2, 2], [3, 3, 3, 3, 3, 1], [1, 2, 3, 1, 2, 1]) == [1, 1, 1, 2, 2, 3]
-    assert shots([1, 1, 1, 1], [2, 2, 3, 3]) == [1, 1, 2, 2]
-    assert shots([NAN, NAN], [2, 2]) == [1, 2]
-
-
 @pytest.mark.parametrize(
     ("numbers", "expected"),
     [
@@ -79,12 +68,6 @@ def test_the_return_that_stands(
     assert choose(rule, [5, 6, 7], intensity, number) == [expected]
 
 
-@pytest.mark.parametrize("rule", ["strongest", "first", "last"])
-def test_a_return_without_range_stands_only_if_none_has_one(rule: str) -> None:
-    assert choose(rule, [NAN, 6, NAN], [9, 1, 9], [1, 2, 3]) == [1]
-    assert len(choose(rule, [NAN, NAN, NAN], [9, 1, 9], [1, 2, 3])) == 1
-
-
 def forest() -> dict[str, NDArray[Any]]:
     """Two lines of three shots: of 1, 3 and 2 returns, then of 2, 1, 1."""
     return {
@@ -128,19 +111,6 @@ def test_fixed_lines_count_shots_of_several_returns_once() -> None:
     assert whole.record.tolist() == [[0, 1, 4], [6, 8, 9]]
 
 
-def test_shots_that_meet_are_collisions() -> None:
-    records = {
-        "range": np.array([NAN, 2.0, 3.0, 4.0]),
-        "scan_line": np.zeros(4),
-        "column": np.array([1, 1, 1, 0]),
-    }
-    whole = read(open_records(records))
-    # the first with a range stays
-    assert whole.record.tolist() == [[3, 1]]
-    assert [(item[1], item[3]) for item in whole.extras] == [(1, 0), (1, 2)]
-    assert whole.tally == ReadTally(n_collisions=2)
-
-
 def test_a_shot_that_meets_another_takes_its_returns_along() -> None:
     records = {
         "range": np.array([1.0, 2.0, 3.0, 4.0]),
@@ -153,9 +123,3 @@ def test_a_shot_that_meets_another_takes_its_returns_along() -> None:
     whole = read(open_records(records, return_="last"))
     assert whole.record.tolist() == [[1]]
     assert whole.tally == ReadTally(n_collisions=1, n_extra_returns=2)
-
-
-def test_the_rule_has_no_effect_without_returns_and_says_so() -> None:
-    records = {"range": np.ones(4), "scan_line": np.zeros(4)}
-    stream = open_records(records, return_="last")
-    assert any(item.key == "input.return" and item.value == "no effect" for item in stream.info.assumptions)

@@ -7,15 +7,12 @@ from pathlib import Path
 
 import laspy
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from prc_cli.core.classes import Label, Surface
-from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, StageLabels
-from prc_cli.formats.writing import base as base_module
-from prc_cli.formats.writing.columns import OPTIONAL_COLUMNS, OutputConfig
+from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import (
     URBAN,
     labelled,
@@ -29,7 +26,6 @@ LINES, M = 15, 20
 N = LINES * M
 STAGES = OutputConfig(stages=True)
 NAMES = ["surface", "dense_vegetation", "ground_height", "trigger", "car_interval", "car_test"]
-EVERY = [*NAMES[:3], "height_above_ground", *NAMES[3:], "critical_zeta_p", "critical_zeta_s"]
 NOTICE = "output.stages needs the fused, prc or sequential-angle method; nothing was added"
 
 
@@ -147,46 +143,6 @@ def test_all_optional_columns_together(tmp_path: Path, form: int) -> None:
     ]
 
 
-def test_a_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.add_extra_dim(laspy.ExtraBytesParams("surface", "f8"))
-    laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(N, header=header)).write(tmp_path / "in.las")
-    expected = r"extra bytes named 'surface' of type 10, expected none or type 1; set \[output\] stages = false"
-    with pytest.raises(OutputError, match=expected):
-        write(tmp_path / "out.las", tmp_path / "in.las", drive().blocks, options=STAGES)
-    assert not (tmp_path / "out.las").exists()
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_tables_hold_them(tmp_path: Path, known: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(base_module, "CHUNK_RECORDS", 64)
-    order = np.random.default_rng(9).permutation(N)
-    given = drive(order=order)
-    options = OutputConfig(stages=True, segment_ids=True)
-    for suffix in (".csv", ".parquet"):
-        write(tmp_path / f"a{suffix}", SOURCE, given.blocks, options=options, n_records=N if known else None)
-    lines = (tmp_path / "a.csv").read_text().splitlines()
-    assert lines[0] == ",".join(["record", "class", "name", "segment", *NAMES])
-    cells = [line.split(",") for line in lines[1:]]
-    table = pq.read_table(tmp_path / "a.parquet")
-    assert table.schema.names == lines[0].split(",")
-    assert [table.schema.field(name).type for name in NAMES] == [
-        *(pa.uint8(), pa.uint8(), pa.float32(), pa.uint8(), pa.uint16(), pa.uint8()),
-    ]
-    for number, (name, expected) in enumerate(zip(NAMES, given.columns(), strict=True), start=4):
-        assert same_bits(np.array([row[number] for row in cells], np.float32)[order], expected.ravel())
-        assert same_bits(table[name].to_numpy()[order], expected.ravel())
-
-
-def test_numbers_in_text_are_short(tmp_path: Path) -> None:
-    stages = few(np.array([[3, 0]], np.uint8), np.array([[1, 0]], np.uint8), np.array([[-1.8, np.nan]], np.float32))
-    block = labelled(np.array([[Label.VERTICAL, Label.MISSING]], np.uint8), stages=stages)
-    write(tmp_path / "a.csv", SOURCE, [block], options=STAGES)
-    assert (tmp_path / "a.csv").read_text() == (
-        f"record,class,name,{','.join(NAMES)}\n0,67,vertical,3,1,-1.8,2,300,6\n1,0,missing,0,0,nan,2,300,6\n"
-    )
-
-
 @pytest.mark.parametrize("suffix", [".las", ".csv", ".parquet"])
 def test_further_returns_and_records_in_no_line_have_none(tmp_path: Path, suffix: str) -> None:
     extra = ExtraReturns(
@@ -218,20 +174,6 @@ def test_further_returns_and_records_in_no_line_have_none(tmp_path: Path, suffix
     assert found[3:] == [[2, 2, 0, 2, 0], [300, 300, 0, 300, 0], [6, 6, 0, 6, 0]]
 
 
-def test_further_returns_have_none_in_built_files(tmp_path: Path) -> None:
-    extra = ExtraReturns(
-        np.array([0], np.int32), np.array([0], np.int32), np.array([12], np.float32), np.array([2], np.int64)
-    )
-    stages = few(np.full((1, 1), 3, np.uint8), np.ones((1, 1), np.uint8), np.full((1, 1), -2, np.float32))
-    block = labelled(
-        np.full((1, 1), Label.CAR, np.uint8), extra=extra, extra_labels=np.array([2], np.uint8), stages=stages
-    )
-    write(tmp_path / "a.las", SOURCE, [block], options=STAGES)
-    las = laspy.read(tmp_path / "a.las")
-    assert [las["surface"].tolist(), las["dense_vegetation"].tolist()] == [[3, 0], [1, 0]]
-    np.testing.assert_array_equal(las["ground_height"], [-2, np.nan])
-
-
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet", ".npy"])
 @pytest.mark.parametrize("rewritten", [False, True])
 def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewritten: bool) -> None:
@@ -254,41 +196,3 @@ def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewri
         assert asked.kept_vlrs() == plain.kept_vlrs()
     else:
         assert (tmp_path / f"asked{suffix}").read_bytes() == (tmp_path / f"plain{suffix}").read_bytes()
-
-
-@pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet", ".npy"])
-def test_stages_that_nobody_asks_for_change_nothing(tmp_path: Path, suffix: str) -> None:
-    for rewritten in (False, True):
-        source = tmp_path / "in.las" if rewritten else SOURCE
-        if rewritten:
-            make_las(source, 3)
-        for name, without in (("with", ()), ("bare", (0, 1, 2, 3))):
-            record = write(tmp_path / f"{name}{suffix}", source, drive(without=without).blocks, overwrite=True)
-            assert not any("stages" in text for text in record.notices)
-        assert (tmp_path / f"with{suffix}").read_bytes() == (tmp_path / f"bare{suffix}").read_bytes()
-
-
-def test_later_blocks_without_stages_are_filled(tmp_path: Path) -> None:
-    given = drive(without=(2,))
-    write(tmp_path / "a.las", SOURCE, given.blocks, options=STAGES)
-    las = laspy.read(tmp_path / "a.las")
-    for name, expected in zip(NAMES, given.columns(), strict=True):
-        assert same_bits(las[name], expected.ravel())
-
-
-@pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet"])
-def test_an_empty_output_has_the_columns(tmp_path: Path, suffix: str) -> None:
-    write(tmp_path / f"a{suffix}", SOURCE, [], options=STAGES)
-    path = tmp_path / f"a{suffix}"
-    if suffix == ".csv":
-        assert path.read_text() == f"record,class,name,{','.join(EVERY)}\n"
-    elif suffix == ".parquet":
-        assert pq.read_schema(path).names[-9:] == EVERY
-    else:
-        assert list(laspy.read(path).point_format.extra_dimension_names)[-9:] == EVERY
-
-
-def test_names_and_descriptions_fit_their_fields() -> None:
-    for column in OPTIONAL_COLUMNS:
-        assert len(column.dimension.name) <= 32
-        assert len(column.dimension.description) <= 32

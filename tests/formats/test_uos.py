@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.formats.options import InputConfig, Layout, LayoutField
+from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 
 RULES: dict[str, Any] = {"points_per_line": 2, "range": "sensor-xyz"}
@@ -22,18 +22,6 @@ def test_centimetres_with_y_up_become_metres_with_z_up(tmp_path: Path) -> None:
     assert block.xyz_m is not None
     np.testing.assert_allclose(block.xyz_m[0, 0], [1, 3, 2])
     np.testing.assert_allclose(block.range_m, [[np.sqrt(14), 0.5], [np.sqrt(14) / 100, np.nan]], rtol=1e-6)
-
-
-def test_a_layout_says_otherwise(tmp_path: Path) -> None:
-    path = tmp_path / "scan000.3d"
-    path.write_text("1 2 3\n4 5 6\n")
-    fields = tuple(LayoutField(name=axis, source=index) for index, axis in enumerate("xyz"))
-    for layout, expected in (
-        (Layout(delimiter=" ", points_per_line=2, fields=fields), [1, 2, 3]),
-        (Layout(points_per_line=2), [0.01, 0.03, 0.02]),
-    ):
-        block = join(list(open_input(path, InputConfig(range="sensor-xyz"), layout).blocks()))
-        np.testing.assert_allclose(block.xyz_m[0, 0], expected)  # type: ignore[index]
 
 
 @pytest.mark.data

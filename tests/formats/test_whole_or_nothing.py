@@ -11,13 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import ClassCodes
-from prc_cli.core.errors import ConfigError, OutputError, OutputExistsError
-from prc_cli.core.files import place
+from prc_cli.core.errors import OutputError, OutputExistsError
 from prc_cli.formats.writing.columns import OutputConfig
 from tests import patience
 from tests.formats.common import (
-    labelled,
     random_labels,
     record_blocks,
     run_record,
@@ -82,53 +79,6 @@ def test_a_failed_replacement_keeps_the_old_output(tmp_path: Path, out: Path, ki
     write(path, source, record_blocks(random_labels(300)), overwrite=True)
     assert path.read_bytes() != b"old"
     assert sorted(item.name for item in out.iterdir()) == [f"a{suffix}", f"a{suffix}.prc.json"]
-
-
-def test_nothing_is_created_before_the_with_block(tmp_path: Path, out: Path) -> None:
-    writer(out / "a.las", source_for(tmp_path, ".las"))
-    assert list(out.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", ["a.tif", "a", "a.las.txt", "a.npz"])
-def test_unknown_suffix(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match=r"expected one of \.bag, \.csv, \.db3, .*, \.ply; choose"):
-        writer(tmp_path / name, tmp_path / "in.bin")
-
-
-def test_suffix_in_capitals(tmp_path: Path) -> None:
-    write(tmp_path / "A.NPY", tmp_path / "in.bin", [labelled(np.full((1, 4), 3, np.uint8))])
-    assert np.load(tmp_path / "A.NPY").tolist() == [2] * 4
-
-
-def test_refusals_before_any_work(tmp_path: Path, out: Path) -> None:
-    source = source_for(tmp_path, ".las")
-    with pytest.raises(OutputExistsError, match="the output is the input itself"):
-        writer(source, source, overwrite=True)
-    (out / "a.npy").write_bytes(b"")
-    with pytest.raises(OutputExistsError, match="exists already; choose another name or add --overwrite"):
-        writer(out / "a.npy", source)
-    (out / "b.npy.prc.json").write_bytes(b"{}")
-    with pytest.raises(OutputExistsError, match=r"b\.npy\.prc\.json: exists already"):
-        writer(out / "b.npy", source)
-    with pytest.raises(OutputError, match="output folder does not exist"):
-        writer(tmp_path / "nowhere" / "a.npy", source)
-    with pytest.raises(ConfigError, match=r"classes\.stem: found code 64"):
-        writer(out / "c.npy", source, options=OutputConfig(codes="below-32"))
-
-
-def test_below_32_with_low_codes_keeps_the_format(tmp_path: Path, out: Path) -> None:
-    source = tmp_path / "in.las"
-    make_las(source, 1)
-    codes = ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=23, pole=24)
-    record = write(
-        out / "a.las",
-        source,
-        record_blocks(np.full(300, 6, np.uint8)),
-        codes=codes,
-        options=OutputConfig(codes="below-32"),
-    )
-    assert [item.code for item in record.classes] == [19]
-    assert (out / "a.las").read_bytes()[104] == 1
 
 
 class Full:
@@ -199,18 +149,6 @@ def test_full_disk(tmp_path: Path, tiny_disk: Path, kind: str, suffix: str, n: i
     with pytest.raises(OutputError, match=rf"a\{suffix}: the disk is full; nothing was written under this name"):
         write(path, source, blocks)
     assert list(tiny_disk.iterdir()) == []
-
-
-def test_a_record_that_cannot_be_named_takes_the_output_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(temporary: Path, path: Path, *, overwrite: bool) -> None:
-        if path.suffix == ".json":
-            raise PermissionError(errno.EACCES, "denied", str(path))
-        place(temporary, path, overwrite=overwrite)
-
-    monkeypatch.setattr("prc_cli.core.files.place", failing)
-    with pytest.raises(OutputError, match="cannot be written"):
-        write(tmp_path / "a.npy", Path("in.bin"), record_blocks(random_labels(30)), run_record())
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("late", ["a.npy", "a.npy.prc.json"])

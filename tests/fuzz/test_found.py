@@ -15,23 +15,19 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import _run
-from prc_cli.config import load_config, to_toml
-from prc_cli.core import blocks as regroup
+from prc_cli.config import load_config
 from prc_cli.core.config import MAX_TOML_BYTES, read_toml
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import ScanBlock
-from prc_cli.formats import open_source
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.ptx import PtxStream
 from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import to_number
-from prc_cli.formats.text.read import TextBody, TextSource
+from prc_cli.formats.text.read import TextSource
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.plan import outcome_of_record
 from prc_cli.jobs.batch.types import InputPrint, Task
 from prc_cli.jobs.classify import classify
-from prc_cli.streams.angles import turn_of_times
 from tests.fuzz.guard import unprintable
 from tests.fuzz.seeds import N_LINES, las_vlrs, seed
 
@@ -72,18 +68,6 @@ def test_toml_that_its_parser_cannot_take(tmp_path: Path, text: str, message: st
     with pytest.raises(ConfigError, match=message):
         read_toml(path)
     assert time.process_time() - start < 60
-
-
-def test_long_words_do_not_look_like_deep_keys(tmp_path: Path) -> None:
-    numbers = ", ".join(f"{i}.5" for i in range(300))
-    text = f'a = [{numbers}]\nb = "{"c. " * 50}"\n{"d" * 100_000} = 1\n# {"e" * 100_000}{"." * 1000}\n'
-    assert len(read_toml(put(tmp_path / "a.toml", text))["a"]) == 300
-
-
-@pytest.mark.parametrize("value", ["['urban']", "{ x = 1 }", "1979-05-27T07:32:00Z", "1", "''"])
-def test_a_preset_that_is_no_name(tmp_path: Path, value: str) -> None:
-    with pytest.raises(ConfigError, match="preset: found "):
-        load_config(put(tmp_path / "a.toml", f"preset = {value}"))
 
 
 @pytest.mark.parametrize("name", ["a\\u0000b", "~no-such-user-here/track.csv"])
@@ -136,13 +120,6 @@ def test_names_in_files_command_no_terminal(tmp_path: Path, capfd: pytest.Captur
     assert not unprintable(printed)
 
 
-def test_the_name_of_a_configuration_does_not_end_its_comment(tmp_path: Path) -> None:
-    path = put(tmp_path / "a\nmethod = 1\n.toml", '[input]\nlines = "dimension:a\\u007f\U0001f600\\u009b"\n')
-    loaded = load_config(path)
-    again = load_config(put(tmp_path / "again.toml", to_toml(loaded)))
-    assert again.config == loaded.config
-
-
 def test_too_little_memory_is_said_in_a_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,17 +168,6 @@ def test_a_cell_of_a_million_digits_is_judged_in_one_pass(tmp_path: Path) -> Non
     assert time.process_time() - start < 60
 
 
-def test_blank_lines_behind_one_column_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-    exactly = TextBody._parse_exactly
-    monkeypatch.setattr(TextBody, "_parse_exactly", lambda *args: calls.append(1) or exactly(*args))
-    path = put(tmp_path / "a.csv", b"range\n1\n2\n" + b"\n" * 100_000)
-    assert sum(chunk.n for chunk in TextSource(path, block_bytes=1000).chunks(("range",))) == 2
-    assert len(calls) <= 1  # a gigabyte of them took minutes
-    with pytest.raises(InputError, match=r"line 4: a blank line between the rows"):
-        list(TextSource(put(path, path.read_bytes() + b"3\n"), block_bytes=1000).chunks(("range",)))
-
-
 def test_text_that_unpacks_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import gzip
 
@@ -210,14 +176,6 @@ def test_text_that_unpacks_without_end(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(text_lines, "LEAST_BYTES", 1 << 20)
     with pytest.raises(InputError, match="unpacks to more than"):
         list(TextSource(path).chunks(("range",)))
-
-
-def test_a_block_that_gathers_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(regroup, "MOST_WAITING", 1000)
-    block = ScanBlock(first_line=0, range_m=np.ones((1, 100), np.float32), record=np.zeros((1, 100), np.int64))
-    with pytest.raises(InputError, match="20 lines of 100 shots"):
-        list(regroup.regroup(iter([block] * 20), 20))
-    assert len(list(regroup.regroup(iter([block] * 20), 8))) == 3
 
 
 def test_an_archive_whose_names_are_not_what_they_say(tmp_path: Path) -> None:
@@ -287,14 +245,6 @@ def test_items_of_another_point_format_are_refused(
     assert f"items (type, bytes) ({kind}, " in printed
 
 
-def test_an_endless_image_of_single_shots_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """20 kB took 25 s: every line costs some time."""
-    np.savez_compressed(tmp_path / "a.npz", range_m=np.full((5_000_000, 1), 5, np.float32))
-    code, printed = run(capfd, "classify", tmp_path / "a.npz", tmp_path / "o.npy", "--preset", "urban")
-    assert (code, printed.count("\n")) == (1, 1)
-    assert "found 5000000 lines of 1 points, expected at least 8 points" in printed
-
-
 @pytest.mark.parametrize("match", ["nearest", "order"])
 def test_coordinates_without_end_have_no_neighbours(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], match: str
@@ -306,34 +256,6 @@ def test_coordinates_without_end_have_no_neighbours(
     assert "Traceback" not in printed
     assert code in (0, 1), printed
     assert not code or printed.count("\n") == 1
-
-
-def test_a_coordinate_that_signals_is_passed_over(tmp_path: Path) -> None:
-    """NumPy warned when the units of a frame of rings were looked for."""
-    whole = seed("rings.ply")
-    at = whole.index(b"end_header\n") + 11
-    signals = whole[:at] + struct.pack("<I", 0x7F800001) + whole[at + 4 :]
-    assert (
-        open_source(put(tmp_path / "a.ply", signals)).n_records == open_source(put(tmp_path / "b.ply", whole)).n_records
-    )  # type: ignore[union-attr]
-
-
-def test_a_name_of_many_blanks_is_judged_in_one_pass(tmp_path: Path) -> None:
-    """The search for a unit behind it took the cube of their number: hours for 100 kB."""
-    start = time.process_time()
-    text = b"range" + b" " * 50_000 + b"(" * 1000 + b" mm x,x\n1,2\n"
-    assert sum(chunk.n for chunk in TextSource(put(tmp_path / "a.csv", text)).chunks(("x",))) == 1
-    assert time.process_time() - start < 20
-
-
-def test_times_and_angles_without_measure_give_no_turn() -> None:
-    """NumPy warned of the overflow, and NaN passed for a whole turn."""
-    shot = np.arange(90)
-    time_s, angle = shot % 10 + shot // 10 * 20.0, shot % 10 * np.pi / 10
-    assert turn_of_times(time_s, angle) is not None
-    for tiny, large in ((5e-324, 1.0), (1e-300, 1e300), (1.0, 1e307)):
-        turn = turn_of_times(time_s * tiny, angle * large)
-        assert turn is None or np.isfinite(turn)
 
 
 NUMBERS = ("seconds", "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records", "size", "mtime_ns")

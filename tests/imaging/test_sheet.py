@@ -16,12 +16,8 @@ from prc_cli.imaging.sheet import (
     TITLE_HEIGHT,
     Axis,
     Panel,
-    choose_columns,
     draw_panel,
     draw_sheet,
-    key_rows,
-    number_text,
-    round_step,
     zoom_for,
 )
 from prc_cli.imaging.viewer import html_page
@@ -59,15 +55,6 @@ def test_ticks_of_places_are_exact_and_far_enough_apart() -> None:
     assert min(np.diff(places)) >= 120
 
 
-@pytest.mark.parametrize(("value", "step", "text"), [(-0.0, 1, "0"), (0.1, 0.1, "0.1"), (-2.5, 0.5, "-2.5")])
-def test_numbers(value: float, step: float, text: str) -> None:
-    assert number_text(value, step) == text
-
-
-def test_steps_are_round() -> None:
-    assert [round_step(v) for v in (1, 1.1, 2.1, 5.1, 99, 0.0021)] == [1, 2, 5, 10, 100, 0.005]
-
-
 @pytest.mark.parametrize(("width", "height"), [(2154, 99), (4270, 255), (389, 229), (16, 1), (1, 16), (2083, 64)])
 def test_small_pictures_are_enlarged_and_large_ones_left_alone(width: int, height: int) -> None:
     across, down = zoom_for(width, height)
@@ -98,21 +85,6 @@ def test_the_key_of_a_picture_stands_below_it() -> None:
         assert rows.min() > 300
     alone = draw_panel(panel(plain(300, 700), key=key), with_title=False)
     assert not (np.asarray(alone) == key[0][1]).all(axis=2).any()  # pages with text write it themselves
-
-
-def test_many_high_pictures_stand_beside_each_other() -> None:
-    high = [panel(plain(800, 700)) for _ in range(6)]
-    assert choose_columns(high, 6000) == 3
-    assert choose_columns([panel(plain(99, 2154))] * 6, 6000) == 1
-    sheet = draw_sheet("", high, columns=3)
-    assert sheet.width > 2100
-    assert sheet.height < 2000
-
-
-def test_long_keys_are_wrapped() -> None:
-    rows = key_rows(tuple((f"class {i}", (0, 0, 0)) for i in range(20)), 900)
-    assert 2 < len(rows) < 8
-    assert all(row[0][0] == 0 for row in rows)
 
 
 @pytest.mark.parametrize(

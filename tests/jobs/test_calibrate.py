@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,19 +11,17 @@ import pytest
 
 from prc_cli.config import load_config
 from prc_cli.core.blocks import regroup
-from prc_cli.core.errors import ConfigError, EvidenceError, InputError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.calibrate import SearchOptions, calibrate
-from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, thresholds
+from prc_cli.jobs.calibrate.implied import CurveCounter, Curves
 from prc_cli.jobs.calibrate.reports import (
     as_json,
-    as_markdown,
     as_svg,
     as_toml,
 )
-from prc_cli.jobs.calibrate.search import split_groups
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import classify
 from prc_cli.methods.prc.pipeline import PrcParams
@@ -37,7 +33,7 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz, write_raw
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz
 
 
 def count(image: F32, params: PrcParams, lines: int) -> Curves:
@@ -78,24 +74,6 @@ def test_background_curve_is_what_the_classifier_marks() -> None:
         assert curves.background[place] == np.count_nonzero(background(window, everything, params))
 
 
-@pytest.mark.parametrize("lines", [1, 2, 1000])
-def test_curves_do_not_depend_on_how_the_stream_is_cut(lines: int) -> None:
-    image = street()[:30]
-    whole, cut = count(image, PrcParams(), 13), count(image, PrcParams(), lines)
-    assert np.array_equal(whole.supported, cut.supported)
-    assert np.array_equal(whole.background, cut.background)
-
-
-def test_curves_rise_and_end_where_the_published_figure_does() -> None:
-    grid = thresholds()
-    assert (grid[0], grid[-1]) == (0.001, 100.0)
-    assert {0.001, 0.01, 0.1, 1.0, 10.0, 100.0} <= set(grid.tolist())
-    curves = count(street()[:30], PrcParams(), 30)
-    assert (np.diff(curves.over_zeta_p(1.0)) >= 0).all()
-    assert (np.diff(curves.background_share()) <= 0).all()
-    assert curves.share(0.123456, 1.0) is None
-
-
 def corridor(sigma_m: float, per_m: float, step_deg: float = 0.5, n_lines: int = 120) -> F32:
     """Ground 2 m below, walls at 6 and 15 m, from straight down to 60 degrees up on one side."""
     rng = np.random.default_rng(5)
@@ -119,93 +97,6 @@ def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: 
     found = measure(corridor(sigma_m, per_m))
     for range_m in (2.5, 6.5, 15.0):
         assert found.noise_at(range_m) == pytest.approx(np.hypot(sigma_m, per_m * range_m), rel=0.2)
-
-
-@pytest.mark.parametrize("step_deg", [0.25, 0.5, 1.0])
-def test_angular_step_is_measured_on_planes(step_deg: float) -> None:
-    found = measure(corridor(0.005, 0.0, step_deg))
-    assert found.step_rad == pytest.approx(np.deg2rad(step_deg), rel=0.01)
-    assert found.step_source.startswith("planes in the ranges, ")
-    angle = np.deg2rad(np.arange(len(corridor(0.0, 0.0, step_deg)[0])) * 0.3)
-    told = measure(corridor(0.005, 0.0, step_deg), angle_rad=angle)
-    assert told.step_rad == pytest.approx(np.deg2rad(0.3))
-    assert f"the ranges show {step_deg:.4f} deg ± " in told.step_source
-
-
-@pytest.mark.parametrize("metres", [1e-7, 1e12])
-def test_ranges_in_no_sensible_unit_still_give_finite_figures(metres: float) -> None:
-    found = measure(np.full((5, 60), metres, np.float32))
-    assert found.range_quantiles_m["50%"] == pytest.approx(metres, rel=0.03)
-    json.dumps(found.as_dict(), allow_nan=False)
-
-
-def test_foliage_has_neither_noise_nor_step() -> None:
-    image = np.random.default_rng(3).uniform(3.0, 20.0, (100, 400)).astype(np.float32)
-    found = measure(image)
-    assert (found.sigma_m, found.step_rad, found.noise_at(5.0)) == (None, None, None)
-
-
-@pytest.mark.parametrize("unit", [0.001, 0.01, 0.025, 0.1])
-def test_rounding_of_the_stored_ranges_is_found(unit: float) -> None:
-    image = corridor(0.01, 0.0)
-    assert measure(image).rounding_m is None
-    assert measure((np.round(image.astype(np.float64) / unit) * unit).astype(np.float32)).rounding_m == unit
-
-
-def test_missing_shots_and_spacing() -> None:
-    image = corridor(0.005, 0.0)
-    image[:, ::4] = np.nan
-    found = measure(image, line_hz=50.0)
-    assert found.missing_share == pytest.approx(0.25, abs=0.01)
-    assert found.line_hz == 50.0
-    assert json.dumps(found.as_dict(), allow_nan=False)
-
-
-def advice(image: F32, folder: Path, **table: Any) -> dict[str, Advice]:
-    np.savez(folder / "drive.npz", range_m=image)
-    found = calibrate(folder / "drive.npz", load_config(preset="urban", options=table))
-    assert found.search is None
-    return {item.key: item for item in found.advice}
-
-
-def test_lengths_follow_the_noise(tmp_path: Path) -> None:
-    fine, coarse = advice(corridor(0.001, 0.0), tmp_path), advice(corridor(0.03, 0.0), tmp_path)
-    assert coarse["prc.background.d_c"].value == pytest.approx(17 * 0.03, rel=0.25)
-    assert "flat stretches" in coarse["prc.background.d_c"].reason
-    assert float(fine["prc.background.d_c"].value) < 0.2
-    assert coarse["sequential_angle.angles.range_noise_m"].value == pytest.approx(0.03, rel=0.25)
-
-
-def test_area_follows_the_block_down_to_the_least_patch(tmp_path: Path) -> None:
-    assert advice(corridor(0.005, 0.0), tmp_path)["prc.surfaces.area"].value == 12.0
-    wide = np.full((8, 2154), 9.0, np.float32)
-    assert advice(wide, tmp_path)["prc.surfaces.area"].value == 30.0
-    assert advice(wide, tmp_path, prc={"lines_per_block": 198})["prc.surfaces.area"].value == 60.0
-
-
-def test_thresholds_on_the_plateau_stay_and_others_are_raised(tmp_path: Path) -> None:
-    good = advice(corridor(0.005, 0.0), tmp_path)["prc.support.zeta_s"]
-    assert (good.before, good.value) == (1.0, 1.0)
-    tight = advice(corridor(0.03, 0.0), tmp_path, prc={"support": {"zeta_s": 0.01, "zeta_p": 1.0}})
-    assert float(tight["prc.support.zeta_s"].value) >= 6 * 0.025
-    assert advice(corridor(0.03, 0.0), tmp_path, prc={"support": {"zeta_s": 0.0}})["prc.support.zeta_s"].value
-
-
-def test_a_curve_that_supports_nothing_has_no_plateau(tmp_path: Path) -> None:
-    # ranges from an origin a thousand kilometres away, as of points in a projected system
-    far = (1.063e6 + np.random.default_rng(3).uniform(0, 2000, (20, 60))).astype(np.float32)
-    with pytest.raises(EvidenceError, match="the median range is 1.06.*e.06 m"):
-        advice(far, tmp_path)
-    accepting = {"input": {"accept_doubts": ["ranges"]}}
-    found = advice(far, tmp_path, **accepting)
-    for key in ("prc.support.zeta_s", "prc.support.zeta_p"):
-        assert found[key].value == found[key].before == 1.0
-        assert found[key].reason.startswith("as configured: the curve has no plateau, since 10 m supports no more than")
-    odd = calibrate(tmp_path / "drive.npz", load_config(preset="urban", options=accepting))
-    assert (odd.doubts, [one.check for one in odd.findings if one.is_accepted]) == ((), ["ranges"])
-    (note,) = (note for note in odd.notes if "origin" in note)
-    assert re.match("the median range is some 10[56][0-9] km: beyond 20 km the origin of the scanner is wrong", note)
-    assert not any("origin" in note for note in calibrate(write_npz(tmp_path / "near.npz", street())).notes)
 
 
 def test_the_figure_marks_what_was_chosen_and_stays_in_its_frame(tmp_path: Path) -> None:
@@ -263,28 +154,6 @@ def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
     assert other.search.n_trials == 2
 
 
-def test_figures_of_the_search_are_those_of_the_classifier(tmp_path: Path) -> None:
-    """One group of lines for training: the whole training stream can be classified as a file of its own."""
-    source, reference = labelled(tmp_path)
-    loaded = load_config(preset="urban", options={"prc": {"lines_per_block": 100}})
-    with pytest.raises(InputError, match="too short"):
-        calibrate(source, loaded, SearchOptions(reference))
-    loaded = load_config(preset="urban", options={"prc": {"lines_per_block": 69}})
-    found = calibrate(source, loaded, SearchOptions(reference, training_share=0.5, budget=2))
-    assert found.search is not None
-    from prc_cli.jobs.evaluate import evaluate
-
-    (training,), (_,) = split_groups(2, 0.5, 0)
-    lines = slice(0, 69) if training == 0 else slice(69, None)
-    write_npz(tmp_path / "part.npz", street()[lines])
-    codes = np.load(reference).reshape(N_LINES, -1)[lines]
-    np.save(tmp_path / "part.npy", codes.ravel())
-    classify(tmp_path / "part.npz", tmp_path / "labels.npy", loaded)
-    expected = scores(evaluate(tmp_path / "labels.npy", tmp_path / "part.npy"))
-    for name in ("kappa", "f1.ground", "f1.noise"):
-        assert found.search.judged[0].training[name] == pytest.approx(gate_value(expected, name))
-
-
 def test_kept_keys_take_what_the_sensor_implies(tmp_path: Path) -> None:
     source, reference = labelled(tmp_path)
     keep = ("prc.support.zeta_p", "prc.support.zeta_s", "prc.surfaces.gamma")
@@ -294,13 +163,6 @@ def test_kept_keys_take_what_the_sensor_implies(tmp_path: Path) -> None:
     implied = {item.key: item.value for item in calibrate(source, BLOCKS).advice}
     assert found.config.config.prc.support.zeta_p == implied["prc.support.zeta_p"]
     assert found.config.config.prc.surfaces.gamma == 2
-
-
-def test_long_streams_are_sampled(tmp_path: Path) -> None:
-    source, reference = labelled(tmp_path)
-    found = calibrate(source, BLOCKS, SearchOptions(reference, budget=4, max_shots=3 * 20 * POINTS_PER_LINE))
-    assert found.search is not None
-    assert found.search.n_training_shots + found.search.n_held_out_shots == 3 * 20 * POINTS_PER_LINE
 
 
 def test_written_configuration_is_read_and_says_why(tmp_path: Path) -> None:
@@ -313,24 +175,6 @@ def test_written_configuration_is_read_and_says_why(tmp_path: Path) -> None:
     assert text.count("# calibrated: ") == len(found.advice)
     assert "held-out" in text
     classify(source, tmp_path / "labels.npy", read)
-
-
-def test_reports(tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "st|reet.npz", street())
-    found = calibrate(source, load_config(preset="urban"))
-    table = json.loads(as_json(found))
-    assert len(table["curves"]["over_zeta_p"]["zeta_p"]) == 51
-    assert table["sensor"]["points_per_line"] == POINTS_PER_LINE
-    assert "| prc.background.d_c | 0.05 |" in as_markdown(found)
-    figure = as_svg(found)
-    assert figure.count("<polyline") == 3
-    texts = [
-        (e.text or "", float(e.attrib["y"])) for e in ElementTree.fromstring(figure).iter() if e.tag.endswith("text")
-    ]
-    shares = [(text, y) for text, y in texts if text.endswith(" %")]
-    assert [text for text, _ in shares] == ["0 %", "20 %", "40 %", "60 %", "80 %", "100 %"]
-    assert np.ptp(np.diff([y for _, y in shares])) < 0.2, "evenly, from below"
-    assert shares[0][1] > shares[-1][1]
 
 
 def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:
@@ -390,12 +234,6 @@ def test_options_that_make_no_sense_are_refused_before_reading(
     source = write_npz(tmp_path / "drive.npz", street()[:5])
     with pytest.raises(ConfigError, match=message):
         calibrate(source, BLOCKS, SearchOptions(tmp_path / "reference.npy", **options))
-
-
-def test_raw_streams_without_angles(tmp_path: Path) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    found = calibrate(source, load_config(options={"input": {"points_per_line": POINTS_PER_LINE}}))
-    assert found.sensor.n_lines == N_LINES
 
 
 @pytest.mark.data

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import gc
-import json
 from pathlib import Path
 from typing import Any
 
 import laspy
 import numpy as np
-import pyarrow.parquet
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError
+from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats import open_source
-from prc_cli.jobs.classify import Counts, classify, label_blocks, open_stream
+from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.convert import convert
 from tests.formats.organised_files import (
-    Scan,
-    e57_fields,
-    grid_points,
     ptx_scan,
-    write_e57,
     write_text,
 )
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
@@ -91,21 +85,6 @@ def cloud(path: Path) -> Any:
 
 
 @pytest.mark.parametrize("to", ["classify", "convert"])
-@pytest.mark.parametrize("suffix", [".laz", ".las", ".ply", ".pcd"])
-def test_a_cloud_of_an_input_without_coordinates_has_three_dimensions(tmp_path: Path, suffix: str, to: str) -> None:
-    source, output = tmp_path / "s.npz", tmp_path / f"s{suffix}"
-    np.savez(source, range_m=street(), angle_deg=np.rad2deg(angles()), time_s=np.arange(len(street())) / LINE_HZ)
-    run = classify if to == "classify" else convert
-    told = run(source, output, config(nadir=0.0)).record.notices
-    assert [one for one in told if "upright, one line behind the other, 0.17 m apart (assumed: 8 m/s)" in one]
-    seen = ~np.isnan(street())
-    line, column = np.nonzero(seen)
-    beam, ranges = angles()[column], street()[seen]
-    wanted = np.stack([line * 8 / LINE_HZ, ranges * np.sin(beam), -ranges * np.cos(beam)], axis=1)
-    np.testing.assert_allclose(cloud(output), wanted, atol=0.001)
-
-
-@pytest.mark.parametrize("to", ["classify", "convert"])
 @pytest.mark.parametrize("suffix", [".laz", ".ply"])
 @pytest.mark.parametrize("from_", [".csv", ".laz"])
 def test_registered_coordinates_are_kept(tmp_path: Path, suffix: str, from_: str, to: str) -> None:
@@ -145,31 +124,6 @@ def test_a_format_of_cells_gives_the_same_blocks_back(drive: Path, tmp_path: Pat
         assert same_bits(before.xyz_m, after.xyz_m)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".bin"])
-def test_coordinates_are_in_tables_and_dumps_bit_for_bit(drive: Path, tmp_path: Path, suffix: str) -> None:
-    out = tmp_path / f"out{suffix}"
-    convert(drive, out)
-    (before,) = scans(drive, config()).values()
-    inputs = {"columns": "order"} if suffix == ".bin" else {}
-    (after,) = scans(out, config(out, range="sensor-xyz", **inputs)).values()
-    assert same_bits(before.xyz_m, after.xyz_m)
-
-
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_las_keeps_ranges_cells_and_times_of_what_returned(drive: Path, tmp_path: Path, suffix: str) -> None:
-    out = tmp_path / f"out{suffix}"
-    summary = convert(drive, out)
-    (before,), (after,) = scans(drive, config()).values(), scans(out, config()).values()
-    assert same_bits(before.range_m, after.range_m)
-    gone = np.isnan(before.range_m)
-    assert same_bits(before.time_s[~gone], after.time_s[~gone])
-    assert np.array_equal(before.intensity[~gone], after.intensity[~gone])
-    assert f"{gone.sum()} shots without return" in summary.losses[0]
-    las = laspy.read(out)
-    assert np.abs(np.stack([las.x, las.y, las.z], 1) - before.xyz_m[~gone]).max() <= 0.000501
-    assert set(las.classification) == {1}
-
-
 @pytest.mark.parametrize("suffix", [*CELLS, ".npy", ".laz"])
 @pytest.mark.parametrize("preset", ["urban", "street-scan"])
 def test_labels_are_those_of_the_original(drive: Path, tmp_path: Path, suffix: str, preset: str) -> None:
@@ -180,18 +134,6 @@ def test_labels_are_those_of_the_original(drive: Path, tmp_path: Path, suffix: s
     given = labels(drive, config(preset=preset, nadir=0.0))[0]
     nadir = {} if suffix == ".npy" else {"nadir": 0.0}
     assert np.array_equal(given, labels(out, config(out, preset, **nadir))[0])
-
-
-@pytest.mark.parametrize("suffix", [".csv.gz", ".parquet", ".npz", ".npy", ".bin", ".laz"])
-def test_the_same_bytes_twice_and_nothing_else_left(drive: Path, tmp_path: Path, suffix: str) -> None:
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        convert(drive, tmp_path / folder / f"out{suffix}")
-    found = sorted(path.name for path in (tmp_path / "a").iterdir())
-    beside = [f"out{suffix}.toml"] if suffix == ".bin" else []
-    assert found == sorted([f"out{suffix}", f"out{suffix}.prc.json", *beside])
-    for name in found:
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 def two_scanners(path: Path) -> Path:
@@ -249,27 +191,6 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
     assert told == (suffix == ".laz")
 
 
-def test_classes_and_registered_coordinates_go_along(tmp_path: Path) -> None:
-    source, loaded = two_scanners(tmp_path / "two.las"), config(scanner="point_source_id")
-    convert(source, tmp_path / "a.csv", loaded)
-    convert(tmp_path / "a.csv", tmp_path / "b.las", loaded)
-    first, last = laspy.read(source), laspy.read(tmp_path / "b.las")
-    assert len(first) == len(last)
-
-    def key(las: Any) -> Any:
-        names = ("point_source_id", "scan_line", "column", "return_number")
-        return np.lexsort(tuple(np.asarray(las[name]) for name in reversed(names)))
-
-    for name in ("classification", "range", "gps_time", "number_of_returns", "x", "y", "z"):
-        left, right = np.asarray(first[name])[key(first)], np.asarray(last[name])[key(last)]
-        assert np.allclose(left, right, rtol=0, atol=0.00051 if name in "xyz" else 0), name
-    table = pyarrow.parquet.read_table  # the same columns for other programs
-    convert(source, tmp_path / "a.parquet", loaded)
-    lines = (tmp_path / "a.csv").read_text().splitlines()
-    assert table(tmp_path / "a.parquet").column_names == lines[0].split(",")
-    assert table(tmp_path / "a.parquet").num_rows == len(lines) - 1
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".las"])
 def test_the_scans_of_a_ptx_stay_apart(tmp_path: Path, suffix: str) -> None:
     rng = np.random.default_rng(4)
@@ -288,15 +209,6 @@ def test_the_scans_of_a_ptx_stay_apart(tmp_path: Path, suffix: str) -> None:
         convert(source, tmp_path / "out.npz")
 
 
-def test_what_is_lost_is_listed(drive: Path, tmp_path: Path) -> None:
-    summary = convert(drive, tmp_path / "out.npy")
-    assert summary.losses == ("scan angles", "times", "coordinates", "intensities")
-    kept = json.loads((tmp_path / "out.npy.prc.json").read_text())["notices"]
-    assert [f"not kept: {loss}" for loss in summary.losses] == kept
-    assert np.load(tmp_path / "out.npy").shape == street().shape
-    assert convert(drive, tmp_path / "out.npz").losses == ()
-
-
 def test_las_and_laz_become_each_other_byte_for_byte(tmp_path: Path) -> None:
     source = two_scanners(tmp_path / "two.las")
     summary = convert(source, tmp_path / "two.laz")
@@ -304,17 +216,6 @@ def test_las_and_laz_become_each_other_byte_for_byte(tmp_path: Path) -> None:
     convert(tmp_path / "two.laz", tmp_path / "back.las")
     assert (tmp_path / "back.las").read_bytes() == source.read_bytes()
     assert len(laspy.read(tmp_path / "two.laz")) == summary.n_shots
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("name", ["las/als_strip_labelled.laz", "las/fullwave_pf10.laz", "las/plane.laz"])
-def test_real_laz_to_las_to_laz_keeps_every_record(real_data: Path, tmp_path: Path, name: str) -> None:
-    convert(real_data / name, tmp_path / "a.las")
-    convert(tmp_path / "a.las", tmp_path / "b.laz")
-    convert(tmp_path / "b.laz", tmp_path / "c.las")
-    assert (tmp_path / "a.las").read_bytes() == (tmp_path / "c.las").read_bytes()
-    left, right = laspy.read(real_data / name), laspy.read(tmp_path / "a.las")
-    assert np.array_equal(left.points.array, right.points.array)
 
 
 @pytest.mark.data
@@ -346,15 +247,6 @@ def test_real_scans_give_the_same_ranges_back(
         assert same_bits(np.ascontiguousarray(left.range_m[:n, :m]), right.range_m)
 
 
-def test_rings_become_a_plain_image(tmp_path: Path, real_data: Path) -> None:
-    loaded = load_config(Path(__file__).parents[2] / "sample_configs/kitti_frame.toml")
-    summary = convert(real_data / "kitti/000000.bin", tmp_path / "frame.npz", loaded)
-    assert any("collisions" in loss for loss in summary.losses)
-    before = labels(real_data / "kitti/000000.bin", loaded)[0]
-    again = load_config(None, None, {**loaded.config.to_table(), "input": {}, "layout": {}})
-    assert np.array_equal(before, labels(tmp_path / "frame.npz", again)[0])
-
-
 @given(st.lists(st.integers(1, 0x7F7F_FFFF), min_size=2, max_size=40))
 def test_any_float32_range_survives_text(tmp_path_factory: pytest.TempPathFactory, bits: list[int]) -> None:
     folder = tmp_path_factory.mktemp("bits")
@@ -377,70 +269,6 @@ def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, su
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two.las"]
 
 
-def test_bad_outputs_are_refused_before_anything_is_read(drive: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="found suffix '.ptx', expected one of .bin"):
-        convert(drive, tmp_path / "out.ptx")
-    with pytest.raises(OutputExistsError, match="the output is the input itself"):
-        convert(drive, drive, overwrite=True)
-    (tmp_path / "out.bin.toml").write_text("mine")
-    with pytest.raises(OutputExistsError, match=r"out.bin.toml: exists already"):
-        convert(drive, tmp_path / "out.bin")
-    with pytest.raises(InputError, match="no such file"):
-        convert(tmp_path / "none.csv", tmp_path / "out.csv")
-    assert not (tmp_path / "out.bin").exists()
-
-
-def test_a_damaged_input_leaves_nothing(drive: Path, tmp_path: Path) -> None:
-    convert(drive, tmp_path / "a.csv")
-    text = (tmp_path / "a.csv").read_text().splitlines()
-    text[9000] = "50,1,x,3,4,5,6,7,8"
-    (tmp_path / "b.csv").write_text("\n".join(text))
-    (tmp_path / "out").mkdir()
-    for suffix in (".laz", ".npz", ".csv", ".bin", ".parquet"):
-        with pytest.raises(InputError, match="line 9001"):
-            convert(tmp_path / "b.csv", tmp_path / "out" / f"o{suffix}")
-    assert list((tmp_path / "out").iterdir()) == []
-
-
-@pytest.mark.parametrize("suffix", [".laz", ".csv.gz", ".npz"])
-def test_the_colours_of_a_ptx_are_named_among_the_losses(tmp_path: Path, suffix: str) -> None:
-    text = ptx_scan(grid_points(4, 30), colour=True)
-    summary = convert(write_text(tmp_path / "a.ptx", text), tmp_path / f"a{suffix}")
-    assert any(loss.startswith("colour,") for loss in summary.losses)
-    plain = convert(write_text(tmp_path / "b.ptx", ptx_scan(grid_points(4, 30))), tmp_path / f"b{suffix}")
-    assert not any("colour" in loss for loss in plain.losses)
-
-
-def test_the_colours_of_an_e57_are_named_among_the_losses(tmp_path: Path) -> None:
-    points = grid_points(4, 30)
-    fields = e57_fields(points)
-    fields["colorRed"] = np.arange(len(fields["cartesianX"])) % 256
-    summary = convert(write_e57(tmp_path / "a.e57", [Scan(fields)]), tmp_path / "a.laz")
-    assert any(loss.startswith("colorRed,") for loss in summary.losses)
-
-
-def test_codes_that_las_cannot_hold_are_the_first_loss(tmp_path: Path) -> None:
-    rows = [
-        f"{line},{column},{5 + column / 100},{code}"
-        for line in range(3)
-        for column, code in enumerate((1200, 2, 1400, -3))
-    ]
-    source = write_text(tmp_path / "a.csv", "\n".join(["line,column,range,class", *rows]) + "\n")
-    summary = convert(source, tmp_path / "a.laz")
-    assert summary.losses[0] == "9 class codes outside 0 to 255: written as 1 (unclassified)"
-    assert "not kept: " + summary.losses[0] in summary.record.notices
-    assert not any("class codes" in text for text in summary.record.notices if not text.startswith("not kept: "))
-    assert sorted(set(laspy.read(tmp_path / "a.laz").classification)) == [1, 2]
-    assert not any("class codes" in loss for loss in convert(source, tmp_path / "a.parquet").losses)
-
-
-def test_codes_that_are_no_codes_are_a_loss(tmp_path: Path) -> None:
-    rows = [f"{line},{column},5.5,{code}" for line in range(3) for column, code in enumerate(("1.5", "2", "", "3"))]
-    source = write_text(tmp_path / "a.csv", "\n".join(["line,column,range,class", *rows]) + "\n")
-    summary = convert(source, tmp_path / "b.csv.gz")
-    assert summary.losses[0].startswith("3 class codes that are no whole numbers")
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".csv.zst", ".parquet"])
 def test_an_interrupt_leaves_no_file_and_no_words(
     drive: Path, tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]
@@ -455,13 +283,3 @@ def test_an_interrupt_leaves_no_file_and_no_words(
     gc.collect()
     assert sorted(tmp_path.iterdir()) == before
     assert capfd.readouterr().err == ""
-
-
-def test_counts_add_up_over_blocks() -> None:
-    counts = Counts.none()
-    for first, n_lines in ((0, 3), (3, 5)):
-        ranges = np.ones((n_lines, 7), np.float32)
-        ranges[0, :2] = np.nan
-        counts = counts.add(ScanBlock(first, ranges))
-    assert (counts.n_lines, counts.n_shots, counts.n_missing) == (8, 56, 4)
-    assert counts.scanners == {0: 7}

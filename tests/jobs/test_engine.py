@@ -18,7 +18,6 @@ from prc_cli.core.types import F32
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.classify import classify, classify_ranges
 from tests import patience
-from tests.formats.organised_files import grid_points, ptx_scan, write_text
 from tests.street import angles, street, write_csv, write_npz, write_raw
 
 LINES = slice(50, 90)
@@ -91,40 +90,6 @@ def every_format(folder: Path) -> dict[str, Path]:
         made[suffix] = folder / f"made.{suffix}"
         assert prc("convert", made["npz"], made[suffix], "-q") == 0
     return made
-
-
-def test_every_format_is_read_by_both_engines(tmp_path: Path) -> None:
-    for name, source in every_format(tmp_path).items():
-        options = ("-M", str(angles().size)) if name == "bin" else ()
-        compiled, plain = by_both(source, ".npy", "--preset", "urban", *options)
-        assert compiled.read_bytes() == plain.read_bytes(), name
-
-
-def test_organised_scans_are_read_by_both_engines(tmp_path: Path) -> None:
-    points = grid_points(12, 40)
-    made = [write_text(tmp_path / "scan.ptx", ptx_scan(points)), tmp_path / "scan.e57"]
-    assert prc("convert", made[0], made[1], "-q") == 0
-    rows = "\n".join(" ".join(f"{100 * value:.3f}" for value in point[:3]) for point in points.reshape(-1, 4))
-    made.append(write_text(tmp_path / "scan000.3d", rows + "\n"))
-    write_text(tmp_path / "scan000.pose", "0 0 0\n0 0 0\n")
-    for source in made:
-        options = ("--lines", "elevation:20", "--range", "sensor-xyz") if source.suffix == ".3d" else ()
-        compiled, plain = by_both(source, ".npy", "--preset", "urban", *options)
-        assert compiled.read_bytes() == plain.read_bytes(), source.name
-
-
-def test_a_compiled_run_after_a_reference_run_is_compiled(tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "drive.npz", piece())
-    classify(source, tmp_path / "plain.npy", engine="reference")
-    with kernels.use_engine("reference"):
-        plain = kernels.support_mask
-    assert plain.__module__.startswith("prc_cli.reference")
-    assert kernels.support_mask.__module__.startswith("prc_cli.methods")
-    summary = classify(source, tmp_path / "compiled.npy")
-    assert "engine" not in summary.record.as_dict()
-    with pytest.raises(ConfigError):  # a run that fails leaves it as it was, too
-        classify(source, tmp_path / "fused.npy", load_config(preset="fused"), engine="reference")
-    assert kernels.support_mask.__module__.startswith("prc_cli.methods")
 
 
 def test_fused_is_refused_before_anything_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.coordinates import SPEED_M_S
 from prc_cli.jobs.render import RenderOptions
@@ -104,20 +103,6 @@ def test_long_scans_are_thinned_and_the_page_says_so(drive: Path, tmp_path: Path
     for n, m, most in ((1, 1, 1000), (3, 700_000, 1000), (700_000, 3, 1000), (100_000, 2154, 1_500_000)):
         step = _steps(n, m, most)
         assert -(-n // step[0]) * -(-m // step[1]) <= most
-
-
-def test_refusals(drive: Path, tmp_path: Path) -> None:
-    config = load_config(preset="urban")
-    with pytest.raises(ConfigError, match=r"a\.png: found the suffix '\.png', expected \.html; rename the output"):
-        render_viewer(drive, tmp_path / "a.png", config)
-    with pytest.raises(ConfigError, match="--figure1: belongs to pictures, found --html; leave one of them out"):
-        render_viewer(drive, tmp_path / "a.html", config, RenderOptions(figure1=True))
-    with pytest.raises(ConfigError, match="--block: belongs to pictures, found --html"):
-        render_viewer(drive, tmp_path / "a.html", config, RenderOptions(block=1))
-    np.save(tmp_path / "short.npy", np.full(7, 2, np.uint8))
-    with pytest.raises(InputError, match="found 7 labels"):
-        render_viewer(drive, tmp_path / "a.html", config, RenderOptions(labels=tmp_path / "short.npy"))
-    assert not (tmp_path / "a.html").exists()
 
 
 def test_the_command_that_tells_why_reads_the_input_as_the_page_did(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,13 @@ import pytest
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ConfigError, OutputExistsError
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import classify, open_stream
-from prc_cli.jobs.evaluate import evaluate
-from prc_cli.jobs.simulate import Beside, reference_path, simulate
+from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
 
-FORMATS = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst", ".bin", ".npz", ".npy", ".e57")
 REGISTERED = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst")
 SCANNER: dict[str, Any] = {"points_per_line": 240, "line_hz": 20.0}
 LINES = 70
@@ -101,46 +98,6 @@ def test_blocks_keep_the_further_returns_of_their_lines() -> None:
     assert (one.extra.range_m > one.range_m[one.extra.line, one.extra.column]).all()
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_gives_ranges_and_reference_back(
-    drive: tuple[ScanBlock, Any], tmp_path: Path, suffix: str
-) -> None:
-    out = tmp_path / f"drive{suffix}"
-    summary = simulate("street", out, small("street"), threads=2)
-    block, labels = drive
-    after = read(out)
-    n_lines = len(after.range_m)
-    # LAS knows lines by their returns alone
-    assert n_lines == LINES
-    assert same(after.range_m, block.range_m[:, : after.points_per_line])
-    assert np.isnan(block.range_m[:, after.points_per_line :]).all()
-    beside = reference_path(out)
-    has_own = suffix not in (".npy", ".bin", ".e57")
-    assert beside.exists() != has_own
-    codes = np.concatenate(list(open_codes(out if has_own else beside).chunks()))
-    expected = ClassCodes().lookup()[labels]
-    if suffix in (".laz", ".las"):
-        expected = expected[labels != Label.MISSING]
-    assert same(codes, expected.ravel())
-    assert set(summary.files) == {*tmp_path.iterdir()}
-
-
-def test_parquet_holds_the_reference_too(drive: tuple[ScanBlock, Any], tmp_path: Path) -> None:
-    summary = simulate("street", tmp_path / "drive.parquet", small("street"))
-    codes = np.concatenate(list(open_codes(summary.output).chunks()))
-    assert same(codes, ClassCodes().lookup()[drive[1]].ravel())
-
-
-@pytest.mark.parametrize("suffix", [".laz", ".npz", ".csv", ".e57", ".bin", ".npy"])
-def test_the_same_bytes_twice(tmp_path: Path, suffix: str) -> None:
-    found = []
-    for folder, threads in (("a", 1), ("b", 2)):
-        (tmp_path / folder).mkdir()
-        simulate("street", tmp_path / folder / f"a{suffix}", several_returns(), threads=threads)
-        found.append({path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()})
-    assert found[0] == found[1]
-
-
 @pytest.mark.parametrize("suffix", [".laz", ".csv", ".e57"])
 def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suffix: str) -> None:
     out, labels = tmp_path / f"a{suffix}", tmp_path / "labels.npy"
@@ -161,16 +118,6 @@ def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suf
         assert same(np.concatenate(list(open_codes(out).chunks())), codes)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv", ".bin", ".npy", ".e57"])
-def test_classify_and_evaluate_run_from_the_written_file(tmp_path: Path, suffix: str) -> None:
-    out = tmp_path / f"drive{suffix}"
-    simulate("street", out, small("street"))
-    classify(out, tmp_path / "labels.npy", config(out, "urban"))
-    own = out if suffix in (".npz", ".laz", ".csv") else reference_path(out)
-    matrix = evaluate(tmp_path / "labels.npy", own, "prc")
-    assert matrix.counts.sum() > 0.3 * LINES * 240
-
-
 @pytest.mark.parametrize("suffix", REGISTERED)
 def test_ranges_from_the_trajectory_are_those_of_the_scanner(
     drive: tuple[ScanBlock, Any], tmp_path: Path, suffix: str
@@ -181,15 +128,6 @@ def test_ranges_from_the_trajectory_are_those_of_the_scanner(
     before = drive[0].range_m[:, : after.points_per_line]
     assert same(np.isnan(after.range_m), np.isnan(before))
     assert np.nanmax(np.abs(after.range_m - before)) < 0.003
-
-
-def test_an_sbet_trajectory_gives_the_same_ranges(drive: tuple[ScanBlock, Any], tmp_path: Path) -> None:
-    pytest.importorskip("pyproj")
-    out, track = tmp_path / "drive.laz", tmp_path / "drive.sbet"
-    summary = simulate("street", out, small("street"), beside=Beside(trajectory=track))
-    assert "registered coordinates are those of EPSG:32635" in summary.record.notices
-    after = read(out, range=f"trajectory:{track}", trajectory_crs="EPSG:32635")
-    assert np.nanmax(np.abs(after.range_m - drive[0].range_m[:, : after.points_per_line])) < 0.003
 
 
 @pytest.mark.parametrize(
@@ -253,17 +191,6 @@ def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> 
     assert 100 < len(rows) == len(set(rows))
 
 
-def test_the_record_says_what_it_was_made_from(tmp_path: Path) -> None:
-    summary = simulate("street", tmp_path / "a.npz", small("street"))
-    record = json.loads((tmp_path / "a.npz.prc.json").read_text())
-    table = record["config"]["simulation"]
-    assert (table["kind"], table["seed"], table["scanner"]["points_per_line"]) == ("street", 3, 240)
-    assert record["format"] == "simulation"
-    assert record["stream"]["n_lines"] == LINES
-    assert sum(item["count"] for item in record["classes"]) + record["stream"]["n_missing"] == LINES * 240
-    assert summary.counts.n_shots == LINES * 240
-
-
 def test_lengths_durations_and_speeds() -> None:
     def lines(**options: Any) -> int:
         table = {"scanner": {"points_per_line": 10, "line_hz": 40.0}, **options}
@@ -310,14 +237,6 @@ def test_wrong_parameters_are_named(kind: Any, options: dict[str, Any], said: st
         load_settings(kind, options=options)
 
 
-def test_a_file_gives_parameters_and_options_win(tmp_path: Path) -> None:
-    path = tmp_path / "a.toml"
-    path.write_text('seed = 5\n[scanner]\nname = "profiler-1mhz"\nslant_deg = 40\n[scene]\nname = "suburb"\n')
-    found = load_settings("street", path, {"scanner": {"slant_deg": 30.0}})
-    assert (found.seed, found.scanner.line_hz, found.scanner.slant_deg) == (5, 200.0, 30.0)
-    assert found.scene.character == "suburb"  # type: ignore[union-attr]
-
-
 @pytest.mark.parametrize(
     ("kind", "output", "beside", "said"),
     [
@@ -338,30 +257,3 @@ def test_what_cannot_be_written_is_refused_first(
     with pytest.raises(ConfigError, match=said):
         simulate(kind, tmp_path / output, small(kind), beside=names)
     assert not list(tmp_path.iterdir())
-
-
-def test_nothing_is_replaced_unasked_and_nothing_is_left_of_a_failed_run(tmp_path: Path) -> None:
-    (tmp_path / "a_reference.npy").write_text("mine")
-    with pytest.raises(OutputExistsError, match="a_reference.npy: exists already"):
-        simulate("street", tmp_path / "a.e57", small("street"))
-
-    def fail(lines: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        simulate("street", tmp_path / "b.e57", small("street"), beside=Beside(tmp_path / "t.csv"), progress=fail)
-    assert [path.name for path in tmp_path.iterdir()] == ["a_reference.npy"]
-
-
-def test_a_preset_is_refused_beside_the_same_table_of_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "street.toml"
-    path.write_text("[scanner]\nslant_deg = 10\n")
-    with pytest.raises(ConfigError, match=r"beside slant_deg in \[scanner\]"):
-        load_settings("street", path, {"scanner": {"name": "profiler-1mhz"}})
-    assert load_settings("street", path, {"scanner": {"noise_m": 0.01}}).scanner.slant_deg == 10
-
-
-def test_a_head_turns_once() -> None:
-    settings = load_settings("street-scan", options={"lines": 91, "scanner": {"azimuth_step_deg": 4.0}})
-    with pytest.raises(ConfigError, match="found 91, expected at most 90: the head turns once"):
-        open_simulation("street-scan", settings)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import json
-import struct
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,11 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
+from prc_cli.core.errors import InputError, PrcError
 from prc_cli.jobs.transfer import TransferSummary, sides, transfer
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.matching.sides import Survey
-from prc_cli.streams import order
 from tests.formats.las.lasbytes import parse
 
 N = 5000
@@ -172,19 +168,6 @@ def test_points_without_partner_keep_their_class(drive: Drive, tmp_path: Path) -
     assert drive.time[record][kept].min() >= drive.time[record][~kept].max()
 
 
-def test_codes_above_31_upgrade_the_point_format(drive: Drive, tmp_path: Path) -> None:
-    record = drive.registered()
-    drive.codes[drive.codes == 6] = 64
-    raw = write_raw(tmp_path / "drive.csv", drive)
-    registered = write_las(tmp_path / "registered.las", drive, record, form=1)
-    summary = transfer(raw.with_suffix(".npy"), registered, tmp_path / "out.las", points=raw)
-    las = laspy.read(tmp_path / "out.las")
-    assert las.point_format.id == 6
-    assert np.array_equal(las.classification, drive.codes[record])
-    assert np.array_equal(las.gps_time, drive.time[record])
-    assert "upgraded to 6" in " ".join(summary.record.notices)
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet", ".las"])
 def test_every_kind_of_labels_gives_the_same(drive: Drive, tmp_path: Path, suffix: str) -> None:
     import pyarrow as pa
@@ -206,52 +189,6 @@ def test_every_kind_of_labels_gives_the_same(drive: Drive, tmp_path: Path, suffi
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
 
 
-def test_labels_of_a_raw_las_and_text_with_time_and_class(drive: Drive, tmp_path: Path) -> None:
-    record = drive.registered()
-    registered = write_las(tmp_path / "registered.laz", drive, record)
-    np.save(tmp_path / "labels.npy", drive.codes)
-    raw = write_las(tmp_path / "drive.laz", drive, np.arange(N))
-    transfer(tmp_path / "labels.npy", registered, tmp_path / "a.las", points=raw)
-    table = write_raw(tmp_path / "labels.csv", drive, missing=10**9, label=drive.codes)
-    text = table.read_text().splitlines()
-    table.write_text("\n".join([text[0], *(line for line in text[1:] if not line.endswith(","))]) + "\n")
-    transfer(table, registered, tmp_path / "b.las")
-    for name in ("a.las", "b.las"):
-        assert np.array_equal(codes_of(tmp_path / name), drive.codes[record])
-
-
-def test_raw_dump_with_a_layout(drive: Drive, tmp_path: Path) -> None:
-    from prc_cli.formats.options import Layout
-
-    raw = tmp_path / "drive.bin"
-    fields = [("time", "f8"), ("return_number", "u1"), ("range", "f4")]
-    records = np.zeros(len(drive), [(name, f"<{kind}") for name, kind in fields])
-    records["time"], records["return_number"], records["range"] = drive.time, drive.returns, 5
-    records.tofile(raw)
-    np.save(tmp_path / "labels.npy", drive.codes)
-    layout = Layout.model_validate({"fields": [{"name": name, "type": kind} for name, kind in fields]})
-    record = drive.registered()
-    registered = write_las(tmp_path / "registered.las", drive, record)
-    transfer(tmp_path / "labels.npy", registered, tmp_path / "out.las", points=raw, layout=layout)
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
-
-
-def test_the_order_of_either_side_changes_nothing(
-    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(order, "_SortedSource", _small_runs(order._SortedSource))
-    shuffled = RNG(3).permutation(len(drive))
-    record = drive.registered()
-    registered = write_las(tmp_path / "registered.las", drive, record)
-    labels = write_las(tmp_path / "labels.las", drive, shuffled, codes=drive.codes[shuffled])
-    transfer(labels, registered, tmp_path / "out.las")
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
-
-
-def _small_runs(source: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda of, run_records, merge_records: source(of, 500, 1100)
-
-
 # --- keys
 
 
@@ -265,14 +202,6 @@ def test_seconds_of_week_against_adjusted_standard_time(drive: Drive, tmp_path: 
         transfer(labels, registered, tmp_path / "out.las", points=raw)
     transfer(labels, registered, tmp_path / "out.las", TransferOptions(time_offset_s=offset), points=raw)
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
-
-
-def test_the_offset_is_found_the_other_way_round_too(drive: Drive, tmp_path: Path) -> None:
-    late = Drive(start_s=START_S + 2300 * 604_800.0 - 1e9)
-    labels = write_las(tmp_path / "labels.las", late, np.arange(N), codes=late.codes)
-    registered = write_las(tmp_path / "registered.las", drive, drive.registered())
-    with pytest.raises(InputError, match=r"--time-offset -391040000$"):
-        transfer(labels, registered, tmp_path / "out.las")
 
 
 def test_a_week_that_ends_within_the_drive(tmp_path: Path) -> None:
@@ -314,17 +243,6 @@ def test_labels_without_returns_give_every_return_of_a_shot_its_class(drive: Dri
     assert "have the key of another point" in " ".join(summary.record.notices)
 
 
-def test_other_returns_are_said_and_can_be_ignored(drive: Drive, tmp_path: Path) -> None:
-    labels = write_las(tmp_path / "labels.las", drive, np.arange(N), codes=drive.codes)
-    record = np.flatnonzero(drive.returns == 1)
-    drive.returns[:] = 0  # as some programs leave it
-    registered = write_las(tmp_path / "registered.las", drive, record)
-    with pytest.raises(InputError, match=r"another return number: --ignore-return$"):
-        transfer(labels, registered, tmp_path / "out.las")
-    options = TransferOptions(ignore_return=True)
-    assert transfer(labels, registered, tmp_path / "out.las", options).counts.n_matched == len(record)
-
-
 def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
     drive = Drive()
     both = Drive()
@@ -359,57 +277,7 @@ def test_by_record_index_and_by_dimension(drive: Drive, tmp_path: Path, by: str)
         assert np.array_equal(codes_of(tmp_path / "again.las"), drive.codes[record])
 
 
-def test_by_equal_order_with_and_without_missing_shots(drive: Drive, tmp_path: Path) -> None:
-    registered = write_las(tmp_path / "registered.las", drive, np.arange(N), form=2)
-    np.save(tmp_path / "all.npy", drive.codes)
-    raw = write_raw(tmp_path / "drive.csv", drive)
-    for labels in (tmp_path / "all.npy", raw.with_suffix(".npy")):
-        output = tmp_path / f"{labels.stem}.las"
-        transfer(labels, registered, output, TransferOptions(match="record"))
-        assert np.array_equal(codes_of(output), drive.codes)
-    np.save(tmp_path / "short.npy", drive.codes[:-1])
-    with pytest.raises(InputError, match="4,999 records .* expected 5,000 as .* to match by equal order"):
-        transfer(tmp_path / "short.npy", registered, tmp_path / "out.las", TransferOptions(match="record"))
-
-
-def test_segment_ids_can_go_along(drive: Drive, tmp_path: Path) -> None:
-    record = drive.registered()
-    segment = RNG(2).integers(1, 1 << 30, N).astype(np.uint32)
-    labels = write_las(tmp_path / "labels.las", drive, np.arange(N // 2), codes=drive.codes[: N // 2],
-                       segment_id=segment[: N // 2])  # fmt: skip
-    registered = write_las(tmp_path / "registered.las", drive, record)
-    transfer(labels, registered, tmp_path / "out.las", TransferOptions(carry=("segment_id",)))
-    las = laspy.read(tmp_path / "out.las")
-    assert np.array_equal(las["segment_id"], np.where(record < N // 2, segment[record], 0))
-
-
 # --- the run record
-
-
-def test_the_run_is_recorded_with_both_inputs(drive: Drive, tmp_path: Path) -> None:
-    import hashlib
-
-    summary = run(tmp_path, drive, drive.registered())
-    beside = json.loads((tmp_path / "out.las.prc.json").read_text())
-    assert beside == summary.record.as_dict()
-    assert beside.pop("output")["size"] == (tmp_path / "out.las").stat().st_size
-    assert beside == json.loads(parse(tmp_path / "out.las").record_payloads()[0])
-    for name, found in (("drive.npy", beside["transfer"]["labels"]), ("drive.csv", beside["transfer"]["points"]),
-                        ("registered.las", beside["input"])):  # fmt: skip
-        assert found["name"] == name
-        assert found["sha256"] == hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
-    assert beside["transfer"]["counts"]["n_matched"] == summary.counts.n_matched
-    assert beside["config"]["transfer"]["match"] == "time"
-    assert sum(item["count"] for item in beside["classes"]) == summary.counts.n_points
-
-
-def test_the_same_transfer_gives_the_same_bytes(drive: Drive, tmp_path: Path) -> None:
-    run(tmp_path, drive, drive.registered())
-    first = (tmp_path / "out.las").read_bytes()
-    (tmp_path / "out.las").unlink()
-    (tmp_path / "out.las.prc.json").unlink()
-    run(tmp_path, drive, drive.registered())
-    assert (tmp_path / "out.las").read_bytes() == first
 
 
 # --- refusals
@@ -442,31 +310,6 @@ def test_no_time_on_either_side(drive: Drive, tmp_path: Path) -> None:
     refused(tmp_path, "holds classes alone.*--points RAW", labels, registered, tmp_path / "out.las")
 
 
-def test_not_a_number_or_all_equal(drive: Drive, tmp_path: Path) -> None:
-    labels, raw, _ = bare(tmp_path, drive)
-    out = tmp_path / "out.las"
-    time = drive.time.copy()
-    time[11] = np.nan
-    bad = write_las(tmp_path / "nan.las", drive, np.arange(N), time=time)
-    refused(tmp_path, "nan.las: record 11: found time nan, expected a finite time", labels, bad, out, points=raw)
-    bad = write_las(tmp_path / "equal.las", drive, np.arange(N), time=np.full(N, 5.0))
-    refused(
-        tmp_path, "equal.las: all 5,000 values of gps_time are 5, expected one a shot", labels, bad, out, points=raw
-    )
-    drive.time[20] = np.nan
-    nan_labels = write_las(tmp_path / "labels.las", drive, np.arange(N), codes=2)
-    refused(tmp_path, "labels.las: record 20: found time nan", nan_labels, tmp_path / "registered.las", out)
-
-
-def test_lengths_that_differ(drive: Drive, tmp_path: Path) -> None:
-    labels, raw, registered = bare(tmp_path, drive)
-    codes = np.load(labels)
-    for name, part in (("short", codes[:-5]), ("long", np.append(codes, [2, 2, 2]))):
-        np.save(tmp_path / f"{name}.npy", part)
-        text = f"found {len(part)} class codes, expected .*drive.csv"
-        refused(tmp_path, text, tmp_path / f"{name}.npy", registered, tmp_path / "out.las", points=raw)
-
-
 @pytest.mark.parametrize(
     ("times", "overlaps"), [((3.0, 5.0), True), ((-5.0, -2.0), True), ((3.1, 5.0), False), ((-5.0, -2.1), False)]
 )
@@ -480,99 +323,6 @@ def test_times_overlap_where_they_touch_within_the_tolerance(times: tuple[float,
     else:
         with pytest.raises(InputError, match="from -1 to 2: nothing overlaps"):
             sides._refuse_apart(made, TransferOptions())
-
-
-def test_nothing_in_common_and_too_little(drive: Drive, tmp_path: Path) -> None:
-    labels, raw, _ = bare(tmp_path, drive)
-    out = tmp_path / "out.las"
-    other = write_las(tmp_path / "other.las", Drive(start_s=1000.0), np.arange(N))
-    refused(tmp_path, "nothing overlaps; are these the same drive", labels, other, out, points=raw)
-    shifted = write_las(tmp_path / "shifted.las", drive, np.arange(N), time=drive.time + SHOT_S * 3000)
-    refused(tmp_path, r"points and .* labels of .*drive.csv match, expected at least 50% of the smaller side", labels,
-            shifted, out, points=raw)  # fmt: skip
-    summary = transfer(labels, shifted, out, TransferOptions(min_matched=0.1), points=raw)
-    assert 0.1 < summary.counts.share < 0.5
-    between = write_las(tmp_path / "between.las", drive, np.arange(N), time=drive.time + SHOT_S / 2)
-    # a tolerance would match every point, with the wrong shot
-    refused(tmp_path, "0 of 5,000 points .* fall between those of the labels", labels, between,
-            tmp_path / "no.las", TransferOptions(min_matched=0.0), points=raw)  # fmt: skip
-    summary = transfer(labels, between, tmp_path / "no.las", TransferOptions(tolerance_s=SHOT_S), points=raw)
-    assert "exceeds half the mean step between the labels" in summary.record.notices[0]
-    assert summary.counts.largest_difference == pytest.approx(SHOT_S / 2, rel=1e-3)
-
-
-def test_files_of_the_wrong_kind(drive: Drive, tmp_path: Path) -> None:
-    labels, raw, registered = bare(tmp_path, drive)
-    out = tmp_path / "out.las"
-    refused(tmp_path, "drive.csv: found suffix '.csv', expected the registered points as .las", labels, raw, out)
-    fake = tmp_path / "fake.las"
-    fake.write_bytes(b"x" * 1000)
-    refused(tmp_path, "fake.las", labels, fake, out, points=raw)
-    refused(tmp_path, "no such file", labels, tmp_path / "absent.las", out, points=raw)
-    refused(tmp_path, "out.csv: found suffix '.csv', expected .las or .laz", labels, registered, tmp_path / "out.csv",
-            kind=ConfigError)  # fmt: skip
-    refused(tmp_path, "keys of its own", registered, registered, out, points=raw, kind=ConfigError)
-    refused(tmp_path, "found suffix '.tif', expected classes", tmp_path / "a.tif", registered, out, points=raw)
-    refused(tmp_path, "inputs are never modified", labels, registered, registered, points=raw, overwrite=True,
-            kind=OutputExistsError)  # fmt: skip
-    np.savez(tmp_path / "image.npz", range_m=np.ones((3, 4)))
-    refused(tmp_path, "range image", labels, registered, out, points=tmp_path / "image.npz")
-    with registered.open("r+b") as handle:
-        handle.truncate(registered.stat().st_size - 500)
-    refused(tmp_path, "registered.las", labels, registered, out, points=raw)
-
-
-def test_codes_that_are_no_las_classes(drive: Drive, tmp_path: Path) -> None:
-    labels, raw, registered = bare(tmp_path, drive)
-    codes = np.load(labels).astype(np.int32)
-    codes[2] = 1202
-    np.save(labels, codes)
-    text = "record 2: found the class code 1202, expected 0 to 255"
-    refused(tmp_path, text, labels, registered, tmp_path / "out.las", points=raw)
-
-
-def test_keys_that_are_no_whole_numbers(drive: Drive, tmp_path: Path) -> None:
-    value = np.arange(N) + 0.5
-    labels = write_las(tmp_path / "labels.las", drive, np.arange(N), key=value)
-    refused(tmp_path, "record 0: found key 0.5, expected a whole number", labels, labels, tmp_path / "out.las",
-            TransferOptions(match="dimension:key"))  # fmt: skip
-    refused(tmp_path, "no dimension 'nope'", labels, labels, tmp_path / "out.las",
-            TransferOptions(match="dimension:nope"), kind=ConfigError)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"match": "space"}, "--match: found 'space', expected time, order, record"),
-        ({"match": "dimension:"}, "--match"),
-        ({"match": "order", "tolerance_s": 1.0}, "are for times"),
-        ({"tolerance_s": -1.0}, "--tolerance: found -1.0"),
-        ({"tolerance_s": float("nan")}, "--tolerance"),
-        ({"time_offset_s": float("inf")}, "--time-offset"),
-        ({"min_matched": 1.5}, "--min-matched"),
-        ({"same": ("a", "b", "c")}, "--same: found 3"),
-        ({"carry": ("height",)}, "--carry: found 'height', expected one of segment_id"),
-    ],
-)
-def test_options_that_make_no_sense(options: dict[str, Any], text: str) -> None:
-    with pytest.raises(ConfigError, match=text):
-        TransferOptions(**options)
-
-
-def test_other_coordinate_systems_are_said_but_do_not_matter(drive: Drive, tmp_path: Path) -> None:
-    record = drive.registered()
-    labels = write_las(tmp_path / "labels.las", drive, np.arange(N), codes=drive.codes)
-    registered = write_las(tmp_path / "registered.las", drive, record)
-    for path, code in ((labels, 32635), (registered, 3067)):
-        las = laspy.read(path)
-        keys = struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, code)
-        las.header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", keys))
-        las.write(path)
-    summary = transfer(labels, registered, tmp_path / "out.las")
-    assert summary.record.notices == (
-        "the coordinate systems of labels and points differ; the match does not use coordinates",
-    )
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
 
 
 # --- a real street
@@ -618,32 +368,3 @@ def test_oakland_as_raw_text_and_as_shuffled_tiles(real_data: Path, tmp_path: Pa
     # a LAS file built from the same run has the times itself
     transfer(tmp_path / "labels.las", source, tmp_path / f"again{suffix}")
     assert np.array_equal(codes_of(tmp_path / f"again{suffix}"), labels[left])
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("name", ["fullwave_pf10.laz", "mls_not_in_time_order.las", "plane.laz"])
-def test_a_real_file_onto_itself_changes_nothing(real_data: Path, tmp_path: Path, name: str) -> None:
-    """Of equally many points and labels of a key each gets its own."""
-    source = real_data / "las" / name
-    summary = transfer(source, source, tmp_path / name)
-    assert summary.counts.n_matched == summary.counts.n_labels_matched == summary.counts.n_points
-    assert summary.counts.n_changed == 0
-    assert np.array_equal(parse(tmp_path / name).records, parse(source).records)
-
-
-@pytest.mark.data
-def test_coarse_time_stamps_of_a_profiler(real_data: Path, tmp_path: Path) -> None:
-    """Four shots share a time stamp; intensity tells them apart."""
-    labels = laspy.read(real_data / "profiler" / "jakarto_0.02s.las")
-    codes = RNG(0).integers(1, 30, len(labels.points)).astype(np.uint8)
-    labels.classification = codes
-    labels.write(tmp_path / "labels.las")
-    left = RNG(1).permutation(len(codes))[: len(codes) * 4 // 5]
-    registered = laspy.LasData(labels.header)
-    registered.points = labels.points[left].copy()
-    registered.classification = np.zeros(len(left), np.uint8)
-    registered.write(tmp_path / "registered.las")
-    paths = tmp_path / "labels.las", tmp_path / "registered.las", tmp_path / "out.las"
-    refused(tmp_path, "several labels of their key", *paths)
-    transfer(*paths, TransferOptions(same=("intensity",)))
-    assert np.mean(codes_of(tmp_path / "out.las") == codes[left]) > 0.995

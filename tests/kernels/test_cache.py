@@ -147,20 +147,6 @@ def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
                 assert node.module in (*known, beside), f"{file}: {node.module}"
 
 
-@needs_compiler
-def test_users_choice_of_folder_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
-    assert compile_module(tmp_path).twice(21) == 42
-    assert compiled_files(tmp_path / "chosen")
-    assert not (tmp_path / "user").exists()
-
-
-def test_users_choice_that_cannot_be_written_means_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(blocked(tmp_path)))
-    assert compile_module(tmp_path).twice(21) == 42
-    assert not (tmp_path / "user").exists()
-
-
 def test_unwritable_cache_folder_falls_back_to_a_private_temporary_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,31 +249,6 @@ def test_the_folder_is_used_by_the_name_that_was_checked(tmp_path: Path, monkeyp
     assert cache.writable_cache() == tmp_path / "own", "a link there may be exchanged at any time"
 
 
-@posix_only
-def test_files_deep_in_it_count_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    (tmp_path / "cache" / "a" / "b").mkdir(parents=True, mode=0o700)
-    (tmp_path / "cache" / "a" / "b" / "loop.nbc").touch()
-    (tmp_path / "cache" / "a" / "b" / "loop.nbc").chmod(0o666)
-    with pytest.raises(PrcError, match=r"a/b/loop.nbc: its mode is 666"):
-        cache.writable_cache()
-
-
-def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) -> None:
-    (tmp_path / ".numba_config.yaml").write_text("disable_jit: [")
-    code = "import yaml; from prc_cli.kernels import load_compiler; load_compiler(); import numba, yaml as again; "
-    code += "assert again is yaml; print(numba.config.DISABLE_JIT)"
-    found = patience.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert found.stdout in ("0\n", "1\n")
-
-
-def test_nothing_writable_at_all_still_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
-    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(blocked(tmp_path)))
-    assert compile_module(tmp_path).twice(21) == 42
-    assert cache.writable_cache() is None
-
-
 @needs_compiler
 @pytest.mark.parametrize("damage", [b"", b"\x80", b"not a pickle at all"])
 def test_damaged_cache_is_done_without(tmp_path: Path, damage: bytes) -> None:
@@ -297,10 +258,3 @@ def test_damaged_cache_is_done_without(tmp_path: Path, damage: bytes) -> None:
     for path in files:
         path.write_bytes(damage)
     assert compile_module(tmp_path).twice(21) == 42
-
-
-@needs_compiler
-def test_mistake_in_a_kernel_is_not_hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules[__name__], "MODULE", MODULE.replace("2 * number", "number.spam"))
-    with pytest.raises(numba.core.errors.TypingError):
-        compile_module(tmp_path)

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from numpy.random import Generator
 
 from prc_cli import kernels
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.threads import read_ahead
 from prc_cli.core.types import F32, I32, Mask
 from prc_cli.kernels import KERNELS, load_kernels
@@ -226,18 +225,6 @@ def test_every_compiled_function_is_in_the_table() -> None:
         assert public == {name for name, where in KERNELS.items() if where == module}
 
 
-def test_unknown_kernel_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'sharpen'"):
-        _ = kernels.sharpen
-
-
-def test_components_are_numbered_in_raster_order() -> None:
-    image = np.array([[0, 0, 1, 0, 1], [1, 0, 1, 0, 1], [1, 0, 1, 1, 1]], dtype=bool)
-    labels, n_components = kernels.label_components(image)
-    assert n_components == 2
-    assert labels.tolist() == [[0, 0, 1, 0, 1], [2, 0, 1, 0, 1], [2, 0, 1, 1, 1]]
-
-
 @pytest.mark.parametrize("shape", [(40, 41), (41, 40)])
 def test_components_of_a_comb_a_spiral_and_a_chessboard(shape: tuple[int, int]) -> None:
     comb = np.zeros(shape, dtype=bool)
@@ -253,15 +240,6 @@ def test_components_of_a_comb_a_spiral_and_a_chessboard(shape: tuple[int, int]) 
         labels, n_components = kernels.label_components(image)
         assert n_components == n_expected
         assert_equal_bits((labels, n_components), oracle.label_components(image))
-
-
-def test_reading_the_parameters_does_not_load_the_compiler() -> None:
-    code = (
-        "import sys; import prc_cli.methods.prc.pipeline, prc_cli.methods.returns; "
-        "print([name for name in ('numba', 'scipy', 'skimage') if name in sys.modules])"
-    )
-    result = patience.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"
 
 
 REFERENCE = """
@@ -287,14 +265,6 @@ def test_the_reference_runs_through_the_same_composition_without_the_compiler() 
     )
     assert found.stdout == compiled.stdout
     assert (found.stderr.strip(), compiled.stderr.strip()) == ("False", "True")
-
-
-def test_a_kernel_without_a_twin_in_the_reference_is_refused() -> None:
-    problem = (
-        r"engine: found reference, but fused is written as compiled loops alone \(ground.walk_ground\); use --preset"
-    )
-    with kernels.use_engine("reference"), pytest.raises(ConfigError, match=problem):
-        kernels.load_kernels(frozenset({"fused.ground"}))
 
 
 def test_an_engine_holds_in_its_context_and_in_its_thread() -> None:

@@ -12,7 +12,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.matching import join as join_module
 from prc_cli.matching.join import CODE, KEY, SAME, Columns, JoinTally, UnsortedError, merge_join
 from prc_cli.matching.keys import NearestLabel
-from tests.matching.samples import join_by_key, pairs_of
+from tests.matching.samples import join_by_key
 
 
 def test_an_unsorted_side_is_named() -> None:
@@ -28,13 +28,6 @@ def test_too_many_records_of_one_key_are_refused(monkeypatch: pytest.MonkeyPatch
     same = [{KEY: np.ones(100), "id": np.arange(100)}] * 20
     with pytest.raises(InputError, match="left: more than 1000 records within the tolerance of key 1"):
         list(join_by_key(iter(same), iter(same), 0.0, JoinTally()))
-
-
-def test_windows_stay_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(join_module, "MAX_HELD", 300)
-    chunks = ({KEY: np.arange(k, k + 100) * 1.0, "id": np.arange(k, k + 100)} for k in range(0, 100_000, 100))
-    rare = ({KEY: np.array([float(k)]), "id": np.array([k])} for k in range(0, 100_000, 1000))
-    assert len(pairs_of(join_by_key(chunks, rare, 0.4, JoinTally()))) == 100
 
 
 def test_memory_does_not_grow_with_the_streams() -> None:

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import ConfigError
-from prc_cli.simulation import drive
-from prc_cli.simulation.drive import SimulatedScan, ground_below, lines_of, room_around
+from prc_cli.simulation.drive import SimulatedScan, ground_below, room_around
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.trajectory import MotionParams, Station, Trajectory
 from prc_cli.simulation.world import Bodies, Material, Shape
@@ -80,12 +78,6 @@ def test_ranges_labels_and_places_are_those_of_the_street() -> None:
     assert np.abs(block.xyz_m[:, wall, 0]).max() < 1e-5
 
 
-def test_nothing_is_seen_beyond_the_sight() -> None:
-    (item,) = scan_of(sight_m=3.0).simulated()
-    assert np.nanmax(item.labelled.block.range_m) <= 3.0
-    assert not (item.labelled.labels == Label.BUILDING).any()
-
-
 def test_a_tripod_turns_upright_lines_to_the_left() -> None:
     static = EXACT.changed(is_static=True, field_deg=90.0, centre_deg=90.0, azimuth_step_deg=90.0, points_per_line=91)
     scan = SimulatedScan("test", near, static, Station(3.0, 0.0, 2.0, 0.0), 1, 4, 100.0, with_xyz=True, with_world=True)
@@ -102,17 +94,6 @@ def test_a_tripod_turns_upright_lines_to_the_left() -> None:
     assert np.isnan(block.range_m[[0, 2, 3], middle]).all()
     # it is labelled as Stamos et al. classify, not by material
     assert set(np.unique(item.labelled.labels)) == {Label.MISSING, Label.GROUND, Label.VERTICAL}
-
-
-def test_lines_are_counted_until_the_way_is_done() -> None:
-    platform = Trajectory(along_x, EVEN, 2.0, 1)
-    assert [lines_of(platform, EXACT, length) for length in (0.001, 0.5, 5.0, 5000.0)] == [1, 1, 10, 10_000]
-
-
-def test_the_way_that_never_ends_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drive, "MOST_LINES", 10_000)
-    with pytest.raises(ConfigError, match="found 1e\\+06, expected a drive of at most 10000 lines"):
-        lines_of(Trajectory(along_x, EVEN, 2.0, 1), EXACT, 1e6)
 
 
 def test_ground_and_room_of_a_place() -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from prc_cli.core.classes import Label
 from prc_cli.simulation.forest.params import PRESETS, ForestSceneParams
@@ -34,13 +33,6 @@ def bodies(scene: ForestScene) -> Bodies:
 def _assert_same(one: Bodies, other: Bodies) -> None:
     for field in fields(Bodies):
         np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
-
-
-def _by_number(bodies: Bodies) -> dict[float, bytes]:
-    return {
-        float(number): bodies.numbers[k].tobytes() + bytes([bodies.shape[k], bodies.material[k]])
-        for k, number in enumerate(bodies.number)
-    }
 
 
 def test_the_same_seed_makes_the_same_forest_whatever_was_seen_before(scene: ForestScene) -> None:
@@ -70,22 +62,6 @@ def _slow(name: str, make: Callable[..., Any], made: list[tuple[str, int, int]])
         return make(self, i, j)
 
     return wrapper
-
-
-def test_another_seed_makes_another_forest(scene: ForestScene) -> None:
-    one, other = scene.stems_near(0, 0, 30), ForestScene(ForestSceneParams(), seed=12).stems_near(0, 0, 30)
-    assert not np.isin(one.dbh, other.dbh).any()
-
-
-def test_circles_that_overlap_hold_the_same_bodies_in_the_same_order(scene: ForestScene, bodies: Bodies) -> None:
-    other = scene.bodies_near(22.0, 20.0, 25.0)
-    one_way, other_way = _by_number(bodies), _by_number(other)
-    assert len(one_way) == len(bodies)
-    shared = one_way.keys() & other_way.keys()
-    assert len(shared) > 1000
-    assert all(one_way[number] == other_way[number] for number in shared)
-    order = [n for n in bodies.number.tolist() if n in shared]
-    assert order == [n for n in other.number.tolist() if n in shared]
 
 
 def test_no_body_in_a_circle_is_left_out(scene: ForestScene, bodies: Bodies) -> None:
@@ -152,13 +128,6 @@ def test_what_is_asked_for_none_of_is_not_there() -> None:
     assert len(scene.stems_near(0, 0, 20)) == 0
 
 
-def test_a_forest_of_nothing_is_refused() -> None:
-    with pytest.raises(ValidationError, match="expected a share of one at least above 0"):
-        ForestSceneParams(pine_share=0, spruce_share=0, birch_share=0)
-    with pytest.raises(ValidationError, match="expected less than dbh_mean_m 0.2"):
-        ForestSceneParams(dbh_mean_m=0.2, dbh_min_m=0.25)
-
-
 @pytest.mark.parametrize("stems_per_ha", [300.0, 1200.0])
 def test_stems_are_as_dense_as_asked_for_and_keep_apart(stems_per_ha: float) -> None:
     # one row far away from the place that is counted
@@ -172,24 +141,6 @@ def test_stems_are_as_dense_as_asked_for_and_keep_apart(stems_per_ha: float) -> 
     assert expected <= apart.min() < 1.15 * expected
 
 
-def test_diameters_species_and_lean_follow_the_parameters() -> None:
-    params = ForestSceneParams(
-        stems_per_ha=600, dbh_mean_m=0.3, dbh_min_m=0.12, pine_share=3 / 5, spruce_share=1 / 5, birch_share=1 / 5
-    )
-    stems = ForestScene(params, seed=6).stems_near(-200.0, 0.0, 110.0)
-    assert len(stems) > 2000
-    assert stems.dbh.mean() == pytest.approx(0.3, rel=0.02)
-    assert 0.12 <= stems.dbh.min() < 0.14
-    assert stems.dbh.max() < 0.8
-    shares = np.bincount(stems.species, minlength=3) / len(stems)
-    assert shares == pytest.approx([0.6, 0.2, 0.2], abs=0.03)
-    lean = np.degrees(np.arctan(np.hypot(*stems.lean.T)))
-    assert np.sqrt((lean**2).mean()) == pytest.approx(params.lean_deg, rel=0.05)
-    assert np.abs(stems.lean.mean(axis=0)).max() < 0.002
-    thin, thick = stems.height[stems.dbh < 0.2], stems.height[stems.dbh > 0.4]
-    assert 8 < thin.mean() < 17 < thick.mean() < 28
-
-
 def test_stems_taper_and_are_as_thick_at_breast_height_as_listed(scene: ForestScene, bodies: Bodies) -> None:
     cones = bodies.numbers[bodies.material == Material.STEM]
     assert len(cones) > 250
@@ -198,16 +149,6 @@ def test_stems_taper_and_are_as_thick_at_breast_height_as_listed(scene: ForestSc
     for breast, dbh in zip(stems.breast, stems.dbh, strict=True):
         ends_here = np.abs(cones[:, 3:6] - breast).max(axis=1) < 1e-9
         assert cones[ends_here, 7] == pytest.approx([dbh / 2])
-
-
-def test_stems_stand_in_the_ground(scene: ForestScene, bodies: Bodies) -> None:
-    stems = scene.stems_near(15.0, 25.0, 20.0)
-    np.testing.assert_allclose(stems.base[:, 2], scene.terrain.height(stems.base[:, 0], stems.base[:, 1]))
-    cones = bodies.numbers[bodies.material == Material.STEM]
-    # the foot of a stem is the cone that ends at the root swell, 0.35 m up; it begins 0.3 m down
-    lowest = cones[np.isclose(cones[:, 5] - cones[:, 2], 0.65), :3]
-    assert len(lowest) > 50
-    assert (lowest[:, 2] < scene.terrain.height(lowest[:, 0], lowest[:, 1])).all()
 
 
 def test_the_path_is_clear(scene: ForestScene) -> None:
@@ -247,25 +188,6 @@ def test_the_path_runs_in_rows_without_jumps(scene: ForestScene) -> None:
     assert rows[:, 1] == pytest.approx(np.arange(6) * 10.0)
 
 
-def test_the_path_is_the_same_asked_in_parts(scene: ForestScene) -> None:
-    s = np.linspace(0.0, 300.0, 1001)
-    whole, heading = scene.path_point(s)
-    later, later_heading = scene.path_point(s[700:])
-    np.testing.assert_array_equal(whole[700:], later)
-    np.testing.assert_array_equal(heading[700:], later_heading)
-
-
-def test_distance_from_the_path(scene: ForestScene) -> None:
-    path, _ = scene.path_point(np.arange(-300.0, 500.0, 0.02))
-    places = np.random.default_rng(0).uniform((-10, -30), (50, 60), (400, 2))
-    found = scene.rows.distance(places[:, 0], places[:, 1])
-    true = np.array([np.hypot(*(path[:, :2] - place).T).min() for place in places])
-    near = true < 3
-    assert near.sum() > 150
-    assert found[near] == pytest.approx(true[near], abs=0.08)
-    assert found[~near].min() > 2.5
-
-
 @pytest.mark.parametrize("step_m", [0.5, 1.5])
 def test_triangles_meet_without_cracks_and_follow_the_level(step_m: float) -> None:
     terrain = Terrain(seed=3, slope_deg=8.0, incline_deg=5.0, step_m=step_m)
@@ -283,16 +205,6 @@ def test_triangles_meet_without_cracks_and_follow_the_level(step_m: float) -> No
     assert terrain.height(middle[:, 0], middle[:, 1]) == pytest.approx(middle[:, 2])
     assert terrain.height(corners[:, 0, 0], corners[:, 0, 1]) == pytest.approx(corners[:, 0, 2])
     assert np.abs(terrain.level(middle[:, 0], middle[:, 1]) - middle[:, 2]).max() < 0.06
-
-
-def test_terrain_slopes_as_asked_for() -> None:
-    terrain = Terrain(seed=4, slope_deg=6.0, incline_deg=3.0, step_m=1.5)
-    x, y = np.random.default_rng(1).uniform(-3000, 3000, (2, 20_000))
-    rise_x = (terrain.level(x + 0.01, y) - terrain.level(x, y)) / 0.01
-    rise_y = (terrain.level(x, y + 0.01) - terrain.level(x, y)) / 0.01
-    assert rise_x.mean() == pytest.approx(np.tan(np.radians(3.0)), abs=0.005)
-    rolling = np.sqrt((rise_x - rise_x.mean()) ** 2 + rise_y**2)
-    assert np.degrees(np.arctan(np.sqrt((rolling**2).mean()))) == pytest.approx(6.0, rel=0.05)
 
 
 class _OneTree:
@@ -333,38 +245,3 @@ def test_cylinders_of_the_paper_on_points_by_hand() -> None:
     labels = reference_labels(scene, np.array([xyz for xyz, _ in cases]))  # type: ignore[arg-type]
     assert [Label(label) for label in labels] == [label for _, label in cases]
     assert labels.dtype == np.uint8
-
-
-def test_of_overlapping_cylinders_the_thicker_one_counts_too() -> None:
-    """Against the rule spelled out: every point, every tree."""
-    dense = ForestScene(ForestSceneParams(stems_per_ha=2000, dbh_mean_m=0.4), seed=3)
-    xyz = np.random.default_rng(4).uniform((-60, 10, 0.5), (-48, 22, 4), (3000, 3))
-    xyz[:, 2] += dense.terrain.height(xyz[:, 0], xyz[:, 1])
-    stems = dense.stems_near(-54.0, 16.0, 30.0)
-    inside = np.zeros(len(xyz), dtype=int)
-    for (x, y, z), dbh in zip(stems.breast, stems.dbh, strict=True):
-        height = xyz[:, 2] - (z - 1.0)
-        inside += (np.hypot(xyz[:, 0] - x, xyz[:, 1] - y) <= 2 * dbh) & (height >= 0) & (height <= 4)
-    assert (inside > 1).sum() > 100
-    np.testing.assert_array_equal(reference_labels(dense, xyz) == Label.STEM, inside > 0)
-
-
-def test_reference_labels_depend_on_nothing_but_the_point(scene: ForestScene) -> None:
-    xyz = np.random.default_rng(2).uniform((0, 0, -2), (40, 50, 8), (4000, 3))
-    xyz[:, 2] += scene.terrain.height(xyz[:, 0], xyz[:, 1])
-    labels = reference_labels(scene, xyz)
-    assert set(labels) == {Label.STEM, Label.GROUND, Label.NOISE}
-    np.testing.assert_array_equal(reference_labels(scene, xyz[::-1])[::-1], labels)
-    np.testing.assert_array_equal(reference_labels(scene, xyz[1234:1240]), labels[1234:1240])
-    assert reference_labels(scene, np.empty((0, 3))).shape == (0,)
-
-
-def test_stems_as_csv(scene: ForestScene) -> None:
-    stems = scene.stems_near(20.0, 20.0, 15.0)
-    header, *rows = stems.rows()
-    assert header.split(",") == ["species", "x_m", "y_m", "z_m", "dbh_m", "height_m", "lean_deg", "lean_azimuth_deg"]
-    assert len(rows) == len(stems) > 20
-    first = rows[0].split(",")
-    assert first[0] == Species(stems.species[0]).name.lower()
-    assert np.array(first[1:4], dtype=float) == pytest.approx(stems.breast[0], abs=6e-4)
-    assert float(first[4]) == pytest.approx(stems.dbh[0], abs=6e-4)

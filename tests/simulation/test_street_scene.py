@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import ConfigError
 from prc_cli.simulation.casting import cast
 from prc_cli.simulation.street.movers import TIME_STEP_S
-from prc_cli.simulation.street.plan import CHARACTERS, ROAD_HALF_M, VARIED, StreetSceneParams, plan_of
+from prc_cli.simulation.street.plan import CHARACTERS, ROAD_HALF_M, StreetSceneParams
 from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.world import Bodies, Material, Shape
 
 GROUND = [Material.ASPHALT, Material.SIDEWALK, Material.CURB, Material.GRASS, Material.SOIL]
-FOREST = {Material.STEM, Material.UNDERGROWTH, Material.DEAD_WOOD}
 
 
 def part(bodies: Bodies, kept: np.ndarray) -> Bodies:
@@ -131,18 +129,6 @@ def test_the_ground_has_no_cracks(character: str, seed: int) -> None:
     assert np.mean(np.abs(above[:, walk] - curb) < 0.004) > 0.7
 
 
-def test_curbs_stand_up_and_drop_at_driveways() -> None:
-    scene = StreetScene(StreetSceneParams(character="suburb"), seed=1)
-    bodies = around(scene, 100.0, 90.0)
-    corners = bodies.numbers[(bodies.material == Material.CURB)].reshape(-1, 3, 3)
-    high = np.ptp(corners[:, :, 2], axis=1)
-    assert high.max() < 0.5  # a side street's curb is long and climbs with the land
-    assert 0.10 < np.median(high) < 0.2
-    assert np.any(high < 0.09)
-    dropped = [drop for piece in range(7) for side in plan_of(1, piece, "suburb").sides for drop in side.dropped]
-    assert len(dropped) >= 5
-
-
 def test_wheels_stand_on_the_ground() -> None:
     scene = StreetScene(StreetSceneParams(character="suburb", parked=1.0), seed=6)
     bodies = around(scene, 100.0, 60.0)
@@ -155,28 +141,6 @@ def test_wheels_stand_on_the_ground() -> None:
     assert np.abs(t[0] - hub[:, 5]).max() < 0.01
 
 
-def test_crowns_stand_outside_of_houses() -> None:
-    for seed in (1, 2):
-        bodies = around(StreetScene(StreetSceneParams(trees=1.0), seed), 200.0, 150.0)
-        leaves = bodies.numbers[bodies.material == Material.LEAVES]
-        walls = bodies.numbers[(bodies.material == Material.WALL) & (bodies.shape == Shape.BOX)]
-        x, y, z = (leaves[:, None, i] - walls[None, :, i] for i in range(3))
-        cos, sin = np.cos(walls[:, 6]), np.sin(walls[:, 6])
-        inside = np.abs(cos * x + sin * y) < walls[:, 3]
-        inside &= np.abs(-sin * x + cos * y) < walls[:, 4]
-        inside &= np.abs(z) < walls[:, 5]
-        assert leaves.shape[0] > 100
-        assert not inside.any()
-
-
-def test_every_material_of_a_town_occurs() -> None:
-    scene = StreetScene(seed=1)
-    found: set[int] = set()
-    for s in range(0, 500, 100):
-        found |= set(around(scene, float(s)).material.tolist())
-    assert found == {int(material) for material in Material if material not in FOREST}
-
-
 @pytest.mark.parametrize("character", CHARACTERS)
 def test_the_count_of_bodies_stays_moderate(character: str) -> None:
     scene = StreetScene(StreetSceneParams(character=character), seed=8)  # type: ignore[arg-type]
@@ -184,14 +148,6 @@ def test_the_count_of_bodies_stays_moderate(character: str) -> None:
         assert 1000 < len(around(scene, s, 70.0)) < 6000
     made = sum(len(scene._piece(piece)[0]) for piece in range(20))
     assert made / 60 < 350
-
-
-def test_pieces_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.simulation.street.scene._KEPT_PIECES", 3)
-    scene = StreetScene(StreetSceneParams(), seed=1)
-    for piece in range(6):
-        scene._piece(piece)
-    assert scene._piece.cache_info().currsize == 3
 
 
 def test_oncoming_cars_drive_in_their_lane_at_any_time() -> None:
@@ -213,19 +169,6 @@ def test_oncoming_cars_drive_in_their_lane_at_any_time() -> None:
     assert way == pytest.approx([-9.5] * len(way), abs=0.8)
 
 
-def test_a_street_without_traffic_has_nothing_that_moves() -> None:
-    scene = StreetScene(StreetSceneParams(cars_per_km=0, people=0), seed=9)
-    assert not around(scene, 200.0).velocity.any()
-    assert Material.PERSON not in around(scene, 200.0).material
-
-
-def test_parameters_out_of_bounds_are_errors() -> None:
-    from prc_cli.core.config import build
-
-    with pytest.raises(ConfigError, match="trees"):
-        build(StreetSceneParams, {"trees": 2.0}, "here")
-
-
 def varied(**only: float) -> StreetScene:
     """A suburb with one of the things that streets have only where they are asked for."""
     return StreetScene(StreetSceneParams.model_validate({"character": "suburb", "trees": 1.0, **only}), seed=2)
@@ -242,15 +185,6 @@ def test_verges_are_raised_and_kerbs_lowered_where_asked_for() -> None:
         up = np.median(places[..., 2] - t - kerb, axis=0)
         assert low < up[0] < high, name
         assert low < up[2] < high, name
-
-
-def test_cars_behind_lowered_kerbs_stand_on_the_ground() -> None:
-    for only in ({"lowered_kerbs": 1.0}, {"side_on": 1.0}):
-        bodies = around(varied(**only), 100.0, 60.0)
-        hub = bodies.numbers[(bodies.material == Material.TYRE) & ~bodies.velocity.any(axis=1)]
-        t, body = look_down(part(bodies, np.isin(bodies.material, GROUND)), np.ascontiguousarray(hub[None, :, :3]))
-        assert np.all(body >= 0)
-        assert np.abs(t[0] - hub[:, 5]).max() < 0.06, only
 
 
 def test_cars_stand_along_the_street_far_from_it_where_asked_for() -> None:
@@ -274,15 +208,3 @@ def test_crowns_reach_over_the_road_where_asked_for() -> None:
         up = leaves[:, 2] - np.median(lane[:, 2]) - 1.75
         reach.append(np.count_nonzero((gap < 0.5) & (up > 2.0)))
     assert reach[1] > reach[0] + 5
-
-
-def test_gardens_end_with_fences_or_hedges_where_asked_for() -> None:
-    for name, material in (("fences", Material.FENCE), ("hedges", Material.HEDGE)):
-        few, many = (np.count_nonzero(around(varied(**{name: x}), 100.0).material == material) for x in (0.01, 1.0))
-        assert many > 1.5 * few, name
-
-
-def test_a_varied_street_is_an_endless_street_like_any_other() -> None:
-    scene = StreetScene(StreetSceneParams.model_validate(VARIED), seed=4)
-    for s in (0.0, 300.0, 600.0):
-        assert 1000 < len(around(scene, s, 70.0)) < 8000

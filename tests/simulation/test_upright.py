@@ -48,13 +48,6 @@ def test_top_and_bottom_of_a_turned_box_are_level_and_its_sides_are_not() -> Non
     assert not is_level(block(density=20.0), body, places).any()
 
 
-def test_a_roof_is_level_up_to_45_degrees() -> None:
-    for slope, level in ((0.0, True), (44.0, True), (46.0, False), (90.0, False)):
-        rise, run = np.sin(np.deg2rad(slope)), np.cos(np.deg2rad(slope))
-        roof = bodies((Shape.TRIANGLE, Material.ROOF, (0, 0, 5, 4, 0, 5, 0, 3 * run, 5 + 3 * rise)))
-        assert is_level(roof, np.zeros(1, np.int32), np.array([[1.0, 0.1, 5.1]])).tolist() == [level], slope
-
-
 def test_labels_follow_material_and_face() -> None:
     far = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
     expected = {

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import Label
-from prc_cli.core.stream import ScanStream
 from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.simulation.street.plan import ROAD_HALF_M
 from prc_cli.simulation.street.road import LANE_M
@@ -27,13 +26,6 @@ def test_the_beginning_does_not_depend_on_the_length() -> None:
         assert [item.block.range_m.tobytes() for item in short] == [item.block.range_m.tobytes() for item in long]
 
 
-def test_seed_decides() -> None:
-    one, other = drive_arrays(20, 180, 4)[0], drive_arrays(20, 180, 5)[0]
-    assert one.range_m.tobytes() != other.range_m.tobytes()
-    again = next(iter(drive_scan(20, 180, 4).blocks()))
-    assert one.range_m.tobytes() == again.range_m.tobytes()
-
-
 @pytest.mark.parametrize("kind", ["drive", "static"])
 def test_what_every_scan_keeps(kind: str) -> None:
     is_drive = kind == "drive"
@@ -48,20 +40,6 @@ def test_what_every_scan_keeps(kind: str) -> None:
         if block.xyz_m is not None:
             assert np.allclose(np.linalg.norm(block.xyz_m[seen], axis=1), block.range_m[seen], rtol=1e-6)
             assert np.isnan(block.xyz_m[~seen]).all()
-
-
-def test_a_static_scan_is_a_stream() -> None:
-    stream: ScanStream = static_scan(0.5, 3.0, 2)
-    blocks = list(stream.blocks())
-    assert stream.info.n_lines == sum(block.n_lines for block in blocks) == 120
-    assert stream.info.points_per_line == blocks[0].points_per_line == 250
-    beam, xyz = blocks[0].beam_rad, blocks[0].xyz_m
-    assert beam is not None
-    assert xyz is not None
-    assert np.all(np.diff(beam) > 0)
-    assert np.rad2deg(beam[[0, -1]]) == pytest.approx((45.25, 169.87), abs=0.01)
-    down = np.arccos(-xyz[..., 2] / np.linalg.norm(xyz, axis=2))
-    assert np.nanmax(np.abs(down - beam)) < 1e-5
 
 
 def test_shares_of_drives() -> None:

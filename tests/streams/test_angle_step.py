@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F32
-from prc_cli.streams.angle_step import BENT, AngleStep, curvatures, measure_step
-from tests.oracles.angle_step import curvature_of
+from prc_cli.streams.angle_step import AngleStep, measure_step
 from tests.simulated import drive_arrays
 
 
@@ -48,28 +47,12 @@ def test_the_step_is_in_the_ranges(step_deg: float, m: int, noise_m: float, usua
     assert found.off < 0.03
 
 
-@pytest.mark.parametrize("every", [2, 4])
-def test_of_every_other_column_the_step_is_twice_as_large(every: int) -> None:
-    found = measure_step(room(0.1, 2500, noise_m=0.002)[:, ::every])
-    assert found is not None
-    assert math.degrees(found.step_rad) == pytest.approx(0.1 * every, rel=0.005)
-
-
 def test_a_simulated_street_is_enough() -> None:
     block, _ = drive_arrays(64, 1500, 7)
     assert block.angle_rad is not None
     found = measure_step(block.range_m)
     assert found is not None
     assert found.step_rad == pytest.approx(float(np.diff(block.angle_rad)[0]), rel=0.01)
-
-
-def test_a_code_for_no_return_is_no_plane() -> None:
-    """Windows of one range do not bend, whatever the step: of 60 m in half a line they were the most certain."""
-    lines = room(0.25, 1079, noise_m=0.005)
-    lines[:, 500:] = 60.0
-    found = measure_step(lines)
-    assert found is not None
-    assert math.degrees(found.step_rad) == pytest.approx(0.25, rel=0.01)
 
 
 def test_bent_surfaces_do_not_move_the_step() -> None:
@@ -90,21 +73,6 @@ def test_where_no_planes_are_there_is_no_step() -> None:
     shuffled = np.random.default_rng(1).permuted(lines, axis=1)
     for tells_nothing in (shuffled, lines[:, :150], lines[:0], np.full_like(lines, np.nan), np.full_like(lines, 5.0)):
         assert measure_step(tells_nothing) is None
-
-
-def test_lines_of_more_than_a_turn_have_no_step() -> None:
-    """Three lines that are told as one turn by 750 degrees."""
-    lines = room(0.1, 2500, noise_m=0.002)
-    assert measure_step(lines.reshape(20, 7500)) is None
-
-
-def test_windows_are_those_of_the_twin() -> None:
-    rng = np.random.default_rng(3)
-    pieces = 0.2 + rng.normal(0.0, 3e-4, (400, 1)) * np.arange(13) + rng.normal(0.0, 1e-3, (400, 13))
-    twin = [found for piece in pieces.tolist() if (found := curvature_of(piece, BENT)) is not None]
-    curvature, error = curvatures(pieces, BENT)
-    assert 20 < len(twin) < len(pieces)
-    np.testing.assert_allclose(np.stack([curvature, error], axis=1), twin, rtol=1e-6, atol=1e-12)
 
 
 def test_real_push_brooms(real_data: Path) -> None:

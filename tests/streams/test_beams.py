@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
 from prc_cli.core.types import F64
-from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.streams import beams as module
-from prc_cli.streams import setup as grid_setup
+from prc_cli.formats.options import InputConfig
 from prc_cli.streams.beams import from_angles, with_beams
 from prc_cli.streams.down import NoDirectionError
 from prc_cli.streams.open import open_input
@@ -51,29 +49,6 @@ def test_beams_do_not_depend_on_how_the_stream_is_cut(name: str) -> None:
         assert np.array_equal(beams_of(stream(*pieces(block, np.random.default_rng(seed)))), whole)
 
 
-def test_only_the_first_lines_with_returns_decide() -> None:
-    true = GEOMETRIES["low to high"]
-    first = lines(true, 64, seed=1)
-    # what comes later looks elsewhere
-    later = replace(lines(true + 0.3, 50, seed=2), first_line=64)
-    assert np.array_equal(beams_of(stream(first, later)), beams_of(stream(first)))
-
-
-def test_blocks_are_passed_on_as_they_are_and_info_says_what_was_found() -> None:
-    block = lines(GEOMETRIES["through the zenith"], 90)
-    source = stream(*pieces(block, np.random.default_rng(0)), assumptions=(Assumption("input.lines", "fixed", "why"),))
-    found = with_beams(source, AUTO)
-    assert found.info.assumptions[0].key == "input.lines"
-    assert found.info.assumptions[1].key == "input.nadir"
-    assert found.info.assumptions[1].value.startswith("beams from 40.")
-    assert "straight line" in found.info.assumptions[1].why
-    for _ in range(2):
-        for old, new in zip(source.blocks(), found.blocks(), strict=True):
-            assert new.range_m is old.range_m
-            assert new.xyz_m is old.xyz_m
-            assert replace(new, beam_rad=None) == old
-
-
 def test_every_scanner_has_beams_of_its_own_however_late_it_is_met() -> None:
     names = ["whole circle", "low to high", "through the zenith"]
     parts = []
@@ -92,17 +67,6 @@ def test_every_scanner_has_beams_of_its_own_however_late_it_is_met() -> None:
         assert set(n_lines.values()) == {100}
 
 
-def test_the_wait_for_lines_with_returns_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_SAMPLE_CELLS", 100 * 193)
-    true = GEOMETRIES["low to high"]
-    block = gone(lines(true, 150), slice(None), slice(0, 90))
-    assert worst_deg(beams_of(stream(block)), true) < 0.5
-    # what follows lines without returns cannot be waited for
-    late = with_beams(stream(gone(lines(true, 150), slice(None), slice(0, 100))), AUTO)
-    with pytest.raises(InputError, match="no vertical direction known: the first 19300 shots tell nothing"):
-        list(late.blocks())
-
-
 def with_angles(angle_deg: F64, n_lines: int = 3) -> ScanBlock:
     return ScanBlock(0, np.full((n_lines, len(angle_deg)), 5.0, np.float32), angle_rad=np.deg2rad(angle_deg))
 
@@ -119,24 +83,12 @@ def test_nadir_given_on_the_scale_of_the_scan_angles() -> None:
     assert beams_of(stream(coordinates), InputConfig(nadir=10.0))[0] == pytest.approx(np.deg2rad(-10.0))
 
 
-def test_nadir_of_the_reader() -> None:
-    block = with_angles(np.linspace(130.0, 30.0, 101))
-    found = beams_of(stream(block, down_rad=np.pi))
-    assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [-50.0, -150.0]
-    found = beams_of(stream(block, down_rad=np.pi), InputConfig(nadir=0.0))
-    assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [130.0, 30.0]
-
-
 @pytest.mark.parametrize("way", [1, -1])
 def test_rounded_angles_still_rise_strictly(way: int) -> None:
     angle = way * np.round(np.linspace(-40.0, 70.0, 400))
     beam = from_angles(np.deg2rad(angle), 0.1)
     assert is_strictly_monotone(beam)
     assert np.abs(np.rad2deg(beam + 0.1) - angle).max() < 1.1
-
-
-def test_one_column_is_a_line_too() -> None:
-    assert from_angles(np.array([1.0]), 0.25).tolist() == [0.75]
 
 
 def test_angles_that_do_not_turn_one_way_are_refused() -> None:
@@ -147,60 +99,6 @@ def test_angles_that_do_not_turn_one_way_are_refused() -> None:
         with_beams(stream(with_angles(np.rad2deg(angle))), InputConfig(nadir=0.0))
     with pytest.raises(NoDirectionError, match="turns in a line, expected one at most"):
         from_angles(np.deg2rad(np.arange(0.0, 800.0, 2.0)), 0.0)
-
-
-def test_nothing_tells() -> None:
-    ranges = ScanBlock(0, np.full((3, 4), 5.0, np.float32))
-    for block, why in (
-        (ranges, "neither scan angles nor coordinates relative to the scanner, and too few planes are seen"),
-        (with_angles(np.arange(4.0)), "nothing says which of them points straight down"),
-    ):
-        with pytest.raises(InputError, match=f"^drive.laz: no vertical direction known: .*{why}") as caught:
-            with_beams(stream(block), AUTO)
-        for way in ("input.nadir", "sensor-xyz", "trajectory:FILE", "origin:X,Y,Z"):
-            assert way in caught.value.hint
-        assert "\n" not in str(caught.value)
-    with pytest.raises(InputError, match="too few planes are seen to measure the angles"):
-        with_beams(stream(ranges), InputConfig(nadir=0.0))
-
-
-@pytest.mark.parametrize(
-    ("block", "note"),
-    [
-        (gone(lines(GEOMETRIES["half circle"]), slice(None)), "no shot has a return"),
-        (gone(lines(GEOMETRIES["half circle"]), slice(1, None)), "no line has two returns: nothing can be classified"),
-        (lines(np.array([1.0])), "no line has two returns: nothing can be classified"),
-        (ScanBlock(0, np.full((3, 4), np.nan, np.float32)), "no shot has a return"),
-    ],
-)
-def test_where_nothing_can_be_classified_any_directions_do(block: ScanBlock, note: str) -> None:
-    full = lines(GEOMETRIES["whole circle"])
-    alone = with_beams(stream(replace(block, angle_rad=None)), AUTO)
-    assert alone.info.facts.notes == (note,)
-    assert is_strictly_monotone(beams_of(alone))
-    for format_, which in (("PTX", "scan 1: "), ("LAS", "")):
-        parts = (replace(full, is_last=True), replace(block, scanner=1, angle_rad=None, is_last=True))
-        both = with_beams(stream(*parts, format=format_), AUTO)
-        found = list(both.blocks())
-        assert found[0].beam_rad is not None
-        assert worst_deg(found[0].beam_rad, GEOMETRIES["whole circle"]) < 0.25
-        assert found[1].beam_rad is not None
-        assert both.info.facts.notes == (f"{which}{note}",)
-
-
-def test_hints_are_possible_for_the_input_and_messages_name_the_scan() -> None:
-    level = lines(np.deg2rad(np.linspace(20, 120, 80)))
-    assert level.xyz_m is not None
-    across = replace(level, xyz_m=level.xyz_m[..., [0, 2, 1]] * np.float32(1))
-    for format_, where in (("PTX", "drive.laz: scan 0"), ("E57", "drive.laz: scan 0"), ("array", "drive.laz")):
-        with pytest.raises(InputError, match=f"^{where}: no vertical direction known: ") as caught:
-            with_beams(stream(across, format=format_), AUTO)
-        assert "--range" not in caught.value.hint
-        assert "input." not in caught.value.hint
-    away = replace(level, xyz_m=level.xyz_m + np.float32(1e6), range_m=level.range_m + np.float32(np.sqrt(3) * 1e6))
-    with pytest.raises(InputError, match="its ranges are 1732 km in the middle") as caught:
-        with_beams(stream(away), AUTO)
-    assert caught.value.hint.startswith("give --range trajectory:FILE or --range origin:X,Y,Z")
 
 
 def test_heights_of_a_plane_that_leans_over_are_true() -> None:
@@ -289,36 +187,6 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
         open_input(path, AUTO)
 
 
-def test_angles_of_the_configuration_and_nadir_for_a_raw_dump(tmp_path: Path) -> None:
-    path = tmp_path / "drive.bin"
-    np.full((20, 36), 7.0, np.float32).tofile(path)
-    config = InputConfig(points_per_line=36, angle_start=-180.0, angle_step=10.0, nadir=0.0)
-    blocks = list(with_beams(open_input(path, config), config).blocks())
-    assert blocks[0].beam_rad is not None
-    assert np.rad2deg(blocks[0].beam_rad[[0, 1, 18]]).round(6).tolist() == [180.0, -170.0, 0.0]
-
-
-def test_down_from_registered_coordinates_beside_range_and_angle() -> None:
-    image, records = scene()
-    rng = np.random.default_rng(0)
-    records = {
-        **records,
-        "z": records["z"] + 120.0 + 0.1 * records["scan_line"] + rng.normal(0, 0.01, len(records["z"])),
-        "x": records["x"] + 5000.0,
-    }
-    info = open_records(records).info
-    assert info.down_rad == pytest.approx(0.0, abs=1e-3)
-    assert any(one.key == "input.nadir" and "found from z" in one.why for one in info.assumptions)
-    blocks = list(with_beams(open_records(records, 77), AUTO).blocks())
-    expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
-    for block in blocks:
-        assert block.beam_rad is not None
-        assert worst_deg(block.beam_rad, expected) < 0.1
-    assert sum(block.n_lines for block in blocks) == len(image)
-    # nothing is fitted where the configuration says it
-    assert not any(one.key == "input.nadir" for one in open_records(records, nadir=30.0).info.assumptions)
-
-
 def shown_beams(config: dict[str, Any], records: dict[str, NDArray[Any]]) -> F64:
     found = with_beams(open_records(records, **config), InputConfig(**config))
     beam = next(iter(found.blocks())).beam_rad
@@ -374,40 +242,6 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
     ]  # fmt: skip
 
 
-def test_a_scanner_met_late_does_not_take_the_down_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, one = scene()
-    one["z"] += 120.0
-    n = len(one["z"])
-    records = {name: np.concatenate([values, values]) for name, values in one.items()}
-    records["point_source_id"] = np.repeat([3, 8], n)
-    monkeypatch.setattr(grid_setup, "PROBE_RECORDS_EACH", n)
-    read = open_records(records, scanner="point_source_id", points_per_line=M)
-    assert read.info.down(3)[0] == pytest.approx(0.0, abs=1e-3)
-    assert read.info.down(8) == (None, 1.0)
-
-
-def test_a_scanner_is_refused_for_its_own_heights() -> None:
-    """The one that is met first is not the one that is named first."""
-    _, one = scene()
-    n = len(one["z"])
-    records = {name: np.concatenate([values, values]) for name, values in one.items()}
-    records["point_source_id"] = np.repeat([8, 3], n)
-    records["z"] = np.append(one["z"] * 3, np.random.default_rng(0).normal(0, 30, n))
-    with pytest.raises(InputError, match="point_source_id 8: .*the heights fall 3.00 m"):
-        with_beams(open_records(records, n, scanner="point_source_id"), InputConfig(scanner="point_source_id"))
-
-
-def test_registered_coordinates_that_do_not_fit_are_told_and_refused() -> None:
-    _, records = scene()
-    records["z"] = np.random.default_rng(0).normal(0, 30, len(records["z"]))
-    read = open_records(records)
-    assert read.info.down_rad is None
-    (told,) = [one for one in read.info.assumptions if one.key == "input.nadir"]
-    assert told.value == "not found"
-    with pytest.raises(InputError, match="no vertical direction known: z is there beside range and scan angle, but"):
-        with_beams(read, AUTO)
-
-
 def test_sensor_coordinates_of_records() -> None:
     _, records = scene()
     del records["range"], records["angle"]
@@ -415,16 +249,6 @@ def test_sensor_coordinates_of_records() -> None:
     for block in found.blocks():
         assert block.beam_rad is not None
         assert worst_deg(block.beam_rad, np.arange(M) * 2 * np.pi / M) < 1e-3
-
-
-def test_text_with_angles_and_a_layout(tmp_path: Path) -> None:
-    path = tmp_path / "drive.csv"
-    rows = [f"{line},{column},{column * 10},{3 + column}" for line in range(5) for column in range(30)]
-    path.write_text("\n".join(["line,column,angle_deg,range_m", *rows]) + "\n")
-    config = InputConfig(nadir=180.0)
-    blocks = list(with_beams(open_input(path, config, Layout()), config).blocks())
-    assert blocks[0].beam_rad is not None
-    assert np.rad2deg(blocks[0].beam_rad[[0, 18]]).round(6).tolist() == [180.0, 0.0]
 
 
 def hostile(rng: np.random.Generator) -> ScanBlock:

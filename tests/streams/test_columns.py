@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.streams.angles import column_angles, find_angle_grid
 from prc_cli.streams.columns import (
@@ -16,9 +15,7 @@ from prc_cli.streams.columns import (
     StampState,
     columns_by_angle,
     columns_by_dimension,
-    columns_by_order,
     columns_by_time,
-    line_starts,
     spread_stamps,
 )
 
@@ -40,23 +37,10 @@ def test_dimension_takes_whole_numbers_from_zero() -> None:
     assert columns_by_dimension(np.array([65_535], np.uint16)).tolist() == [65_535]
 
 
-def test_order_counts_in_every_line() -> None:
-    assert columns_by_order(np.array([3, 3, 3, 5, 6, 6])).tolist() == [0, 1, 2, 0, 0, 1]
-    assert columns_by_order(np.empty(0, np.int64)).tolist() == []
-
-
 def test_angles_are_equal_modulo_a_turn() -> None:
     grid = AngleGrid(math.radians(-90), math.radians(1), 360, whole_turn=True)
     degrees = np.array([-90, 270, -450, -90.4, 269.4, 0, 180, NAN, INF])
     assert columns_by_angle(np.deg2rad(degrees), grid).tolist() == [0, 0, 0, 0, 359, 90, 270, NO_COLUMN, NO_COLUMN]
-
-
-def test_angles_beside_a_sector_have_no_column() -> None:
-    grid = AngleGrid(math.radians(30), math.radians(-0.5), 121, whole_turn=False)
-    degrees = np.array([30.0, 29.5, -30.0, 30.6, -30.5, 150.0])
-    column = columns_by_angle(np.deg2rad(degrees), grid)
-    assert column.tolist()[:5] == [0, 1, 120, -1, 121]
-    assert not 0 <= column[5] < 121
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 1000])
@@ -106,19 +90,6 @@ def test_a_time_that_goes_back_is_not_pushed_ahead() -> None:
     assert columns_by_time(spread, stamp, ordinal, np.zeros(4, np.int64), 10.0, np.zeros(4)).tolist() == [5, 6, 2, 3]
 
 
-def test_times_that_are_none_have_no_column() -> None:
-    stamp = np.array([NAN, INF, 0.0, 1e300])
-    found = columns_by_time(stamp, stamp, np.array([0, 0, 0, 1]), np.zeros(4, np.int64), 10.0, np.zeros(4))
-    assert found[0] < 0
-    assert found[1] < 0
-    assert found[2] == 0
-    assert found[3] > 10_000_000
-
-
-def test_line_starts() -> None:
-    assert line_starts(np.array([5.0, 6, 7, 9]), np.array([0, 0, 2, 2])).tolist() == [5, 5, 7, 7]
-
-
 @pytest.mark.parametrize("missing", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize(
     ("m", "start", "step"),
@@ -134,39 +105,6 @@ def test_estimated_angles(m: int, start: float, step: float, missing: float) -> 
     np.testing.assert_allclose(grid.angles(m), math.radians(start) + math.radians(step) * np.arange(m), atol=1e-6)
 
 
-def test_estimated_angles_when_the_input_begins_in_the_middle_of_a_line() -> None:
-    angle, line, column = scanner(20, 360, 0.0, math.radians(1), 0.1)
-    angle, line, column = angle[200:], line[200:], column[200:]
-    assert np.array_equal(columns_by_angle(angle, find_angle_grid(angle, line, "drive.laz")), column)
-
-
-def test_estimated_angles_of_a_noisy_mirror() -> None:
-    angle, line, column = scanner(200, 2154, 0.0, 2 * math.pi / 2154, 0.3)
-    angle = angle + np.random.default_rng(1).normal(0, 0.05 * 2 * math.pi / 2154, len(angle))
-    grid = find_angle_grid(np.remainder(angle, 2 * math.pi), line, "drive.laz")
-    assert grid.n_columns == 2154
-    away = np.remainder(columns_by_angle(angle, grid) - column + 1000, 2154)
-    assert np.ptp(away) <= 1
-
-
-def test_known_angles_are_kept() -> None:
-    angle, line, _ = scanner(5, 180, 0.1, 0.01, 0.0)
-    grid = find_angle_grid(angle, line, "drive.laz", start_rad=0.05, step_rad=0.0101)
-    assert grid.start_rad == 0.05
-    assert grid.step_rad == 0.0101
-    assert find_angle_grid(angle, line, "drive.laz", start_rad=0.05).step_rad == pytest.approx(0.01)
-
-
-def test_angles_that_tell_nothing_are_refused() -> None:
-    with pytest.raises(InputError, match=r"drive.laz: 3 scan angles, too few to tell columns; --columns order"):
-        find_angle_grid(np.array([1.0, 2.0, 3.0, NAN]), np.arange(4), "drive.laz")
-    coarse = np.rint(np.tile(np.linspace(-30, 30, 800), 5))
-    with pytest.raises(
-        InputError, match=r"9\d % of neighbouring shots have equal scan angles: rounded too coarsely; t"
-    ):
-        find_angle_grid(np.deg2rad(coarse), np.repeat(np.arange(5), 800), "drive.las")
-
-
 def test_column_angles() -> None:
     angle, _, column = scanner(9, 90, math.radians(170), math.radians(4), 0.5)
     wrapped = np.remainder(angle + math.pi, 2 * math.pi) - math.pi
@@ -175,10 +113,3 @@ def test_column_angles() -> None:
     assert found is not None
     np.testing.assert_allclose(np.diff(found), math.radians(4))
     assert math.cos(found[0] - math.radians(170)) == pytest.approx(1.0)
-
-
-def test_column_angles_that_are_none() -> None:
-    angle, _, column = scanner(9, 90, 0.0, math.radians(4), 0.5)
-    assert column_angles(np.random.default_rng(0).permutation(angle), column, 90) is None
-    assert column_angles(angle, column, 1000) is None
-    assert column_angles(angle[:1], column[:1], 2) is None

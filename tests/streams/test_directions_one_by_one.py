@@ -11,15 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prc_cli.core.types import F64, Mask
 from prc_cli.streams import angles, directions
-from prc_cli.streams.angles import column_angles, find_angle_grid, find_sweep
-from prc_cli.streams.directions import (
-    LevelLinesError,
-    NoddingError,
-    NoDirectionError,
-    WrongOriginError,
-    forward_steps,
-    turn_evenly,
-)
+from prc_cli.streams.angles import column_angles, find_angle_grid
 
 TURN = 2 * math.pi
 
@@ -111,94 +103,6 @@ def test_columns_are_medians_of_their_lines(seed: int) -> None:
     assert not found.is_straight
 
 
-def test_level_lines_are_told_by_their_rise() -> None:
-    def check(rise_deg: float, around_deg: float, elevation_deg: float = 0.0, n: int = 50) -> bool:
-        elevation = np.deg2rad(elevation_deg + rise_deg * np.linspace(-0.5, 0.5, n))
-        azimuth = np.deg2rad(175.0 + around_deg * np.linspace(0, 1, n))
-        unit = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-        )
-        try:
-            directions._check_level(unit[None], np.ones((1, n), np.bool_))
-        except LevelLinesError:
-            return True
-        return False
-
-    assert [check(rise, 90.0) for rise in (9.9, 10.1)] == [True, False]
-    assert [check(4.0, around) for around in (8.1, 7.9)] == [True, False]
-    # high up, a degree of azimuth is less
-    assert [check(4.0, around, 60.0) for around in (16.2, 15.8)] == [True, False]
-    # azimuths count modulo half a turn
-    assert [check(4.0, around) for around in (172.1, 179.0)] == [True, True]
-
-
-@pytest.mark.parametrize(
-    ("off", "arc", "error"),
-    [
-        (0.002, 0.1, None),
-        (0.00201, 0.1, WrongOriginError),
-        (math.radians(0.1), 0.01, None),
-        (math.radians(0.1001), 0.01, WrongOriginError),
-    ],
-)
-def test_lines_off_their_plane(off: float, arc: float, error: type[Exception] | None) -> None:
-    args = np.full(5, arc), np.full(5, off), np.ones(5)
-    if error is None:
-        directions._check_planes(*args)
-    else:
-        with pytest.raises(
-            error,
-            match=f"lie {math.degrees(off):.2f} deg off a plane through the origin, over an arc of "
-            f"{math.degrees(arc):.1f} deg",
-        ):
-            directions._check_planes(*args)
-
-
-def test_planes_of_lines_of_half_the_usual_arc_count() -> None:
-    rise = np.array([1.0] * 20 + [1.3] * 10)
-    for arc, is_refused in ((0.5, True), (0.4999, False)):
-        args = np.array([1.0] * 20 + [arc] * 10), np.zeros(30), rise
-        if is_refused:
-            with pytest.raises(NoddingError, match=r"57 to 74 deg from horizontal, expected the same within 15 deg"):
-                directions._check_planes(*args)
-        else:
-            directions._check_planes(*args)
-
-
-def test_steps_forward_go_around_beyond_ten_degrees_back() -> None:
-    assert np.rad2deg(forward_steps(np.deg2rad([0.0, -9.9, -20.0, 150.0, 149.0]))) == pytest.approx(
-        [-9.9, 349.9, 170.0, -1.0]
-    )
-
-
-@pytest.mark.parametrize("m", [12, 13])
-@pytest.mark.parametrize("seam", [0, 1, 5, 9])
-def test_beams_begin_behind_the_sector_that_is_not_measured(m: int, seam: int) -> None:
-    """Rows of 5 deg, and a sector of 100 deg that begins at any column."""
-    true = np.deg2rad(np.arange(m) * 5.0 - 20.0)
-    angle = np.roll(true, seam)
-    for columns in (np.arange(m), np.delete(np.arange(m), [3, 7])):
-        beam, is_straight = turn_evenly(columns, angle[columns], np.ones(len(columns)), m)
-        np.testing.assert_allclose(beam, angle, atol=1e-9)
-        assert is_straight
-
-
-@pytest.mark.parametrize(("gap_deg", "is_seam"), [(34.9, False), (35.1, True)])
-def test_steps_of_30_deg_beyond_the_usual_are_a_seam(gap_deg: float, is_seam: bool) -> None:
-    """Behind a seam lines begin anew; here the two sectors do not meet then."""
-    angle = np.deg2rad(np.concatenate([np.arange(6) * 5.0, 25.0 + gap_deg + np.arange(6) * 5.0]))
-    if is_seam:
-        with pytest.raises(NoDirectionError, match="neighbouring columns look 275 deg apart"):
-            turn_evenly(np.arange(12), angle, np.ones(12), 12)
-    else:
-        np.testing.assert_allclose(turn_evenly(np.arange(12), angle, np.ones(12), 12)[0], angle, atol=1e-9)
-
-
-def test_columns_that_share_no_direction() -> None:
-    with pytest.raises(NoDirectionError, match="the directions do not turn with the column"):
-        turn_evenly(np.arange(4), np.deg2rad([9.0, 6.0, 3.0, 0.0]), np.ones(4), 4)
-
-
 # -- scan angles -------------------------------------------------------------------------------------------------------
 
 
@@ -283,10 +187,3 @@ def test_column_0_is_the_earliest_start_fitted_to_all_angles(sign: int, phase: f
     assert math.remainder(found.start_rad - (2.0 + sign * step * phase), TURN) == pytest.approx(0.0, abs=0.02 * step)
     assert found.step_rad == pytest.approx(sign * step, rel=1e-3)
     assert (found.n_columns, found.whole_turn) == (100, False)
-
-
-def test_sweeps_of_equal_steps_and_none() -> None:
-    """Of equally many steps up and down none is a sweep; a tie at three quarters is."""
-    found = find_sweep(np.cumsum([0.0, 1.0, 1.0, 1.0, -1.0]), "a.laz")
-    assert found.direction == 1
-    assert find_sweep(-np.cumsum([0.0, 1.0, 1.0, 1.0, -1.0]), "a.laz").direction == -1

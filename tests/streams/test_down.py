@@ -4,15 +4,11 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64, I64
-from prc_cli.streams.angles import column_angles
-from prc_cli.streams.beams import from_angles
-from prc_cli.streams.directions import fit_beams, turn_evenly
+from prc_cli.streams.directions import fit_beams
 from prc_cli.streams.down import (
     LevelLinesError,
-    NoddingError,
     NoDirectionError,
     fit_heights,
-    shown_tilt,
     wrap,
 )
 from tests.streams.beam_lines import (
@@ -61,51 +57,6 @@ def test_column_0_may_lie_anywhere(name: str, share: float) -> None:
     assert worst_deg(fit_beams(np.roll(block.xyz_m, first, axis=1)).beam_rad, np.roll(true, first)) < 2.5
 
 
-@pytest.mark.parametrize("first", [1, 60, 150])
-def test_angles_in_any_rotation_are_taken_as_they_are(first: int) -> None:
-    true = GEOMETRIES["low to high"]
-    for angle in (true, -true, np.round(true, 2)):
-        beam = from_angles(np.roll(angle, first) + 1.0, 1.0)
-        assert worst_deg(beam, np.roll(angle, first)) < 1.1
-        assert is_strictly_monotone(beam)
-
-
-def test_column_angles_do_not_run_across_a_dead_angle() -> None:
-    true = np.deg2rad(np.arange(11.0, 123.0, 0.5))
-    column = np.arange(len(true))
-    seen = (column > 8) & (column < len(true) - 9)
-    rolled = (column[seen] + 100) % len(true)
-    found = column_angles(np.tile(true[seen], 5), np.tile(rolled, 5), len(true))
-    assert found is not None
-    assert worst_deg(found, np.roll(true, 100)) < 1e-6
-
-
-@pytest.mark.parametrize("name", ["whole circle", "half circle", "high to low", "through the zenith"])
-def test_beams_without_noise_are_exact(name: str) -> None:
-    block = lines(GEOMETRIES[name], noise_m=0.0)
-    assert block.xyz_m is not None
-    assert worst_deg(fit_beams(block.xyz_m).beam_rad, GEOMETRIES[name]) < 1e-4
-
-
-@pytest.mark.parametrize("name", GEOMETRIES)
-def test_columns_never_seen_are_between_their_neighbours(name: str) -> None:
-    true = GEOMETRIES[name]
-    hidden = np.arange(len(true)) % 7 == 3
-    hidden[:2] = hidden[-2:] = len(true) > 2
-    block = gone(lines(true, seed=5), hidden)
-    assert block.xyz_m is not None
-    found = fit_beams(block.xyz_m)
-    assert worst_deg(found.beam_rad, true) < (0.6 if name == "rings" else 0.25)
-    assert is_strictly_monotone(found.beam_rad)
-
-
-def test_more_than_half_of_the_circle_may_be_sky() -> None:
-    true = GEOMETRIES["whole circle"]
-    block = gone(lines(true), np.cos(true) < 0.1)
-    assert block.xyz_m is not None
-    assert worst_deg(fit_beams(block.xyz_m).beam_rad, true) < 0.25
-
-
 def test_shots_anywhere_and_a_line_or_two_of_nonsense_do_no_harm() -> None:
     true = GEOMETRIES["whole circle"]
     rng = np.random.default_rng(4)
@@ -115,15 +66,6 @@ def test_shots_anywhere_and_a_line_or_two_of_nonsense_do_no_harm() -> None:
     xyz[stray] = rng.uniform(-20, 20, (int(stray.sum()), 3))
     xyz[[10, 40]] = rng.uniform(-20, 20, (2, len(true), 3))
     assert worst_deg(fit_beams(xyz).beam_rad, true) < 0.5
-
-
-def test_uneven_columns_keep_their_medians() -> None:
-    true = np.deg2rad(60.0 + np.cumsum(np.random.default_rng(1).uniform(0.2, 3.0, 50)) * 0.8)
-    xyz = lines(true, noise_m=0.003).xyz_m
-    assert xyz is not None
-    found = fit_beams(xyz)
-    assert not found.is_straight
-    assert worst_deg(found.beam_rad, true) < 0.1
 
 
 def horizontal(tilt_deg: float) -> F64:
@@ -136,17 +78,6 @@ def horizontal(tilt_deg: float) -> F64:
 def test_horizontal_lines_are_refused(tilt_deg: float) -> None:
     with pytest.raises(NoDirectionError, match=r"the lines do not rise: their planes are .* deg from horizontal"):
         fit_beams(horizontal(tilt_deg))
-
-
-def test_cones_are_refused() -> None:
-    azimuth, down = np.deg2rad(np.arange(360.0)), np.deg2rad(24.0)
-    ring = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(360, -np.tan(down))], axis=-1)
-    with pytest.raises(NoDirectionError, match="do not rise"):
-        fit_beams(np.repeat(ring[None], 10, axis=0))
-
-
-def test_lines_that_lean_are_not_horizontal() -> None:
-    assert fit_beams(horizontal(20.0)).beam_rad.shape == (360,)
 
 
 @pytest.mark.parametrize(
@@ -193,29 +124,6 @@ def test_another_origin_than_the_scanner_is_refused(offset_m: tuple[float, ...],
 def test_rows_and_columns_exchanged_are_refused(n_lines: int) -> None:
     with pytest.raises(LevelLinesError, match="the lines do not rise: most run sideways"):
         fit_beams(room(n_lines).transpose(1, 0, 2))
-
-
-def test_a_scanner_that_nods_has_no_vertical_lines() -> None:
-    lean = np.deg2rad(np.linspace(50, 20, 64))[:, None]
-    angle = np.deg2rad(np.linspace(-70, 70, 300))
-    across, ahead = np.sin(angle) + 0 * lean, np.cos(angle)
-    line = 8.0 * np.stack([across, ahead * np.cos(lean), -ahead * np.sin(lean)], axis=-1)
-    with pytest.raises(NoddingError, match=r"not vertical lines: their planes are 2\d to 4\d deg from horizontal"):
-        fit_beams(line)
-    assert fit_beams(line[:10]).n_lines == 10
-
-
-def test_wrap_keeps_pi_and_nan() -> None:
-    assert wrap(np.array([-np.pi, np.pi, 3 * np.pi, 0.0])).tolist() == [np.pi, np.pi, np.pi, 0.0]
-    assert np.isnan(wrap(np.array([np.nan]))).all()
-
-
-def test_equal_angles_are_spread_between_the_others() -> None:
-    angle = np.deg2rad([10.0, 20.0, 20.0, 20.0, 31.0, 40.0, 70.0])
-    beam, is_straight = turn_evenly(np.arange(7), angle, np.ones(7), 7)
-    assert not is_straight
-    assert is_strictly_monotone(beam)
-    assert worst_deg(beam, angle) < 7.0
 
 
 def shots(seed: int, nadir_deg: float, *, n_lines: int = 20, tilt_deg: float = 3.0) -> tuple[F64, F64, F64, I64]:
@@ -280,20 +188,6 @@ def falling(fall: float = 1.0, *, off_m: float = 0.0, n: int = 400, span: float 
     return angle, range_m, 90 - fall * range_m * np.cos(angle) + off, np.repeat([4, 7], n // 2)
 
 
-def test_heights_need_32_shots_more_than_lines() -> None:
-    angle, range_m, z, line = falling(n=40)
-    use = np.r_[0:17, 20:37]
-    assert fit_heights(angle[use], range_m[use], z[use], line[use]).n_shots == 34
-    with pytest.raises(NoDirectionError, match=r"too few shots have range, scan angle and height .33."):
-        fit_heights(angle[use[1:]], range_m[use[1:]], z[use[1:]], line[use[1:]])
-
-
-def test_heights_may_be_a_quarter_of_a_metre_off_in_the_middle() -> None:
-    assert fit_heights(*falling(off_m=0.245)).off_m == pytest.approx(0.245, abs=0.01)
-    with pytest.raises(NoDirectionError, match=r"the heights lie 0\.2[67] m off"):
-        fit_heights(*falling(off_m=0.265))
-
-
 @pytest.mark.parametrize(("fall", "is_taken"), [(0.170, False), (0.177, True), (1.04, True), (1.06, False)])
 def test_heights_fall_by_the_cosine_of_a_tilt(fall: float, is_taken: bool) -> None:
     """A plane within ten degrees of the horizontal has a cosine below 0.1736; rounding leaves a little more than 1."""
@@ -302,17 +196,6 @@ def test_heights_fall_by_the_cosine_of_a_tilt(fall: float, is_taken: bool) -> No
     else:
         with pytest.raises(NoDirectionError, match=f"the heights fall {fall:.2f} m a metre of range"):
             fit_heights(*falling(fall))
-
-
-def test_angles_of_a_few_minutes_tell_no_direction() -> None:
-    assert fit_heights(*falling(span=0.0024)).down_rad == pytest.approx(0.0, abs=1e-6)
-    with pytest.raises(NoDirectionError, match="span too little"):
-        fit_heights(*falling(span=0.0012))
-
-
-def test_planes_within_six_degrees_of_the_vertical_are_not_said_to_lean() -> None:
-    assert shown_tilt(np.cos(np.deg2rad(5.9))) == ""
-    assert shown_tilt(np.cos(np.deg2rad(6.1))) == ", the scan plane leans over by 6.1 deg"
 
 
 @pytest.mark.filterwarnings("error")

@@ -17,7 +17,7 @@ from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify, classify_ranges, open_stream
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.down import guess_down, middle_of_lines
+from prc_cli.streams.down import guess_down
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 
@@ -34,14 +34,6 @@ def test_a_street_tells_where_down_is(turned_deg: float, way: int) -> None:
     assert found is not None
     assert found.is_sure
     assert off_deg(found.down_rad, math.radians(turned_deg)) < 1.5
-
-
-def test_one_side_of_a_street_is_enough() -> None:
-    ranges, _ = street_lines(20)
-    side = np.rad2deg(BEAM) > 10
-    found = guess_down(BEAM[side], ranges[:, side])
-    assert found is not None
-    assert off_deg(found.down_rad) < 2
 
 
 AROUND = np.deg2rad(np.arange(-180.0, 180.0, 0.5))
@@ -92,41 +84,12 @@ def test_two_planes_that_are_as_good_are_no_guess() -> None:
     assert "--set input.nadir=90" in refused.value.hint
 
 
-@pytest.mark.parametrize("m", [36, 361, 5000, 100_000])
-def test_any_number_of_columns_gives_the_same_direction(m: int) -> None:
-    angle = np.linspace(-np.pi, np.pi, m, endpoint=False)
-    down = np.cos(angle - 0.5)
-    line = np.where(down > 0.3, 2.0 / np.maximum(down, 0.3), np.nan).astype(np.float32)
-    found = guess_down(angle, np.tile(line, (8, 1)))
-    assert found is not None
-    assert off_deg(found.down_rad, 0.5) < 1e-3
-
-
 def test_what_tells_nothing_gives_nothing() -> None:
     rng = np.random.default_rng(1)
     ranges, _ = street_lines(20)
     assert guess_down(BEAM, ranges[:2]) is None
     assert guess_down(BEAM, np.full_like(ranges, np.nan)) is None
     assert guess_down(BEAM, rng.uniform(1, 60, (1, len(BEAM))).repeat(20, axis=0).astype(np.float32)) is None
-
-
-def level_ground(width_deg: float, n_lines: int = 20) -> F32:
-    """Ground 2 m below, seen so far around straight down, and nothing else."""
-    is_seen = np.abs(BEAM) < np.deg2rad(width_deg / 2)
-    depth = np.where(is_seen, 2.0 / np.cos(np.where(is_seen, BEAM, 0.0)), np.nan)
-    return np.tile(depth, (n_lines, 1)).astype(np.float32)
-
-
-@pytest.mark.parametrize(("width_deg", "is_enough"), [(13, False), (24, False), (26, True), (60, True)])
-def test_less_than_25_degrees_of_ground_are_too_few(width_deg: float, is_enough: bool) -> None:
-    assert (guess_down(BEAM, level_ground(width_deg)) is not None) == is_enough
-
-
-@pytest.mark.parametrize(("n_seen", "is_enough"), [(5, False), (10, False), (11, True)])
-def test_a_column_counts_where_most_lines_have_a_return(n_seen: int, is_enough: bool) -> None:
-    ranges = level_ground(60.0)
-    ranges[n_seen:] = np.nan
-    assert (guess_down(BEAM, ranges) is not None) == is_enough
 
 
 @dataclass(frozen=True)
@@ -166,23 +129,6 @@ def test_the_refusal_asks_for_what_is_enough(tmp_path: Path, preset: str) -> Non
         open_stream(tmp_path / "drive.npy", load_config(preset=preset))
 
 
-def test_the_lines_are_spread_where_down_is_guessed() -> None:
-    """The first 64 lines stand beside a van, which is the better ground there."""
-    ranges = road(700, slice(0, 200), 70.0)
-    info = StreamInfo("road.npz", "array", len(AROUND), None, len(ranges), angle_rad=AROUND)
-    found = with_beams(Lines(info, ScanBlock(0, ranges, angle_rad=AROUND)), InputConfig())
-    beam = next(iter(found.blocks())).beam_rad
-    assert beam is not None
-    assert np.abs(np.angle(np.exp(1j * (beam - AROUND)))).max() < np.deg2rad(2)
-    assert "64 lines" in found.info.assumptions[-1].why
-
-
-def test_themiddle_of_lines_is_a_median_of_what_is_there() -> None:
-    nan = np.nan
-    lines = np.array([[9, 5, nan, nan], [1, 2, 4, nan], [8, nan, 6, nan], [2, 1, nan, 3], [7, 4, nan, 3]], np.float32)
-    np.testing.assert_array_equal(middle_of_lines(lines), [7, 4, nan, nan])
-
-
 def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:
     np.savez(tmp_path / "street.npz", range_m=street_lines(40)[0], angle_deg=np.rad2deg(BEAM) + 20.0)
     loaded = load_config(preset="fused")
@@ -206,13 +152,3 @@ def test_labels_do_not_depend_on_where_column_0_lies(first: int) -> None:
     assert differ.mean() < 0.01
     far = np.abs(np.arange(len(beam)) - (len(beam) - first)) > 60
     assert not differ[:, far].any()
-
-
-def test_beams_that_turn_back_are_refused() -> None:
-    ranges, loaded = np.full((4, 6), 5.0), load_config(preset="fused")
-    with pytest.raises(InputError, match="angles that turn back"):
-        classify_ranges(ranges, loaded, beam_rad=np.deg2rad([0.0, 10.0, 20.0, 15.0, 30.0, 40.0]))
-    assert classify_ranges(ranges, loaded, beam_rad=np.deg2rad([20.0, 30.0, 40.0, -10.0, 0.0, 10.0])).labels.shape == (
-        4,
-        6,
-    )

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F32, F64
-from prc_cli.streams.down import DownGuess, guess_down, spread_rows
-from tests.methods.fused.street_lines import BEAM, street_lines
+from prc_cli.streams.down import DownGuess, guess_down
 
 TURN = 2 * math.pi
 
@@ -104,16 +103,6 @@ def test_the_guess_equals_one_by_one(seed: int, few: int) -> None:
         assert getattr(found, one) == (value if value is None else pytest.approx(value, abs=1e-8)), one
 
 
-def test_a_street_of_many_lines_and_columns_equals_one_by_one() -> None:
-    lines = street_lines(70)[0]
-    found, expected = guess_down(BEAM, lines), slow_guess(BEAM, lines)
-    assert found is not None
-    assert expected is not None
-    assert (found.down_rad, found.depth_m, found.ratio) == pytest.approx(
-        (expected.down_rad, expected.depth_m, expected.ratio), abs=1e-8
-    )
-
-
 @pytest.mark.parametrize("distance_m", [0.17, 8.0, 39.9, 40.3])
 def test_planes_up_to_40_m_away_count(distance_m: float) -> None:
     beam = np.deg2rad(np.arange(-30.0, 30.0, 0.5))
@@ -123,36 +112,3 @@ def test_planes_up_to_40_m_away_count(distance_m: float) -> None:
     else:
         assert found is not None
         assert found.depth_m == pytest.approx(distance_m, rel=1e-3)
-
-
-def test_four_lines_and_three_columns_are_the_least() -> None:
-    beam = np.deg2rad(np.arange(-30.0, 30.0, 0.5))
-    lines = np.tile(2.0 / np.cos(beam), (4, 1)).astype(np.float32)
-    assert guess_down(beam, lines) is not None
-    assert guess_down(beam, lines[:3]) is None
-    wide = np.deg2rad([-15.0, 0.0, 15.0])
-    three = np.tile(2.0 / np.cos(wide), (4, 1)).astype(np.float32)
-    assert guess_down(wide, three) is not None
-    three[:, 0] = np.nan
-    assert guess_down(wide, three) is None
-
-
-@pytest.mark.parametrize(
-    ("ratio", "is_sure", "shown"),
-    [(1.5, True, "1.5"), (1.49, False, "1.5"), (99.9, True, "99.9"), (100.0, True, "over 100")],
-)
-def test_a_guess_is_sure_from_one_and_a_half_on(ratio: float, is_sure: bool, shown: str) -> None:
-    guess = DownGuess(math.radians(-12.34), 2.0, math.radians(96.0), ratio)
-    assert guess.is_sure is is_sure
-    assert guess.shown() == (f"-12.3 deg (guessed from level ground; runner-up at 96 deg is {shown} times weaker)")
-    assert DownGuess(0.0, 2.0).shown() == "0.0 deg (guessed from level ground; no runner-up)"
-
-
-@pytest.mark.parametrize(("n", "most"), [(3, 3), (4, 3), (100, 7), (1000, 64), (0, 5)])
-def test_rows_are_spread_from_the_first_to_the_last(n: int, most: int) -> None:
-    found = spread_rows(n, most)
-    if n <= most:
-        assert found.tolist() == list(range(n))
-    else:
-        assert (found[0], found[-1], len(found)) == (0, n - 1, most)
-        assert np.ptp(np.diff(found)) <= 1

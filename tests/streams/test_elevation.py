@@ -44,20 +44,6 @@ def test_a_line_ends_where_the_elevation_drops(tmp_path: Path) -> None:
     assert [row[row >= 0].tolist() for row in falling.records()] == [[0, 1, 2, 3], [4, 5]]
 
 
-def test_the_elevation_is_the_scan_angle_and_down_is_known(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", points([-30, -29, -27, -30, -28, -27]))
-    stream = open_input(path, InputConfig(**{**RULES, "columns": "angle"}, angle_start=-30.0, angle_step=1.0))
-    block = join(list(stream.blocks()))
-    assert block.n_lines == 1  # no drop of 20 deg
-    stream = open_input(
-        path, InputConfig(**{**RULES, "columns": "angle", "lines": "elevation:2"}, angle_start=-30.0, angle_step=1.0)
-    )
-    block = join(list(stream.blocks()))
-    assert block.records().tolist() == [[0, 1, -1, 2], [3, -1, 4, 5]]
-    assert stream.info.down_rad == pytest.approx(-np.pi / 2)
-    np.testing.assert_allclose(np.rad2deg(stream.info.angle_rad), [-30, -29, -28, -27])  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("chunk", [1, 2, 7])
 def test_chunks_change_nothing_and_points_without_elevation_stay(chunk: int) -> None:
     rng = np.random.default_rng(3)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally
 from prc_cli.streams.order import WEEK_S, WeekState, unwrap_week
 from tests.streams.record_lists import (
@@ -54,25 +53,6 @@ def test_lines_go_on_over_the_end_of_the_week(rule: str, chunk_records: int) -> 
     assert np.all(np.diff(times) > 0)
 
 
-def test_times_that_only_go_along_stay_as_they_are() -> None:
-    """Lines and columns are numbered: nothing is placed by a time."""
-    image, records = wrapped()
-    stream = open_records(
-        only(records, "range", "time", "scan_line", "column"), order="trust", points_per_line=image.shape[1]
-    )
-    whole = read(stream)
-    assert np.array_equal(whole.range_m, image, equal_nan=True)
-    times = np.concatenate([block.time_s[block.records() >= 0] for block in whole.blocks if block.time_s is not None])
-    assert times.max() <= WEEK_S
-    assert times.min() < 10.0
-
-
-def test_the_end_of_the_week_is_disorder_where_order_is_required() -> None:
-    _, records = wrapped()
-    with pytest.raises(InputError, match="time"):
-        read(open_records(only(records, "range", "time"), order="require", **BY_TIME))
-
-
 @pytest.mark.parametrize("goes_on", [False, True])
 def test_the_trajectory_is_asked_by_the_times_that_it_has(goes_on: bool, tmp_path: Path) -> None:
     image, records = wrapped()
@@ -105,15 +85,3 @@ def test_other_steps_back_stay(back_s: float) -> None:
     unwrapped, added, _ = unwrap_week(times, WeekState())
     assert unwrapped is times
     assert not added.any()
-
-
-def test_sorting_breaks_the_week_and_says_so() -> None:
-    image, records = wrapped()
-    later = ("range", "time", "column")
-    with pytest.raises(
-        InputError, match=r"302\d+ lines of 40 columns for \d+ shots: line numbers or times jump"
-    ) as caught:
-        open_records(only(records, *later), lines=BY_TIME["lines"], order="sort-time", max_gap_lines=10**8)
-    assert caught.value.hint == "check them, or give the shots in a scan line: -M NUMBER"
-    trusted = read(open_records(only(records, *later), lines=BY_TIME["lines"], points_per_line=40, order="trust"))
-    assert trusted.range_m.shape == image.shape

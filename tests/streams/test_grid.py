@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError, InputError, OrderError
+from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally
-from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams import grid, lines, rules, setup
@@ -24,7 +23,6 @@ from tests.streams.record_lists import (
     LINE_HZ,
     N_LINES,
     SHOT_HZ,
-    START_S,
     M,
     MemorySource,
     only,
@@ -88,19 +86,6 @@ def test_a_wrap_finds_the_lines_that_have_shots(chunk_records: int) -> None:
     assert np.array_equal(read(stream).range_m, np.delete(image, 9, axis=0), equal_nan=True)
     assert stream.info.angle_rad is not None
     np.testing.assert_allclose(np.diff(stream.info.angle_rad), 2 * np.pi / M)
-
-
-@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
-@pytest.mark.parametrize("columns", ["auto", "order"])
-def test_fixed_lines(chunk_records: int, columns: str) -> None:
-    image, _ = scene(missing=0.0)
-    dense = np.where(np.isnan(image), np.float32(-1), image).ravel()
-    stream = open_records({"range": dense}, chunk_records, points_per_line=M, columns=columns)
-    whole = read(stream)
-    assert np.array_equal(whole.range_m, image, equal_nan=True)
-    assert all(block.record is None for block in whole.blocks)
-    assert whole.tally == ReadTally(n_not_positive=int(np.isnan(image).sum()))
-    assert stream.info.n_lines == N_LINES
 
 
 def test_dense_and_general_paths_agree() -> None:
@@ -176,58 +161,6 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
     assert len(found.extras) == int(np.sum(number - 1))
     assert found.tally == whole.tally
     assert all(block.time_s is None and block.intensity is None for block in found.blocks)
-
-
-def test_intensities_that_are_ranges_or_lines_are_never_skipped() -> None:
-    _, records = scene()
-    records["number_of_returns"] = np.ones(len(records["range"]))
-    records["intensity"] = records["range"]
-    config = InputConfig(range="dimension:intensity")
-    whole = read(open_grid(_SkippingSource(records), config, only_ranges=True))
-    assert np.array_equal(whole.range_m, read(open_grid(MemorySource(records), config)).range_m, equal_nan=True)
-
-
-@pytest.mark.parametrize("name", ["time", "intensity"])
-@pytest.mark.parametrize("options", [{}, {"columns": f"time:{SHOT_HZ}", "points_per_line": M}])
-def test_what_numbers_the_lines_may_be_needed_again(name: str, options: dict[str, Any]) -> None:
-    """Dimensions that find the lines are given up after that, but not what columns and blocks are made of."""
-    _, records = scene()
-    records[name] = records.pop("scan_line")
-    config = InputConfig(lines=f"dimension:{name}", **options)
-    whole = read(open_grid(MemorySource(records, 77), config))
-    alone = read(open_grid(MemorySource(records, 77), config, only_ranges=True))
-    assert np.array_equal(whole.record, alone.record)
-    told = [block.time_s if name == "time" else block.intensity for block in whole.blocks]
-    assert max(np.nanmax(lines) for lines in told if lines is not None) == N_LINES - 1
-
-
-def test_assumptions_say_what_was_taken() -> None:
-    _, records = scene()
-    stream = open_records(only(records, "range", "scan_line", "column"))
-    taken = {item.key: item.value for item in stream.info.assumptions}
-    assert taken == {
-        "input.lines": "dimension:scan_line",
-        "input.columns": "dimension:column",
-        "input.range": "dimension:range",
-        "input.points_per_line": str(M),
-    }
-    assert stream.info.n_lines == N_LINES
-    time_lines = open_records(only(records, "range", "time"), lines="time:50", columns="time:1999")
-    assert {a.key: a.value for a in time_lines.info.assumptions}["input.points_per_line"] == "40"
-    assert time_lines.info.line_hz == 50.0
-
-
-def test_columns_by_time_say_where_they_count_from() -> None:
-    _, records = scene()
-    names, options = RULES["line and time"]
-    for more in (options, {**options, "lines": "angle-wrap"}):
-        stream = open_records(only(records, *names, "angle"), **more)
-        [item] = [item for item in stream.info.assumptions if item.key == "input.columns"]
-        assert item.value == "column 0 is the first return of each line"
-        assert item.why == "lines that begin with missing shots shift; with --lines time:HZ they do not"
-    names, options = RULES["time"]
-    stream = open_records(only(records, *names), **options)
-    assert "input.columns" not in [item.key for item in stream.info.assumptions]
 
 
 @given(st.data())
@@ -329,30 +262,6 @@ def test_a_few_records_do_not_make_a_large_image() -> None:
     assert open_records(records).info.points_per_line == 1_000_000
 
 
-def test_the_images_of_all_scanners_count_together() -> None:
-    n = 200
-    line, scanner = np.divmod(np.arange(2 * n), n)
-    column = np.where(line == 0, 0, 18_000 - (scanner != 77))
-    records = {"range": np.ones(2 * n), "scan_line": line, "column": column, "user_data": scanner}
-    with pytest.raises(InputError) as caught:
-        open_records(records, scanner="user_data")
-    assert str(caught.value).startswith(
-        "drive.bin: user_data 77: 2 lines of 18001 columns for 2 shots: a column number is wrong, expected fewer cells"
-    )
-    few = {name: value[scanner < 9] for name, value in records.items()}
-    assert open_records(few, scanner="user_data").info.points_per_line == 18_000
-
-
-def test_sparse_lines_pass() -> None:
-    """A shot in every thousand cells."""
-    line = np.arange(3000)
-    column = np.random.default_rng(4).integers(0, 1000, 3000)
-    column[1234] = 999
-    records = {"range": np.ones(3000), "scan_line": line, "column": column}
-    for options in ({}, {"points_per_line": 1000}):
-        assert read(open_records(records, **options)).range_m.shape == (3000, 1000)
-
-
 class UncountedSource(MemorySource):
     """As a text file: only reading tells how many records there are."""
 
@@ -383,15 +292,6 @@ def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: t
     two = {name: value[:2] for name, value in records.items()}
     meant = InputConfig(points_per_line=100, max_gap_lines=100_001)
     assert read(open_grid(kind(two, chunk_records), meant)).range_m.shape == (99_001, 100)
-
-
-@pytest.mark.parametrize("chunk_records", [1000, 100_000])
-def test_a_gap_early_in_a_long_drive_passes(chunk_records: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(setup, "SPARE_CELLS", 1_000_000)
-    line = np.arange(6000) // 2 + np.where(np.arange(6000) < 10, 0, 2000)
-    records = {"range": np.ones(6000), "scan_line": line, "column": np.arange(6000) % 2 * 999}
-    for kind in (MemorySource, UncountedSource):
-        assert read(open_grid(kind(records, chunk_records), InputConfig())).range_m.shape == (5000, 1000)
 
 
 def test_the_first_defect_is_the_reason_however_the_input_is_chunked() -> None:
@@ -438,20 +338,6 @@ def test_scanners_are_split(rule: str, chunk_records: int) -> None:
         assert np.array_equal(mixed["range"][whole.record[there]], image[there])
 
 
-def test_scanners_have_their_own_line_length() -> None:
-    records = {
-        "range": np.ones(8),
-        "scan_line": np.array([0, 5, 0, 5, 1, 6, 1, 6]),
-        "column": np.array([0, 0, 1, 4, 0, 1, 1, 2]),
-        "user_data": np.array([3, 9] * 4),
-    }
-    stream = open_records(records, 3, scanner="user_data")
-    assert stream.info.points_per_line == 5
-    assert read(stream, 3).range_m.shape == (2, 2)
-    assert read(stream, 9).range_m.shape == (2, 5)
-    assert {a.key: a.value for a in stream.info.assumptions}["input.points_per_line"] == "scanner 3: 2, scanner 9: 5"
-
-
 @pytest.mark.parametrize("chunk_records", [1, 3, 40, 1000])
 def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_records: int) -> None:
     """The scanner with the shortest lines comes last, and ends its first line first."""
@@ -479,56 +365,12 @@ def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyP
         assert not np.isnan(read(stream, scanner).range_m).any()
 
 
-def test_too_many_scanners(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lines, "MAX_SCANNERS", 8)
-    records = {"range": np.ones(20), "scan_line": np.zeros(20), "column": np.arange(20), "user_data": np.arange(20)}
-    with pytest.raises(InputError, match="user_data has more than 8 values, expected one a scanner"):
-        open_records(records, scanner="user_data")
-    records["user_data"] = np.where(np.arange(20) == 3, np.nan, 1.0)
-    with pytest.raises(InputError, match="record 3 has user_data nan, expected a whole number"):
-        open_records(records, scanner="user_data")
-
-
-def test_missing_lines_say_what_would_do() -> None:
-    _, records = scene()
-    still = {**only(records, "range", "time", "angle"), "angle": np.zeros_like(records["angle"])}
-    with pytest.raises(InputError) as caught:
-        open_records(still)
-    assert caught.value.where == "drive.bin"
-    assert caught.value.problem == "no scan lines: the file has no dimension scan_line and points_per_line is not given"
-    assert caught.value.hint == (
-        "give -M NUMBER if no shot is left out (prc info estimates it), --lines dimension:NAME or "
-        "--lines time:HZ (scan lines a second)"
-    )
-    with pytest.raises(InputError) as caught:
-        open_records(only(records, "range"))
-    assert "angle-wrap" not in caught.value.hint
-    assert "time:HZ" not in caught.value.hint
-
-
 def test_lines_are_found_by_the_sweeps_of_the_scan_angle_where_nothing_else_tells() -> None:
     _, records = scene()
     found = open_records(only(records, "range", "angle"))
     told = open_records(only(records, "range", "angle"), lines="angle-wrap")
     assert found.info.n_lines == told.info.n_lines
     assert next(item.value for item in found.info.assumptions if item.key == "input.lines") == "angle-wrap"
-
-
-def test_missing_ranges_say_what_would_do() -> None:
-    _, records = scene()
-    with pytest.raises(InputError, match="no slant range: the file has no dimension range") as caught:
-        open_records(only(records, "x", "y", "z", "time", "scan_line"))
-    assert caught.value.hint == (
-        "give --range dimension:NAME, --range trajectory:FILE, --range origin:X,Y,Z (static scan) or "
-        "--range sensor-xyz (coordinates of the sensor itself)"
-    )
-    with pytest.raises(InputError) as caught:
-        open_records(only(records, "time", "scan_line"))
-    assert caught.value.hint == "give --range dimension:NAME"
-    with pytest.raises(InputError, match=r"range = origin:1,2,3 needs x, y, z; the file has no z; it has: x, y, scan_"):
-        open_records(only(records, "x", "y", "scan_line"), range="origin:1,2,3")
-    with pytest.raises(InputError, match="needs x, y, z, time; the file has no time"):
-        open_records(only(records, "x", "y", "z", "scan_line"), range="trajectory:drive.csv")
 
 
 @pytest.mark.parametrize("names", [("range", "angle"), ("range", "angle", "scan_line"), ("range", "angle", "time")])
@@ -542,83 +384,12 @@ def test_angles_of_the_records_give_columns_without_being_told(names: tuple[str,
     assert np.array_equal(told.range_m, expected, equal_nan=True)
 
 
-@pytest.mark.parametrize(
-    ("angle", "why"),
-    [
-        (lambda angle: np.round(angle / 0.6) * 0.6, "of neighbouring shots have equal scan angles"),
-        (lambda angle: np.round(angle / 0.25) * 0.25, "have the same scan angle within a step of"),
-        (lambda angle: np.abs(angle - np.pi), "expected sweeps of one direction"),
-        (lambda angle: np.full_like(angle, np.nan), "the scan angles are not known"),
-    ],
-)
-def test_angles_that_give_no_columns_leave_them_to_the_order(angle: Callable[[F64], F64], why: str) -> None:
-    _, records = scene()
-    stream = open_records({**only(records, "range", "scan_line"), "angle": angle(records["angle"])})
-    told = next(one for one in stream.info.assumptions if one.key == "input.columns")
-    assert told.value == "order"
-    assert why in told.why
-
-
-def test_time_lines_need_a_column_rule() -> None:
-    _, records = scene()
-    with pytest.raises(InputError, match="no columns: the file has no dimension column") as caught:
-        open_records(only(records, "range", "time"), lines="time:50")
-    assert caught.value.hint == "give --columns time:HZ (shots a second) or --columns order if no shot is left out"
-
-
-def test_unknown_dimensions_name_the_nearest_first() -> None:
-    _, records = scene()
-    with pytest.raises(ConfigError) as caught:
-        open_records(records, lines="dimension:scanline")
-    assert str(caught.value).startswith("input.lines: drive.bin has no dimension 'scanline'; it has: scan_line, ")
-    with pytest.raises(ConfigError, match=r"input\.columns: .*no dimension 'angle'"):
-        open_records(only(records, "range", "scan_line"), columns="angle")
-    with pytest.raises(ConfigError, match=r"input\.lines: .*no dimension 'time'"):
-        open_records(only(records, "range"), lines="time:3", columns="order")
-    with pytest.raises(ConfigError, match=r"input\.scanner: .*no dimension 'user_data'"):
-        open_records(records, scanner="user_data")
-    with pytest.raises(ConfigError, match=r"input\.range: .*no dimension 'depth'"):
-        open_records(records, range="dimension:depth")
-
-
-def test_fixed_lines_need_m() -> None:
-    with pytest.raises(ConfigError) as caught:
-        open_records({"range": np.ones(8)}, lines="fixed")
-    assert str(caught.value) == (
-        "input.points_per_line: lines = fixed needs the shots in a scan line of drive.bin; "
-        "give -M NUMBER; prc info drive.bin estimates it"
-    )
-
-
-@pytest.mark.parametrize("extra", [{}, {"number_of_returns": np.ones(10)}])
-def test_a_partial_line_is_refused_or_padded(extra: dict[str, NDArray[Any]]) -> None:
-    records = {"range": np.arange(1.0, 11.0), "time": np.arange(10) / 7, **extra}
-    with pytest.raises(InputError, match=r"10 (records|shots) are not a multiple of points_per_line = 4 \(2 left"):
-        read(open_records(records, 3, points_per_line=4))
-    whole = read(open_records(records, 3, points_per_line=4, partial_line="pad"))
-    assert whole.record.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, -1, -1]]
-    assert np.isnan(whole.range_m[2, 2:]).all()
-    assert whole.range_m[2, :2].tolist() == [9.0, 10.0]
-
-
 def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named() -> None:
     with pytest.raises(InputError, match='left over.*input.partial_line="pad"'):
         open_grid(MemorySource({"range": np.ones(10)}), InputConfig(points_per_line=4))
     line = np.random.default_rng(5).uniform(2, 20, 50)
     with pytest.raises(InputError, match="repeat after 50 shots: give -M 50"):
         open_grid(MemorySource({"range": np.tile(line, 40)}), InputConfig(points_per_line=49))
-
-
-def test_m_recorded_in_the_file_is_taken() -> None:
-    source = MemorySource({"range": np.ones(4), "scan_line": np.arange(4) // 2, "column": np.arange(4) % 2})
-    source.facts = SourceFacts(points_per_line=6)
-    stream = open_grid(source, InputConfig())
-    assert stream.info.points_per_line == 6
-    assert source.reads == []
-    assert read(stream).range_m.shape == (2, 6)
-    assert open_grid(source, InputConfig(points_per_line=6)).info.points_per_line == 6
-    with pytest.raises(ConfigError, match="found 3, but .* records 6 shots in a line; leave -M out"):
-        open_grid(source, InputConfig(points_per_line=3))
 
 
 def test_times_out_of_order_are_the_first_reason() -> None:
@@ -633,17 +404,6 @@ def test_times_out_of_order_are_the_first_reason() -> None:
     ):
         with pytest.raises(OrderError, match="time decreases in .* % of"):
             read(open_records(only(shuffled, *names), **options))
-
-
-def test_trusted_disorder_is_counted() -> None:
-    _, records = scene()
-    names = ("range", "time", "scan_line", "column")
-    order = np.random.default_rng(3).permutation(len(records["range"]))
-    shuffled = {name: records[name][order] for name in names}
-    whole = read(open_records(shuffled, 50, order="trust", max_gap_lines=N_LINES))
-    assert whole.tally.n_time_steps_back > 100
-    assert whole.tally.n_unplaced > 100
-    assert int((whole.record >= 0).sum()) + whole.tally.n_unplaced == len(order)
 
 
 def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
@@ -703,14 +463,6 @@ def test_sorting_by_time_restores_the_scene() -> None:
     assert read(open_records(dense, points_per_line=3, order="sort-time")).record.tolist() == [[5, 4, 3], [2, 1, 0]]
 
 
-def test_nothing_to_place() -> None:
-    records = {"range": np.ones(3), "scan_line": np.full(3, np.nan), "column": np.arange(3)}
-    with pytest.raises(InputError, match="no record has a scan line, expected at least one"):
-        open_records(records)
-    with pytest.raises(InputError, match="no record has a scan line"):
-        read(open_records(records, points_per_line=3))
-
-
 @pytest.mark.parametrize("chunk_records", [1, 2, 3, 1000])
 @pytest.mark.parametrize(
     ("line", "options"),
@@ -728,19 +480,6 @@ def test_all_records_are_counted_placed_or_not(line: list[float], options: dict[
     records["user_data"] = np.array([1, 1, 1, 2, 1, 1, 3])
     blocks = list(open_records(records, chunk_records, **options).blocks())
     assert sum((block.tally for block in blocks), ReadTally()).n_records == n
-
-
-def test_a_scanner_without_lines_is_counted() -> None:
-    line = np.array([np.nan, 0, np.nan, 0])
-    records = {"range": np.ones(4), "scan_line": line, "column": np.arange(4), "user_data": np.array([1, 2, 1, 2])}
-    whole = read(open_records(records, scanner="user_data", points_per_line=4))
-    assert whole.tally == ReadTally(n_unplaced=2)
-
-
-def test_streams_can_be_read_again() -> None:
-    _, records = scene()
-    stream = open_records(records, 13)
-    assert np.array_equal(read(stream).range_m, read(stream).range_m, equal_nan=True)
 
 
 ROUNDED: dict[str, tuple[tuple[str, ...], dict[str, Any], bool]] = {
@@ -785,40 +524,6 @@ def test_columns_place_their_lines_even_if_the_first_is_missing(fill: float, opt
     whole = read(open_records(records, lines="time:48", **options))
     assert whole.range_m.shape == (240, 120)
     assert np.array_equal(whole.record[line, column], np.arange(len(line)))
-
-
-def test_a_column_that_no_line_has_room_for_tells_no_line() -> None:
-    line, column = np.divmod(np.arange(20 * 30), 30)
-    records = {"range": np.ones(600), "time": 100 + line / 48 + column / (48 * 30), "column": column}
-    records["column"][[0, 77]] = 9_000_000
-    whole = read(open_records(records, lines="time:48", points_per_line=30))
-    assert whole.range_m.shape == (20, 30)
-    assert whole.tally == ReadTally(n_unplaced=2)
-
-
-def test_times_far_from_zero_keep_their_columns() -> None:
-    """An hour of lines at adjusted GPS time (a float64 holds it to 6e-8 s): no drift from rounding."""
-    line = np.repeat(np.arange(180_000)[::997], 3)
-    column = np.tile([0, 17, M - 1], len(line) // 3)
-    start = 3.9e8 + 0.123
-    time_s = start + line / LINE_HZ + column / SHOT_HZ
-    options: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
-    whole = read(open_records({"range": np.ones(len(line)), "time": time_s}, 100, **options))
-    cell = np.argwhere(whole.record >= 0)
-    assert np.array_equal(cell[:, 0], line)
-    assert np.array_equal(cell[:, 1], column)
-
-
-def test_time_origin_shifts_lines_and_columns() -> None:
-    _, records = scene()
-    options: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
-    early = START_S - 2 / LINE_HZ - 3 / SHOT_HZ
-    whole = read(open_records(only(records, "range", "time"), time_origin=early, **options))
-    assert np.argwhere(whole.record == 0).tolist() == [[2, 3]]
-    late = START_S + 1 / LINE_HZ
-    n_before = int((records["scan_line"] == 0).sum())
-    whole = read(open_records(only(records, "range", "time"), time_origin=late, **options))
-    assert whole.tally.n_unplaced == n_before
 
 
 @pytest.mark.data

@@ -7,18 +7,16 @@ import pytest
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import I64, Mask
-from prc_cli.streams.angles import Sweep, WrapState, find_sweep, lines_by_wrap
+from prc_cli.streams.angles import WrapState, find_sweep, lines_by_wrap
 from prc_cli.streams.lines import (
     LineRules,
     LineState,
     admit_lines,
     lines_by_dimension,
     lines_by_time,
-    lines_fixed,
-    most_lines,
 )
 
-NAN, INF = np.nan, np.inf
+NAN = np.nan
 WHERE = "drive.laz: scan_line"
 RULE = LineRules(WHERE, max_gap_lines=5, refuse_back=True, slack=1)
 
@@ -30,26 +28,10 @@ def admit(lines: list[int], rule: LineRules = RULE, state: LineState | None = No
     return admit_lines(line, known, record, state or LineState(), rule)[0].tolist()  # type: ignore[no-any-return]
 
 
-def test_dimension_counts_from_the_first_number() -> None:
-    line, known, state = lines_by_dimension(np.array([NAN, 7, 7, INF, 9, 6]), LineState(), WHERE)
-    assert line[known].tolist() == [0, 0, 2, -1]
-    assert known.tolist() == [False, True, True, False, True, True]
-    more, _, _ = lines_by_dimension(np.array([10], np.uint16), state, WHERE)
-    assert more.tolist() == [3]
-
-
 @pytest.mark.parametrize(("number", "shown"), [(3.5, "3.5"), (1e18, r"1e\+18"), (-1e300, r"-1e\+300")])
 def test_dimension_refuses_what_is_no_line_number(number: float, shown: str) -> None:
     with pytest.raises(InputError, match=rf"scan_line: found line number {shown}, expected whole numbers; .*--lines"):
         lines_by_dimension(np.array([1.0, number]), LineState(), WHERE)
-
-
-def test_fixed_goes_on_across_chunks() -> None:
-    first, _, state = lines_fixed(5, 3, LineState())
-    second, known, state = lines_fixed(2, 3, state)
-    assert [*first, *second] == [0, 0, 0, 1, 1, 1, 2]
-    assert known.all()
-    assert state.n_shots == 7
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -80,12 +62,6 @@ def test_wrap_follows_lines_that_become_short() -> None:
     assert np.array_equal(line, np.repeat(np.arange(60), lengths))
 
 
-def test_wrap_overlooks_noise() -> None:
-    angle = np.array([0.0, 0.1, 0.09, 0.2, 0.19, 0.5, 1.0, 0.98, 0.0, 0.01, 0.0, 0.5])
-    line, _ = lines_by_wrap(angle, Sweep(1, 1.0, 0.03), WrapState())
-    assert line.tolist() == [0] * 8 + [1] * 4
-
-
 def test_sweep_needs_angles_of_one_direction() -> None:
     with pytest.raises(
         InputError, match=r"drive.laz: the scan angle does not vary in 9 shots, expected sweeps; find l"
@@ -98,15 +74,6 @@ def test_sweep_needs_angles_of_one_direction() -> None:
         find_sweep(there_and_back, "drive.laz")
 
 
-def test_time_counts_periods_from_the_first_record() -> None:
-    times = np.array([NAN, 100.0, 100.019, 100.02, 100.1, INF, 99.99])
-    line, known, state = lines_by_time(times, 50.0, 0.0, None, LineState())
-    assert line[known].tolist() == [0, 0, 1, 5, -1]
-    assert known.tolist() == [False, True, True, True, True, False, True]
-    assert state.origin_s == 100.0
-    assert lines_by_time(np.array([101.0]), 50.0, 0.0, None, state)[0].tolist() == [50]
-
-
 def test_time_of_a_line_that_rounding_puts_just_before_it() -> None:
     """Times at which lines begin are no decimal fractions: floor alone would lose some to the line before."""
     line = np.arange(2_000_000, dtype=np.int64)[::7]
@@ -115,13 +82,6 @@ def test_time_of_a_line_that_rounding_puts_just_before_it() -> None:
     assert np.any(np.floor((times - start) * 48.0) != line)
     for half_shot in (0.0, 0.5e-6):
         assert np.array_equal(lines_by_time(times, 48.0, half_shot, start, LineState())[0], line)
-
-
-def test_time_without_any_known() -> None:
-    line, known, state = lines_by_time(np.full(3, NAN), 50.0, 0.0, None, LineState())
-    assert len(line) == 3
-    assert not known.any()
-    assert state.origin_s is None
 
 
 def test_time_of_absurd_size_is_a_gap() -> None:
@@ -147,24 +107,3 @@ def test_trusted_lines_that_come_late_are_left_out() -> None:
     trusted = LineRules(WHERE, max_gap_lines=5, refuse_back=False, slack=1)
     assert admit([0, 1, 2, 0, 3, -1, 2], trusted) == [True, True, True, False, True, False, True]
     assert admit([0, -1], trusted) == [True, False]
-
-
-def test_gaps_up_to_the_limit() -> None:
-    assert admit([0, 6]) == [True, True]
-    with pytest.raises(InputError, match="drive.laz: scan_line: 6 lines are missing before record 101, expected at mo"):
-        admit([0, 7])
-    with pytest.raises(InputError, match="6 lines are missing before record 100"):
-        admit([6])
-
-
-def test_shots_without_line_are_not_admitted() -> None:
-    line = np.array([0, 10**15, 1], np.int64)
-    known = np.array([True, False, True])
-    admitted, state = admit_lines(line, known, np.arange(3), LineState(), RULE)
-    assert admitted.tolist() == [True, False, True]
-    assert state.top == 1
-
-
-def test_one_line_is_always_allowed() -> None:
-    rules = LineRules(WHERE, points_per_line=1000, n_spare=10)
-    assert most_lines(np.array([0, 1, 2]), rules).tolist() == [1, 1, 2]

@@ -85,25 +85,6 @@ def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> Non
     np.testing.assert_array_equal(found[0].angle_rad, whole[0].angle_rad)
 
 
-def test_what_was_read_while_opening_is_not_lost() -> None:
-    values = np.arange(1, 41, dtype="<f4")
-    source = PipeSource(Pieces(values.tobytes(), [8]), RANGES)
-    assert next(source.chunks(("range",))).values["range"].tolist() == [1.0, 2.0]
-    assert ranges_of(source)[:3] == [1.0, 2.0, 3.0]
-    source.seal()
-    assert ranges_of(source) == values.tolist()
-
-
-def test_nothing_is_read_before_it_is_asked_for() -> None:
-    pieces = Pieces(np.arange(1, 41, dtype="<f4").tobytes(), [40])
-    pipe, stream = open_pipe(pieces, InputConfig(points_per_line=10), RANGES)
-    pipe.seal()
-    blocks = stream.blocks()
-    assert pieces.n_reads == 0
-    next(blocks)
-    assert pieces.n_reads == 1
-
-
 @pytest.mark.parametrize(
     ("data", "message"),
     [

@@ -8,27 +8,17 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.ranges import RangeRule, measure_ranges, open_ranges
 from prc_cli.streams.trajectory import Trajectory
-from tests.streams.record_lists import MemorySource, open_records, read
+from tests.streams.record_lists import MemorySource, read
 
 ALL = ("range", "x", "y", "z", "time")
 
 
 def opened(rule: str, dimensions: tuple[str, ...] = ALL) -> RangeRule:
     return open_ranges(rule, dimensions, "drive.laz", InputConfig(), crs_wkt=None)
-
-
-def test_a_dimension_is_left_untouched() -> None:
-    rule = opened("dimension:range")
-    assert rule.names == ("range",)
-    stored = np.array([1.1, np.nan], np.float32)
-    found, xyz = measure_ranges({"range": stored}, rule)
-    assert found is stored
-    assert xyz is None
 
 
 def test_coordinates_of_the_sensor() -> None:
@@ -92,25 +82,3 @@ def test_ranges_from_a_trajectory_file(tmp_path: Path) -> None:
         read(open_grid(MemorySource(records), config.model_copy(update={"trajectory_max_gap": 9.0})))
     with pytest.raises(InputError, match="cannot be read"):
         open_grid(MemorySource(records), config.model_copy(update={"range": "trajectory:none.csv"}))
-
-
-@pytest.mark.parametrize(
-    ("rule", "dimensions", "lacking"),
-    [
-        ("sensor-xyz", ("range", "x"), "needs x, y, z; the file has no y, z; it has: range, x"),
-        ("origin:1,2,3", ("x", "y"), "needs x, y, z; the file has no z"),
-        ("trajectory:drive.csv", ("x", "y", "z"), "needs x, y, z, time; the file has no time"),
-    ],
-)
-def test_what_lacks_is_named(rule: str, dimensions: tuple[str, ...], lacking: str) -> None:
-    with pytest.raises(InputError, match=lacking):
-        opened(rule, dimensions)
-
-
-def test_ranges_are_cleaned_and_counted() -> None:
-    given = np.array([5.0, 0.0, -2.0, np.inf, np.nan, 300.0, 1.0, 1e300])
-    for extra in ({}, {"scan_line": np.zeros(8), "column": np.arange(8)}):
-        whole = read(open_records({"range": given, **extra}, 3, points_per_line=8, min_range=1.0, max_range=200.0))
-        np.testing.assert_array_equal(whole.range_m, [[5.0] + [np.nan] * 7])
-        assert whole.tally == ReadTally(n_not_positive=2, n_not_finite=2, n_beyond=2)
-        assert whole.record.tolist() == [list(range(8))]

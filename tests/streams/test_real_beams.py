@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanStream
 from prc_cli.core.types import F64
 from prc_cli.jobs.classify import classify, open_stream
@@ -68,11 +67,6 @@ def test_profiler_with_a_trajectory(real_data: Path, tmp_path: Path) -> None:
         assert np.nanpercentile(np.abs(below - lean * fall), 95) < 0.02
 
 
-def test_park_by_its_zenith_angles(real_data: Path) -> None:
-    beam = beams_of(opened(real_data / "forest" / "tls_park.npz", load_config()))
-    assert np.rad2deg(beam[[0, -1]]) == pytest.approx([-49.8, -150.0], abs=0.1)
-
-
 def test_kitti_frame(real_data: Path, tmp_path: Path) -> None:
     source = real_data / "kitti" / "000000.bin"
     loaded = load_config(ROOT / "sample_configs" / "kitti_frame.toml")
@@ -100,21 +94,6 @@ def test_kitti_frame(real_data: Path, tmp_path: Path) -> None:
     assert np.all(labels > 0)
     matrix = evaluate(tmp_path / "labels.npy", real_data / "kitti" / "000000.label", "semantic_kitti")
     assert matrix.counts.sum() + matrix.n_ignored == 124_668
-
-
-def test_a_frame_cut_short_is_refused(real_data: Path, tmp_path: Path) -> None:
-    records = np.fromfile(real_data / "kitti" / "000000.bin", "<f4").reshape(-1, 4)
-    records[:100_000].tofile(tmp_path / "short.bin")
-    loaded = load_config(ROOT / "sample_configs" / "kitti_frame.toml")
-    with pytest.raises(InputError, match=r"found 49 rings, expected 64 as input.points_per_line says"):
-        open_stream(tmp_path / "short.bin", loaded)
-
-
-def test_a_scanner_that_nods_is_for_prc(real_data: Path) -> None:
-    options = {"input": {"points_per_line": 360, "range": "sensor-xyz", "max_range": 32.7}}
-    with pytest.raises(InputError, match="the lines are not vertical lines") as caught:
-        opened(real_data / "organised" / "scan000.3d", load_config(options=options))
-    assert "--method prc" in caught.value.hint
 
 
 def test_a_mirror_that_sweeps_while_the_head_turns(real_data: Path, tmp_path: Path) -> None:

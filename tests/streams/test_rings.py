@@ -8,15 +8,13 @@ import pytest
 
 from prc_cli.config import load_config, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.types import F64, I64
+from prc_cli.core.types import I64
 from prc_cli.formats import open_source
 from prc_cli.formats.guessing import is_frame
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
 from prc_cli.streams import rings
-from prc_cli.streams.beams import with_beams
 from prc_cli.streams.open import open_input
-from prc_cli.streams.rings import _cut_turns, _cuts, open_rings
-from tests.streams.beam_lines import worst_deg
+from prc_cli.streams.rings import open_rings
 from tests.streams.record_lists import MemorySource, Whole, read
 
 N_RINGS, N_LINES = 16, 360
@@ -142,22 +140,6 @@ def test_records_without_range_or_azimuth_stay_without_a_cell() -> None:
     assert not np.isin([5, 70, 900, 2000], whole.record).any()
 
 
-def test_beams_of_a_frame() -> None:
-    records, *_ = frame(6)
-    config = InputConfig(lines="rings")
-    for block in with_beams(open_rings(MemorySource(records), config), config).blocks():
-        assert block.beam_rad is not None
-        assert worst_deg(block.beam_rad, np.pi / 2 + ELEVATION[::-1]) < 0.15
-
-
-def test_an_origin_may_be_given() -> None:
-    records, *_ = frame(7)
-    whole = opened(records)
-    records["x"] = records["x"] + 350_000.0
-    moved = opened(records, range="origin:350000,0,0")
-    assert np.array_equal(moved.record, whole.record)
-
-
 @pytest.mark.parametrize(
     ("keys", "key"),
     [
@@ -205,14 +187,6 @@ def test_frames_that_are_no_rings_are_refused(monkeypatch: pytest.MonkeyPatch) -
         opened(records)
 
 
-def test_standing_still_is_no_frame() -> None:
-    n = 500
-    for azimuth in (np.zeros(n), np.linspace(0, 20 * np.pi, n) * 0):
-        records: dict[str, F64] = {"x": np.cos(azimuth), "y": np.sin(azimuth), "z": np.zeros(n)}
-        with pytest.raises(InputError, match="turn 0.0 times"):
-            opened(records)
-
-
 def test_through_the_readers(tmp_path: Path) -> None:
     records, *_ = frame()
     path = tmp_path / "frame.bin"
@@ -246,21 +220,6 @@ def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
         assert np.count_nonzero(whole.record >= 0) + len(whole.extras) + whole.tally.n_unplaced == n
     assert min(n_read, len(refusals)) > 20
     assert not any("\n" in message for message in refusals)
-
-
-def test_few_shots_before_the_first_whole_ring_belong_to_it() -> None:
-    # 2 shots before the cut, then two rings of 300 shots
-    along = np.concatenate([[-0.02, -0.01], np.linspace(0, 4 * np.pi, 600, endpoint=False) + 0.001])
-    ring, within = _cut_turns(along)
-    assert ring.tolist() == [0] * 302 + [1] * 300
-    assert within[:2].tolist() == [0, 0]
-
-
-def test_rings_may_begin_in_the_middle_of_the_longest_gap() -> None:
-    # no azimuths in 100 to 140 and in 200 to 210 deg
-    azimuth = np.array([angle for angle in range(720) if not (100 <= angle % 360 < 140 or 200 <= angle % 360 < 210)])
-    *_, gap = _cuts(np.deg2rad(azimuth + 0.5), np.deg2rad(1.0))
-    assert np.rad2deg(gap) == pytest.approx(120)
 
 
 def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Path) -> None:

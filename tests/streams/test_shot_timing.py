@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.streams.lines import LineState, lines_by_time, time_in_line
-from prc_cli.streams.setup import UNKNOWN, ShotTiming, find_timing
+from prc_cli.streams.setup import UNKNOWN, find_timing
 
 HZ, M = 48.0, 120
 LINE, COLUMN = np.divmod(np.arange(50 * M), M)
@@ -23,12 +22,6 @@ def test_columns_tell_their_step(decimals: int, share: float) -> None:
     assert found.column_s == pytest.approx(SHOT_S, rel=0.02)
 
 
-def test_columns_that_fall_or_do_not_change_tell_nothing() -> None:
-    assert find_timing(TIME, M - 1 - COLUMN, HZ, None) == UNKNOWN
-    assert find_timing(TIME, np.zeros(len(TIME), np.int64), HZ, None) == UNKNOWN
-    assert find_timing(TIME, np.full(len(TIME), -1), HZ, M) == ShotTiming(SHOT_S, SHOT_S)
-
-
 def test_shots_tell_their_step() -> None:
     assert find_timing(np.round(TIME, 6), None, HZ, None).shot_s == pytest.approx(SHOT_S, rel=0.01)
     # stamps of six shots and of three returns: the mean
@@ -38,17 +31,3 @@ def test_shots_tell_their_step() -> None:
     assert find_timing(TIME, None, HZ, 60).shot_s == 1 / (HZ * 60)
     for nothing in (np.empty(0), np.full(3, np.nan), np.full(3, 7.0), np.array([0.0, 1.0])):
         assert find_timing(nothing, None, HZ, None) == UNKNOWN
-
-
-def test_time_in_line() -> None:
-    since = time_in_line(np.array([0, 10, -1, 41, 43]), 0.5, 20.0)
-    assert since[[0, 1, 3]].tolist() == [0.0, 5.0, 20.5]
-    assert np.isnan(since[[2, 4]]).all()
-
-
-def test_the_guard_is_that_of_the_time_itself() -> None:
-    """Steps of the stored number are 6e-8 s there, those at the origin are not."""
-    line = 400_000_000 * 48 + np.arange(4000)
-    assert np.array_equal(lines_by_time(line / 48.0, 48.0, 0.0, 0.0, LineState())[0], line)
-    late = 4e8 + np.arange(4000) / 48.0
-    assert np.array_equal(lines_by_time(late, 48.0, 0.0, 0.0, LineState())[0], line)

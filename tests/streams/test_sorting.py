@@ -91,21 +91,6 @@ def test_larger_inputs(kind: str) -> None:
         np.testing.assert_array_equal(range_m, source.values["range"][order])
 
 
-def test_only_the_asked_names_are_delivered_and_decoded() -> None:
-    source = ArraySource({"time": np.array([2.0, 1.0]), "x": np.zeros(2), "y": np.ones(2)})
-    (chunk,) = sorted_by_time(source).chunks(("y",))
-    assert set(chunk.values) == {"y"}
-    assert source.asked == [("y", "time")]
-
-
-def test_it_describes_itself_as_its_source_does() -> None:
-    source = ArraySource({"time": np.array([2.0, 1.0]), "x": np.zeros(2)})
-    result = sorted_by_time(source)
-    assert (result.path, result.format, result.n_records, result.dimensions) == (
-        "drive.las", "array", 2, ("time", "x"),
-    )  # fmt: skip
-
-
 def test_record_indices_of_the_source_are_kept() -> None:
     class Renumbered(ArraySource):
         def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
@@ -114,18 +99,6 @@ def test_record_indices_of_the_source_are_kept() -> None:
 
     _, record = collect(sorted_by_time(Renumbered({"time": np.array([2.0, 1.0])})).chunks(("time",)), "time")
     assert record.tolist() == [101, 100]
-
-
-def test_no_records() -> None:
-    assert list(sorted_by_time(ArraySource({"time": np.empty(0)})).chunks(("time",))) == []
-
-
-def test_without_time_nothing_can_be_sorted() -> None:
-    with pytest.raises(InputError) as caught:
-        sorted_by_time(ArraySource({"x": np.zeros(2), "y": np.zeros(2)}))
-    assert str(caught.value) == (
-        "drive.las: no time to sort by, found the dimensions x, y; without times the order cannot be restored"
-    )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -147,16 +120,6 @@ def test_a_full_temporary_disk_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
     source = ArraySource({"time": np.arange(100.0)})
     with pytest.raises(OutputError, match=r"No space left on device\); free space there or point TMPDIR"):
         list(sorted_by_time(source, run_records=10).chunks(("time",)))
-
-
-def test_errors_of_the_source_pass_as_they_are() -> None:
-    class Damaged(ArraySource):
-        def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-            yield from super().chunks(names)
-            raise OSError(5, "Input/output error")
-
-    with pytest.raises(OSError, match="Input/output error"):
-        list(sorted_by_time(Damaged({"time": np.arange(10.0)}), run_records=3).chunks(("time",)))
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

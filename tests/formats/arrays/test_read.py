@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import ConfigError, InputError, OrderError, PrcError
+from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
 from prc_cli.formats.arrays.read import ArrayStream
 from prc_cli.formats.options import InputConfig
@@ -60,20 +59,6 @@ def refused(path: Path, given: InputConfig = AUTO) -> str:
     return message.replace(f"{path.parent}/", "")
 
 
-@pytest.mark.parametrize("chunk", [1, 11, 1 << 19])
-def test_a_plain_image(tmp_path: Path, chunk: int) -> None:
-    stream = ArrayStream(save(tmp_path, image()), AUTO, chunk)
-    info = stream.info
-    assert (info.points_per_line, info.n_records, info.n_lines, info.format) == (5, 35, 7, "array")
-    assert info.angle_rad is None
-    assert info.line_hz is None
-    for _ in range(2):
-        block = whole(stream)
-        np.testing.assert_array_equal(block.range_m, image())
-        assert block.record is None
-        assert block.tally == ReadTally()
-
-
 @pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8", "f2", ">i2", "u1", "<u8"])
 def test_every_number_type(tmp_path: Path, dtype: str) -> None:
     given = np.arange(12).reshape(4, 3).astype(dtype)
@@ -90,23 +75,6 @@ def test_bad_ranges_are_counted_once_whatever_the_chunks(tmp_path: Path, chunk: 
     block = whole(ArrayStream(save(tmp_path, given), config(min_range=1.0, max_range=100.0), chunk))
     assert block.tally == ReadTally(n_not_finite=2, n_not_positive=2, n_beyond=3)
     assert np.count_nonzero(~np.isnan(block.range_m)) == 1
-
-
-@pytest.mark.parametrize("chunk", [1, 7, 1 << 19])
-def test_fortran_order_in_a_npy(tmp_path: Path, chunk: int) -> None:
-    path = save(tmp_path, np.asfortranarray(image()))
-    assert b"'fortran_order': True" in path.read_bytes()
-    np.testing.assert_array_equal(whole(ArrayStream(path, AUTO, chunk)).range_m, image())
-
-
-@pytest.mark.parametrize("chunk", [1, 7, 1 << 19])
-@pytest.mark.parametrize("save_as", [np.savez, np.savez_compressed])
-def test_fortran_order_in_an_npz(tmp_path: Path, chunk: int, save_as: Callable[..., None]) -> None:
-    xyz = np.stack([image(), 2 * image(), 3 * image()], axis=-1)
-    save_as(tmp_path / "a.npz", range_m=np.asfortranarray(image()), xyz=np.asfortranarray(xyz))
-    block = whole(ArrayStream(tmp_path / "a.npz", AUTO, chunk))
-    np.testing.assert_array_equal(block.range_m, image())
-    np.testing.assert_array_equal(block.xyz_m, np.where(np.isnan(image())[..., None], np.nan, xyz).astype(np.float32))
 
 
 @pytest.mark.parametrize("chunk", [1, 200, 1 << 19])
@@ -132,13 +100,6 @@ def test_rows_that_are_rings_are_exchanged(tmp_path: Path, chunk: int, given: st
     assert any(one.key == "input.lines" for one in stream.info.assumptions)
     if given == "xyz":
         np.testing.assert_array_equal(block.xyz_m, arrays["xyz"].transpose(1, 0, 2).astype(np.float32))
-
-
-def test_lines_are_not_taken_for_rings(tmp_path: Path) -> None:
-    angle = np.linspace(-2, 2, 90)
-    across = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], -1)
-    save_npz(tmp_path, xyz=np.tile(5 * across, (16, 1, 1)))
-    assert ArrayStream(tmp_path / "scan.npz", AUTO).info.n_lines == 16
 
 
 @pytest.mark.parametrize("chunk", [1, 6, 1 << 19])
@@ -188,21 +149,6 @@ def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk:
     np.testing.assert_array_equal(block.intensity, intensity.astype(np.float32))
 
 
-@pytest.mark.parametrize(("name", "factor"), [("angle_rad", 1.0), ("angle_gon", np.pi / 200)])
-def test_angles_in_other_units(tmp_path: Path, name: str, factor: float) -> None:
-    given = np.linspace(-1.5, 1.5, 5) / factor
-    stream = ArrayStream(save_npz(tmp_path, range_m=image(), **{name: given}), AUTO)
-    np.testing.assert_array_equal(stream.info.angle_rad, given * factor)
-
-
-def test_the_only_image_is_taken_whatever_its_name(tmp_path: Path) -> None:
-    stream = ArrayStream(save_npz(tmp_path, depth=image(), angle_deg=np.arange(5.0)), AUTO)
-    assert stream.info.assumptions[0].value == "depth"
-    assert "only array of two dimensions" in stream.info.assumptions[0].why
-    named = ArrayStream(save_npz(tmp_path, a=image(), b=image() + 1), config(range="dimension:b"))
-    np.testing.assert_array_equal(whole(named).range_m, image() + 1)
-
-
 def test_angles_from_the_configuration(tmp_path: Path) -> None:
     path = save_npz(tmp_path, range_m=image(), angle_deg=np.zeros(5))
     stream = ArrayStream(path, config(angle_start=10, angle_step=-2))
@@ -213,35 +159,12 @@ def test_angles_from_the_configuration(tmp_path: Path) -> None:
         ArrayStream(path, config(angle_step=1))
 
 
-def test_times_that_go_back(tmp_path: Path) -> None:
-    path = save_npz(tmp_path, range_m=image(), time_s=np.array([0, 1, 2, 1.5, 3, 2.9, 4]))
-    with pytest.raises(OrderError, match="time_s"):
-        whole(WatchedStream(ArrayStream(path, AUTO), "require"))
-    trusted = whole(WatchedStream(ArrayStream(path, config(order="trust"), 10), "trust"))
-    assert trusted.tally == ReadTally(n_time_steps_back=2)
-
-
-def test_the_refusal_of_an_image_does_not_advise_what_it_refuses(tmp_path: Path) -> None:
-    path = save_npz(tmp_path, range_m=image(3), time_s=np.array([3.0, 2.0, 1.0]))
-    message = refused(path)
-    assert "time_s decreases in 100.0 % of 2 steps" in message
-    assert "--trust-order" in message
-    assert "sort-by-time" not in message
-
-
 @pytest.mark.parametrize("times", [[1e300, -1.7e308, 1.7e308], [0.0, 5e-324, 1e-323], [-1.7e308, 1.7e308, 1e300]])
 def test_times_as_large_or_close_as_floats_can_be(tmp_path: Path, times: list[float]) -> None:
     path = save_npz(tmp_path, range_m=image(3), time_s=np.array(times))
     stream = ArrayStream(path, config(order="trust"))
     assert stream.info.line_hz is None or 0 < stream.info.line_hz < np.inf
     np.testing.assert_array_equal(whole(stream).time_s[:, 0], times)  # type: ignore[index]
-
-
-def test_a_time_for_every_shot(tmp_path: Path) -> None:
-    times = np.arange(35.0).reshape(7, 5)
-    stream = ArrayStream(save_npz(tmp_path, range_m=image(), time_s=times), AUTO)
-    np.testing.assert_array_equal(whole(stream).time_s, times)
-    assert stream.info.line_hz == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(
@@ -263,21 +186,6 @@ def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) 
     assert found in refused(save(tmp_path, array))
     name = "range_m"
     assert found.removeprefix("scan.npy: ") in refused(save_npz(tmp_path, **{name: array}))
-
-
-def test_class_codes_are_not_taken_for_ranges(tmp_path: Path) -> None:
-    codes = np.full(12, 2, np.uint8)
-    for options in (AUTO, config(points_per_line=4)):
-        found = refused(save(tmp_path, codes), options)
-        assert "found bytes in a row, as class codes are written, expected ranges in metres; give the scan" in found
-
-
-def test_points_per_line_must_fit(tmp_path: Path) -> None:
-    path = save(tmp_path, np.ones(13, np.float32))
-    found = refused(path, config(points_per_line=4))
-    assert "13 ranges are 3 lines of 4 and 1 more, expected whole lines; check input.points_per_line" in found
-    found = refused(save(tmp_path, image()), config(points_per_line=7))
-    assert "found 5 points per line, expected 7 as input.points_per_line says" in found
 
 
 @pytest.mark.parametrize(
@@ -403,11 +311,6 @@ def test_compression_that_numpy_does_not_write(tmp_path: Path, method: int) -> N
     with zipfile.ZipFile(tmp_path / "scan.npz", "w", method) as archive:
         archive.writestr("range_m.npy", content.getvalue())
     assert "range_m: found compression method" in refused(tmp_path / "scan.npz")
-
-
-def test_an_absent_file(tmp_path: Path) -> None:
-    assert "cannot be read (No such file" in refused(tmp_path / "absent.npy")
-    assert "cannot be read (No such file" in refused(tmp_path / "absent.npz")
 
 
 @pytest.mark.data

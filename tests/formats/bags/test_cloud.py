@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
-from prc_cli.formats.bags.cloud import find_columns
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets.read import PacketStream
@@ -97,44 +95,6 @@ def test_rings_from_above_are_turned_and_staggered_columns_are_brought_together(
     for ring in range(8):
         shift = 3 * (ring % 2)
         np.testing.assert_allclose(block.range_m[shift : shift + 300, ring], wanted[:, ring], rtol=1e-5)
-
-
-def test_two_points_of_a_cell_are_returns(tmp_path: Path) -> None:
-    shots = drive()
-    has = np.flatnonzero(np.isfinite(shots["range"]))[::50]
-    twice = {name: np.concatenate([values, values[has]]) for name, values in shots.items()}
-    twice["xyz"][-len(has) :] *= 2
-    twice["range"][-len(has) :] *= 2
-    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")])
-    path = made.write_bag(tmp_path / "a.bag", messages(twice, dtype, version=1))
-    first, last = (read(path, **{"return": rule}) for rule in ("first", "last"))
-    assert len(first.extra) == len(last.extra) == len(has)
-    np.testing.assert_allclose(last.range_m.ravel()[has], 2 * first.range_m.ravel()[has], rtol=1e-5)
-    assert first.tally.n_records == np.isfinite(shots["range"]).sum() + len(has)
-
-
-def test_clouds_without_ring_or_time_are_refused_with_their_fields(tmp_path: Path) -> None:
-    table = np.zeros(9, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<f4")]))
-    path = made.write_mcap(
-        tmp_path / "a.mcap", [made.Sent("/cloud", KIND, made.START_NS, made.cloud(2, made.START_NS, table))]
-    )
-    with pytest.raises(InputError, match=r"no topic with scans.*/cloud \(sensor_msgs/PointCloud2\)"):
-        BagStream(path, InputConfig())
-    with pytest.raises(InputError, match=r"has points without ring, time \(fields: x, y, z, rgb\)"):
-        BagStream(path, InputConfig(topic="/cloud"))
-    with pytest.raises(ConfigError, match="found '/x'"):
-        BagStream(path, InputConfig(topic="/x"))
-
-
-def test_periods_are_found_between_gaps() -> None:
-    rng = np.random.default_rng(1)
-    column = np.flatnonzero(rng.random(2000) < 0.5)
-    ring = np.repeat(np.arange(3), len(column))
-    time_s = 7.0 + np.tile(column, 3) * 5.5296e-5 + np.repeat([0, 1e-5, 2e-5], len(column))
-    found = find_columns(ring, time_s + rng.normal(0, 1e-7, len(time_s)))
-    assert found is not None
-    np.testing.assert_array_equal(found.column, np.tile(column, 3) - column[0])
-    assert found.period_s == pytest.approx(5.5296e-5, rel=1e-5)
 
 
 @pytest.mark.data

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from prc_cli.cli import cli
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.errors import OutputError
 from prc_cli.core.files import remove_stale, temporary_name
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import U8
@@ -25,7 +25,6 @@ from prc_cli.formats.bags.labels import CloudCodec
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
-from prc_cli.jobs.classify import classify
 from tests.formats import common
 from tests.formats.bags import recordings as made
 from tests.formats.bags.test_cloud import drive, messages
@@ -174,17 +173,6 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
     assert found.fields == message.fields
 
 
-def test_a_named_topic_alone_is_labelled_and_again(tmp_path: Path) -> None:
-    source = recorded(tmp_path, "mixed", ".mcap")
-    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
-    codes = write(source, first, topic="/a")
-    np.testing.assert_array_equal(read_codes(first), codes)
-    assert "/b/labels" not in by_topic(first)
-    again = write(first, second, seed=2, topic="/a")
-    np.testing.assert_array_equal(read_codes(second), again)
-    assert len(by_topic(second)["/a/labels"]) == made.N_LINES
-
-
 def test_a_packed_database_and_one_beside_another_bag(tmp_path: Path) -> None:
     source = recorded(tmp_path, "lasers", ".db3", packed=True)
     codes = write(source, tmp_path / "beside.db3")
@@ -201,18 +189,6 @@ def test_a_packed_database_and_one_beside_another_bag(tmp_path: Path) -> None:
     with common.writer(folder / "own.db3", source, overwrite=True):
         pass
     assert scan_file(folder) == folder / "own.db3"
-
-
-@pytest.mark.parametrize(
-    ("output", "changes", "told"),
-    [("a.mcap", {}, "found in.bag, expected a .mcap"), ("a.bag", {"is_part": True}, "not a window of them")],
-)
-def test_what_cannot_be_written_is_refused(tmp_path: Path, output: str, changes: dict[str, Any], told: str) -> None:
-    source = recorded(tmp_path, "lasers", ".bag")
-    with pytest.raises(OutputError, match=told):
-        common.writer(tmp_path / output, source, **changes)
-    with pytest.raises(InputError, match="no laser scans with /labels beside them"):
-        read_codes(source)
 
 
 @pytest.mark.parametrize("suffix", WRITE)
@@ -234,15 +210,6 @@ def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
     (left / "a").mkdir(parents=True)
     remove_stale(tmp_path / "a.db3")
     assert not left.exists()
-
-
-@pytest.mark.data
-def test_packets_are_refused(tmp_path: Path, real_data: Path) -> None:
-    with pytest.raises(
-        OutputError, match="holds packets, which have no place for classes; write the labels alone: .npy"
-    ):
-        classify(real_data / "ros" / "nebula_vlp16", tmp_path / "a.db3")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.data

@@ -10,7 +10,7 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.formats import open_source
-from prc_cli.formats.options import InputConfig, Layout, LayoutField
+from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.raw_binary import read as raw
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.open import open_input
@@ -50,28 +50,6 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
     found = read(source, ("time", "angle", "range", "ring"))
     for name, own in (("time", "GPS_time"), ("angle", "theta"), ("range", "range"), ("ring", "ring")):
         np.testing.assert_array_equal(found[name], made[own])
-
-
-def test_plyfile_reads_the_same(tmp_path: Path) -> None:
-    plyfile = pytest.importorskip("plyfile")
-    path = tmp_path / "a.ply"
-    path.write_bytes(ply(columns(), "binary_big_endian"))
-    vertex = plyfile.PlyData.read(str(path))["vertex"]
-    found = read(opened(path), ("time", "angle", "range"))
-    for name, own in (("time", "GPS_time"), ("angle", "theta"), ("range", "range")):
-        np.testing.assert_array_equal(found[name], np.asarray(vertex[own]))
-
-
-def test_a_layout_names_any_property(tmp_path: Path) -> None:
-    path = tmp_path / "a.ply"
-    path.write_bytes(ply({"dist_cm": np.array([150, 65535], "u2"), "az": np.array([100.0, 200.0])}))
-    fields = (
-        LayoutField(name="range", source="dist_cm", unit="cm", missing=65535),
-        LayoutField(name="angle", source="az", unit="gon"),
-    )
-    found = read(opened(path, Layout(fields=fields)), ("range", "angle"))
-    np.testing.assert_allclose(found["range"], [1.5, np.nan])
-    np.testing.assert_allclose(found["angle"], [np.pi / 2, np.pi])
 
 
 def test_other_elements_and_lists_behind_the_points_are_passed_over(tmp_path: Path) -> None:

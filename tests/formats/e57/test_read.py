@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import struct
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.errors import PrcError
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read
 from prc_cli.formats.organised.e57_read import E57Stream
-from prc_cli.jobs.classify import classify
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
     Array,
@@ -173,19 +171,6 @@ def test_spherical_points(tmp_path: Path) -> None:
     np.testing.assert_allclose(block.xyz_m, xyz, atol=1e-5)  # type: ignore[arg-type]
 
 
-def test_scaled_coordinates_and_intensity_limits(tmp_path: Path) -> None:
-    points = grid_points(6, 5)
-    fields = e57_fields(points)
-    fields["intensity"] = fields["intensity"] * 40 - 20
-    scan = Scan(fields, scaled=dict.fromkeys(("cartesianX", "cartesianY", "cartesianZ"), 1e-4), limits=(-20.0, 20.0))
-    stream = E57Stream(write_e57(tmp_path / "a.e57", [scan]), AUTO)
-    (block,) = scans_of(stream)
-    np.testing.assert_allclose(block.range_m, expected(points)[0], atol=2e-4)
-    full = np.where(np.isnan(expected(points)[0]), np.nan, points[..., 3] * 65535)
-    np.testing.assert_allclose(block.intensity, full, atol=0.02)  # type: ignore[arg-type]
-    assert any("0 to 65535" in item.value for item in stream.info.assumptions)
-
-
 @pytest.mark.parametrize(("rule", "chosen"), [("first", 1), ("last", 2), ("strongest", 0)])
 def test_several_points_of_a_cell_are_returns_of_a_shot(tmp_path: Path, rule: Any, chosen: int) -> None:
     fields = {
@@ -206,16 +191,6 @@ def test_several_points_of_a_cell_are_returns_of_a_shot(tmp_path: Path, rule: An
     del fields["returnIndex"]
     (block,) = scans_of(E57Stream(write_e57(tmp_path / "b.e57", [Scan(fields)]), AUTO))
     assert (block.tally.n_extra_returns, block.tally.n_collisions) == (0, 2)
-
-
-def test_scans_without_points_are_left_out_and_told(tmp_path: Path) -> None:
-    empty = Scan(reordered(e57_fields(grid_points(2, 2)), np.arange(0)))
-    stream = E57Stream(write_e57(tmp_path / "a.e57", [empty, Scan(e57_fields(grid_points(3, 3)))]), AUTO)
-    (block,) = scans_of(stream)
-    assert block.scanner == 1
-    assert "left out: 0" in stream.info.facts.notes[0]
-    assert "1 scan without points" in refused(write_e57(tmp_path / "b.e57", [empty]))
-    assert "found no scans" in refused(write_e57(tmp_path / "c.e57", []))
 
 
 def without(*names: str, **other: Array) -> dict[str, Array]:
@@ -306,77 +281,6 @@ def test_frames_that_are_damaged(tmp_path: Path, raw: bytes) -> None:
         assert part in refused(put(tmp_path, data))
 
 
-def sparse(rows: list[int], columns: list[int], **other: Any) -> Scan:
-    """Return a scan of a few points in given cells."""
-    n = len(rows)
-    place = {name: np.arange(1.0, n + 1) for name in ("cartesianX", "cartesianY", "cartesianZ")}
-    return Scan({**place, "rowIndex": np.array(rows), "columnIndex": np.array(columns)}, **other)
-
-
-def test_a_scan_may_have_a_thousand_cells_a_point_and_ten_million_more(tmp_path: Path) -> None:
-    path = tmp_path / "a.e57"
-    E57Stream(write_e57(path, [sparse([0, 999], [0, 10_001])]), AUTO)
-    assert "found 2 points in 10003 columns x 1000 rows, expected a denser scan" in refused(
-        write_e57(path, [sparse([0, 999], [0, 10_002])])
-    )
-    # all scans of a file share the ten million
-    half = sparse([0, 999], [0, 5_001])
-    E57Stream(write_e57(path, [half, half]), AUTO)
-    assert "scan 1: found 2 points in 5003 columns" in refused(write_e57(path, [half, sparse([0, 999], [0, 5_002])]))
-
-
-def test_bounds_of_the_header_hold_if_they_have_at_most_a_thousand_cells_a_point(tmp_path: Path) -> None:
-    for last, n_lines in ((999, 1000), (1000, 2)):
-        stream = E57Stream(write_e57(tmp_path / "a.e57", [sparse([1, 1], [3, 4], bounds=(0, 1, 0, last))]), AUTO)
-        (block,) = scans_of(stream)
-        assert block.range_m.shape == (n_lines, 2 if n_lines == 1000 else 1)
-        assert bool(stream.info.facts.notes) is (n_lines == 2)
-
-
-def test_bounds_that_leave_nothing_out_are_no_note(tmp_path: Path) -> None:
-    points = grid_points(5, 4, missing=0)
-    stream = E57Stream(write_e57(tmp_path / "a.e57", [Scan(e57_fields(points, 2, 1), bounds=(2, 5, 1, 5))]), AUTO)
-    assert stream.info.facts.notes == ()
-
-
-@pytest.mark.parametrize(("n", "is_read"), [(64, True), (65, False)])
-def test_a_line_may_hold_sixty_four_points_a_cell(tmp_path: Path, n: int, is_read: bool) -> None:
-    path = write_e57(tmp_path / "a.e57", [sparse([0] * n + [0], [0] * n + [1])])
-    if is_read:
-        assert scans_of(E57Stream(path, AUTO))[0].range_m.shape == (2, 1)
-    else:
-        assert "found 65 points in column 0, which has 1 rows" in refused(path)
-
-
-@pytest.mark.parametrize("length", [0.89, 0.91, 1.09, 1.11])
-def test_rotations_may_be_a_tenth_off_the_length_of_one(tmp_path: Path, length: float) -> None:
-    turn = length * np.array([0.6, -0.3, 0.5, np.sqrt(0.3)])
-    points = grid_points(3, 4, missing=0)
-    path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(points), rotation=tuple(turn))])
-    if 0.9 < length < 1.1:
-        (block,) = scans_of(E57Stream(path, AUTO))
-        assert block.xyz_m is not None
-        w, *axis = turn / length
-        once, twice = np.cross(axis, points[..., :3]), np.cross(axis, np.cross(axis, points[..., :3]))
-        np.testing.assert_allclose(block.xyz_m, points[..., :3] + 2 * (w * once + twice), atol=1e-4)
-    else:
-        assert "expected a quaternion of length 1" in refused(path)
-
-
-def test_indices_that_float64_does_not_tell_apart_are_refused(tmp_path: Path) -> None:
-    far = 2**52
-    stream = E57Stream(write_e57(tmp_path / "a.e57", [sparse([far - 1, far - 2], [0, 0])]), AUTO)
-    assert scans_of(stream)[0].range_m.shape == (1, 2)
-    for row in (far, -far):
-        assert "expected whole numbers" in refused(write_e57(tmp_path / "b.e57", [sparse([row, 0], [0, 0])]))
-
-
-def test_pye57_that_is_not_installed_is_named(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pye57", None)
-    message = refused(put(tmp_path, raw))
-    assert message == "a.e57: reading E57 needs pye57, which is not installed; pip install prc-cli[e57]"
-
-
 def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> None:
     path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(grid_points(5, 4, missing=0)))])
     stream = E57Stream(path, AUTO)
@@ -384,43 +288,6 @@ def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> Non
         write_e57(path, [Scan(e57_fields(other))])
         with pytest.raises(PrcError):
             scans_of(stream)
-
-
-def test_a_temporary_file_that_cannot_be_made_is_told(
-    tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(**_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("tempfile.TemporaryFile", full)
-    assert "No space left" in refused(put(tmp_path, raw))
-
-
-def test_rules_of_record_lists_are_refused(tmp_path: Path, raw: bytes) -> None:
-    path = put(tmp_path, raw)
-    with pytest.raises(ConfigError, match="organised scans"):
-        E57Stream(path, InputConfig(lines="angle-wrap"))
-    assert "expected 7 as" in refused(path, InputConfig(points_per_line=7))
-
-
-def test_las_and_labels_out(tmp_path: Path) -> None:
-    import laspy
-
-    points = grid_points(20, 15)
-    fields = reordered(e57_fields(points, keep_missing=True), np.random.default_rng(1).permutation(300))
-    path = write_e57(tmp_path / "a.e57", [Scan(fields), Scan(e57_fields(grid_points(4, 30, 3)))])
-    classify(path, tmp_path / "a.las")
-    cloud = laspy.read(tmp_path / "a.las")
-    there = expected(points)[0]
-    own = np.asarray(cloud.point_source_id) == 0
-    assert own.sum() == np.isfinite(there).sum()
-    at = np.asarray(cloud["scan_line"])[own], np.asarray(cloud["column"])[own]
-    np.testing.assert_allclose(cloud.xyz[own], points[at][:, :3], atol=0.0006)
-    classify(path, tmp_path / "a.npy")
-    labels = np.load(tmp_path / "a.npy")
-    assert len(labels) == 300 + len(e57_fields(grid_points(4, 30, 3))["rowIndex"])
-    missing = np.isnan(there[fields["columnIndex"], fields["rowIndex"]])
-    assert np.array_equal(labels[:300] == 0, missing)
 
 
 @pytest.mark.data

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +11,10 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, ScanBlock, StreamInfo
-from prc_cli.formats.organised import e57_write as stream_e57
 from prc_cli.formats.writing import open_stream_writer
 from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.record import Fingerprint, RunRecord
 from prc_cli.jobs.classify import open_stream
-from prc_cli.jobs.convert import convert
-from tests.formats.organised_files import grid_points, ptx_scan, write_text
 
 M = 40
 
@@ -76,32 +72,6 @@ def test_ranges_and_intensities_come_back_bit_for_bit(tmp_path: Path, further: b
     assert np.nanmax(np.abs(after.xyz_m[..., 2] - height)) < 1e-4
 
 
-def test_pieces_do_not_matter_and_the_same_run_gives_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    blocks = [block(first, 2, further=True) for first in (0, 6, 12)]
-    found = []
-    for folder, points in (("a", 1 << 17), ("b", 1 << 17), ("c", 7)):
-        monkeypatch.setattr(stream_e57, "POINTS_AT_ONCE", points)
-        (tmp_path / folder).mkdir()
-        write(tmp_path / folder / "a.e57", blocks, returns=True)
-        found.append(tmp_path / folder / "a.e57")
-    assert found[0].read_bytes() == found[1].read_bytes()
-    whole, cut = (join(list(open_stream(path).blocks())) for path in found[1:])
-    assert same(whole.range_m, cut.range_m)
-    assert same(whole.extra.range_m, cut.extra.range_m)
-
-
-def test_missing_shots_of_the_last_lines_and_columns_stay_cells(tmp_path: Path) -> None:
-    gone = block(0, 3)
-    gone.range_m[-2:] = np.nan
-    gone.range_m[:, -3:] = np.nan
-    write(tmp_path / "a.e57", [gone])
-    stream = open_stream(tmp_path / "a.e57")
-    assert (stream.info.n_lines, stream.info.points_per_line, stream.info.n_records) == (6, M, 6 * M)
-    assert same(join(list(stream.blocks())).range_m, gone.range_m)
-
-
 def test_scanners_are_scans_and_their_numbers_a_loss(tmp_path: Path) -> None:
     blocks = [block(0, 4, scanner=3), block(6, 4, scanner=3), block(0, 5, scanner=9)]
     losses = write(tmp_path / "a.e57", blocks)
@@ -117,36 +87,3 @@ def test_a_failed_run_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="scanner 3 comes again after another"):
         write(tmp_path / "a.e57", blocks)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_the_library_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pye57", None)
-    with pytest.raises(
-        OutputError, match=r"writing E57 needs pye57, which is not installed; pip install prc-cli\[e57\]"
-    ):
-        write(tmp_path / "a.e57", [block(0, 1)])
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_convert_from_ptx_keeps_every_cell(tmp_path: Path) -> None:
-    source = write_text(tmp_path / "a.ptx", ptx_scan(grid_points(9, 7)) + ptx_scan(grid_points(5, 4, seed=2)))
-    summary = convert(source, tmp_path / "a.e57")
-    before, after = (list(open_stream(path).blocks()) for path in (source, summary.output))
-    for one, other in zip(before, after, strict=True):
-        assert one.scanner == other.scanner
-        assert same(one.range_m, other.range_m)
-        assert np.nanmax(np.abs(one.xyz_m - other.xyz_m)) < 1e-5  # type: ignore[operator]
-        assert np.nanmax(np.abs(one.intensity - other.intensity)) < 1e-2  # type: ignore[operator]
-
-
-def test_convert_says_that_classes_are_lost(tmp_path: Path) -> None:
-    ranges = np.full((3, 5), 2.0, np.float32)
-    np.savez(tmp_path / "a.npz", range_m=ranges, **{"class": np.arange(15).reshape(3, 5)})
-    assert "class codes" in convert(tmp_path / "a.npz", tmp_path / "a.e57").losses
-    kept = convert(tmp_path / "a.npz", tmp_path / "b.npz")
-    assert kept.losses == ()
-    with np.load(tmp_path / "b.npz") as arrays:
-        assert np.array_equal(arrays["class"].ravel(), np.arange(15))
-    convert(tmp_path / "a.npz", tmp_path / "c.laz")
-    convert(tmp_path / "c.laz", tmp_path / "d.bin")
-    assert 'name = "class", type = "i4"' in (tmp_path / "d.bin.toml").read_text()

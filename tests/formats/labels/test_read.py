@@ -51,18 +51,6 @@ def test_npy(tmp_path: Path, dtype: str, shape: tuple[int, ...], order: Any) -> 
     assert read(path) == CODES
 
 
-@pytest.mark.parametrize(
-    ("names", "asked"),
-    [(["other", "label"], None), (["label", "class"], "label"), (["whatever"], None), (["x", "Class", "label"], None)],
-)
-def test_npz(tmp_path: Path, names: list[str], asked: str | None) -> None:
-    path = tmp_path / "codes.npz"
-    wanted = asked or next((name for name in names if name.lower() in ("class", "label")), names[0])
-    arrays: dict[str, Any] = {name: CODES if name == wanted else [9] for name in names}
-    np.savez(path, **arrays)
-    assert read(path, asked) == CODES
-
-
 @pytest.mark.parametrize("packed", ["", ".gz"])
 @pytest.mark.parametrize(
     ("header", "asked"),
@@ -74,19 +62,6 @@ def test_text(tmp_path: Path, header: str, asked: str | None, packed: str) -> No
     content = f"{header}\n{rows}".encode()
     path.write_bytes(gzip.compress(content, mtime=0) if packed else content)
     assert read(path, asked) == CODES
-
-
-@pytest.mark.parametrize("header", ["", "mine\n"])
-def test_text_of_a_single_column(tmp_path: Path, header: str) -> None:
-    path = tmp_path / "codes.txt"
-    path.write_text(header + "".join(f"{code}\n" for code in CODES))
-    assert read(path) == CODES
-
-
-def test_an_empty_cell_is_no_code(tmp_path: Path) -> None:
-    path = tmp_path / "codes.csv"
-    path.write_text("record,label\n0,2\n1,\n2,7.0\n")
-    assert read(path) == [2, -1, 7]
 
 
 @pytest.mark.parametrize("kind", [pa.uint8(), pa.int64(), pa.uint64(), pa.float32()])
@@ -139,46 +114,6 @@ def test_the_record_of_a_wrong_code_is_counted_over_chunks(tmp_path: Path, monke
     assert "record 6: found the class code 7.5" in refused(path)
 
 
-def test_text_that_holds_no_codes(tmp_path: Path) -> None:
-    path = tmp_path / "codes.csv"
-    path.write_text("record,class\n0,2\n1,2.5\n")
-    assert "record 1: found the class code 2.5, expected a whole number" in refused(path)
-    path.write_text("record,class\n0,2\n1,ground\n")
-    assert "line 3: column 'class': found 'ground', expected a number" in refused(path)
-    path.write_text("record,x\n0,2\n")
-    assert "none of class, label, classification, class_code in the file, which has: x, record" in refused(path)
-    assert "no dimension 'mine' in the file; it has: x, record" in refused(path, "mine")
-
-
-def test_parquet_that_holds_no_codes(tmp_path: Path) -> None:
-    path = write_parquet(tmp_path / "codes.parquet", name=["a"])
-    assert "column 'name' holds string, expected class codes, whole numbers" in refused(path)
-    write_parquet(path, label=pa.array([], pa.int8()))
-    assert "no rows, expected a class code a record" in refused(path)
-    write_parquet(path, label=pa.array([1.0, float("nan")]))
-    assert "record 1: found the class code nan" in refused(path)
-    write_parquet(path, label=range(100_000))
-    raw = path.read_bytes()
-    path.write_bytes(raw[: len(raw) // 2])
-    assert "no whole Parquet file (" in refused(path)
-    path.write_bytes(raw[:1000] + bytes(5000) + raw[6000:])
-    assert "codes.parquet: " in refused(path)
-
-
-def test_names_that_lead_nowhere(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"unknown suffix '.shp', expected one of: "):
-        open_codes(tmp_path / "codes.shp")
-    with pytest.raises(InputError, match="no such file, expected class codes"):
-        open_codes(tmp_path / "codes.npy")
-    np.save(tmp_path / "codes.npy", CODES)
-    with pytest.raises(ConfigError, match="no dimension 'label' in a .npy file; leave it out"):
-        open_codes(tmp_path / "codes.npy", "label")
-    np.savez(tmp_path / "codes.npz", a=CODES, b=CODES)
-    assert "none of class, label, classification, class_code in the file, which has: a, b" in refused(
-        tmp_path / "codes.npz"
-    )
-
-
 @pytest.mark.data
 def test_real_labels(real_data: Path) -> None:
     codes = read(real_data / "oakland" / "oakland_1.csv.gz")
@@ -207,12 +142,3 @@ def test_semantic_kitti_labels(tmp_path: Path) -> None:
     assert refused(path) == "000000.label: found 15 bytes, expected 4 a record; copy it from the archive again"
     path.write_bytes(b"")
     assert "found 0 bytes" in refused(path)
-
-
-def test_semantic_kitti_labels_cut_while_read(tmp_path: Path) -> None:
-    path = tmp_path / "000000.label"
-    np.zeros(100, "<u4").tofile(path)
-    source = open_codes(path)
-    np.zeros(60, "<u4").tofile(path)
-    with pytest.raises(InputError, match="the file ends 40 records early"):
-        list(source.chunks())

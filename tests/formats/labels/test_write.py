@@ -58,20 +58,6 @@ def test_one_entry_a_record_in_record_order(
     )
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_dense_input_has_an_entry_for_missing_shots(tmp_path: Path, suffix: str) -> None:
-    labels = random_labels(200, (Label.MISSING, Label.GROUND)).reshape(10, 20)
-    path = tmp_path / f"labels{suffix}"
-    write(path, SOURCE, [labelled(labels[:4]), labelled(labels[4:], first_line=4)])
-    assert np.array_equal(read(path), np.where(labels.ravel() == Label.MISSING, 0, 2))
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_empty(tmp_path: Path, suffix: str) -> None:
-    write(tmp_path / f"labels{suffix}", SOURCE, [])
-    assert len(read(tmp_path / f"labels{suffix}")) == 0
-
-
 def test_names_and_segments(tmp_path: Path) -> None:
     labels = np.array([3, 6, 0, 2], np.uint8)
     options = OutputConfig(segment_ids=True)
@@ -84,12 +70,6 @@ def test_names_and_segments(tmp_path: Path) -> None:
     table = pq.read_table(tmp_path / "a.parquet").to_pydict()
     assert table["name"] == ["ground", "stem", "missing", "noise"]
     assert table["segment"] == [8, 9, 0, 4_000_000_000]
-
-
-def test_npy_tells_that_it_holds_no_segments(tmp_path: Path) -> None:
-    record = write(tmp_path / "a.npy", SOURCE, [], options=OutputConfig(segment_ids=True, range=True))
-    assert len(record.notices) == 2
-    assert "segment ids need .csv" in record.notices[0]
 
 
 def test_extra_returns_get_their_own_label(tmp_path: Path) -> None:
@@ -106,19 +86,6 @@ def test_extra_returns_get_their_own_label(tmp_path: Path) -> None:
     assert np.load(tmp_path / "a.npy").tolist() == [2, 6, 7, 5]
 
 
-def test_cells_that_pad_the_last_line_have_no_entry(tmp_path: Path) -> None:
-    labels = np.array([[3, 3, 3, 3], [3, 0, 0, 0]], np.uint8)
-    write(tmp_path / "a.npy", SOURCE, [labelled(labels)], n_records=5)
-    write(tmp_path / "b.npy", SOURCE, [labelled(labels)], run_record(n_records=5))
-    for name in ("a.npy", "b.npy"):
-        assert np.load(tmp_path / name).tolist() == [2] * 5
-
-
-def test_records_that_the_reader_counted_but_nobody_labelled(tmp_path: Path) -> None:
-    write(tmp_path / "a.npy", SOURCE, [labelled(np.full((1, 3), 3, np.uint8))], run_record(n_records=6))
-    assert np.load(tmp_path / "a.npy").tolist() == [2, 2, 2, 1, 1, 1]
-
-
 def test_more_labels_than_records(tmp_path: Path) -> None:
     block = labelled(np.full((1, 8), 3, np.uint8))
     with pytest.raises(OutputError, match="found labels for 8 records, expected 5"):
@@ -126,11 +93,6 @@ def test_more_labels_than_records(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="found a label for record 7, expected records below 5"):
         write(tmp_path / "a.npy", SOURCE, [block], n_records=5)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_label_that_does_not_exist(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="found label 99, expected 0 to 11"):
-        write(tmp_path / "a.npy", SOURCE, [labelled(np.full((1, 8), 99, np.uint8))])
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

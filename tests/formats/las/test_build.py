@@ -20,7 +20,6 @@ from tests.formats.common import (
     FOREST,
     labelled,
     random_labels,
-    run_record,
     write,
 )
 
@@ -84,16 +83,6 @@ def test_header_counts_bounds_and_record(tmp_path: Path, suffix: str) -> None:
     assert json.loads(las.evlrs[0].record_data) == beside
 
 
-def test_columns_are_spread_over_a_turn_where_no_angle_is_known(tmp_path: Path) -> None:
-    blocks, ranges, _ = stream()
-    record = write(tmp_path / "a.las", SOURCE, blocks)
-    las = laspy.read(tmp_path / "a.las")
-    line, column = np.nonzero(~np.isnan(ranges))
-    assert np.allclose(las.x, ranges[line, column] * np.cos(2 * np.pi * column / M), atol=0.00051)
-    assert not np.any(las.scan_angle)
-    assert any(f"{M} columns spread evenly over a full turn" in text for text in record.notices)
-
-
 def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     xyz = rng.normal(0, 50, (LINES, M, 3)).astype(np.float32)
@@ -111,13 +100,6 @@ def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     n_first = np.count_nonzero(at[0] == 0)
     assert f"{n_first} records have no time; their gps_time is 0" in record.notices
     assert any("intensities lie outside 0 to 65535 and were clipped" in text for text in record.notices)
-
-
-def test_segment_ids(tmp_path: Path) -> None:
-    segments = np.arange(LINES * M).reshape(LINES, M) + 3_000_000_000
-    blocks, ranges, _ = stream(segments=segments)
-    write(tmp_path / "a.laz", SOURCE, blocks, options=OutputConfig(segment_ids=True))
-    assert np.array_equal(laspy.read(tmp_path / "a.laz")["segment_id"], segments[~np.isnan(ranges)])
 
 
 def test_further_returns_stand_with_their_shot_by_range(tmp_path: Path) -> None:
@@ -154,15 +136,6 @@ def test_bytes_do_not_depend_on_blocks_or_batches(tmp_path: Path, suffix: str, m
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-@pytest.mark.parametrize("blocks", [[], [labelled(np.zeros((3, 5), np.uint8))]])
-def test_no_returns(tmp_path: Path, suffix: str, blocks: list[LabelledBlock]) -> None:
-    write(tmp_path / f"a{suffix}", SOURCE, blocks)
-    las = laspy.read(tmp_path / f"a{suffix}")
-    assert len(las) == 0
-    assert np.all(las.header.maxs == 0)
-
-
 @pytest.mark.parametrize(
     ("ranges", "fields", "told"),
     [
@@ -180,26 +153,6 @@ def test_what_las_cannot_hold_is_refused(tmp_path: Path, ranges: np.ndarray, fie
     with pytest.raises(OutputError, match=told):
         write(tmp_path / "a.las", SOURCE, [block])
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_long_record_fits_the_built_file(tmp_path: Path) -> None:
-    write(tmp_path / "a.laz", SOURCE, [], run_record(config={"key": "x" * 70_000}))
-    assert len(laspy.read(tmp_path / "a.laz").evlrs[0].record_data) > 70_000
-
-
-def test_a_built_file_can_be_classified_again(tmp_path: Path) -> None:
-    from tests.formats.common import record_blocks
-
-    blocks, _, _ = stream()
-    write(tmp_path / "a.laz", SOURCE, blocks)
-    n = laspy.read(tmp_path / "a.laz").header.point_count
-    labels = random_labels(n)
-    write(tmp_path / "b.laz", tmp_path / "a.laz", record_blocks(labels))
-    las = laspy.read(tmp_path / "b.laz")
-    assert np.array_equal(las.classification, ClassCodes().lookup()[labels])
-    assert las.evlrs in (None, [])
-    assert [item.record_id for item in las.vlrs if item.user_id == "prc-cli"] == [1]
-    assert las["range"].tobytes() == laspy.read(tmp_path / "a.laz")["range"].tobytes()
 
 
 def test_laspy_is_loaded_for_las_files_alone() -> None:

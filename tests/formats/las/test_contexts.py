@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.formats.las import splice as laz_contexts
 from prc_cli.formats.las.splice import LazContexts, contexts_of, records_of
 
 
@@ -31,20 +30,3 @@ def test_pieces_may_be_cut_anywhere(n: int) -> None:
     taken = list(kept.take(n))
     assert np.array_equal(np.concatenate(taken), np.concatenate(parts))
     assert all(len(piece) == n for piece in taken[:-1])
-
-
-def test_what_does_not_follow_is_ignored() -> None:
-    kept = LazContexts()
-    kept.see(3, np.zeros(2, np.uint8))
-    kept.see(0, np.zeros(2, np.uint8))
-    kept.see(1, np.zeros(2, np.uint8))
-    assert kept.n_seen == 2
-
-
-def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(laz_contexts, "KEPT_BYTES", 20)
-    kept = LazContexts()
-    kept.see(0, np.arange(20, dtype=np.uint8) % 8)
-    kept.see(20, np.full(1000, 4, np.uint8))
-    kept.see(1020, np.arange(4, dtype=np.uint8))
-    assert kept.n_seen == 1020

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from prc_cli.formats.las.header import read_header
-from tests.cli.test_commands import Prc
 from tests.formats.las.copc_files import make_copc
 from tests.formats.las.test_rewrite import random_labels, record_blocks, write
 
@@ -80,13 +79,3 @@ def test_an_index_that_lies_is_left_out(tmp_path: Path) -> None:
         assert len(laspy.read(str(output))) == n
         output.unlink()
         output.with_name("out.laz.prc.json").unlink()
-
-
-def test_the_order_of_the_octree_is_to_be_sorted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source, output = tmp_path / "in.copc.laz", tmp_path / "out.copc.laz"
-    make_copc(source)
-    options = ["--preset", "urban", "--lines", "fixed", "-M", "30", "--columns", "order", "--range", "origin:8,8,20"]
-    told = Prc(capsys)("classify", source, output, *options)
-    assert told.err.endswith("COPC files lie in the order of their octree: sort with --sort-by-time\n")
-    assert Prc(capsys)("classify", source, output, *options, "--sort-by-time").code in (0, 4)
-    assert nodes(output) == nodes(source)

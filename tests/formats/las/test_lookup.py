@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from laspy.vlrs.known import ClassificationLookupVlr
 
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock
-from prc_cli.formats.las.header import read_header
-from prc_cli.formats.las.rewrite import LasRecoder
-from prc_cli.formats.las.vlrs import LOOKUP_KEY, names_of_file, with_lookup
-from tests.formats.common import labelled, run_record, write
+from prc_cli.formats.las.vlrs import names_of_file
+from tests.formats.common import labelled, write
 from tests.formats.las.lasbytes import make_las, parse
 
 N = 300
@@ -85,35 +83,3 @@ def test_another_name_gives_way_and_is_told(tmp_path: Path) -> None:
     record = write(tmp_path / "out.las", source, stems(), user_names=NAMES)
     assert entries(tmp_path / "out.las") == NAMES
     assert "class 64 was named 'Rail' in the input; its name is now 'stem'" in record.notices
-
-
-def test_damaged_names_are_left_alone(tmp_path: Path) -> None:
-    source = named(tmp_path / "in.las", bytes(17))
-    record = write(tmp_path / "out.las", source, stems(), user_names=NAMES)
-    assert "17 bytes" in " ".join(record.notices)
-    vlrs = parse(tmp_path / "out.las").vlrs
-    assert sum(vlr[18:20] == b"\0\0" and b"LASF_Spec" in vlr[:20] for vlr in vlrs) == 1
-
-
-def test_a_full_record_is_left_alone(tmp_path: Path) -> None:
-    data = b"".join(struct.pack("<B15s", 70, b"x") for _ in range(4095))
-    las = read_header(named(tmp_path / "in.las", data))
-    vlrs, notices = with_lookup(las, list(las.vlrs), NAMES)
-    assert vlrs == list(las.vlrs)
-    assert notices
-    assert any(vlr.has(LOOKUP_KEY) for vlr in vlrs)
-
-
-def test_names_are_cut_to_their_place() -> None:
-    names = ClassCodes(stem=200, car=200, curb=200, vertical=200).user_names()
-    assert names[200] == "stem/car/curb/vertical"
-
-
-def test_a_recoder_names_what_it_is_told(tmp_path: Path) -> None:
-    make_las(tmp_path / "in.las", 6)
-    n = read_header(tmp_path / "in.las").n_records
-    with LasRecoder(tmp_path / "out.las", tmp_path / "in.las") as writer:
-        writer.put(np.arange(n), np.full(n, 64, np.uint8))
-        writer.name_classes({64: "stem"})
-        writer.finish(run_record())
-    assert entries(tmp_path / "out.las") == {64: "stem"}

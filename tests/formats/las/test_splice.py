@@ -118,14 +118,6 @@ def test_damage_that_laspy_refuses_is_not_copied(tmp_path: Path, n_zeros: int) -
     assert 0 < n_refused < 40
 
 
-def test_a_class_that_does_not_change_leaves_no_layer(tmp_path: Path) -> None:
-    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
-    make_laz(source, 6, 100, 50)
-    write(output, source, record_blocks(np.full(100, 2, np.uint8)))
-    start, length = field(output.read_bytes(), 96, "I"), field(output.read_bytes(), 105, "H")
-    assert struct.unpack_from("<I", output.read_bytes(), start + 8 + length + 4 + 8) == (0,)
-
-
 def lie_about_records(data: bytearray, first: int, length: int) -> None:
     struct.pack_into("<I", data, first + length, 49)
 
@@ -165,13 +157,6 @@ def test_chunks_whose_heads_lie_are_left_to_the_decoder(
     data = bytearray(source.read_bytes())
     lie(data, chunks.chunks.table.first_byte[1], field(bytes(data), 105, "H"))
     source.write_bytes(data)
-    assert chunks_of(source) is None
-
-
-@pytest.mark.parametrize("form", [3, 9])
-def test_other_formats_are_compressed_again(tmp_path: Path, form: int) -> None:
-    source = tmp_path / "in.laz"
-    make_las(source, form, raw_points=True)
     assert chunks_of(source) is None
 
 

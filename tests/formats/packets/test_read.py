@@ -13,7 +13,7 @@ import velodyne_decoder
 
 from prc_cli.cli import cli
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets import columns as columns_module
@@ -55,14 +55,6 @@ def test_firing_columns_are_lines_and_rings_are_shots(tmp_path: Path) -> None:
     np.testing.assert_allclose(block.time_s[0, 8] - block.time_s[0, 0], 2.304e-6, atol=3e-7)
     assert stream.info.facts.notes == ()
     np.testing.assert_array_equal(block.records(), np.arange(480 * 16).reshape(480, 16))
-
-
-def test_a_clock_that_is_set_is_believed(tmp_path: Path) -> None:
-    behind_us = round((made.START_S % 3600 - 0.002) * 1e6)
-    packets = made.vlp16(start_us=behind_us)
-    _, block = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
-    assert block.time_s is not None
-    np.testing.assert_allclose(block.time_s[0, 0], made.START_S - 0.002, atol=2e-6)
 
 
 def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
@@ -128,35 +120,6 @@ def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
         read(tmp_path / "b.pcap", max_gap_lines=50)
 
 
-def test_blocks_do_not_depend_on_their_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    table, packets = made.ouster()
-    frames = made.framed(packets[:4] + packets[6:], 7502)
-    path = made.write_pcap(tmp_path / "a.pcap", frames)
-    path.with_suffix(".json").write_text(json.dumps(table))
-    _, whole = read(path)
-    monkeypatch.setattr("prc_cli.formats.packets.read.BATCH_SHOTS", 128)
-    monkeypatch.setattr(columns_module, "CHUNK_SHOTS", 40)
-    stream, parts = read(path)
-    same(whole, parts)
-    assert whole.n_lines == 242
-    assert "32 columns did not arrive" in stream.info.facts.notes[0]
-
-
-def test_two_returns(tmp_path: Path) -> None:
-    packets = [packet[:-2] + b"\x39\x22" for packet in made.vlp16()]
-    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, step_s=0.00066))
-    _, strongest = read(path, max_gap_lines=10**6)
-    _, last = read(path, max_gap_lines=10**6, **{"return": "last"})
-    has = np.isfinite(last.range_m)
-    pair = np.array([struct.unpack_from("<H", packets[0], 4 + 100 * r)[0] * 0.002 for r in range(2)])
-    assert last.range_m[0, 0] == pytest.approx(pair.max(), abs=1e-6)
-    assert len(strongest.extra) == len(last.extra) > 1000
-    own = last.range_m[last.extra.line, last.extra.column]
-    assert (own > last.extra.range_m).all()
-    assert last.tally.n_records == 20 * 384
-    assert has.any()
-
-
 @pytest.mark.parametrize(
     "profile", ["LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8", "RNG19_RFL8_SIG16_NIR16_DUAL"]
 )
@@ -197,30 +160,6 @@ def test_parts_of_a_turn_do_not_run_into_the_next(tmp_path: Path) -> None:
     assert not held[30:32, 0].any()
     assert not held[:2, 1].any()
     assert held[2:32, 1].all()
-
-
-def test_scanners_are_apart(tmp_path: Path) -> None:
-    frames = made.framed(made.vlp16(seed=1)) + made.framed(made.vlp16(seed=2), source=bytes([10, 0, 0, 6]))
-    path = made.write_pcap(tmp_path / "a.pcap", sorted(frames, key=lambda one: one[0]))
-    stream = PacketStream(path, InputConfig())
-    blocks = list(stream.blocks())
-    assert {block.scanner for block in blocks} == {0, 1}
-    records = np.concatenate([block.records().ravel() for block in blocks])
-    assert np.array_equal(np.sort(records), np.arange(2 * 480 * 16))
-    _, one = read(path, topic="10.0.0.6:2368")
-    np.testing.assert_array_equal(one.range_m, join([block for block in blocks if block.scanner == 0]).range_m)
-    with pytest.raises(ConfigError, match=r"found 'x', a.pcap has 10.0.0.6:2368, 10.0.0.7:2368"):
-        PacketStream(path, InputConfig(topic="x"))
-
-
-def test_a_cut_capture_is_read_up_to_there(tmp_path: Path) -> None:
-    frames = made.framed(made.vlp16())
-    for path in (made.write_pcap(tmp_path / "a.pcap", frames), made.write_pcapng(tmp_path / "a.pcapng", frames)):
-        path.write_bytes(path.read_bytes()[:-700])
-        stream, block = read(path)
-        assert block.n_lines == 19 * 24
-        assert "in the middle of" in stream.info.facts.notes[0]
-        assert stream.info.facts.notes[0].endswith("it was read up to there")
 
 
 def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.formats.options import RANGES_ONLY, Layout, LayoutField
 from prc_cli.formats.raw_binary.read import RawBinarySource
 
@@ -115,25 +115,3 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         list(chunks)
     assert "byte 24 (record 6): the file ends, expected 10 records as when opened" in str(caught.value)
-
-
-def test_an_unknown_dimension_names_the_known_ones(tmp_path: Path) -> None:
-    path = tmp_path / "wide.raw"
-    path.write_bytes(b"HEAD\n" + wide_records(2).tobytes())
-    with pytest.raises(ConfigError) as caught:
-        list(RawBinarySource(path, WIDE).chunks(("range", "scan_line")))
-    message = "no dimension 'scan_line' in the file; it has: range, column, angle, time, flags"
-    assert str(caught.value) == f"{path}: {message}"
-
-
-def test_an_absent_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read \\(No such file"):
-        RawBinarySource(tmp_path / "absent.bin", RANGES_ONLY)
-
-
-def test_describe_is_ready_for_json(tmp_path: Path) -> None:
-    path = tmp_path / "wide.raw"
-    path.write_bytes(b"HEAD\n" + wide_records(2).tobytes())
-    described = RawBinarySource(path, WIDE).describe()
-    assert described["records"] == 2
-    assert described["fields"]["range"] == ">u4"

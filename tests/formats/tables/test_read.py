@@ -42,20 +42,6 @@ def test_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> 
     np.testing.assert_array_equal(columns(path, "column")["column"], np.tile(np.arange(5), 9))
 
 
-def test_a_time_a_line_is_no_time_of_a_shot(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", range_m=np.ones((4, 6)), time_s=np.arange(4.0))
-    source = open_table(tmp_path / "a.npz")
-    assert source is not None
-    assert source.dimensions == ("range", "scan_line", "column")
-
-
-def test_lists_and_single_arrays(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", label=np.arange(6), gps_time=np.arange(6.0), xyz=np.arange(18.0).reshape(6, 3))
-    np.testing.assert_array_equal(columns(tmp_path / "a.npz", "y", "time")["y"], np.arange(1, 18, 3))
-    np.save(tmp_path / "b.npy", np.arange(12).reshape(3, 4))
-    np.testing.assert_array_equal(columns(tmp_path / "b.npy", "scan_line")["scan_line"], np.repeat(np.arange(3), 4))
-
-
 def test_parquet(tmp_path: Path) -> None:
     table = pa.table({"line": [1, 2], "name": ["a", "b"], "range_m": [1.5, None], "range": [7.0, 8.0]})
     parquet.write_table(table, tmp_path / "a.parquet")
@@ -93,10 +79,3 @@ def test_coordinate_systems() -> None:
     assert same_crs(UTM, "epsg:32635")
     assert not same_crs(UTM, "EPSG:3067")
     assert not same_crs(UTM, "a local system")
-
-
-def test_coordinate_systems_without_codes() -> None:
-    pyproj = pytest.importorskip("pyproj")
-    crs = pyproj.CRS.from_epsg(32635)
-    assert not same_crs("EPSG:32636", crs.to_wkt("WKT1_ESRI"))
-    assert same_crs(crs.to_wkt("WKT2_2019"), crs.to_wkt("WKT1_GDAL"))

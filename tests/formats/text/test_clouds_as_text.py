@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import ConfigError
 from prc_cli.formats import open_source
-from prc_cli.formats.options import Layout, LayoutField
+from prc_cli.formats.options import Layout
 
 
 def values(path: Path, text: str, layout: Layout | None = None) -> dict[str, list[float]]:
@@ -37,24 +36,6 @@ def test_decimal_commas_are_found(tmp_path: Path, text: str) -> None:
     assert values(tmp_path / "a.csv", text) == {"range": [1.5, -3.25], "z": [2, 4.5]}
 
 
-def test_a_decimal_comma_is_given(tmp_path: Path) -> None:
-    layout = Layout(delimiter=";", decimal=",")
-    assert values(tmp_path / "a.csv", "range;z\n1;2\n3,5;4\n", layout) == {"range": [1, 3.5], "z": [2, 4]}
-    with pytest.raises(ConfigError, match="for both"):
-        values(tmp_path / "a.csv", "1,2\n", Layout(delimiter=",", decimal=","))
-
-
-def test_commas_that_are_no_decimals(tmp_path: Path) -> None:
-    assert values(tmp_path / "a.csv", "range,z\n1,5\n2,6\n") == {"range": [1, 2], "z": [5, 6]}
-    assert values(tmp_path / "b.csv", "range, z\n1, 5\n2, 6\n") == {"range": [1, 2], "z": [5, 6]}
-
-
 def test_units_from_names(tmp_path: Path) -> None:
     found = values(tmp_path / "a.csv", "range [mm];angle_gon;time_ms;z (ft)\n1500;100;2000;10\n")
     assert found == {"range": [1.5], "angle": [round(np.pi / 2, 9)], "time": [2.0], "z": [3.048]}
-
-
-def test_units_from_a_layout(tmp_path: Path) -> None:
-    fields = (LayoutField(name="range", source=0, unit="cm"), LayoutField(name="angle", source=1, unit="gon"))
-    found = values(tmp_path / "a.txt", "150;200\n", Layout(delimiter=";", header=False, fields=fields))
-    assert found == {"range": [1.5], "angle": [round(np.pi, 9)]}

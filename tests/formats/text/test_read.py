@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.text import lines as text_lines
@@ -110,11 +110,6 @@ def test_columns_without_names_have_numbers_and_a_single_one_is_the_range(tmp_pa
     assert "taken as the range" in alone.notes[0]
 
 
-def test_describe_is_ready_for_json(tmp_path: Path) -> None:
-    described = TextSource(write(tmp_path, "# made by hand\nx;range\n1;2\n")).describe()
-    assert described == {"delimiter": ";", "decimal": ".", "header_line": 2, "columns": ["x", "range"]}
-
-
 # --- cells, lines, compressions
 
 
@@ -135,24 +130,11 @@ def test_line_ends_byte_order_marks_blank_lines_and_comments(
     assert values(tmp_path, content) == [1, 3, 5]
 
 
-def test_a_comment_in_another_encoding_is_skipped(tmp_path: Path) -> None:
-    assert values(tmp_path, "# Straße\nrange\n1\n".encode("latin-1")) == [1]
-
-
-def test_columns_that_are_not_asked_for_may_hold_anything(tmp_path: Path) -> None:
-    assert values(tmp_path, b'range,note\n1,"a, b"\n2,\xe4\n3,"c ""d"""\n') == [1, 2, 3]
-
-
 @pytest.mark.parametrize("suffix", [".gz", ".zst"])
 def test_compressed_text(tmp_path: Path, suffix: str) -> None:
     content = b"range,x\n" + b"".join(b"%d,1\n" % k for k in range(10_000))
     path = write(tmp_path, compress(content, suffix), f"drive.csv{suffix}")
     np.testing.assert_array_equal(read(TextSource(path, block_bytes=1 << 12), "range")["range"], np.arange(10_000))
-
-
-def test_a_gzip_file_of_several_members(tmp_path: Path) -> None:
-    path = write(tmp_path, gzip.compress(b"range\n1\n", mtime=0) + gzip.compress(b"2\n"), "drive.txt.gz")
-    np.testing.assert_array_equal(read(TextSource(path), "range")["range"], [1, 2])
 
 
 def compress(content: bytes, suffix: str) -> bytes:
@@ -207,36 +189,6 @@ def test_a_layout_with_numbers_for_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["1"], [9, 9])
 
 
-def test_two_fields_of_one_column(tmp_path: Path) -> None:
-    fields = (LayoutField(name="range", source=0, scale=0.5), LayoutField(name="raw", source=0, missing=2))
-    path = write(tmp_path, "2,1\n,1\n8,1\n")
-    for asked in (("range", "raw"), ("raw", "range")):
-        found = read(TextSource(path, Layout(fields=fields)), *asked)
-        np.testing.assert_array_equal(found["range"], [1, NAN, 4])
-        np.testing.assert_array_equal(found["raw"], [NAN, NAN, 8])
-
-
-def test_a_layout_with_names_for_columns(tmp_path: Path) -> None:
-    fields = (LayoutField(name="range", source="Dist", scale=0.01), LayoutField(name="scan_line"))
-    source = TextSource(write(tmp_path, "LINE,dist,range\n3,250,1\n"), Layout(fields=fields))
-    assert source.dimensions == ("range", "scan_line")
-    found = read(source, "range", "scan_line")
-    assert (found["range"][0], found["scan_line"][0]) == (2.5, 3)
-
-
-def test_fields_without_source_are_the_columns_in_order_where_there_is_no_header(tmp_path: Path) -> None:
-    fields = (LayoutField(name="time"), LayoutField(name="range"))
-    found = read(TextSource(write(tmp_path, "1,2\n3,4\n"), Layout(fields=fields)), "range", "time")
-    np.testing.assert_array_equal(found["range"], [2, 4])
-
-
-def test_a_layout_that_knows_whether_there_is_a_header(tmp_path: Path) -> None:
-    assert values(tmp_path, "1,2\n3,4\n", "1", Layout(header=True)) == [3]
-    assert "line 1: column 0 (from 0): found 'x', expected a number" in problem(
-        tmp_path, "x,2\n3,4\n", Layout(header=False), "0"
-    )
-
-
 # --- errors
 
 
@@ -273,18 +225,6 @@ def test_errors_name_the_line_and_the_text(tmp_path: Path, content: str | bytes,
         read(TextSource(path, block_bytes=block), "range")
     assert str(caught.value).startswith(f"{path}: {found}")
     assert "\n" not in str(caught.value)
-
-
-def test_the_line_number_of_a_late_error_is_the_one_of_sed(tmp_path: Path) -> None:
-    lines = ["range,x"] + [f"{k},1" if k % 10 else "# note\n" for k in range(1, 300_001)]
-    lines[-1] = "12.5m,1"
-    content = "\n".join(lines)
-    number = content.count("\n") + 1
-    path = write(tmp_path, content)
-    chunks = TextSource(path, block_bytes=1 << 16).chunks(("range",))
-    with pytest.raises(InputError, match=f"line {number}: column 'range': found '12.5m'"):
-        list(chunks)
-    assert path.read_text().splitlines()[number - 1] == "12.5m,1"
 
 
 @pytest.mark.parametrize(
@@ -357,39 +297,6 @@ def test_columns_that_a_layout_asks_for_in_vain(
     assert found in problem(tmp_path, content, layout)
 
 
-def test_an_unknown_dimension_names_the_known_ones(tmp_path: Path) -> None:
-    source = TextSource(write(tmp_path, "line,range,label\n1,2,3\n"))
-    with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range, scan_line, label"):
-        list(source.chunks(("time",)))
-
-
-def test_a_row_that_was_not_split_hints_at_the_delimiter(tmp_path: Path) -> None:
-    layout = Layout(fields=(LayoutField(name="range", source=1),), header=False)
-    assert problem(tmp_path, "1;2\n3;4\n", layout).endswith("; is ',' the delimiter?")
-
-
-@pytest.mark.parametrize("delimiter", ["§", '"', "\n"])
-def test_delimiters_that_cannot_be(tmp_path: Path, delimiter: str) -> None:
-    with pytest.raises(ConfigError, match="layout.delimiter: found"):
-        TextSource(write(tmp_path, "1,2\n"), Layout(delimiter=delimiter))
-
-
-def test_an_absent_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read \\(No such file"):
-        TextSource(tmp_path / "absent.csv")
-
-
-@pytest.mark.data
-def test_a_real_file_of_ranges_and_labels(real_data: Path) -> None:
-    source = TextSource(real_data / "oakland" / "oakland_1.csv.gz")
-    assert source.dimensions == ("range", "scan_line", "column", "angle", "x", "y", "z", "label")
-    found = read(source, "range", "scan_line", "column", "angle", "label")
-    assert len(found["range"]) == 389 * 229
-    np.testing.assert_array_equal(found["scan_line"] * 229 + found["column"], np.arange(389 * 229))
-    assert 0.14 <= np.isnan(found["range"]).mean() <= 0.18
-    np.testing.assert_allclose(np.rad2deg(found["angle"][:229]), 12.5 + 0.5 * np.arange(229))
-
-
 @settings(deadline=None, max_examples=300)
 @given(
     lines=st.lists(
@@ -419,13 +326,3 @@ def test_blocks_parsed_together_are_judged_in_order(tmp_path: Path) -> None:
         list(source.chunks(("range",)))
     path.write_text("range\n" + "1.5\n" * 50 + "\n" * 40)
     assert sum(chunk.n for chunk in TextSource(path, block_bytes=16).chunks(("range",))) == 50
-
-
-@pytest.mark.parametrize("block_bytes", [4, 7, 1 << 20])
-def test_a_row_of_tabs_alone_is_a_row_of_empty_cells(tmp_path: Path, block_bytes: int) -> None:
-    path = tmp_path / "drive.txt"
-    path.write_bytes(b"range\ttime\n1\t2\n\t\n3\t4\n")
-    source = TextSource(path, block_bytes=block_bytes)
-    found = np.concatenate([chunk.values["range"] for chunk in source.chunks(("range",))])
-    assert found.tolist()[::2] == [1.0, 3.0]
-    assert np.isnan(found[1])

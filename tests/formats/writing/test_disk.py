@@ -16,26 +16,6 @@ def read(column: DiskColumn, n: int = 1000) -> np.ndarray:
     return np.concatenate(parts) if parts else np.empty(0)
 
 
-@pytest.mark.parametrize(("dtype", "fill"), [(np.uint8, 1), (np.uint32, 0), (np.float32, np.nan), (np.int64, -1)])
-def test_holes_read_as_the_fill_value(tmp_path: Path, dtype: type, fill: float) -> None:
-    column = DiskColumn(tmp_path / "s", dtype, fill, n_records=10)
-    column.put(np.array([7, 2]), np.array([5, 6], dtype))
-    expected: np.ndarray = np.full(10, fill, dtype)
-    expected[[7, 2]] = [5, 6]
-    assert read(column, 3).tobytes() == expected.tobytes()
-    column.close()
-
-
-def test_length_grows_with_the_records(tmp_path: Path) -> None:
-    column = DiskColumn(tmp_path / "s", np.uint8, 1)
-    assert len(column) == 0
-    assert list(column.chunks(5)) == []
-    column.put(np.array([3]), np.array([9], np.uint8))
-    assert read(column).tolist() == [1, 1, 1, 9]
-    assert np.concatenate(list(column.chunks(2, first=2, stop=6))).tolist() == [1, 9, 1, 1]
-    column.close()
-
-
 @pytest.mark.parametrize(("record", "told"), [(-1, "record -1 outside 0..4"), (4, "record 4 outside 0..4")])
 def test_records_out_of_bounds(tmp_path: Path, record: int, told: str) -> None:
     column = DiskColumn(tmp_path / "s", np.uint8, 1, n_records=4)
@@ -63,16 +43,6 @@ def test_equals_an_array_in_memory(
                 expected[index] = value
         assert np.array_equal(read(column, 17), expected)
         column.close()
-
-
-def test_the_caller_may_reuse_its_arrays(tmp_path: Path) -> None:
-    column = DiskColumn(tmp_path / "s", np.uint8, 0)
-    record, values = np.array([0, 1]), np.array([5, 6], np.uint8)
-    column.put(record, values)
-    record[:] = 9
-    values[:] = 9
-    assert read(column).tolist() == [5, 6]
-    column.close()
 
 
 def test_memory_stays_at_the_buffer(tmp_path: Path) -> None:

@@ -6,13 +6,6 @@ from pathlib import Path
 import pytest
 
 from prc_cli import __version__
-from prc_cli.core.classes import ClassCodes
-from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.writing.columns import OutputConfig, check_codes, class_names
-from prc_cli.formats.writing.record import (
-    Fingerprint,
-    fingerprint,
-)
 from tests.formats.common import run_record
 
 
@@ -48,12 +41,6 @@ def test_folders_are_left_out(value: object, kept: str) -> None:
     assert found["config"]["input"]["range"] == [kept]
 
 
-def test_names_that_are_no_text_are_kept_as_escapes() -> None:
-    found = run_record(input=Fingerprint("stra\udcdfe.las", 1, "0")).to_json()
-    assert json.loads(found)["input"]["name"] == "stra\udcdfe.las"
-    assert found.isascii()
-
-
 def test_short_form_is_json_and_names_what_it_left_out() -> None:
     record = run_record(config={"a": "x" * 1000}, notices=("y" * 1000,))
     assert record.to_json_within(10_000) == record.to_json()
@@ -66,16 +53,3 @@ def test_short_form_is_json_and_names_what_it_left_out() -> None:
     assert "notices" not in shortest
     with pytest.raises(ValueError, match="even in short form, limit 10"):
         record.to_json_within(10)
-
-
-def test_fingerprint_of_nothing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"gone\.las: cannot be read \(No such file"):
-        fingerprint(tmp_path / "gone.las")
-
-
-def test_codes_of_the_output() -> None:
-    low = ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=31, pole=25)
-    check_codes(low, OutputConfig(codes="below-32"))
-    with pytest.raises(ConfigError, match=r"classes\.curb: found code 66, expected a code below 32 .*set curb"):
-        check_codes(ClassCodes(stem=19, car=20), OutputConfig(codes="below-32"))
-    assert class_names(ClassCodes(car=18), OutputConfig(high_noise_beyond=1))[18] == "car/high_noise"

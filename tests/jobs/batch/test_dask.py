@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import signal
@@ -28,8 +27,6 @@ from prc_cli.jobs.batch import dask_engine
 from prc_cli.jobs.batch.dask_engine import (
     DaskEngine,
     Order,
-    StoppedError,
-    do_order,
     examine_worker,
 )
 from prc_cli.jobs.batch.types import (
@@ -140,23 +137,6 @@ def test_files(cluster: Any, tmp_path: Path) -> None:
         assert isinstance(own[-1], Done)
         assert sum(event.n_lines for event in own if isinstance(event, Progress)) <= own[-1].n_lines
     assert len(left_in(tmp_path / "out")) == 18
-
-
-def test_long_list_is_asked_for_as_there_is_room(cluster: Any, tmp_path: Path) -> None:
-    tasks = tasks_in(tmp_path, {f"{i}.npy": 12 for i in range(30)})
-    taken = done = ahead = 0
-
-    def feed() -> Iterator[Task]:
-        nonlocal taken, ahead
-        for task in tasks:
-            taken += 1
-            ahead = max(ahead, taken - done)
-            yield task
-
-    for event in DaskEngine(cluster.scheduler_address).run(feed(), EngineSettings()):
-        done += isinstance(event, Done)
-    assert done == 30
-    assert ahead <= 5
 
 
 def test_trajectory_named_from_here(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,15 +279,6 @@ def test_without_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quie
             run(DaskEngine(address), tasks)
 
 
-def test_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
-    monkeypatch.setattr(dask_engine, "WORKERS_S", 0.5)
-    with (
-        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty,
-        pytest.raises(PrcError, match=r"no worker for 0\.5 s; start some: dask worker"),
-    ):
-        run(DaskEngine(empty.scheduler_address), tasks_in(tmp_path, {"a.npy": 20}))
-
-
 def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_path: Path) -> None:
     """The scheduler gives the file out again; after a few times it has failed."""
     (task,) = tasks_in(tmp_path, {"a.npy": 20})
@@ -359,24 +330,6 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
             assert left.exists()
             list(engine._on_result("key"))
     assert not left.exists()
-
-
-def test_nothing_to_do() -> None:
-    assert run(DaskEngine("tcp://127.0.0.1:9"), []) == []
-
-
-def test_stopping_is_no_error_of_a_file() -> None:
-    """Whatever catches errors of files lets it pass."""
-    assert not issubclass(StoppedError, Exception)
-
-
-def test_orders_are_found_by_name() -> None:
-    """Workers import what they run; nothing of it is sent."""
-    import pickle
-
-    for function in (do_order, examine_worker, dask_engine.version_here):
-        assert pickle.loads(pickle.dumps(function)) is function
-        assert len(pickle.dumps(function)) < 100
 
 
 @dataclass
@@ -515,32 +468,3 @@ def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
     assert "interrupted" in text
     assert "Traceback" not in text
     assert not [name for name in left_in(tmp_path / "out") if name.endswith(".part")]
-
-
-def shards_of(tmp_path: Path, index: int, **more: str) -> subprocess.CompletedProcess[str]:
-    """A task of a job array as Slurm starts it."""
-    script = Path(__file__).parents[3] / "sample_configs" / "slurm" / "prc_batch.sbatch"
-    (tmp_path / "bin").mkdir(exist_ok=True)
-    program = tmp_path / "bin" / "prc"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m prc_cli "$@"\n')
-    program.chmod(0o755)
-    (tmp_path / "a.toml").write_text(f'preset = "urban"\ninput.accept_doubts = {json.dumps([*CHECK_NAMES])}\n')
-    given = {"ARCHIVE": tmp_path / "in", "OUT": tmp_path / "out", "CONFIG": tmp_path / "a.toml"}
-    environment = {**os.environ, **{key: str(value) for key, value in given.items()}, "SLURM_ARRAY_TASK_ID": str(index)}
-    environment |= {"PATH": f"{program.parent}{os.pathsep}{os.environ['PATH']}", **more}
-    return patience.run(["bash", str(script)], env=environment, capture_output=True, text=True)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="a shell script")
-def test_slurm_job_array(tmp_path: Path) -> None:
-    """Its tasks share the archive; one that is repeated alone is still the same shard."""
-    tasks = tasks_in(tmp_path, {f"{i}.npy": 20 for i in range(8)})
-    loaded = load_config(preset="urban", options={"input": {"accept_doubts": [*CHECK_NAMES]}})
-    tasks = [replace(task, config=loaded) for task in tasks]
-    for index in (1, 2):
-        done = shards_of(tmp_path, index, SLURM_ARRAY_TASK_COUNT="2", SLURM_CPUS_PER_TASK="1")
-        assert done.returncode == 0, done.stderr
-    check_bytes(tasks, tmp_path)
-    again = shards_of(tmp_path, 2, SLURM_ARRAY_TASK_COUNT="1", SHARDS="2")
-    assert "nothing to do" in again.stdout + again.stderr

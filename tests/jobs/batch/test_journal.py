@@ -16,7 +16,7 @@ import pytest
 
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig
-from prc_cli.core.errors import BusyError, InputError, OutputError, PrcError
+from prc_cli.core.errors import BusyError, OutputError, PrcError
 from prc_cli.jobs.batch import journal as subject
 from prc_cli.jobs.batch.journal import (
     Journal,
@@ -149,24 +149,6 @@ def test_an_output_of_somebody_else_never_becomes_ours(folder: Path) -> None:
         assert journal.entry("refused.laz").owns_output
 
 
-def test_runs_are_kept(folder: Path) -> None:
-    with Journal(folder) as journal:
-        first = journal.begin_run("me")
-        journal.end_run(1, {"done": 3, "failed": 1})
-    with Journal(folder) as journal:
-        second = journal.begin_run("me again")
-        assert first < second or first[:16] == second[:16]
-    with Journal(folder, Shard(2, 3)) as journal:
-        third = journal.begin_run("a shard")
-        journal.end_run(143)
-    runs = read_runs(folder)
-    assert [run.id for run in runs] == [first, second, third]
-    assert [run.exit_code for run in runs] == [1, None, 143]
-    assert [run.shard for run in runs] == ["", "", "2/3"]
-    assert dict(runs[0].totals) == {"done": 3, "failed": 1}
-    assert runs[1].finished is None
-
-
 def test_journals_of_other_divisions_are_known_and_the_newest_entry_counts(folder: Path) -> None:
     with Journal(folder) as journal:
         journal.begin_run("whole")
@@ -188,26 +170,6 @@ def test_journals_of_other_divisions_are_known_and_the_newest_entry_counts(folde
         assert journal.forget(["b", "c", "nothing"]) == 2
         assert [entry.name for entry in journal.entries()] == ["a"]
     assert [entry.name for entry in read_entries(folder)] == ["a"]
-
-
-def test_one_statement_is_one_step_for_every_reader(folder: Path) -> None:
-    with Journal(folder) as journal:
-        journal.begin_run("me")
-        for number in range(20):
-            journal.start(task(f"{number}"), "worker")
-            assert [entry.state for entry in read_entries(folder) if entry.name == f"{number}"] == ["running"]
-            journal.finish(done(f"{number}"))
-            assert len(read_entries(folder)) == number + 1
-
-
-def test_readers_leave_nothing_and_change_nothing(folder: Path) -> None:
-    with Journal(folder) as journal:
-        journal.begin_run("me")
-        journal.start(task("a"), "worker")
-        before = {path.name: path.read_bytes() for path in folder.iterdir()}
-        read_entries(folder)
-        read_runs(folder)
-        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def damage(path: Path, how: str) -> None:
@@ -246,17 +208,6 @@ def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
     assert path.read_bytes() == content
 
 
-def test_a_journal_without_bytes_is_a_new_one(folder: Path) -> None:
-    """A run that was killed when it had just made the file."""
-    folder.mkdir()
-    (folder / "journal.sqlite").touch()
-    assert read_entries(folder) == []
-    assert read_runs(folder) == []
-    with Journal(folder) as journal:
-        journal.begin_run("me")
-        assert journal.entries() == []
-
-
 def test_a_newer_journal_is_refused_and_left_alone(folder: Path) -> None:
     with Journal(folder):
         pass
@@ -289,12 +240,6 @@ def test_a_journal_that_somebody_holds_is_busy(folder: Path, monkeypatch: pytest
         other.execute("ROLLBACK")
         other.close()
         journal.begin_run("me")
-
-
-def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be made"), Journal(tmp_path / "file" / ".prc"):
-        pass
 
 
 AS_NOBODY = """
@@ -333,12 +278,6 @@ def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: 
     assert "permissions" in result.stdout
 
 
-def test_an_unreadable_journal_is_said_so(folder: Path) -> None:
-    (folder / "journal.sqlite").mkdir(parents=True)
-    with pytest.raises(InputError, match="cannot be read"):
-        read_entries(folder)
-
-
 def kill_writers(folder: Path, seed: int, n_kills: int, n_rows: int) -> None:
     """Kill writers, each going on where the one before was, until so many rows were finished."""
     script = Path(__file__).with_name("killed_writers.py")
@@ -351,19 +290,6 @@ def kill_writers(folder: Path, seed: int, n_kills: int, n_rows: int) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL and fork")
 def test_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
     kill_writers(folder, 1, 15, 11)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL and fork")
-def test_many_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
-    kill_writers(folder, 2, 200, 200)
-
-
-def test_the_journal_of_the_whole_archive_comes_first(tmp_path: Path) -> None:
-    names = ["journal.sqlite", "journal.1-of-2.sqlite", "journal.2-of-2.sqlite"]
-    for name in reversed(names):
-        (tmp_path / name).touch()
-    assert [path.name for path in subject.journal_paths(tmp_path)] == names
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,7 +26,6 @@ from prc_cli.jobs.batch.types import (
     Started,
     Task,
 )
-from prc_cli.jobs.classify import classify
 from tests import patience
 from tests.patience import wait_until
 from tests.street import street, write_endless, write_npz
@@ -143,18 +140,6 @@ def test_a_file_begins_before_it_progresses_and_ends(events: tuple[Path, list[Ev
         assert lines == 80
 
 
-def test_outputs_have_the_bytes_of_one_call(events: tuple[Path, list[Event]], tmp_path: Path) -> None:
-    folder, _ = events
-    classify(folder / "sound.npz", tmp_path / "a.npy")
-    for name in ("a.npy", "b.npy", "c.npy"):
-        assert (folder / "out" / name).read_bytes() == (tmp_path / "a.npy").read_bytes()
-
-
-def test_nothing_else_is_left(events: tuple[Path, list[Event]]) -> None:
-    found = {path.name for path in (events[0] / "out").iterdir()}
-    assert found == {f"{name}.npy{suffix}" for name in "abc" for suffix in ("", ".prc.json")}
-
-
 def test_a_dead_worker_says_which_signal_killed_it(events: tuple[Path, list[Event]]) -> None:
     found = outcomes(events[1])["killed"]
     assert isinstance(found, Failed)
@@ -168,28 +153,6 @@ def test_a_file_without_progress_is_given_up(events: tuple[Path, list[Event]]) -
     assert isinstance(found, Failed)
     assert found.problem.kind == "timeout"
     assert found.seconds >= STALL_S
-
-
-def test_damage_is_the_readers_word(events: tuple[Path, list[Event]]) -> None:
-    found = outcomes(events[1])["damaged"]
-    assert isinstance(found, Failed)
-    assert found.problem.kind == "InputError"
-    assert found.input is not None
-    gone = outcomes(events[1])["gone"]
-    assert isinstance(gone, Failed)
-    assert gone.problem.kind == "FileNotFoundError"
-    assert gone.input is None
-
-
-def test_done_counts_what_was_read(events: tuple[Path, list[Event]]) -> None:
-    found = outcomes(events[1])["a"]
-    assert isinstance(found, Done)
-    assert found.n_lines == 80
-    assert found.n_shots == 80 * 180
-    assert sum(count for _, count in found.labels) == found.n_shots
-    assert found.input.size == (events[0] / "sound.npz").stat().st_size
-    assert found.output_size == (events[0] / "out" / "a.npy").stat().st_size
-    assert found.peak_mib is None or 20 < found.peak_mib < 2000
 
 
 def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
@@ -291,21 +254,6 @@ def test_workers_that_cannot_start_end_the_run(tmp_path: Path, monkeypatch: pyte
         list(LocalEngine().run([task(tmp_path, "a", tmp_path / "a.npz")], EngineSettings(jobs=1)))
 
 
-def test_files_are_asked_for_one_at_a_time(tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "a.npz", street(80))
-    asked: list[str] = []
-    ended: list[str] = []
-
-    def tasks() -> Iterator[Task]:
-        for name in "abcd":
-            assert len(asked) - len(ended) <= 1
-            asked.append(name)
-            yield task(tmp_path, name, source)
-
-    ended.extend(event.name for event in LocalEngine().run(tasks(), EngineSettings(jobs=1)) if isinstance(event, Done))
-    assert ended == ["a", "b", "c", "d"]
-
-
 def test_share_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(local, "default_threads", lambda: 8)
     assert share_cores(None, None, 100) == (8, 1)
@@ -334,32 +282,3 @@ finally:
     found = patience.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert found.stdout == "rolled back\n"
     assert found.returncode == worker.ENDED
-
-
-def test_values_go_through_pipes(tmp_path: Path) -> None:
-    one = task(tmp_path, "a\udcff.npz", tmp_path / "a\udcff.npz")
-    assert pickle.loads(pickle.dumps(one)) == one
-
-
-def test_time_in_which_nobody_listened_is_no_stall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if this process had been stopped as well."""
-    source = write_npz(tmp_path / "a.npz", street(80))
-    Clock(monkeypatch).turn_on_when_given(monkeypatch, "a")
-    found = list(LocalEngine().run([task(tmp_path, "a", source)], EngineSettings(jobs=1, stall_s=STALL_S)))
-    assert [type(event) for event in found if not isinstance(event, Progress)] == [Started, Done]
-
-
-FIRST = """
-import os, sys, threading
-from prc_cli.jobs.batch import worker
-worker.return_memory = lambda: print(threading.active_count(), file=sys.stderr, flush=True)
-worker._receive = lambda *_: None
-worker._serve = lambda *_: os._exit(0)
-worker.main(1, None)
-"""
-
-
-def test_a_worker_shares_memory_between_files() -> None:
-    """A worker of 377 MiB after three files took 305 for one: its first threads began before the C library was told."""
-    found = patience.run([sys.executable, "-c", FIRST], stdin=subprocess.DEVNULL, capture_output=True, check=True)
-    assert found.stderr == b"1\n"

@@ -6,10 +6,8 @@ import errno
 import json
 import os
 import platform
-import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
@@ -20,7 +18,7 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
-from prc_cli.core.errors import BusyError, ConfigError, OutputError
+from prc_cli.core.errors import BusyError, OutputError
 from prc_cli.jobs.batch import lock as subject
 from prc_cli.jobs.batch.lock import Lock, Owner, has_locks, holders
 from prc_cli.jobs.batch.types import Shard
@@ -112,16 +110,6 @@ def test_runs_with_files_in_common_exclude_each_other(
     assert os.listdir(folder) == []
 
 
-def test_a_thread_may_release_the_lock_of_another(folder: Path) -> None:
-    lock = Lock(folder)
-    lock.__enter__()
-    thread = threading.Thread(target=lock.__exit__, args=(None, None, None))
-    thread.start()
-    thread.join()
-    with Lock(folder):
-        pass
-
-
 def test_the_lock_of_a_killed_process_is_free_at_once(folder: Path) -> None:
     with held_by_another_process(folder) as process:
         assert line_of(process) == "held"
@@ -147,16 +135,6 @@ def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
         os.kill(child, 0)  # it still runs
         with Lock(folder) as lock:
             assert lock.inherited_from is not None
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_a_stopped_process_is_not_dead(folder: Path) -> None:
-    with held_by_another_process(folder) as process:
-        assert line_of(process) == "held"
-        os.kill(process.pid, signal.SIGSTOP)
-        os.utime((folder / "lock.json"), (1000, 1000))
-        with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
-            pass
 
 
 @pytest.mark.parametrize(
@@ -196,26 +174,6 @@ def test_a_lock_that_was_removed_lets_another_run_in_and_the_first_one_stops(fol
             second.check()
             with pytest.raises(BusyError, match="taken over by"):
                 first.check()
-
-
-def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(OutputError, match="cannot be made"), Lock(tmp_path / "file" / ".prc"):
-        pass
-
-
-def test_a_lock_that_may_not_be_opened_is_said_so(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def acquire(lock: FileLock, *arguments: Any, **named: Any) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied", lock.lock_file)
-
-    with Lock(folder) as lock:
-        monkeypatch.setattr(FileLock, "acquire", acquire)
-        # who may not ask believes what is written
-        assert [(holder.owner, holder.alive) for holder in holders(folder)] == [(lock.owner, True)]
-        with pytest.raises(BusyError, match="another run is at work"), Lock(folder):
-            pass
-    with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"), Lock(folder / "new"):
-        pass
 
 
 @pytest.mark.parametrize("number", [errno.ENOTSUP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL])
@@ -323,14 +281,6 @@ def test_a_shard_is_a_part_of_the_whole_and_the_same_for_ever() -> None:
     assert of_four == [2, 1, 1, 1]
 
 
-@pytest.mark.parametrize(
-    "text", ["", "3", "0/4", "5/4", "1/0", "a/b", "1/2/3", "-1/4", "1.0/4", "²/4", "1/99999999999"]
-)
-def test_odd_shards_are_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="--shard"):
-        Shard.parse(text)
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
 def test_a_pipe_in_the_place_of_the_owner_stops_nobody(tmp_path: Path) -> None:
     """Reading it waited for a writer, for ever; SIGTERM did not end that."""
@@ -341,11 +291,3 @@ def test_a_pipe_in_the_place_of_the_owner_stops_nobody(tmp_path: Path) -> None:
     with Lock(folder) as lock:
         lock.check()
     assert not (folder / "lock.json").exists()
-
-
-def test_an_owner_of_other_types_is_unknown(tmp_path: Path) -> None:
-    folder = tmp_path / ".prc"
-    folder.mkdir()
-    for content in ('{"pid": "many"}', "[" * 100_000, "9" * 9_000, json.dumps(asdict(Owner()) | {"pid": [1]})):
-        (folder / "lock.json").write_text(content)
-        assert [holder.owner.user for holder in holders(folder)] == ["an unknown user"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig, RunConfig, load_config
+from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.batch.discovery import discover
@@ -83,14 +83,6 @@ def refusals(plan: Plan) -> dict[str, str]:
 # -- decisions --------------------------------------------------------------------------------------------------------
 
 
-def test_a_new_archive_is_done_whole(settings: BatchSettings) -> None:
-    plan = plan_of(settings)
-    assert reasons(plan) == {"a.npz": "new", "b.npz": "new"}
-    assert plan.n_bytes == 32
-    assert [item.task.overwrite for item in plan.todo] == [False, False]
-    assert plan.todo[0].task.output == settings.out / "a.npz.labels.npy"
-
-
 def test_a_done_file_is_skipped(settings: BatchSettings) -> None:
     plan = plan_of(settings, entry(settings, "a.npz"))
     assert plan.done == ("a.npz",)
@@ -132,36 +124,12 @@ def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings: BatchSet
     assert reasons(plan_of(replace(settings, verify=True), known))["a.npz"] == "changed input"
 
 
-def test_a_grown_file_is_noticed_even_where_its_time_was_kept(settings: BatchSettings) -> None:
-    known = entry(settings, "a.npz")
-    source = settings.archive / "a.npz"
-    times = source.stat()
-    source.write_bytes(source.read_bytes() + b"+")
-    os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
-    assert reasons(plan_of(settings, known))["a.npz"] == "changed input"
-
-
-def test_a_missing_output_is_made_again(settings: BatchSettings) -> None:
-    known = entry(settings, "a.npz")
-    output(settings, "a.npz").unlink()
-    assert reasons(plan_of(settings, known))["a.npz"] == "output missing"
-    assert reasons(plan_of(replace(settings, to="csv"), known))["a.npz"] == "output missing"
-
-
 def test_what_a_killed_run_left_is_done_again_over_its_output(settings: BatchSettings) -> None:
     known = entry(settings, "a.npz", "running")
     output(settings, "a.npz").write_bytes(b"renamed just before the kill")
     plan = plan_of(settings, known)
     assert reasons(plan)["a.npz"] == "unfinished"
     assert plan.todo[0].task.overwrite
-
-
-def test_failed_files_are_tried_by_every_run(settings: BatchSettings) -> None:
-    known = entry(settings, "a.npz", "failed")
-    assert reasons(plan_of(settings, known)) == {"a.npz": "failed before", "b.npz": "new"}
-    assert reasons(plan_of(replace(settings, only_failed=True), known, entry(settings, "b.npz"))) == {
-        "a.npz": "failed before"
-    }
 
 
 def test_an_output_that_no_journal_knows_is_not_touched(settings: BatchSettings) -> None:
@@ -183,29 +151,6 @@ def test_an_output_that_somebody_worked_on_is_kept_aside(settings: BatchSettings
         for overwrite in (False, True):
             now = plan_of(replace(settings, overwrite=overwrite), replace(known, version=version))
             assert (now.todo[0].reason, now.todo[0].keeps) == (reason, not overwrite)
-
-
-def test_a_link_in_the_place_of_an_output_is_foreign(settings: BatchSettings) -> None:
-    output(settings, "a.npz").symlink_to(settings.out / "nothing")
-    assert "no journal knows it" in refusals(plan_of(settings))["a.npz"]
-
-
-def test_two_inputs_for_one_output_are_both_refused(settings: BatchSettings) -> None:
-    for name in ("x.las", "x.las.laz"):
-        (settings.archive / name).write_bytes(b"x")
-    plan = plan_of(replace(settings, to="laz"))
-    assert set(refusals(plan)) == {"x.las", "x.las.laz"}
-    assert "two inputs" in refusals(plan)["x.las"]
-
-
-def test_limit_takes_the_first_that_are_due(settings: BatchSettings) -> None:
-    plan = plan_of(replace(settings, limit=1), entry(settings, "a.npz"))
-    assert reasons(plan) == {"b.npz": "new"}
-    output(settings, "a.npz").unlink()
-    plan = plan_of(replace(settings, limit=1))
-    assert reasons(plan) == {"a.npz": "new"}
-    assert plan.n_beyond_limit == 1
-    assert plan.n_found == 2
 
 
 def test_adopting_needs_the_same_input_configuration_and_program(tmp_path: Path) -> None:
@@ -274,18 +219,6 @@ def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path: Path) -> N
     assert loaded.files == (tmp_path / "archive.toml",)
 
 
-def test_overrides_are_not_for_a_single_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="for prc batch"):
-        load_config(config_file(tmp_path, OVERRIDES).path)
-
-
-def test_the_command_line_wins(tmp_path: Path) -> None:
-    layers = config_file(tmp_path, OVERRIDES)
-    layers = replace(layers, preset="urban", options={"prc": {"support": {"zeta_p": 1.5}}})
-    loaded, _ = BatchConfig(layers).of("night/oak.npz", tmp_path / "oak.npz")
-    assert (loaded.config.prc.environment, loaded.config.prc.support.zeta_p) == ("urban", 1.5)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -337,30 +270,6 @@ def test_relative_trajectories_start_at_the_configuration_file(tmp_path: Path, r
     assert loaded.trajectory == path
 
 
-def test_names_with_braces_are_not_templates(tmp_path: Path) -> None:
-    config = BatchConfig(config_file(tmp_path, 'input.range = "trajectory:{folder}/{stem}.csv"\n'))
-    (tmp_path / "{stem}.csv").write_text("x")
-    assert config.of("{stem}.laz", tmp_path / "{stem}.laz")[0].trajectory == tmp_path / "{stem}.csv"
-    wrong = BatchConfig(config_file(tmp_path, 'input.range = "trajectory:{file}.csv"\n'))
-    with pytest.raises(ConfigError, match=r"unknown placeholder '\{file\}'"):
-        wrong.of("a.laz", tmp_path / "a.laz")
-
-
-def test_a_trajectory_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "a.csv")
-    config = BatchConfig(config_file(tmp_path, 'input.range = "trajectory:a.csv"\n'))
-    with pytest.raises(InputError, match="not a regular file"):
-        config.of("a.laz", tmp_path / "a.laz")
-
-
-def test_a_file_without_its_trajectory_fails_alone(settings: BatchSettings) -> None:
-    options = {"input": {"range": "trajectory:{folder}/{stem}.csv"}}
-    (settings.archive / "b.csv").write_text("time,x,y,z\n")
-    plan = plan_of(replace(settings, config=ConfigLayers(options=options), exclude=("*.csv",)))
-    assert reasons(plan) == {"b.npz": "new"}
-    assert "a.csv: the trajectory cannot be read" in refusals(plan)["a.npz"]
-
-
 def test_the_hash_tells_configurations_apart_and_not_folders(tmp_path: Path) -> None:
     base = RunConfig()
     other = RunConfig.model_validate({"prc": {"support": {"zeta_p": 0.123}}})
@@ -399,13 +308,3 @@ def test_time_and_memory_come_from_earlier_files(settings: BatchSettings) -> Non
     assert (found.seconds, found.peak_mib) == (BEGIN_S + 4, 400.0)
     other = {name: replace(item, config_sha256="other") for name, item in earlier(settings, a=30).items()}
     assert estimate(todo, other, 1).sources == ("npz: from 1 earlier file of this archive, of another configuration",)
-
-
-def test_formats_that_nothing_is_known_of_are_counted(settings: BatchSettings) -> None:
-    known = earlier(settings, a=40)
-    found = estimate([planned("a.npz", 10), planned("b.e57", 10)], known, 1)
-    assert (found.seconds, found.n_unknown) == (BEGIN_S + 0.5, 1)
-    assert found.sources == ("e57: nothing known", "npz: from 1 earlier file of this archive")
-    found = estimate([planned("b.e57", 10)], {}, 1)
-    assert (found.seconds, found.peak_mib) == (None, None)
-    assert estimate([], {}, 1).seconds == 0

@@ -53,18 +53,6 @@ def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) ->
         np.testing.assert_array_equal(item.matrix.counts, evaluate_all([output.path], [reference]).matrix.counts)
 
 
-def test_gates_are_of_all_files_together(tmp_path: Path) -> None:
-    outputs, tree = trees(tmp_path)
-    found = evaluate_tree(outputs, ReferenceSettings(tree, gates=("recall.ground=0.5", "accuracy=0.9")))
-    # ground: 2 of 4 are found; 7 of 10 agree
-    assert [(gate.name, gate.value, gate.passed) for gate in found.gates] == [
-        ("recall.ground", 0.5, True),
-        ("accuracy", 0.7, False),
-    ]
-    assert not found.passed
-    assert evaluate_tree(outputs, ReferenceSettings(tree, gates=("accuracy=0.7",))).passed
-
-
 def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     gates = ("recall.ground=0.5", "recall.car=0")
@@ -103,20 +91,6 @@ def test_a_damaged_reference_costs_its_file_only(tmp_path: Path) -> None:
     table = found.as_dict()
     assert table["files"][0]["scores"] is None
     assert table["files"][1]["scores"]["n_scored"] == 5
-
-
-def test_two_references_of_one_name_are_refused(tmp_path: Path) -> None:
-    outputs, tree = trees(tmp_path)
-    (tree / "a.csv").write_text("class\n2\n2\n6\n0\n")
-    found = evaluate_tree(outputs, ReferenceSettings(tree))
-    assert found.unpaired[0].problem is not None
-    assert "have one name" in found.unpaired[0].problem.problem
-
-
-def test_nothing_to_compare_reaches_no_gate(tmp_path: Path) -> None:
-    _, tree = trees(tmp_path)
-    assert not evaluate_tree([], ReferenceSettings(tree, gates=("recall.ground=0.1",))).passed
-    assert evaluate_tree([], ReferenceSettings(tree)).passed
 
 
 @pytest.mark.parametrize(

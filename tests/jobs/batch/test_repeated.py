@@ -13,7 +13,7 @@ import pytest
 
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.types import Done, Failed, Task
+from prc_cli.jobs.batch.types import Done, Task
 from prc_cli.jobs.batch.worker import run_task
 from tests import patience
 from tests.street import street, write_npz
@@ -77,21 +77,3 @@ def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left:
     assert task.output.read_bytes() == undisturbed.output.read_bytes()
     assert record_path(task.output).read_bytes() == record_path(undisturbed.output).read_bytes()
     assert set(tree(task.output.parent)) == {"a.npy", "a.npy.prc.json"}
-
-
-def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
-    task = order(tmp_path)
-    task.output.write_bytes(b"mine")
-    found = run_task(task)
-    assert isinstance(found, Failed)
-    assert found.problem.kind == "OutputExistsError"
-    assert tree(task.output.parent) == {"a.npy": b"mine"}
-
-
-def test_an_output_of_another_configuration_is_not_adopted(tmp_path: Path) -> None:
-    task = order(tmp_path)
-    assert isinstance(run_task(task), Done)
-    other = replace(task, config=LoadedConfig(RunConfig.model_validate({"input": {"max_range": 9.0}})))
-    before = tree(task.output.parent)
-    assert isinstance(run_task(other), Failed)
-    assert tree(task.output.parent) == before

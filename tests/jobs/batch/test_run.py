@@ -26,9 +26,7 @@ from prc_cli.jobs.batch.report import BatchSummary, as_dict
 from prc_cli.jobs.batch.run import (
     Again,
     Alarm,
-    Ready,
     RunEvent,
-    plan_batch,
     run_batch,
 )
 from prc_cli.jobs.batch.types import (
@@ -43,7 +41,6 @@ from prc_cli.jobs.batch.types import (
     InputPrint,
     Outcome,
     Problem,
-    Progress,
     ReferenceSettings,
     Started,
     Task,
@@ -117,22 +114,6 @@ def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [0, 0]
 
 
-def test_events_tell_the_whole_story(settings: BatchSettings) -> None:
-    events: list[RunEvent] = []
-    run_batch(settings, Scripted(), events.append)
-    assert isinstance(events[0], Ready)
-    assert [type(event) for event in events[1:]] == [Started, Done] * 4
-
-
-def test_the_journal_knows_a_file_before_a_worker_does(settings: BatchSettings) -> None:
-    def look(task: Task, attempt: int) -> Outcome:
-        assert states(settings)[task.name] == "running"
-        return finished(task)
-
-    assert len(run_batch(settings, Scripted(look)).done) == 4
-    assert set(states(settings).values()) == {"done"}
-
-
 def test_one_bad_file_costs_itself(settings: BatchSettings) -> None:
     engine = Scripted(lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task))
     summary = run_batch(settings, engine)
@@ -203,34 +184,12 @@ def test_pauses_before_another_attempt_double_up_to_half_a_minute(
     assert slept == pauses
 
 
-def test_others_are_tried_again_before_those_that_run_alone(settings: BatchSettings) -> None:
-    kinds = {"a.npz": "memory", "b.npz": "timeout", "c.npz": "killed", "d.npz": "timeout"}
-    engine = Scripted(lambda task, attempt: failed(task, kinds[task.name]) if attempt < 3 else finished(task))
-    assert run_batch(replace(settings, retry=2), engine).exit_code == 0
-    again = [("b.npz", 2), ("d.npz", 2), ("a.npz", 1), ("c.npz", 1)]
-    assert engine.begun[4:] == [*again, *again]
-
-
-def test_attempts_are_taken_by_as_many_workers_as_there_are_files(settings: BatchSettings) -> None:
-    engine = Scripted(lambda task, attempt: failed(task, "timeout") if attempt == 1 else finished(task))
-    run_batch(replace(settings, retry=1, jobs=9), engine)
-    assert [jobs for _, jobs in engine.begun] == [4] * 8
-
-
 def test_fail_fast_begins_nothing_more(settings: BatchSettings) -> None:
     engine = Scripted(lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task))
     summary = run_batch(replace(settings, fail_fast=True), engine)
     assert [name for name, _ in engine.begun] == ["a.npz", "b.npz"]
     assert (summary.exit_code, summary.ended, summary.n_waiting) == (1, "stopped", 2)
     assert len(run_batch(settings, Scripted()).done) == 3
-
-
-def test_fail_fast_waits_for_the_last_attempt(settings: BatchSettings) -> None:
-    engine = Scripted(
-        lambda task, attempt: failed(task, "timeout") if task.name == "b.npz" and attempt == 1 else finished(task)
-    )
-    summary = run_batch(replace(settings, fail_fast=True, retry=1), engine)
-    assert (summary.exit_code, len(summary.done)) == (0, 4)
 
 
 @pytest.mark.parametrize(("signal_error", "code"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
@@ -260,14 +219,6 @@ def test_a_signal_is_noted_and_passed_on(settings: BatchSettings, signal_error: 
     assert (written["ended"], written["counts"]["waiting"], written["counts"]["failed"]) == ("interrupted", 3, 0)
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [code]
     assert len(run_batch(settings, Scripted()).done) == 3
-
-
-def test_an_archive_that_another_run_works_on_is_left_alone(settings: BatchSettings) -> None:
-    engine = Scripted()
-    with Lock(settings.out / OWN_FOLDER), pytest.raises(BusyError):
-        run_batch(settings, engine)
-    assert engine.begun == []
-    assert not (settings.out / "summary.json").exists()
 
 
 def test_a_lost_lock_stops_the_run(settings: BatchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -396,43 +347,6 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     assert (accepted.failed, accepted.doubts) == ((), ())
 
 
-def test_a_foreign_output_fails_its_file_alone(settings: BatchSettings) -> None:
-    (settings.out).mkdir()
-    foreign = settings.out / "a.npz.labels.npy"
-    foreign.write_bytes(b"by hand")
-    for _ in range(2):
-        summary = run_batch(settings, Scripted())
-        assert [item.problem.kind for item in summary.failed] == ["OutputExistsError"]
-        assert foreign.read_bytes() == b"by hand"
-    assert run_batch(replace(settings, overwrite=True), Scripted()).exit_code == 0
-    assert foreign.read_bytes() == b"a"
-
-
-def test_a_trajectory_that_is_away_for_a_night_costs_no_second_time(settings: BatchSettings, tmp_path: Path) -> None:
-    track = tmp_path / "track.csv"
-    track.write_text("time,x,y,z\n")
-    settings = replace(settings, config=ConfigLayers(options={"input": {"range": f"trajectory:{track}"}}))
-    assert len(run_batch(settings, Scripted()).done) == 4
-    track.rename(tmp_path / "away.csv")
-    assert len(run_batch(settings, Scripted()).failed) == 4
-    (tmp_path / "away.csv").rename(track)
-    summary = run_batch(settings, Scripted())
-    assert (summary.exit_code, summary.n_skipped) == (0, 4)
-
-
-def test_work_on_an_output_is_not_lost(settings: BatchSettings) -> None:
-    run_batch(settings, Scripted())
-    worked_on = settings.out / "a.npz.labels.npy"
-    worked_on.write_bytes(b"corrected by hand")
-    (settings.archive / "a.npz").write_bytes(b"changed input")
-    summary = run_batch(settings, Scripted())
-    assert ([item.name for item in summary.done], summary.exit_code) == (["a.npz"], 0)
-    (kept,) = (settings.out / OWN_FOLDER / "changed").rglob("*.npy")
-    assert kept.read_bytes() == b"corrected by hand"
-    assert str(kept) in summary.notes[0]
-    assert worked_on.read_bytes() == b"changed input"
-
-
 @pytest.mark.parametrize("damage", ["cut", "overwritten", "link"])
 @pytest.mark.parametrize("journal", [True, False])
 def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool) -> None:
@@ -472,24 +386,6 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
     assert dict(run_batch(replace(settings, verify=True)).reasons) == {"changed output": 1}
     output.unlink()
     assert {one.state for one in verify_outputs(out)} == {"missing", "whole"}
-
-
-def test_what_a_killed_run_left_is_done_again(settings: BatchSettings) -> None:
-    class Killed(BaseException):
-        """Nothing is written after it, as after SIGKILL."""
-
-    def die(task: Task, attempt: int) -> Outcome:
-        if task.name == "b.npz":
-            task.output.write_bytes(b"renamed, but the journal does not know")
-            raise Killed
-        return finished(task)
-
-    with pytest.raises(Killed):
-        run_batch(settings, Scripted(die))
-    assert states(settings) == {"a.npz": "done", "b.npz": "running"}
-    summary = run_batch(settings, Scripted())
-    assert dict(summary.reasons) == {"unfinished": 1, "new": 2}
-    assert (settings.out / "b.npz.labels.npy").read_bytes() == b"b"
 
 
 # -- real workers -----------------------------------------------------------------------------------------------------
@@ -569,39 +465,6 @@ def test_outputs_are_those_of_single_calls(
         assert (out / f"{item.name}.labels.npy").read_bytes() == single.read_bytes()
 
 
-def test_a_later_run_tries_only_what_failed(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]]) -> None:
-    archive, found = runs
-    before = tree(found[3][0])
-    summary = run_batch(BatchSettings(archive, found[3][0], LAYERS))
-    assert (summary.n_skipped, len(summary.done), len(summary.failed)) == (7, 0, 1)
-    assert tree(found[3][0]) == before
-
-
-def test_a_reference_tree_is_compared_and_gates_are_held(
-    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]],
-) -> None:
-    archive, found = runs
-    reference = ReferenceSettings(found[1][0], gates=("recall.ground=1.0",))
-    settings = BatchSettings(archive, found[2][0], LAYERS, exclude=("*.laz",), reference=reference)
-    summary = run_batch(settings, Scripted())
-    assert summary.evaluation is not None
-    assert len(summary.evaluation.files) == 7  # done by an earlier run
-    assert summary.exit_code == 0
-
-
-def test_a_dry_run_writes_nothing(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path) -> None:
-    archive, found = runs
-    settings = BatchSettings(archive, tmp_path / "out", LAYERS, include=("day/*", "*.bin"), jobs=2)
-    plan, estimate = plan_batch(settings)
-    assert len(plan.todo) == 6
-    assert not (tmp_path / "out").exists()
-    assert (estimate.seconds, estimate.n_unknown) == (None, 6)
-    before = sorted(found[1][0].rglob("*"))
-    _, known = plan_batch(replace(settings, out=found[1][0], config=ConfigLayers(preset="forest"), exclude=("*.laz",)))
-    assert sorted(found[1][0].rglob("*")) == before
-    assert "npz: from 5 earlier files of this archive, of another configuration" in known.sources
-
-
 @pytest.mark.skipif(os.name != "posix", reason="sends signals")
 def test_ctrl_c_stops_a_real_run_within_seconds(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
@@ -637,13 +500,6 @@ except KeyboardInterrupt:
     assert not [entry for entry in entries.values() if entry.state == "running"]
     assert not [path.name for path in (tmp_path / "out").iterdir() if path.suffix in (".npy", ".part")]
     assert not (tmp_path / "out" / OWN_FOLDER / "lock.json").exists()
-
-
-def test_progress_is_passed_on(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path) -> None:
-    events: list[RunEvent] = []
-    settings = BatchSettings(runs[0], tmp_path / "out", LAYERS, include=("day/1.npz",))
-    run_batch(settings, listener=events.append)
-    assert sum(event.n_lines for event in events if isinstance(event, Progress)) == 87
 
 
 def test_workers_that_cannot_be_started_leave_a_journal_that_says_so(settings: BatchSettings) -> None:

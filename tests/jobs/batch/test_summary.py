@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import OutputError
-from prc_cli.core.findings import Finding, Verdict
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
 from prc_cli.jobs.batch.report import (
@@ -27,11 +25,9 @@ from prc_cli.jobs.batch.types import (
     Doubted,
     Failed,
     InputPrint,
-    LeftOut,
     Problem,
     ReferenceSettings,
     Shard,
-    doubts_of,
 )
 
 
@@ -78,19 +74,6 @@ def test_the_worst_decides_the_exit_code(changes: dict[str, object], code: int) 
     assert code in EXIT_CODES
 
 
-def test_the_exit_code_after_a_signal_is_that_of_the_signal() -> None:
-    assert as_dict(summary(ended="interrupted", failed=(FAILED,)))["exit_code"] is None
-    assert as_dict(summary(ended="stopped", failed=(FAILED,)))["exit_code"] == 1
-
-
-def test_classes_are_pooled_over_files_in_the_order_of_labels() -> None:
-    found = summary(done=(done("a", vegetation=2, ground=5), done("b", ground=1, missing=4)))
-    assert found.labels == (("missing", 4), ("ground", 6), ("vegetation", 2))
-    assert found.n_shots == 12
-    assert found.shots_per_s == pytest.approx(12 / 60)
-    assert summary().shots_per_s is None
-
-
 def test_json_is_valid_and_exact_for_every_name() -> None:
     names = [os.fsdecode(b"stra\xdfe.laz"), "a\nb\x1b[31m.laz", "\u2028日本.laz"]
     table = as_dict(summary(done=tuple(done(name, ground=1) for name in names), failed=(FAILED,)))
@@ -101,40 +84,6 @@ def test_json_is_valid_and_exact_for_every_name() -> None:
     assert [os.fsencode(found["name"]) for found in json.loads(text)["done"]] == [os.fsencode(name) for name in names]
 
 
-def test_counts_and_reasons_are_in_the_json() -> None:
-    found = summary(
-        done=(done("a.laz", ground=3),), failed=(FAILED,), alarms=(ALARM,), left_out=(LeftOut("x", "a fifo"),),
-        n_waiting=1, reasons=(("new", 2),), shard=Shard(2, 3), evaluation=evaluation(value=0.95),
-    )  # fmt: skip
-    table = as_dict(found)
-    expected = {
-        "found": 4, "skipped": 1, "done": 1, "failed": 1, "failed_before": 0, "waiting": 1, "doubted": 0,
-        "alarms": 1, "left_out": 1,
-    }  # fmt: skip
-    assert table["counts"] == expected
-    assert table["reasons"] == {"new": 2}
-    assert table["shard"] == "2/3"
-    assert table["failed"][0]["kind"] == "InputError"
-    assert table["failed"][0]["hint"] == "copy it again"
-    assert table["evaluation"]["gates"] == [{"name": "recall.ground", "limit": 0.9, "value": 0.95, "passed": True}]
-
-
-def test_doubts_are_counted_by_file_and_by_check() -> None:
-    odd = Finding("units", Verdict.DOUBTFUL, "the scanner is 9 m up", "at most 5 m", "check the unit")
-    far = replace(odd, check="returns")
-    accepted = replace(odd, check="standing", is_accepted=True)
-    notices = ("a note", odd.notice(), far.notice(), accepted.notice())
-    one, two = replace(done("a.laz", ground=1), notices=notices), replace(done("b.laz"), notices=(far.notice(),))
-    table = as_dict(summary(done=(one, two), doubts=(*doubts_of(one), *doubts_of(two))))
-    assert table["counts"]["doubted"] == 2
-    assert table["doubt_counts"] == {"returns": 2, "units": 1}
-    assert table["doubts"][0] == {
-        "name": "a.laz", "check": "units",
-        "sentence": "units: the scanner is 9 m up, expected at most 5 m; check the unit",
-    }  # fmt: skip
-    assert table["exit_code"] == 4
-
-
 def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) -> None:
     for shard in (None, Shard(1, 2), Shard(2, 2)):
         write_summary(summary(out=tmp_path, shard=shard))
@@ -143,8 +92,3 @@ def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) ->
     # a later run replaces it
     write_summary(summary(out=tmp_path, run="r2"))
     assert json.loads((tmp_path / "summary.json").read_text())["run"] == "r2"
-
-
-def test_a_folder_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError):
-        write_summary(summary(out=tmp_path / "none"))

@@ -93,18 +93,3 @@ def test_the_area_is_the_published_share_of_a_block_and_twelve_at_least(lines: i
     found = advised(replace(SENSOR, points_per_line=m), lines_per_block=lines)["prc.surfaces.area"]
     assert found.value == value
     assert ("three lines of four shots" in found.reason) is (m == 850)
-
-
-def test_the_block_stays_and_says_why() -> None:
-    reason = advised(replace(SENSOR, line_hz=50.0))["prc.lines_per_block"].reason
-    assert reason.startswith("50 lines a second are 0.2 m apart at 10 m/s")
-    for n_lines, told in ((99, False), (98, True)):
-        reason = advised(replace(SENSOR, n_lines=n_lines), lines_per_block=99)["prc.lines_per_block"].reason
-        assert ("less than one block" in reason) is told
-
-
-def test_the_noise_of_the_other_method_is_that_at_the_median_range() -> None:
-    key = "sequential_angle.angles.range_noise_m"
-    assert advised(replace(SENSOR, sigma_m=0.0, sigma_per_m=0.002))[key].value == pytest.approx(0.012)
-    assert advised(replace(SENSOR, sigma_m=99.0))[key].value == 10.0
-    assert advised(replace(SENSOR, sigma_m=None))[key].value == 0.02

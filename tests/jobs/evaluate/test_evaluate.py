@@ -9,9 +9,7 @@ from pathlib import Path
 
 import laspy
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
 from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError, PrcError
@@ -162,29 +160,6 @@ def test_points_with_labels_need_no_other_file(drive: Drive, folder: Path, match
     assert_same(run(folder / "labelled.csv.gz", folder / "tiles", **by(match)), drive.matrix())
 
 
-def test_sides_may_change_places(drive: Drive, folder: Path) -> None:
-    tiles = sorted((folder / "tiles").iterdir())
-    mapping = ClassMapping(ignore=[0], predicted=MAPPING.reference, reference=MAPPING.predicted)
-    found = evaluate_all(tiles, [folder / "labelled.csv.gz"], mapping, options=EvaluateOptions(match="time"))
-    np.testing.assert_array_equal(found.matrix.counts, drive.matrix().counts.T)
-    assert len(found.predicted) == 4
-
-
-def test_an_id_of_another_name(drive: Drive, folder: Path, tmp_path: Path) -> None:
-    table = pa.table({"shot": np.arange(drive.n), "class": drive.label})
-    parquet.write_table(table.take(np.random.default_rng(1).permutation(drive.n)), tmp_path / "labels.parquet")
-    assert_same(run(tmp_path / "labels.parquet", folder / "tiles", match="dimension:shot=record"), drive.matrix())
-
-
-def test_label_files_with_their_record_column_may_be_filtered(drive: Drive, folder: Path, tmp_path: Path) -> None:
-    record = np.flatnonzero(drive.kept)[::-2]
-    lines = [f"{k},{drive.label[k]},x" for k in record]
-    (tmp_path / "labels.csv").write_text("\n".join(["record,class,name", *lines]) + "\n")
-    chosen = np.zeros(drive.n, np.bool_)
-    chosen[record] = True
-    assert_same(run(tmp_path / "labels.csv", folder / "tiles", match="dimension:record"), drive.matrix(chosen))
-
-
 def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) -> None:
     shape = (-1, M)
     np.savez(
@@ -254,21 +229,6 @@ def test_folders_pool_by_name(drive: Drive, tmp_path: Path) -> None:
     assert "1 reference file has no partner, left out: c.npy" in found.match.notes
 
 
-def test_pairs_in_a_list_and_a_folder_of_points(drive: Drive, folder: Path, tmp_path: Path) -> None:
-    other = Drive(seed=8)
-    (tmp_path / "points").mkdir()
-    drive.write_points(tmp_path / "points" / "a.csv.gz")
-    other.write_points(tmp_path / "points" / "b.csv.gz")
-    labels = [drive.write_labels(tmp_path / "a.npy"), other.write_labels(tmp_path / "b.npy")]
-    other.write_tiles(tmp_path / "other")
-    # both drives have the same times: each pair is matched on its own
-    found = run(labels, [folder / "tiles", tmp_path / "other"], match="time", predicted_points=tmp_path / "points")
-    np.testing.assert_array_equal(found.matrix.counts, (drive.matrix() + other.matrix()).counts)
-    (tmp_path / "points" / "b.csv.gz").unlink()
-    with pytest.raises(InputError, match=r"no points for b\.npy"):
-        run(labels, [folder / "tiles", tmp_path / "other"], match="time", predicted_points=tmp_path / "points")
-
-
 def test_tiles_of_one_name_that_are_cut_differently(drive: Drive, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     for k, record in enumerate(np.array_split(np.random.default_rng(2).permutation(drive.n), 4)):
@@ -278,16 +238,6 @@ def test_tiles_of_one_name_that_are_cut_differently(drive: Drive, folder: Path, 
     assert "expected at least 50 %" in refused(
         InputError, lambda: run(tmp_path / "run", folder / "tiles", match="time")
     )
-
-
-def test_split_by_scanner(drive: Drive, folder: Path, tmp_path: Path) -> None:
-    source = np.arange(drive.n) % 3
-    write_las(tmp_path / "run.las", drive.xyz, drive.label, drive.time_s, np.arange(drive.n), source=source)
-    found = run(tmp_path / "run.las", folder / "tiles", match="time", split_scanner=True)
-    assert [part.name for part in found.splits["scanner"]] == ["scanner 0", "scanner 1", "scanner 2"]
-    for part in found.splits["scanner"]:
-        chosen = drive.kept & (source == part.low)
-        np.testing.assert_array_equal(part.matrix.counts, drive.matrix(chosen).counts)
 
 
 def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_left_out(

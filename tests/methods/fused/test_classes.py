@@ -68,17 +68,6 @@ def test_a_van_is_no_wall(street: tuple[F32, U8]) -> None:
     assert (found[facade] == Label.BUILDING).mean() > 0.95
 
 
-def test_a_lorry_hangs_higher_than_a_wall_stands(street: tuple[F32, U8]) -> None:
-    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
-    box = surface(3.0, 1.05, 3.3)
-    hit[10:40] = box < np.where(np.isnan(ranges[10:40]), np.inf, ranges[10:40])
-    noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
-    ranges = np.where(hit, box + noise, ranges).astype(np.float32)
-    found, missed = classified(ranges), classified(ranges, flanks={"high_m": -1.0})
-    assert (found[hit] == Label.CAR).mean() > 0.9
-    assert (missed[hit] == Label.BUILDING).mean() > 0.3
-
-
 def with_box(ranges: F32, lines: slice, deep_m: float) -> tuple[F32, Mask]:
     """Put a box of 1.4 m on the sidewalk of the left, 4.6 m away; mark its shots from 0.3 m on."""
     with np.errstate(divide="ignore"):
@@ -113,18 +102,6 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
 
 
-def test_a_thick_trunk_without_a_crown_is_no_pole(street: tuple[F32, U8]) -> None:
-    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
-    for line in (20, 21, 22):
-        # lines 29 cm apart see a round trunk of 60 cm from its middle to its edges
-        trunk = surface(-3.3 + np.sqrt(0.3**2 - (0.29 * (line - 21)) ** 2), 0.0, 5.0)
-        hit[line] = np.isfinite(trunk)
-        ranges[line, hit[line]] = trunk[hit[line]]
-    high = hit & (HEIGHT_M - ranges * DOWN > 0.5)
-    assert (classified(ranges)[high] == Label.VEGETATION).mean() > 0.9
-    assert (classified(ranges, decision={"thick_m": NEVER})[high] == Label.POLE).mean() > 0.5
-
-
 def test_a_facade_between_twigs_is_as_smooth_as_the_facade(street: tuple[F32, U8]) -> None:
     """Where every other place of 20 cm is hidden by twigs, and in lines in between none."""
     ranges, kind, rng = street[0].copy(), street[1], np.random.default_rng(5)
@@ -157,24 +134,3 @@ def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:
     near = np.where(ranges < 5.8, ranges, np.float32(np.nan))
     assert not (classified(near) == Label.CAR).any()
     assert (classified(near, room_m=0.0)[hit & ~np.isnan(near)] == Label.CAR).mean() > 0.3
-
-
-def test_the_arm_of_a_lamp_is_a_pole(street: tuple[F32, U8]) -> None:
-    ranges = street[0].copy()
-    above = DOWN < -0.1
-    arm = np.where(above, -2.0 / np.where(above, DOWN, 1.0), 0.0)
-    hit = np.zeros(ranges.shape, np.bool_)
-    hit[20] = above & (arm * SIDE < -1.3) & (arm * SIDE > -2.6)
-    ranges[hit] = np.broadcast_to(arm, ranges.shape)[hit]
-    assert (classified(ranges)[hit] == Label.POLE).mean() > 0.8
-    assert (classified(ranges, decision={"arm_m": NEVER})[hit] == Label.BUILDING).mean() > 0.8
-
-
-def test_a_facade_goes_on_above_what_is_smooth_of_it(street: tuple[F32, U8]) -> None:
-    ranges, rng = street[0].copy(), np.random.default_rng(2)
-    high = np.broadcast_to((SIDE > 0) & (-7.0 / np.maximum(SIDE, 0.1) * DOWN > 6.5), ranges.shape)
-    high = high & (-7.0 / np.maximum(SIDE, 0.1) * DOWN < 8.0)
-    ranges[high] = (7.0 + rng.uniform(0.0, 1.2, int(high.sum()))) / np.broadcast_to(SIDE, ranges.shape)[high]
-    kept = high & (classified(ranges) != Label.NOISE)
-    assert (classified(ranges)[kept] == Label.BUILDING).mean() > 0.9
-    assert (classified(ranges, decision={"roof_m": -NEVER})[kept] == Label.VEGETATION).mean() > 0.9

@@ -15,7 +15,6 @@ from prc_cli.core.classes import LABEL_BITS, Label
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges
 from prc_cli.methods.fused import forest as woods
-from prc_cli.methods.fused.forest import find_stems, heights_over_ground
 from prc_cli.methods.fused.plane import Plane
 from prc_cli.methods.fused.range_noise import forest_noise
 from prc_cli.methods.fused.thresholds import FOREST, Forest
@@ -86,19 +85,6 @@ def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
     assert set(count(labels, high < 0.02)) == {"GROUND"}
 
 
-def test_stems_end_where_they_are_said_to() -> None:
-    ranges = image(ground(), stem(5.0))
-    high = -ranges * np.cos(BEAM) + HEIGHT_M
-    labels = labels_of(ranges, classes={"top_m": 4.0})
-    assert set(count(labels, (high > 0.2) & (high < 3.9))) == {"STEM"}
-    assert set(count(labels, high > 4.1)) == {"VEGETATION"}
-
-
-def test_a_stump_is_too_low_for_a_stem() -> None:
-    labels = labels_of(image(ground(), stem(5.0, top_m=0.4)))
-    assert "STEM" not in count(labels, True)
-
-
 def test_leaves_are_vegetation_and_a_stem_between_them_is_seen() -> None:
     rng = np.random.default_rng(1)
     ranges = image(ground(), stem(5.0, top_m=12.0), leaves(rng, 3.0, 1.5, 0.5))
@@ -131,22 +117,6 @@ def test_what_is_seen_through_is_no_stem() -> None:
     assert count(blind, near)["STEM"] > 0.8 * near.sum()
 
 
-def test_a_stem_goes_on_from_line_to_line() -> None:
-    """One line that has what no other has is not a stem, unless lines are judged alone."""
-    ranges = image(ground())
-    ranges[6] = image(ground(), stem(5.0))[6]
-    assert "STEM" not in count(labels_of(ranges), True)
-    assert "STEM" in count(labels_of(ranges, stems={"near_m": -1.0, "near_share": 0.0, "runs": 1.0}), True)
-
-
-def test_a_shot_that_touches_a_stem_is_of_it() -> None:
-    ranges = image(ground(), stem(5.0))
-    column = int(np.argmin(np.abs(BEAM - np.deg2rad(90))))
-    ranges[5, column] += 0.045
-    assert labels_of(ranges)[5, column] == Label.STEM
-    assert labels_of(ranges, classes={"beside_m": -1.0})[5, column] != Label.STEM
-
-
 def test_noise_is_alone_or_below_the_ground() -> None:
     ranges = image(ground())
     sky, soil = int(np.flatnonzero(SKY)[3]), int(np.argmin(np.abs(BEAM - 0.5)))
@@ -157,27 +127,6 @@ def test_noise_is_alone_or_below_the_ground() -> None:
     assert labels_of(ranges, classes={"near_m": -1.0})[4, sky] == Label.VEGETATION
     ranges[5, sky + 1] = 17.2
     assert labels_of(ranges)[4, sky] == Label.VEGETATION
-
-
-def test_flat_places_are_ground_up_to_a_greater_height() -> None:
-    ranges = image(ground())
-    heights = heights_over_ground(ranges, PLANE, FOREST)
-    assert np.nanmax(np.abs(heights[:, np.abs(BEAM) < 1.2])) < 0.03
-    # a mound 0.1 m high among lower ground
-    mound = np.abs(BEAM - 0.5) < 0.02
-    ranges[:, mound] *= 1 - 0.1 / HEIGHT_M
-    inside = np.abs(BEAM - 0.5) < 0.018
-    assert set(count(labels_of(ranges), inside)) == {"GROUND"}
-    assert "GROUND" not in count(labels_of(ranges, classes={"cover_m": 0.0}), inside)
-
-
-def test_ground_behind_a_bush_is_bridged() -> None:
-    """Where no ground is seen its height lies on a straight line between what is seen on either side."""
-    hidden = (BEAM > 0.6) & (BEAM < 0.9)
-    bush = np.where(hidden, 1.2, np.inf)
-    heights = heights_over_ground(image(ground(), bush), PLANE, FOREST)
-    expected = HEIGHT_M - 1.2 * np.cos(BEAM[hidden])
-    np.testing.assert_allclose(heights[:, hidden], np.tile(expected, (N_LINES, 1)), atol=0.03)
 
 
 def test_blocks_are_labelled_by_themselves() -> None:
@@ -195,14 +144,6 @@ def test_small_and_empty_blocks(shape: tuple[int, int]) -> None:
     assert (forest(nothing, plane, 0.0, FOREST) == Label.MISSING).all()
     labels = forest(np.full(shape, 5.0, dtype=np.float32), plane, 0.0, FOREST)
     assert (labels != Label.MISSING).all()
-
-
-def test_no_ground_is_no_reason_against_stems() -> None:
-    ranges = image(stem(5.0))
-    ranges[:, np.cos(BEAM) > 0] = np.nan
-    heights = np.full(ranges.shape, 1e9, dtype=np.float32)
-    heights[np.isnan(ranges)] = np.nan
-    assert find_stems(ranges, heights, PLANE, 0.0, FOREST).sum() > 0.9 * np.isfinite(ranges).sum()
 
 
 @cache
@@ -260,23 +201,3 @@ def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
         assert (aware == Label.GROUND)[soil].mean() > (not_aware == Label.GROUND)[soil].mean() + 0.1
         by_preset = classify_ranges(noisy, load_config(preset="fused-forest"), beam_rad=angle).labels
         assert (by_preset == aware).mean() > 0.99
-
-
-def test_noise_of_too_few_runs_is_unknown() -> None:
-    assert forest_noise(np.full((400, 10), 5.0, np.float32)) is None
-    assert forest_noise(np.full((40, 100), np.nan, np.float32)) is None
-    # edges are no noise
-    steps = np.tile(np.repeat([2.0, 9.0], 50), (100, 3)).astype(np.float32)
-    assert forest_noise(steps) == 0.0
-
-
-def test_a_run_is_as_wide_as_the_noise() -> None:
-    ranges = image(ground(), stem(5.0))
-    noisy = ranges + np.random.default_rng(1).normal(0, 0.03, ranges.shape).astype(np.float32)
-    on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (-ranges * np.cos(BEAM) > 1 - HEIGHT_M)
-    heights = heights_over_ground(noisy, PLANE, FOREST)
-    found = {told: find_stems(noisy, heights, PLANE, told, FOREST)[on_stem].mean() for told in (0.0, 0.03)}
-    assert found[0.03] > 0.97
-    assert found[0.03] > found[0.0] + 0.03
-    unaware = FOREST._replace(run_sigmas=0.0)
-    assert find_stems(noisy, heights, PLANE, 0.03, unaware)[on_stem].mean() == found[0.0]

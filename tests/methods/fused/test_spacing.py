@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.methods.base import OneByOne
-from prc_cli.methods.fused import spacing_loops as loops
 from prc_cli.methods.fused.neighbours import smooth_pairs
 from prc_cli.methods.fused.pipeline import FusedParams, FusedScanner, classify_block, initial_state
 from prc_cli.methods.fused.plane import ScanPlane
@@ -53,12 +51,6 @@ def share(labels: U8, kind: U8, one: int, label: Label) -> float:
     return float((labels[kind == one] == label).mean())
 
 
-@pytest.mark.parametrize(("slower", "stride"), [(1, 1), (3, 2), (5, 4), (10, 8), (18, 16)])
-def test_neighbours_are_as_far_away_as_leaves_are_wide(slower: int, stride: int) -> None:
-    ranges, _ = drive(np.arange(slower * 48) // slower)
-    assert labelled(ranges)[1][0] == stride
-
-
 def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
     normal, kind = drive(np.arange(48))
     usual = share(labelled(normal)[0], kind, VEGETATION, Label.VEGETATION)
@@ -67,14 +59,6 @@ def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
     assert share(aware, kind, VEGETATION, Label.VEGETATION) > usual - 0.02
     assert share(aware, kind, BUILDING, Label.BUILDING) > 0.97
     assert share(not_aware, kind, VEGETATION, Label.VEGETATION) < usual - 0.02
-
-
-def test_things_are_as_many_lines_wide_in_a_slow_drive() -> None:
-    normal, _ = drive(np.arange(48))
-    slow, _ = drive(np.arange(48 * 4) // 4)
-    usual = labelled(normal)[0]
-    inner = slice(8, 40)
-    assert (labelled(slow)[0][2::4][inner] == usual[inner]).mean() > 0.985
 
 
 def test_a_drive_that_stops_keeps_its_labels() -> None:
@@ -88,11 +72,6 @@ def test_a_drive_that_stops_keeps_its_labels() -> None:
     assert (labels[stop] == normal)[:, surface].mean() > 0.96
     for one, label in ((BUILDING, Label.BUILDING), (VEGETATION, Label.VEGETATION)):
         assert share(labels[stop], kind[stop], one, label) > share(normal, kind[40], one, label) - 0.03
-
-
-def test_normal_drives_are_labelled_as_without() -> None:
-    ranges, _ = drive(np.arange(48))
-    np.testing.assert_array_equal(labelled(ranges)[0], labelled(ranges, scanner=ALONE)[0])
 
 
 def test_labels_hardly_depend_on_the_size_of_blocks() -> None:
@@ -155,10 +134,3 @@ def test_a_leaf_that_many_shots_hit_is_rough_and_a_wall_is_smooth() -> None:
     assert shares[0.0][0] > 0.5
     assert shares[0.012][0] < 0.25
     assert min(shares[0.0][1], shares[0.012][1]) > 0.95
-
-
-def test_stage_and_loop_agree_on_the_lines_that_are_compared() -> None:
-    from prc_cli.methods.fused import plane, spacing
-
-    assert (spacing.LAGS, spacing.MOST_LAG, spacing.EVERY_LINE) == (loops.LAGS, loops.MOST_LAG, loops.EVERY_LINE)
-    assert spacing.BESIDE_LINES == plane.AROUND_LINES - plane.INNER_LINES

@@ -87,13 +87,6 @@ def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
     assert ((labels == Label.MISSING) == np.isnan(street[0])).all()
 
 
-def test_a_scanner_of_a_centimetre_of_noise_sees_the_same_street() -> None:
-    ranges, kind = street_lines(60, noise_m=0.01)
-    found = recalls(classified(ranges), kind)
-    assert min(found[GROUND], found[BUILDING]) > 0.96
-    assert found[VEGETATION] > 0.75
-
-
 def noise_along(ranges: F32, params: SensorParams, k: int = 128) -> list[float]:
     """Return what is known of the noise at every line, of a stream in blocks of k lines."""
     noise, found = NoiseAlong(), []
@@ -112,19 +105,6 @@ def test_the_noise_of_ranges_is_measured() -> None:
     assert noise_along(ranges, SensorParams(range_noise_m=0.004)) == [0.004] * 40
     nothing = np.full((8, len(BEAM)), np.nan, np.float32)
     assert noise_along(nothing, SensorParams()) == [DEFAULT_NOISE_M] * 8
-
-
-def test_the_noise_is_measured_on_the_same_lines_however_a_stream_is_cut() -> None:
-    ranges, _ = street_lines(300)
-    ranges += (
-        np.random.default_rng(9).exponential(0.03, ranges.shape).astype(np.float32)
-        * (300 - np.arange(300))[:, None].astype(np.float32)
-        / np.float32(300)
-    )
-    whole = noise_along(ranges, SensorParams(), 300)
-    assert len(set(whole)) > 5
-    for k in (1, 50, 128):
-        assert noise_along(ranges, SensorParams(), k) == whole
 
 
 def test_a_drive_that_begins_beneath_trees_sees_better_later() -> None:
@@ -161,50 +141,12 @@ def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]
     assert (without[window] == Label.BUILDING).mean() < 0.5
 
 
-def test_lonely_ranges_far_behind_the_windows_of_a_wall_are_noise(street: tuple[F32, U8]) -> None:
-    ranges, kind = street[0].copy(), street[1]
-    rng = np.random.default_rng(6)
-    height = -ranges * np.cos(BEAM) + HEIGHT_M
-    window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.5)
-    ranges[window] *= rng.uniform(1.8, 2.4, int(window.sum())).astype(np.float32)
-    found, missed = (classified(ranges, decision={"ghost_near": near}) for near in (6, 0))
-    assert (found[window] == Label.NOISE).mean() > 0.6
-    assert (missed[window] == Label.NOISE).mean() < 0.3
-
-
-def test_what_few_shots_are_left_of_a_wall_are_building(street: tuple[F32, U8]) -> None:
-    ranges, kind = street[0].copy(), street[1]
-    rng = np.random.default_rng(7)
-    height = -ranges * np.cos(BEAM) + HEIGHT_M
-    band = (kind == BUILDING) & (height > 2) & (height < 4)
-    ranges[band & (rng.random(ranges.shape) < 0.9)] = np.nan
-    left = band & ~np.isnan(ranges)
-    # four of five lines must see a wall, which the outermost lines of a stream do not have around them
-    left[:2] = left[-2:] = False
-    assert (classified(ranges)[left] == Label.BUILDING).mean() > 0.9
-
-
-def test_votes_settle_single_shots(street: tuple[F32, U8]) -> None:
-    ranges, kind = street
-    voted, alone = classified(ranges), classified(ranges, votes=None)
-    assert recalls(voted, kind)[VEGETATION] > recalls(alone, kind)[VEGETATION]
-
-
 def test_labels_do_not_depend_on_threads(street: tuple[F32, U8]) -> None:
     ranges, params = street[0], FusedParams(lines_per_block=16)
     for threads in (1, 3):
         found = run_blocks(iter([ScanBlock(0, ranges, beam_rad=BEAM)]), Fused(params), threads=threads)
         labels = np.concatenate([item.labels for item in found])
         np.testing.assert_array_equal(labels, classified(ranges, params))
-
-
-def test_what_a_block_leaves_does_not_grow(street: tuple[F32, U8]) -> None:
-    state, params = initial_state(SCANNER), FusedParams(lines_per_block=20)
-    for first in range(0, 60, 20):
-        _, state = classify_block(street[0][first : first + 20], None, state, params)
-        assert state.tail.shape == (35, len(BEAM))
-        assert state.tail.base is None, "a view would keep the whole block alive"
-        assert state.memory.height_m.shape == (2, 320)
 
 
 def test_the_ground_is_found_again_behind_a_long_car() -> None:
@@ -225,14 +167,6 @@ def test_the_ground_is_found_again_after_more_lines_without_it_than_are_remember
     ranges[72:136, left if hidden == "left" else slice(None)] = np.nan
     labels = classified(ranges, FusedParams(lines_per_block=70))[138:, left]
     assert (labels[kind[138:, left] == GROUND] == Label.GROUND).mean() > 0.98
-
-
-def test_the_noise_is_measured_in_the_first_lines_that_tell_it() -> None:
-    ranges = np.tile(street_lines(64)[0], (4, 1))
-    ranges[:224] = np.nan
-    assert noise_along(ranges, SensorParams()) == [DEFAULT_NOISE_M] * 256
-    later = np.concatenate([ranges, ranges[224:]])
-    assert noise_along(later, SensorParams())[256:] == pytest.approx([0.002] * 32, rel=0.25)
 
 
 def test_any_lines_are_labelled() -> None:

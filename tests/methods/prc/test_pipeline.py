@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -87,16 +86,6 @@ def test_support_and_background_do_not_depend_on_block_length(seed: int) -> None
         np.testing.assert_array_equal(np.concatenate([t.background for t in traces]), expected_g)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_more_look_ahead_changes_nothing(seed: int) -> None:
-    rng = np.random.default_rng(100 + seed)
-    stream, params = random_stream(rng), random_params(rng)
-    few, more = run_blocks(stream, params), run_blocks(stream, params, extra_lines=5)
-    for (one, after_one), (other, after_other) in zip(few, more, strict=True):
-        np.testing.assert_array_equal(one.labels, other.labels)
-        np.testing.assert_array_equal(after_one.tail, after_other.tail)
-
-
 def test_state_can_be_stored_and_taken_up_again() -> None:
     stream = np.tile(np.linspace(5, 6, 40, dtype=np.float32), (30, 1))
     params = PrcParams(lines_per_block=10)
@@ -107,38 +96,6 @@ def test_state_can_be_stored_and_taken_up_again() -> None:
         state = pickle.loads(pickle.dumps(state))
         parts.append(trace.labels)
     np.testing.assert_array_equal(np.concatenate(parts), run_stream(stream, params)[0])
-
-
-def test_state_does_not_grow() -> None:
-    rng = np.random.default_rng(3)
-    stream = rng.choice(np.array([5.0, 5.01, 9.0], dtype=np.float32), (400, 16))
-    params = build(PrcParams, {"lines_per_block": 4, "surfaces": {"area": 2, "gamma": 0}}, "test")
-    states = [state for _, state in run_blocks(stream, params)]
-    assert max(len(state.totals.ids) for state in states) <= 16
-    assert max(len(state.totals.ids) for state in states) > 1
-    for state in states:
-        assert (state.tail.shape, state.link.last_line.shape) == ((17,), (16,))
-        assert state.tail.base is None, "a view would keep the whole block alive"
-
-
-def test_inputs_are_not_written_to() -> None:
-    rng = np.random.default_rng(8)
-    stream = rng.uniform(5, 6, (12, 9)).astype(np.float32)
-    stream[3] = np.nan
-    before = stream.copy()
-    stream.setflags(write=False)
-    state = initial_state(9)
-    for array in (state.tail, state.link.last_line):
-        array.setflags(write=False)
-    trace_block(stream[:6], stream[6:], state, PrcParams())
-    np.testing.assert_array_equal(stream, before)
-
-
-def test_slices_of_a_larger_image_are_welcome() -> None:
-    image = np.full((8, 30), 20.0, dtype=np.float32)
-    part = image[::2, 3:20]
-    trace, _ = trace_block(part, None, initial_state(17), PrcParams())
-    np.testing.assert_array_equal(trace.labels, np.full((4, 17), Label.GROUND))
 
 
 def test_every_shot_is_labelled_once_and_segments_go_with_it() -> None:
@@ -194,20 +151,6 @@ def test_blocks_that_do_not_fit_are_refused(
     block = ScanBlock(0, np.ones(range_shape, np.float32), next_m=np.ones(next_shape, np.float32))
     with pytest.raises(InputError, match=message):
         Prc(PrcParams()).label(block, 5, OneByOne(initial_state(5)), LABELS_ALONE)
-
-
-def test_block_beyond_the_pixel_numbers_is_refused() -> None:
-    huge = np.broadcast_to(np.float32(1), (70_000, 40_000))
-    with pytest.raises(InputError, match=r"70000 x 40000 shots, expected fewer than 2\^31; lower prc.lines_per_block"):
-        Prc(PrcParams(lines_per_block=80_000)).label(
-            ScanBlock(0, huge), 40_000, OneByOne(initial_state(40_000)), LABELS_ALONE
-        )
-
-
-def test_defaults_are_the_published_urban_parameters() -> None:
-    settings_of_paper = oracle_prc.Settings()
-    assert to_settings(PrcParams(), 2154) == settings_of_paper
-    assert replace(settings_of_paper, area=30.0) == settings_of_paper
 
 
 @pytest.mark.parametrize(

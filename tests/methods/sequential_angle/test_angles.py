@@ -11,12 +11,11 @@ from numpy.random import Generator
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F64
 from prc_cli.methods.sequential_angle import angles_loops as kernel_module
-from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles
-from prc_cli.methods.sequential_angle.lines import VerticalLines, split_sides, vertical_lines
+from prc_cli.methods.sequential_angle.angles import line_angles, signed_angles
 from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 from prc_cli.reference.sequential_angle import angles as oracle_angles
 from tests.methods.sequential_angle.made import made
-from tests.methods.sequential_angle.scenes import lines_of, lines_through, street_lines
+from tests.methods.sequential_angle.scenes import lines_of, lines_through
 
 HELPERS: Any = kernel_module
 """Their plain functions are called: compiled, helpers have no way in from outside."""
@@ -57,23 +56,6 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
     assert found.ahead[0].tolist() == [1, 2, -1]
 
 
-def test_the_depth_that_does_not_count_is_in_standard_deviations_of_the_range() -> None:
-    """Shots 5 cm apart in range and nothing else: a depth of 3 times 1 cm leaves 2 cm of the chord, of 5 times none."""
-    points = [(4.0, 0.0), (4.05, 0.0), (4.1, 0.0)]
-    for sigmas, ahead in ((3.0, [1, 2, -1]), (5.0, [2, -1, -1])):
-        params = plain(range_noise_m=0.01, min_chord_sigmas=1.0, chord_depth_sigmas=sigmas)
-        assert params.at_noise().depth_m == pytest.approx(sigmas * 0.01)
-        assert signed_angles(lines_through(points), params).ahead[0].tolist() == ahead
-
-
-def test_the_chord_before_comes_from_the_last_shot_far_enough_away() -> None:
-    # the step back of 1 cm is noise to a shortest chord of 2 cm; the literal statistic takes it for foliage
-    points = [(4, -2), (4.05, -2), (4.04, -2), (4.09, -2), (4.14, -2)]
-    assert (signed_angles(lines_through(points), plain()).signed_deg[0, :4] > 0).all()
-    literal = signed_angles(lines_through(points), LITERAL).signed_deg[0]
-    assert (literal < 0).tolist() == [False, True, True, False, False]
-
-
 @pytest.mark.parametrize(
     ("spacing", "negative", "rms_deg"),
     [(1, 0.34, 46), (2, 0.086, 31), (3, 0.012, 23), (4, 0.001, 18), (6, 0.0, 13)],
@@ -88,55 +70,6 @@ def test_noise_turns_short_chords_round(rng: Generator, spacing: int, negative: 
     lengthened = signed_angles(lines_through(points), plain(range_noise_m=noise)).signed_deg[0, :-4]
     # measured .032, .013, .010, .001, 0: chords that noise makes long enough are still turned round now and then
     assert (lengthened < 0).mean() < min(0.05, 0.4 * negative + 0.01)
-
-
-def test_lines_without_returns_with_one_and_with_all_at_one_place() -> None:
-    nothing = np.full((9, 2), np.nan)
-    one = nothing.copy()
-    one[4] = (5, 1)
-    same = np.tile((5.0, 1.0), (9, 1))
-    for params in (LITERAL, plain()):
-        found = signed_angles(lines_through([nothing, one, same]), params)
-        assert np.isnan(found.signed_deg).all()
-        assert (found.ahead == -1).all()
-    assert signed_angles(lines_through(np.empty((0, 9, 2))), LITERAL).signed_deg.shape == (0, 9)
-    assert signed_angles(lines_through(np.empty((2, 0, 2))), LITERAL).signed_deg.shape == (2, 0)
-
-
-def test_shots_looked_at_are_bounded() -> None:
-    points = [(5, 1)] * 20 + [(6, 1)]
-    found = signed_angles(lines_through(points), plain(max_shots=8)).ahead[0]
-    assert found.tolist() == [-1] * 12 + [20] * 8 + [-1]
-
-
-def test_fill_is_not_looked_at(rng: Generator) -> None:
-    lines, _ = street_lines(rng, 2)
-    short = np.array([700, 0], np.int32)
-    cut = VerticalLines(lines.range_m, lines.xyz_m, lines.horizontal_m, short, lines.beam_rad)
-    found = signed_angles(cut, plain())
-    alone = signed_angles(lines_of(lines.beam_rad[0, :700], lines.range_m[0, :700]), plain())
-    np.testing.assert_array_equal(found.signed_deg[0, :700], alone.signed_deg[0])
-    assert np.isnan(found.signed_deg[0, 700:]).all()
-    assert (found.ahead[0, 700:] == -1).all()
-    assert np.isnan(found.signed_deg[1]).all()
-
-
-def test_rows_and_the_order_of_columns_do_not_matter(rng: Generator) -> None:
-    lines, _ = street_lines(rng, 4)
-    found = signed_angles(lines, plain()).signed_deg
-    for row in range(4):
-        alone = lines_of(lines.beam_rad[0], lines.range_m[row])
-        np.testing.assert_array_equal(signed_angles(alone, plain()).signed_deg[0], found[row])
-    # a mirror that turns the other way round writes the same beams from the last column to the first
-    beam_rad = lines.beam_rad[0][::-1].copy()
-    turned = vertical_lines(lines.range_m[:, ::-1].copy(), None, beam_rad, split_sides(beam_rad), 300.0)
-    np.testing.assert_array_equal(signed_angles(turned, plain()).signed_deg, found)
-
-
-def test_differences_skip_what_has_no_angle() -> None:
-    signed = np.array([[np.nan, 90, -90, np.nan, 0], [np.nan] * 5], np.float32)
-    expected = np.array([[np.nan, 0, -180, np.nan, 90], [np.nan] * 5], np.float32)
-    np.testing.assert_array_equal(angle_differences(signed), expected)
 
 
 def straight_line(rng: Generator) -> tuple[F64, F64, float]:
@@ -186,17 +119,6 @@ def test_line_angles_see_slope_not_height(height: float, slope_deg: float) -> No
     np.testing.assert_array_equal(np.isnan(found), ahead < 0)
     # ranges are float32: at the shortest chord of 2 cm half a step of it turns the chord by some 0.001 deg
     np.testing.assert_allclose(found[ahead >= 0], 90 + slope_deg, atol=0.005)
-
-
-def test_line_angles_are_those_of_horizontal_shots_on_the_side_of_the_row() -> None:
-    beam = np.deg2rad([[40.0, 41.0, 42.0], [50.0, 51.0, np.nan]])
-    ranges = (1.8 / np.cos(beam)).astype(np.float32)
-    lines = VerticalLines(ranges, np.zeros((2, 3, 3), np.float32), ranges, np.array([3, 2], np.int32), beam)
-    ahead = np.array([[1, 2, -1], [1, -1, -1]], np.int32)
-    surface = np.array([[2, 3, 2], [2, 2, 0]], np.uint8)
-    found = line_angles(lines, ahead, surface)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, [[90, np.nan, np.nan], [90, np.nan, np.nan]], atol=1e-3)
 
 
 @pytest.mark.parametrize("spacing", [1.0, 0.3, 0.1, 0.05])

@@ -18,7 +18,6 @@ from tests.methods.sequential_angle.car_lines import (
     Piece,
     Seen,
     V,
-    bush,
     car,
     curb,
     make_lines,
@@ -88,18 +87,6 @@ def test_walls_are_sudden_and_tyres_gradual() -> None:
     assert max(tyres) < 0.05
 
 
-def test_two_cars_before_a_wall_are_two_intervals() -> None:
-    found = look([*road(), *car(6), *car(13.5), *curb(17), *wall(20, 0.15, windows=True)], scanner_m=2.5)
-    intervals = find(found)
-    assert len(intervals) == 2
-    for (_, first, last), at_m in zip(intervals, (6.0, 13.5), strict=True):
-        beams = [k for k in range(first, last + 1) if found.surface[0, k]]
-        assert {found.names[0][k] for k in beams} == {"car"}
-        assert len(beams) >= 15
-        assert np.allclose(found.lines.horizontal_m[0, beams], at_m + 0.8, atol=0.9)
-    assert intervals[0, 2] < intervals[1, 1]
-
-
 def test_walls_curbs_and_poles_give_no_interval() -> None:
     rng = np.random.default_rng(9)
     pole = [Piece("pole", (5.0, 0.0), (5.0, 1.1))]
@@ -110,12 +97,6 @@ def test_walls_curbs_and_poles_give_no_interval() -> None:
     assert len(set(find(found)[:, 0].tolist())) <= 8, "some of a hundred changes look gradual"
 
 
-def test_published_limit_of_what_is_under_is_within_the_noise() -> None:
-    published = ALL_SUDDEN._replace(under_sigmas=0.0)
-    assert share_of_lines([*road(), *wall(4.0)], published, 4.0, high_deg=95.0) > 0.05
-    assert share_of_lines([*road(), *wall(4.0)], ALL_SUDDEN, 4.0, high_deg=95.0) == 0
-
-
 @pytest.mark.parametrize("behind_m", [8.2, 9.5, 11.0])
 def test_wall_behind_a_car_is_cut_out_although_the_search_ends_below_its_top(behind_m: float) -> None:
     found = look([*road(), *car(6, glass=False), *wall(behind_m)])
@@ -124,32 +105,6 @@ def test_wall_behind_a_car_is_cut_out_although_the_search_ends_below_its_top(beh
     assert len(find(found, plain(vertical_extent_m=100)).ravel()) >= 3
     uncut = find(found, plain(vertical_extent_m=100))
     assert {found.names[0][k] for _, a, b in uncut for k in range(a, b + 1)} >= {"car", "wall"}
-
-
-def test_line_without_trigger_or_ground_gives_nothing() -> None:
-    found = see([[*road(), *car(6)]] * 3, np.random.default_rng(1))
-    signed = signed_angles(found.lines)
-    trigger, z_g = np.array([-1, 5, 5], np.int32), np.array([-1.8, np.nan, -1.8], np.float32)
-    rows = dividers(found.lines, found.surface, signed, trigger, z_g, PARAMS.at_noise(NOISE_M)).pieces[:, 0]
-    assert set(rows.tolist()) == {2}
-
-
-def test_search_ends_at_dense_vegetation_and_at_height() -> None:
-    # a hedge before the car hides nothing of what is known of it: the search must not get there
-    found = look([*road(), *bush(4.0, 0.6), *car(6)])
-    assert DENSE in found.surface
-    assert (found.surface[0, : found.where("car")[0]] == DENSE).any()
-    assert len(find(found)) == 0
-
-    found = look([*road(), *car(6), *car(14, glass=False)], scanner_m=3.0)
-    first, second = find(found)[:2]
-    assert len(find(found)) >= 2
-    high = plain(height_m=1.2)
-    (cut,) = find(found, high)
-    assert cut[1] == first[1]
-    assert cut[2] < second[1]
-    heights = found.lines.xyz_m[0, cut[1] : cut[2] + 1, 2]
-    assert np.nanmax(heights) <= found.z_g[0] + 1.2
 
 
 def profile(steps: list[tuple[str, float, float]]) -> tuple[Seen, F64]:
@@ -183,20 +138,6 @@ def test_jump_ahead_divides_and_jump_back_does_not() -> None:
     assert spans([*start, *side(10.5)], plain(separation_m=5)) == [(begin, n + 7)]
 
 
-def test_long_flat_stretch_ends_the_interval_and_the_search_begins_anew() -> None:
-    first, plane, second = [*ground(2, 6.5), *side(6)], ground(7, 11), side(10.6)
-    begin, n = len(ground(2, 6.5)), len(first)
-    steps = [*first, *plane, *second]
-    assert spans(steps) == [(begin, n), (n + len(plane), len(steps) - 1)]
-    # a short one does not; nor does one that is bent; on a slope it does
-    assert spans([*first, *ground(7, 9.9), *second]) == [(begin, n + len(ground(7, 9.9)) + 7)]
-    bent = [("H", h, 0.25 * abs(h - 9)) for _, h, _ in plane]
-    assert spans([*first, *bent, *second]) == [(begin, len(steps) - 1)]
-    sloping = [("H", h, 0.1 * (h - 7)) for _, h, _ in plane]
-    assert spans([*first, *sloping]) == [(begin, n)]
-    assert spans([*first, *sloping], plain(flat_slope=float(np.tan(np.deg2rad(5))))) == [(begin, n + len(plane) - 1)]
-
-
 def test_the_largest_slope_of_ground_is_an_angle() -> None:
     """Ground that rises by 1.4 m a metre, 54.5 degrees, beside limits on either side; 1.4 rad are 80 degrees."""
     first = [*ground(2, 6.5), *side(6)]
@@ -215,21 +156,6 @@ def test_limits_are_the_larger_of_a_length_and_a_multiple_of_the_noise(
     assert (thresholds.change_chord_m, thresholds.under_m) == (pytest.approx(chord_m), pytest.approx(under_m))
 
 
-def test_roof_and_the_ground_behind_it_are_not_one_flat_stretch() -> None:
-    first = [*ground(2, 6.5), *side(6)]
-    roof = [("H", float(h), 1.4) for h in np.arange(6.25, 7.8, 0.25)]
-    begin, n = len(ground(2, 6.5)), len(first) + len(roof)
-    # one run of H, less than t_sep apart: the stretch is found inside the run, from the ground on
-    assert spans([*first, *roof, *ground(10.5, 14.5), *side(14)])[0] == (begin, n)
-
-
-def test_forgotten_divider_does_not_begin_an_interval() -> None:
-    """After a long flat stretch the jump behind it is not a divider any more."""
-    first, plane, jumped = [*ground(2, 6.5), *side(6)], ground(7, 11), ground(16, 17)
-    begin, n = len(ground(2, 6.5)), len(first)
-    assert spans([*first, *plane, *jumped]) == [(begin, n)]
-
-
 def test_long_vertical_runs_are_cut_out_of_the_middle() -> None:
     start, trunk = [*ground(2, 6.5), *side(6)], [("V", 7.0, float(z)) for z in np.arange(0.5, 1.9, 0.1)]
     hood = [("H", float(h), 0.95) for h in (6.2, 6.4, 6.6)]
@@ -238,28 +164,6 @@ def test_long_vertical_runs_are_cut_out_of_the_middle() -> None:
     steps = [*start, *hood, *trunk, *after]
     assert spans(steps) == [(begin, n - 1), (n + len(trunk), len(steps) - 1)]
     assert spans(steps, plain(vertical_extent_m=1.5)) == [(begin, len(steps) - 1)]
-
-
-def test_side_of_a_car_and_the_wall_behind_it_are_two_runs() -> None:
-    start = [*ground(2, 6.5), *side(6)]
-    begin = len(ground(2, 6.5))
-    high = [("V", 8.0, float(z)) for z in np.arange(1.0, 4.0, 0.1)]
-    assert spans([*start, *high]) == [(begin, len(start) - 1)]
-    assert spans([*start, *high], plain(vertical_break_m=3)) == []
-
-
-def test_angle_of_the_point_itself_where_no_chord_can_be_laid() -> None:
-    """Two returns at one place: the signed angle decides, and without one what lies under the point."""
-    steps = [*ground(2, 6), ("V", 6.0, 0.03)]
-    found, _ = profile(steps)
-    signed = np.zeros_like(found.lines.range_m)
-
-    def n_found(angle: float) -> int:
-        signed[0, -1] = angle
-        trigger = np.zeros(1, np.int32)
-        return len(dividers(found.lines, found.surface, signed, trigger, found.z_g, PARAMS.at_noise(NOISE_M)).pieces)
-
-    assert [n_found(angle) for angle in (-5.1, -5, 0, 20, 20.1, np.nan)] == [1, 0, 0, 0, 1, 0]
 
 
 def test_hostile_row_takes_no_more_than_a_moment() -> None:
@@ -321,19 +225,6 @@ def test_only_what_is_higher_than_a_van_is_cut_out_by_its_height() -> None:
     assert left_of(leaning[few], z[few], surface[:, few].copy()) == []
 
 
-def test_a_line_that_begins_on_a_car_begins_with_an_interval() -> None:
-    steps = [("V", 2.0, -1.4 + 0.1 * i) for i in range(6)] + [("H", 2.1 + 0.1 * i, -0.8) for i in range(6)]
-    assert spans(steps, made(DividerThresholds, straight_extent_m=0)) == [(0, 11)]
-    assert spans(steps, made(DividerThresholds, straight_extent_m=0, from_start=False)) == []
-
-
-def test_a_lean_within_the_noise_is_upright() -> None:
-    x, z, surface = columns([(6.0, -1.6, -1.2, 20)], "V")
-    leaning = x + np.tan(np.deg2rad(2)) * z
-    assert left_of(leaning, z, surface) == []
-    assert left_of(leaning, z, surface, lean_sigmas=0) == [(0, 19)]
-
-
 def test_the_side_of_a_van_is_searched_to_its_top() -> None:
     def van(top: float) -> list[tuple[str, float, float]]:
         start = [*ground(2, 6.5), *side(6)]
@@ -359,14 +250,6 @@ def test_a_window_does_not_end_the_search_and_a_bush_does() -> None:
     assert spans([*start, *panes, *behind]) == [(begin, len(start) - 1)]
     far = [("V", 9.3, 1.35), ("V", 9.3, 1.4)]
     assert spans([*start, *panes, *far], params) == [(begin, len(start) - 1)], "a wall behind a bush"
-
-
-def test_a_roof_is_no_ground() -> None:
-    start = [*ground(2, 6.5), *side(6)]
-    roof = [("H", 6.3 + 0.2 * i, 1.5) for i in range(20)]
-    begin = len(ground(2, 6.5))
-    assert spans([*start, *roof]) == [(begin, len(start))]
-    assert spans([*start, *roof], plain(flat_above_m=1.0)) == [(begin, len(start) + 19)]
 
 
 def test_a_rough_wall_is_cut_out_and_a_van_is_not() -> None:

@@ -9,7 +9,6 @@ from numpy.random import Generator
 from prc_cli.core.types import F32, I32
 from prc_cli.methods.sequential_angle.car import fourier
 from prc_cli.methods.sequential_angle.thresholds import FourierThresholds
-from tests.methods.sequential_angle.car_lines import car, road, see, signed_angles
 from tests.methods.sequential_angle.made import made
 
 
@@ -62,46 +61,6 @@ def test_windows_tell_long_foliage_too() -> None:
     assert fourier(leaves, whole(leaves), PARAMS).mean() < 0.1
     # a window on the side alone has a small mean: half of the windows may fail
     assert 0.85 < fourier(bodies, whole(bodies), PARAMS).mean() < 1
-
-
-def test_simulated_car_is_a_car() -> None:
-    found = see([[*road(), *car(6.0)], [*road(), *car(9.0, glass=False)]], np.random.default_rng(2))
-    signed = signed_angles(found.lines)
-    intervals = []
-    for row, names in enumerate(found.names):
-        beams = [k for k, name in enumerate(names) if name == "car" and found.surface[row, k]]
-        intervals.append((row, beams[0], beams[-1]))
-    assert fourier(signed, np.array(intervals, np.int32), PARAMS).all()
-
-
-def test_mean_is_one_of_the_frequencies() -> None:
-    """Without F_0 the noise on a flat car would be the largest frequency there is."""
-    noise = np.random.default_rng(8).normal(0, 5, (20, 64))
-    assert fourier((noise + 60).astype(np.float32), whole(noise), PARAMS).all()
-    assert not fourier((noise - noise.mean(axis=1, keepdims=True)).astype(np.float32), whole(noise), PARAMS).all()
-
-
-def test_few_angles_are_no_car_and_missing_ones_do_not_count() -> None:
-    row = np.full((1, 20), 50.0, np.float32)
-    intervals = np.array([[0, 0, 6], [0, 0, 7], [0, 5, 5]], np.int32)
-    assert fourier(row, intervals, PARAMS).tolist() == [False, True, False]
-    row[0, 3] = np.nan
-    assert fourier(row, intervals, PARAMS).tolist() == [False, False, False]
-    assert fourier(row, intervals, plain(min_points=1)).all()
-    assert fourier(np.full_like(row, np.nan), intervals, plain(min_points=1)).tolist() == [False] * 3
-    assert fourier(row, np.empty((0, 3), np.int32), PARAMS).shape == (0,)
-
-
-def test_exactly_half_is_not_above_half() -> None:
-    rows = np.array([[3, 1] * 4, [3.01, 0.99] * 4], np.float32)
-    assert fourier(rows, whole(rows), PARAMS).tolist() == [True, False]
-
-
-@pytest.mark.parametrize(("k", "is_car"), [(15, True), (16, False), (17, False), (64, False)])
-def test_band_begins_at_an_eighth(k: int, is_car: bool) -> None:
-    n = 128
-    row = 30 + 40 * np.cos(2 * np.pi * k * np.arange(n) / n)
-    assert fourier(row[None].astype(np.float32), whole(row[None]), WHOLE)[0] == is_car
 
 
 def test_cost_of_a_long_interval_is_bounded() -> None:

@@ -59,13 +59,6 @@ def test_road_is_ground_over_slopes_and_missing_shots(slope: float, missing: flo
     assert np.all(np.abs(z_g - ROAD_Z) < (0.35 if slope else 0.03))
 
 
-def test_without_resuming_some_lines_lose_the_road() -> None:
-    """Why the search resumes: noise of neighbouring shots near the scanner parts the first points of some lines."""
-    scene = scan([street()] * 40, n=2154)
-    assert find(scene)[1][road(scene)].mean() > 0.99
-    assert find(scene, limits(resume=False))[1][road(scene)].mean() < 0.95
-
-
 def test_height_is_robust_against_hedges_in_a_third_of_the_lines() -> None:
     scene = scan([hedge() if i % 10 < 3 else street() for i in range(80)], n=1500)
     heights, found, z_g, _ = find(scene)
@@ -93,17 +86,6 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
     assert not climbed()
     assert climbed(jump_m=1000.0)
     assert climbed(growth_height_m=0.5)  # potential ground ends at the jump, and growth takes it
-
-
-def test_height_follows_all_lines_after_the_first_fifty_only() -> None:
-    lower = [(x0, z0 - 0.12, x1, z1 - 0.12, kind) for x0, z0, x1, z1, kind in street(wall=False)]
-    scene = scan([street(wall=False)] * 60 + [lower] * 120, n=400)
-    heights, found, z_g, state = find(scene)
-    assert len(set(z_g[:50].tolist())) == 1  # the rows of the first estimate
-    assert z_g[60] == pytest.approx(ROAD_Z, abs=0.03)
-    assert z_g[-1] == pytest.approx(ROAD_Z - 0.12, abs=0.03)  # most heights are the lower ones by now
-    assert state.histogram.sum() == np.sum(~np.isnan(heights))
-    assert found.any(axis=1).all()
 
 
 def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
@@ -149,15 +131,6 @@ def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> N
         assert np.all(np.abs(z_g - ROAD_Z) < 0.1)
 
 
-def test_lowest_points_of_all_potential_ground_lose_a_slope() -> None:
-    scene = plane(3.0)
-    found = find(
-        scene,
-        limits(height_points=0, renew_every=False, follow_m=0),
-    )[1]
-    assert found[scene.surface == H].mean() < 0.9
-
-
 def test_ground_is_followed_along_its_own_side() -> None:
     """One side sinks and the other one rises by half a metre: no height holds for both."""
     away_m = np.repeat(np.minimum(np.arange(120) * 0.01, 0.5), 2) * np.tile([-1.0, 1.0], 120)
@@ -179,13 +152,6 @@ def test_ground_is_followed_along_its_own_side() -> None:
     assert at_the_end(1) == [1.0, 0.0]  # the height of the other side is of no use
 
 
-def test_what_steps_up_at_once_is_not_followed() -> None:
-    bonnet: list[Segment] = [(0.3, ROAD_Z + 0.5, 6.0, ROAD_Z + 0.5, H)]
-    scene = scan([street()] * 60 + [bonnet] * 20 + [street()] * 20, n=300)
-    found = find(scene)[1]
-    assert found.any(axis=1).tolist() == [True] * 60 + [False] * 20 + [True] * 20
-
-
 @pytest.mark.parametrize(("below_m", "left"), [(0.9, True), (0.4, False)])
 def test_the_bonnet_of_a_car_is_not_the_ground(below_m: float, left: bool) -> None:
     bonnet: list[Segment] = [(0.3, ROAD_Z + below_m, 6.0, ROAD_Z + below_m, H)]
@@ -205,18 +171,6 @@ def test_a_wrong_first_estimate_is_left_behind(memory: int) -> None:
     assert found[105:].any(axis=1).all()
     np.testing.assert_allclose(z_g[105:], ROAD_Z, atol=0.03)
     assert not find(scene, limits(renew_every=False))[1][60:].any()
-
-
-def test_old_heights_are_forgotten() -> None:
-    lower = [(x0, z0 - 0.5, x1, z1 - 0.5, kind) for x0, z0, x1, z1, kind in street(wall=False)]
-    scene = scan([street(wall=False)] * 300 + [lower] * 120, n=200)
-    _, found, _, state = find(scene, limits(memory_heights=100))
-    assert state.histogram.sum() == len(state.recent) == 100
-    assert found[360:].any(axis=1).all()
-    whole = find(scene, limits(memory_heights=0))
-    assert not whole[1][360:].any()
-    assert whole[3].histogram.sum() == 420
-    assert len(whole[3].recent) == 0
 
 
 def noisy(scene: Scene, at: list[int]) -> Scene:
@@ -248,24 +202,6 @@ def test_ground_ends_at_a_curb_however_few_shots_meet_it(curb_m: float, n: int) 
     assert not found[scene.lines.horizontal_m > 6.1].any()
 
 
-@pytest.mark.parametrize("deep", [65.0, 100.0, 290.0])
-def test_ground_far_below(deep: float) -> None:
-    scene = scan([[(1.0, -deep, deep, -deep, H)]] * 20, n=400)
-    _, found, z_g, _ = find(scene)
-    assert found[scene.surface == H].mean() > 0.95
-    np.testing.assert_allclose(z_g, -deep, atol=0.05)
-
-
-def test_scanner_near_the_ground() -> None:
-    scene = scan([[(0.2, -0.12, 1.0, -0.12, H)]] * 20, n=300)
-    assert find(scene)[1].any(axis=1).all()
-    low = initial_ground(np.full(50, -0.15), PARAMS)._replace(n_in_histogram_ahead=0)
-    for limit, everywhere in ((0.05, True), (0.0, False)):
-        params = limits(height_tolerance_m=limit, renew_every=False)
-        found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params)
-        assert found.any(axis=1).all() == everywhere
-
-
 @pytest.mark.parametrize("n_sides", [1, 2])
 def test_cuts_change_nothing(n_sides: int) -> None:
     profiles = [hedge() if i % 7 == 0 else street(car=i % 5 == 0) for i in range(70)]
@@ -287,33 +223,6 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         np.testing.assert_array_equal(state.histogram, last.histogram)
         np.testing.assert_array_equal(state.recent, last.recent)
         assert state.z_g == last.z_g
-
-
-def test_missing_rows_vertical_rows_and_no_rows_have_no_ground() -> None:
-    scene = scan([street()] * 6, n=200)
-    scene.surface[:] = 0
-    heights, found, z_g, _ = find(scene)
-    assert np.isnan(heights).all()
-    assert not found.any()
-    assert np.isnan(z_g).all()
-    scene.surface[:] = V
-    assert not find(scene)[1].any()
-    assert find(scene.rows(0, 0))[1].shape == (0, 200)
-
-
-def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> None:
-    scene = scan([street()], n=300, noise_m=0.0)
-    scene.surface[0, 9:14] = V  # more than are passed over
-    scene.surface[0, 30:35] = V
-    state = initial_ground(np.full(50, ROAD_Z), PARAMS)._replace(n_in_histogram_ahead=0)
-    found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS)
-    assert np.flatnonzero(found[0]).tolist() == list(range(14, 30))
-
-
-def test_literal_set_can_be_chosen() -> None:
-    literal = limits(bandwidth_sigmas=0, resume=False)
-    scene = scan([street()] * 10, n=300, noise_m=0.0)
-    assert find(scene, literal)[1].any()
 
 
 @pytest.mark.parametrize("kind", ["one", "uniform", "alternating", "outlier"])

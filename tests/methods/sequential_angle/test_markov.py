@@ -122,27 +122,6 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
     assert len(set(alarms)) > 5
 
 
-def test_increments_of_the_recommended_models() -> None:
-    params = made(MarkovThresholds, sigmas_deg=(1, 1, 1))  # no doubt about the states
-    steps = np.diff(log_ratios(np.array([0, 0, 90, 90, -90, -90, 0, -90, 90, 0.0]), params))
-    stay, switch, enter, leave = -0.965, 1.492, 1.897, -0.354
-    np.testing.assert_allclose(
-        steps, [stay, switch, stay, enter, enter, leave, enter, leave, switch], rtol=0, atol=0.0006
-    )
-
-
-def longest_foliage(n_clean: int, params: MarkovThresholds, clean: float, foliage: list[float]) -> int:
-    values = np.array([[clean] * 30 + foliage + [clean] * n_clean + foliage * 2], np.float32)
-    return int(hmm_cusum(values, params)[0, 30 + len(foliage) : 30 + len(foliage) + n_clean].sum())
-
-
-def test_eleven_clean_samples_end_vegetation() -> None:
-    foliage = [-90.0, 90.0, 0.0] * 10
-    assert longest_foliage(10, MarkovThresholds(), 0.0, foliage) == 10, "clean samples before more foliage belong to it"
-    assert longest_foliage(12, MarkovThresholds(), 0.0, foliage) <= 1
-    assert longest_foliage(40, MarkovThresholds(), 0.0, foliage) <= 1, "the end is dated back to the last leaf"
-
-
 def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
     values = np.array([[90.0] * 20 + [-90.0] * 30 + [0.0] * 30], np.float32)
     dated = np.flatnonzero(hmm_cusum(values, MarkovThresholds())[0])
@@ -156,72 +135,6 @@ def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
     quick = np.flatnonzero(hmm_cusum(values, made(MarkovThresholds, backdate=False, threshold=4, threshold_back=2))[0])
     assert quick[0] < alarms[0]
     assert quick[-1] < alarms[-1]
-
-
-def test_alternating_foliage_is_found_and_stairs_are_not_when_the_first_sample_of_a_start_counts() -> None:
-    """With 1/3 each it is neutral, the second speaks against foliage and restarts, and so on for ever."""
-    values = np.array([[90.0] * 20 + [-90.0, 90.0] * 20], np.float32)
-    assert hmm_cusum(values, MarkovThresholds())[0, 20:].all()
-    assert not hmm_cusum(values, made(MarkovThresholds, initial_h0=UNIFORM)).any()
-    stairs = np.array([[90.0] * 20 + [0.0, 90.0] * 20], np.float32)
-    assert not hmm_cusum(stairs, MarkovThresholds()).any()
-    assert hmm_cusum(stairs, made(MarkovThresholds, initial_h0=UNIFORM)).any()
-
-
-def test_missing_samples_are_skipped_and_the_end_closes_a_region() -> None:
-    values = np.array([90.0] * 20 + [-90.0, 90.0, 0.0] * 20, np.float32)
-    spread = np.full(200, np.nan, np.float32)
-    there = np.arange(0, 160, 2)
-    spread[there] = values
-    found = hmm_cusum(np.stack([values]), MarkovThresholds())[0]
-    assert found[-1]
-    in_gaps = hmm_cusum(np.stack([spread]), MarkovThresholds())[0]
-    np.testing.assert_array_equal(in_gaps[there], found)
-    assert in_gaps.sum() == found.sum()
-
-
-def test_rows_without_samples_and_rows_are_independent(rng: Generator) -> None:
-    rows = rng.choice([-90.0, 0.0, 90.0], (6, 80)).astype(np.float32)
-    rows[2] = np.nan
-    rows[3, 1:] = np.nan
-    for params in (MarkovThresholds(), SCRIPT):
-        found = hmm_cusum(rows, params)
-        assert not found[2:4].any()
-        for row in range(6):
-            np.testing.assert_array_equal(hmm_cusum(rows[row : row + 1], params)[0], found[row])
-    assert hmm_cusum(np.empty((0, 4), np.float32), MarkovThresholds()).shape == (0, 4)
-    assert hmm_cusum(np.empty((4, 0), np.float32), MarkovThresholds()).shape == (4, 0)
-
-
-def test_end_by_tests_between_two_bounds() -> None:
-    foliage, ground = [-90.0, 90.0, 15.0] * 15, [90.0] * 40
-    found = np.flatnonzero(hmm_cusum(np.array([ground + foliage + ground], np.float32), SCRIPT)[0])
-    assert 40 < found[0] < 46, "begins at the alarm"
-    assert found[-1] == 40 + 42 + 1, "ends with the sample after the last negative one"
-    dated = np.flatnonzero(
-        hmm_cusum(np.array([ground + foliage + ground], np.float32), SCRIPT._replace(backdate=True))[0]
-    )
-    assert dated[0] in (40, 41)
-    # the end of the line comes before the region is confirmed: nothing there
-    assert not hmm_cusum(np.array([ground + foliage[:2]], np.float32), SCRIPT).any()
-    # ... or after: to the end, but no farther than the sample after the last negative one
-    found = np.flatnonzero(hmm_cusum(np.array([ground + foliage], np.float32), SCRIPT)[0])
-    assert found[-1] == 40 + 42 + 1
-    # an edge that raises an alarm and is rejected
-    edge = made(MarkovThresholds, sprt=True, threshold=1.5)
-    assert not hmm_cusum(np.array([[*ground, -90.0, *ground]], np.float32), edge).any()
-    assert hmm_cusum(np.array([[*ground, -90.0, *ground]], np.float32), made(MarkovThresholds, threshold=1.5)).any()
-
-
-def test_close_regions_become_one_at_the_end_by_two_bounds() -> None:
-    # calm samples enough to reject (5 nats), and then foliage enough for the next alarm
-    crown, hole = [-90.0, 90.0] * 20, [0.0] * 18
-    values = np.array([[90.0] * 30 + crown + hole + crown + [90.0] * 30], np.float32)
-    params = made(MarkovThresholds, sprt=True, threshold=4.0)
-    apart = hmm_cusum(values, params._replace(merge_gap=18))[0]
-    together = hmm_cusum(values, params._replace(merge_gap=19))[0]
-    assert np.flatnonzero(together).tolist() == list(range(30, 30 + 98))
-    assert np.flatnonzero(together & ~apart).tolist() == list(range(70, 88))
 
 
 def test_extreme_values_and_long_sequences_stay_finite(rng: Generator) -> None:

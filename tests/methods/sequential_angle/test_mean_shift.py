@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F64
-from prc_cli.reference.sequential_angle.ground import EIGHTHS, grid_modes, main_mode
+from prc_cli.reference.sequential_angle.ground import EIGHTHS, grid_modes
 
 
 def modes_of(values: F64, bandwidth: float) -> list[tuple[float, int]]:
@@ -57,21 +57,6 @@ def test_a_gaussian_has_one_mode_from_a_bandwidth_of_its_deviation_on() -> None:
     for n in (9, 50, 200):
         assert share(1.0, n) >= 0.98
         assert share(2.0, n) == 1.0
-
-
-def test_equal_groups_part_beyond_two_bandwidths_and_a_lone_point_later() -> None:
-    def n_modes(apart: float, n_second: int) -> int:
-        return len(modes_of(np.array([0.0] * 8 + [apart] * n_second), 1.0))
-
-    assert n_modes(2.0, 8) == 1
-    assert n_modes(2.25, 8) == 2
-    assert n_modes(2.75, 1) == 1
-    assert n_modes(4.0, 1) == 2
-
-
-def test_main_mode_is_the_largest_and_of_equals_the_lowest() -> None:
-    assert abs(main_mode(modes_of(np.array([1.0, 1.0, 9.0, 9.0, 9.0]), 1.0))[0] - 9.0) <= 0.125
-    assert abs(main_mode(modes_of(np.array([1.0, 1.0, 9.0, 9.0]), 1.0))[0] - 1.0) <= 0.125
 
 
 def test_order_of_samples_changes_nothing() -> None:

@@ -11,7 +11,7 @@ import pytest
 from prc_cli import kernels
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import cut
-from prc_cli.core.classes import CarTest, Label, Surface, TriggerSide
+from prc_cli.core.classes import CarTest, Label, TriggerSide
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
@@ -174,56 +174,6 @@ def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
     assert known_at == PARAMS.ground.start_heights
 
 
-def test_without_ground_lines_wait_so_long_and_no_longer() -> None:
-    ranges, beam = wall(300)
-    params = PARAMS._replace(start_lines=70, curb=CurbThresholds(max_lines=20))
-    block = ScanBlock(0, ranges, beam_rad=beam)
-    (labels, _, _, height, *_), most = run(cuts(block, lines=7), params, 300)
-    assert most <= 70
-    assert np.isnan(height).all()
-    assert (labels == Label.VERTICAL).all()
-
-
-def test_heights_that_came_late_do_not_count_for_the_start() -> None:
-    """The start looks at start_lines lines, however many there were at once."""
-    block, _ = scan()
-    ranges, _ = wall(30, block.points_per_line)
-    assert block.xyz_m is not None
-    late = replace(block, range_m=np.concatenate([ranges, block.range_m]), xyz_m=None, beam_rad=block.beam_rad)
-    params = PARAMS._replace(start_lines=30)
-    at_once, _ = run(iter([late]), params, late.n_lines)
-    in_parts, _ = run(cuts(late, lines=11), params, late.n_lines)
-    for one, other in zip(at_once, in_parts, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-def test_lines_without_returns_and_with_one() -> None:
-    block, _ = scan()
-    ranges = block.range_m.copy()
-    ranges[10] = np.nan
-    ranges[11] = np.nan
-    ranges[11, 30] = 7.0
-    gone = replace(block, range_m=ranges, xyz_m=None)
-    (labels, surface, dense, *_), _ = run(cuts(gone, lines=13), PARAMS, block.n_lines)
-    assert (labels[10] == Label.MISSING).all()
-    assert (labels[11, :30] == Label.MISSING).all()
-    assert labels[11, 30] == Label.UNCLASSIFIED
-    assert surface[11, 30] == Surface.UNDECIDED
-    assert not (dense[10:12] == Surface.VEGETATION).any()
-
-
-def test_a_stream_without_a_single_return() -> None:
-    block = ScanBlock(0, np.full((120, 30), np.nan, np.float32), beam_rad=np.linspace(0.5, 2.5, 30))
-    (labels, *_), _ = run(cuts(block, lines=50), PARAMS, 120)
-    assert (labels == Label.MISSING).all()
-
-
-def test_lines_of_one_shot() -> None:
-    block = ScanBlock(0, np.full((60, 1), 5.0, np.float32), beam_rad=np.array([1.0]))
-    (labels, *_), _ = run(cuts(block, lines=50), PARAMS, 60)
-    assert (labels == Label.UNCLASSIFIED).all()
-
-
 def test_what_lies_beyond_the_reach_is_missing() -> None:
     ranges, beam = wall(3)
     ranges[:, 20] = 301.0
@@ -325,29 +275,6 @@ def test_an_image_in_memory_needs_its_beams() -> None:
         classify_ranges(block.range_m, config(), beam_rad=block.beam_rad, xyz_m=block.xyz_m + np.float32(1000))
 
 
-def test_without_coordinates_lines_lie_in_their_plane() -> None:
-    block, _ = scan()
-    with_xyz, _ = run(iter([block]), PARAMS, block.n_lines)
-    without, _ = run(iter([replace(block, xyz_m=None)]), PARAMS, block.n_lines)
-    # the within-line stages see the same; across lines curbs lie at other distances
-    assert np.mean(with_xyz[1] == without[1]) > 0.999
-
-
-def test_blocks_of_another_width_are_refused() -> None:
-    method, beams = SequentialAngle(PARAMS), Beams.of(np.linspace(0.1, 2, 9))
-    turn = OneByOne(method.initial_state(beams))
-    with pytest.raises(InputError, match=r"found an array of shape \(2, 8\), expected \(lines, 9\)"):
-        method.label(ScanBlock(0, np.zeros((2, 8), np.float32)), beams, turn, LABELS_ALONE)
-    block = ScanBlock(0, np.zeros((2, 9), np.float32), xyz_m=np.zeros((2, 8, 3), np.float32))
-    with pytest.raises(InputError, match="found coordinates of shape"):
-        method.label(block, beams, turn, LABELS_ALONE)
-
-
-def test_blocks_without_beams_are_refused() -> None:
-    with pytest.raises(InputError, match="no beam angles"):
-        list(label_blocks(iter([ScanBlock(0, np.zeros((2, 8), np.float32))]), config().classifier))
-
-
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_change_nothing(threads: int) -> None:
     block, _ = scan()
@@ -419,11 +346,3 @@ def test_the_state_holds_nothing_hidden() -> None:
     for one, other in zip(*again, strict=True):
         np.testing.assert_array_equal(one.labels, other.labels)
     assert {each.name for each in fields(begun.state)} == set(SequentialAngleState.__slots__)
-
-
-def test_without_trigger_and_high_verticals_no_car_is_lost() -> None:
-    block, _ = scan()
-    high = PARAMS.car.high_verticals._replace(height_m=1000.0)
-    (usual, *_), _ = run(iter([block]), PARAMS, block.n_lines)
-    (labels, *_), _ = run(iter([block]), PARAMS._replace(car=PARAMS.car._replace(high_verticals=high)), block.n_lines)
-    assert not ((usual == Label.CAR) & (labels != Label.CAR)).any()

@@ -56,15 +56,6 @@ def closed_form(differences: F64) -> Mask:
     return marked
 
 
-def test_increments() -> None:
-    large, small = increment(np.array([150.0, -300.0])), increment(np.array([0.0, 20.0]))
-    np.testing.assert_allclose(large, 1.204, atol=0.001)
-    np.testing.assert_allclose(small, -0.875, atol=0.001)
-    assert increment(np.array([74.0]))[0] < increment(np.array([76.0]))[0]
-    share = 0.875 / (0.875 + 1.204)
-    assert share == pytest.approx(0.421, abs=0.0005), "share of large jumps that balances"
-
-
 def test_equals_page_on_a_mixture(rng: Generator) -> None:
     n_marked = []
     for _ in range(200):
@@ -77,14 +68,6 @@ def test_equals_page_on_a_mixture(rng: Generator) -> None:
         n_marked.append(found.mean())
     assert min(n_marked) < 0.2
     assert max(n_marked) > 0.5
-
-
-def test_nine_large_jumps_in_a_row_are_needed() -> None:
-    jumps = [150.0, -150.0] * 5
-    for n_jumps in range(1, 11):
-        values = np.array([[0.0] * 20 + jumps[:n_jumps] + [0.0] * 20], np.float32)
-        found = np.flatnonzero(dense_vegetation(values, PARAMS)[0])
-        assert found.tolist() == (list(range(20, 20 + n_jumps)) if n_jumps >= 9 else [])
 
 
 def test_street(rng: Generator) -> None:
@@ -104,19 +87,3 @@ def test_street(rng: Generator) -> None:
     own = image[sensitive & ~found]
     assert len(own)
     assert set(own.tolist()) <= {Surface.HORIZONTAL, Surface.VERTICAL}
-
-
-def test_shots_without_an_angle_inherit_it(rng: Generator) -> None:
-    lines, _ = street_lines(rng, 10)
-    signed = signed_angles(lines, ChordThresholds().at_noise()).signed_deg
-    dense = np.ones(signed.shape, bool)
-    image = car_surface(signed, dense, lines, SurfaceThresholds())
-    valid = ~np.isnan(lines.range_m)
-    assert (valid & np.isnan(signed)).any()
-    assert (image[valid] == Surface.VEGETATION).all()
-
-
-def test_published_thresholds_are_the_defaults() -> None:
-    assert PARAMS.threshold == 10
-    assert PARAMS.means_deg == (-150, 0, 150)
-    assert PARAMS.h0 == ((0.1, 0.8, 0.1),) * 3

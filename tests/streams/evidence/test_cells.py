@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,10 @@ import pytest
 from numpy.typing import ArrayLike
 
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.stream import Assumption, ReadTally, StreamInfo
+from prc_cli.core.stream import ReadTally, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.streams.evidence.checks import (
-    _known_ranges,
     check_collisions,
-    check_left_out,
     check_missing_code,
     check_ranges,
     check_returns,
@@ -56,32 +53,6 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     )
 
 
-@pytest.mark.parametrize(("n", "verdict"), [(50, FINE), (51, DOUBTFUL), (201, AGAINST)])
-def test_shots_of_a_ring_meet_more_often(n: int, verdict: Verdict) -> None:
-    one = seen(tally=ReadTally(n_records=1000, n_collisions=n))
-    frame = replace(one.info, assumptions=(Assumption("input.azimuth_step", "0.16 deg", "as they are"),))
-    found = check_collisions(replace(one, info=frame))
-    assert found is not None
-    assert (found.verdict, "--set input.azimuth_step" in found.hint) == (verdict, True)
-
-
-def test_of_images_the_shots_count_as_records() -> None:
-    assert told(check_unplaced(seen(n_shots=100, tally=ReadTally(n_unplaced=50))))[1].startswith("unplaced: 50.0% of")
-    for few in (seen(n_shots=99), seen(n_shots=1000, tally=ReadTally(n_records=99))):
-        assert check_unplaced(few) is check_collisions(few) is None
-    assert check_collisions(seen(tally=ReadTally(n_records=100))) is not None
-
-
-@pytest.mark.parametrize(
-    ("n_records", "columns", "verdict"),
-    [(980, "order", FINE), (971, "order", FINE), (969, "order", DOUBTFUL), (500, "angle", None)],
-)
-def test_shots_left_out_of_lines_by_order(n_records: int, columns: str, verdict: Verdict | None) -> None:
-    info = StreamInfo("a.csv", "text", 10, None, None, assumptions=(Assumption("input.columns", columns, ""),))
-    found = check_left_out(Seen(info, 0, (), n_shots=1000, tally=ReadTally(n_records=n_records)))
-    assert (None if found is None else found.verdict) is verdict
-
-
 @pytest.mark.parametrize(
     ("n_shots", "n_missing", "verdict", "share"),
     [
@@ -116,27 +87,6 @@ def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -
     assert found.option == (option if verdict else "")
 
 
-def test_too_few_ranges_are_not_judged() -> None:
-    for check, least in ((check_missing_code, 100), (check_ranges, 100), (check_rounding, 5000)):
-        assert check(seen(np.full(least - 1, 5.0))) is None
-        assert check(seen(np.append(np.full(least - 1, 5.0), np.nan))) is None
-        assert check(seen()) is None
-        assert check(seen(np.full(least, 5.0))) is not None
-
-
-def test_the_ranges_that_are_looked_at_are_even_over_the_stream() -> None:
-    most = 65_536
-    for n, every in ((10, 1), (2 * most - 1, 1), (2 * most, 2), (3 * most + 7, 3)):
-        one = seen(np.arange(1, n + 1))
-        assert _known_ranges(one).tolist() == list(range(1, n + 1, every))
-    two = Seen(
-        one.info,
-        0,
-        (Window(0, np.array([[1, np.nan], [3, 4]], np.float32)), Window(9, np.array([[5, np.inf]], np.float32))),
-    )
-    assert _known_ranges(two).tolist() == [1, 3, 4, 5]
-
-
 @pytest.mark.parametrize(
     ("step_m", "said", "verdict"),
     [
@@ -156,19 +106,6 @@ def test_rounded_ranges(step_m: float, said: str, verdict: Verdict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "off", "is_rounded"),
-    [(0.02, 0.025, False), (0.019, 0.025, True), (0.5, 0.018, True), (0.5, 0.022, False)],
-)
-def test_nearly_all_ranges_are_rounded(share: float, off: float, is_rounded: bool) -> None:
-    """Steps of 0.1 m below 20 m; above, wider ones, of which some are off by a part of a step."""
-    ranges = 0.1 * (100 + np.arange(10_000) % 100)
-    n = round(share * len(ranges))
-    ranges[:n] = 0.1 * (250 + 10 * (np.arange(n) % 50) + off)
-    ranges[n : n + 50] = 0.1 * (250 + 10 * np.arange(50))
-    assert told(check_rounding(seen(ranges)))[0] is (DOUBTFUL if is_rounded else FINE)
-
-
-@pytest.mark.parametrize(
     ("median_m", "verdict"),
     [
         (0.0199, AGAINST), (0.0201, FINE), (150.0, FINE), (150.1, DOUBTFUL), (5000.0, DOUBTFUL), (5000.1, AGAINST),
@@ -185,12 +122,3 @@ def test_median_range(median_m: float, verdict: Verdict) -> None:
         f"0.02 to 150 m, and at most 1% that far; {unit}check the layout (byte order, types, scale, header bytes), and "
         "--range with its coordinate system",
     )
-
-
-@pytest.mark.parametrize(("n", "verdict"), [(1, FINE), (2, DOUBTFUL), (20, DOUBTFUL), (21, AGAINST)])
-def test_ranges_beyond_any_scanner(n: int, verdict: Verdict) -> None:
-    ranges = np.where(np.arange(100) < n, 20_001.0, 30.0)
-    ranges[-3:] = 20_000.0
-    found = told(check_ranges(seen(ranges)))
-    assert found[0] is verdict
-    assert f"ranges: the median range is 30 m, and {n}.00% of the ranges lie beyond 20 km" in found[1]

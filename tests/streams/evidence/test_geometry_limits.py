@@ -13,7 +13,7 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import AngleStep
-from prc_cli.streams.down import DownGuess, wrap
+from prc_cli.streams.down import DownGuess
 from prc_cli.streams.evidence import geometry
 from prc_cli.streams.evidence.figures import Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
@@ -85,47 +85,6 @@ def test_scan_angles_may_run_the_other_way(guesses: list[DownGuess | None]) -> N
     assert told(check_down(seen(angle_rad=None)))[1].endswith("or coordinates relative to the scanner with z up")
     # between two beams
     assert told(check_down(seen(angle_rad=-BEAM)))[1].endswith("--set input.nadir=-30")
-
-
-@pytest.mark.parametrize(
-    ("rival", "ratio", "shown"),
-    [(None, math.inf, "no runner-up"), (-96.0, 1.5, "runner-up at -96 deg, 1.5 times weaker"),
-     (96.0, 1e6, "runner-up at 96 deg, 100.0 times weaker"), (96.0, 99.5, "runner-up at 96 deg, 99.5 times weaker")],
-)  # fmt: skip
-def test_the_runner_up_is_told(guesses: list[DownGuess | None], rival: float | None, ratio: float, shown: str) -> None:
-    guesses.append(deg(0.0, rival, ratio))
-    assert f"({shown})" in told(check_down(seen()))[1]
-
-
-def test_down_that_cannot_be_told(guesses: list[DownGuess | None]) -> None:
-    guesses.extend([deg(90.0, 0.0, 1.49), None])
-    assert told(check_down(seen())) == (
-        FINE,
-        "down: the ranges do not tell where level ground is (runner-up at 0 deg, 1.5 times weaker), expected within 11 "
-        "deg of the direction in use",
-    )
-    assert check_down(seen()) is check_down(seen(beam_rad=None)) is check_down(seen(0)) is None
-
-
-@pytest.mark.parametrize(
-    ("n_below", "below_deg", "ratio", "is_told"),
-    [
-        (10, 29.9, 1.5, True),
-        (9, 29.9, 1.5, False),
-        (9, 29.9, 3.0, True),
-        (9, 29.9, 2.99, False),
-        (10, 30.1, 2.99, False),
-    ],
-)
-def test_down_of_a_scanner_that_looks_sideways(
-    guesses: list[DownGuess | None], n_below: int, below_deg: float, ratio: float, is_told: bool
-) -> None:
-    guesses.append(deg(45.0, 0.0, ratio))
-    beam = np.deg2rad(np.concatenate([np.full(n_below, -below_deg), np.full(180 - n_below, 45.0)]))
-    window = Window(0, np.tile(2.0 / np.cos(beam), (20, 1)).astype(np.float32))
-    guess = check_down(replace(seen(), windows=(window,), beam_rad=beam))
-    assert told(guess)[0] is (AGAINST if is_told else FINE)
-    assert ("do not tell where level ground is" in told(guess)[1]) is not is_told
 
 
 @pytest.mark.parametrize(
@@ -206,74 +165,3 @@ def test_height(
     hint = f"; check the unit of the ranges, which are taken for metres: {unit}" if verdict else ""
     said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
     assert told(check_height(one)) == (verdict, said)
-
-
-@pytest.mark.parametrize(("depth_m", "verdict"), [(0.299, DOUBTFUL), (0.3, FINE), (6.0, FINE), (6.01, DOUBTFUL)])
-def test_height_where_down_is_not_known(
-    guesses: list[DownGuess | None], monkeypatch: pytest.MonkeyPatch, depth_m: float, verdict: Verdict
-) -> None:
-    monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
-    guesses.extend([deg(120.0, 0.0, 1.5, depth_m), deg(0.0, 90.0, 1.49)])
-    assert told(check_height(seen(beam_rad=None, angle_rad=BEAM)))[0] is verdict
-    assert check_height(seen(beam_rad=None, angle_rad=BEAM)) is None
-
-
-def test_height_of_ground_that_is_elsewhere(guesses: list[DownGuess | None]) -> None:
-    guesses.extend([deg(20.1), deg(19.9), deg(-340.1), None])
-    assert check_height(seen()) is None
-    assert told(check_height(seen()))[0] is told(check_height(seen()))[0] is FINE
-    assert check_height(seen()) is check_height(seen(0)) is None
-
-
-def test_without_angles_columns_are_spread_over_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    taken: list[F64] = []
-    monkeypatch.setattr(geometry, "guess_down", lambda beam_rad, range_m: taken.append(beam_rad))
-    assert check_height(seen(beam_rad=None, angle_rad=None)) is None
-    np.testing.assert_allclose(taken[0], wrap(np.deg2rad(np.arange(180.0) * 2)))
-
-
-def test_lines_are_spread_over_the_windows() -> None:
-    def some(*lengths: int) -> Seen:
-        rows = iter(range(1000))
-        windows = tuple(
-            Window(100 * k, np.array([[next(rows)] * 3 for _ in range(n)], np.float32).reshape(n, 3))
-            for k, n in enumerate(lengths)
-        )
-        return replace(seen(), windows=windows)
-
-    assert geometry._lines(some(3, 0, 4))[:, 0].tolist() == list(range(7))
-    # 128 rows of 255, of which 64
-    taken = np.arange(128) * 254 // 127
-    assert geometry._lines(some(100, 55, 100))[:, 0].tolist() == taken[np.arange(64) * 127 // 63].tolist()
-    assert geometry._lines(some()).shape == (0, 180)
-    far = some(4)
-    far.windows[0].range_m[1] = 30_000.0
-    assert geometry._lines(far)[:, 0].tolist() == [0, 20_000, 2, 3]
-    odd = some(4)
-    odd.windows[0].range_m[1] = np.nan
-    odd.windows[0].range_m[2, 1:] = np.nan
-    assert geometry._lines(odd)[:, 0].tolist() == [0, 2, 3]
-
-
-def test_depths_within_50_deg_of_down_are_scaled_to_2_m() -> None:
-    beam = np.deg2rad(np.array([-60.0, -51.0, -49.0, 0.0, 30.0, 49.0, 51.0, 120.0]))
-    ranges = np.array([[9, 9, 4, 5, np.nan, 6, 9, 9], [9, 9, np.nan, 5, 8, np.nan, 9, 9]], np.float32)
-    depths = [4 * np.cos(beam[2]), 5.0, 5.0, 8 * np.cos(beam[4]), 6 * np.cos(beam[5])]
-    assert geometry._scale(beam, ranges) == pytest.approx(2.0 / np.median(depths))
-    assert geometry._scale(beam, np.full((2, 8), np.nan, np.float32)) == 1.0
-    assert geometry._scale(beam, ranges[:0]) == 1.0
-    for far_m, expected in ((1e9, 1e-6), (1e-9, 1e6), (1.0, 2.0)):
-        assert geometry._scale(np.zeros(5), np.full((2, 5), far_m, np.float32)) == pytest.approx(expected)
-    # of many columns 180 are used
-    many = np.zeros(500)
-    values = np.arange(500, dtype=np.float32)[None] + 1
-    assert geometry._scale(many, values) == 2.0 / np.median(values[0, np.arange(180) * 499 // 179])
-
-
-@pytest.mark.parametrize(("columns", "span", "is_told"), [(180, 6.283, True), (180, 6.3, False), (179, 6.283, False),
-                                                          (180, 3.14, True), (180, 1.5, False)])  # fmt: skip
-def test_radians_taken_for_degrees(columns: int, span: float, is_told: bool) -> None:
-    angle_rad = np.deg2rad(np.linspace(-1.0, span - 1.0, columns))
-    info = StreamInfo(path="a.npz", format="array", points_per_line=columns, n_records=0, n_lines=0)
-    found = check_angle_step(Seen(info, 0, (), angle_rad=angle_rad))
-    assert (found is not None and found.verdict is AGAINST and "angle_rad" in found.hint) is is_told

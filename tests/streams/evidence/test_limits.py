@@ -64,36 +64,6 @@ def test_shot_order(shot: float, ratio: str, verdict: Verdict) -> None:
     )
 
 
-def test_shots_of_two_scanners() -> None:
-    assert told(check_shot_order(replace(USUAL, shot=(0.4, 0.19)))) == (
-        AGAINST,
-        "shot-order: every second shot is more like a shot (0.19) than the next (0.4), expected neighbours more alike "
-        "than others; two scanners or several returns alternate: split them with --scanner, or give the return number",
-        "",
-    )
-
-
-def test_figures_that_tell_nothing() -> None:
-    for random in (0.0, nan):
-        odd = replace(USUAL, random=random)
-        assert check_shot_order(odd) is check_line_length(seen(), odd, None) is None
-    assert check_line_length(seen(23), USUAL, None) is None
-    assert check_line_order(seen(23), USUAL) is None
-    for moved in ((0.0, 0.5), (0.1, nan), (nan, 0.5)):
-        assert check_line_order(seen(24), replace(USUAL, moved=moved)) is None
-    assert check_columns_along(seen(), None) is None
-    assert check_noise(seen(), USUAL) is check_noise(seen(most_noise_m=0.01), replace(USUAL, noise_m=nan)) is None
-    assert check_dropouts(replace(USUAL, n_between=999)) is None
-
-
-@pytest.mark.parametrize(("random", "is_told"), [(0.0099, False), (0.01, True)])
-def test_a_tube_around_the_scanner_has_no_order_to_tell(random: float, is_told: bool) -> None:
-    """Where ranges differ by noise alone, shots are as alike in any order."""
-    tube = replace(USUAL, random=random)
-    assert (check_shot_order(tube) is not None) == is_told
-    assert is_told or check_line_length(seen(), tube, None) is None
-
-
 @pytest.fixture
 def folds(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
     """How alike lines far apart are with every length that is tried; no other may be."""
@@ -188,33 +158,6 @@ def test_another_length_that_agrees_better(
         )
 
 
-@pytest.mark.parametrize(("there", "short"), [(0.49, FINE), (0.47, DOUBTFUL), (0.3, DOUBTFUL)])
-def test_in_few_lines_moving_things_shift_as_much(folds: dict[int, float], there: float, short: Verdict) -> None:
-    for m, verdict in ((289, short), (288, AGAINST)):
-        folds.update({**dict.fromkeys(range(m - 4, m + 5), 0.6), m + 1: there})
-        assert told(check_line_length(seen(24, m), USUAL, None))[0] is verdict
-
-
-def test_lengths_that_tell_nothing_are_not_better(folds: dict[int, float]) -> None:
-    folds.update(dict.fromkeys(LENGTHS, nan))
-    folds.update({M: 0.6, M + 2: 0.55, M - 1: 0.58})
-    assert told(check_line_length(seen(), USUAL, None))[2] == f"-M {M + 2}"
-    folds.update({M + 2: nan, M - 1: nan})
-    assert told(check_line_length(seen(), USUAL, None))[0] is FINE
-
-
-@pytest.mark.parametrize(("here", "verdict"), [(0.8, FINE), (0.81, DOUBTFUL), (0.97, DOUBTFUL), (0.98, AGAINST)])
-def test_lines_far_apart_with_nothing_in_common(folds: dict[int, float], here: float, verdict: Verdict) -> None:
-    folds.update(dict.fromkeys(LENGTHS, here))
-    found = told(check_line_length(seen(), USUAL, None))
-    assert found[0] is verdict
-    said = (
-        "line-length: lines far apart have nothing in common, not even the ground: they differ by "
-        f"{here:.2g}, expected at most 0.8{CHECK_M}"
-    )
-    assert found[1] == (said if verdict else LIKE.format("0.01"))
-
-
 @pytest.mark.parametrize(
     ("line", "here", "period", "strength", "is_told"),
     [
@@ -277,12 +220,6 @@ def test_a_shift_at_a_single_place(share: float, gain: float, distance: int, n_p
     assert found == (verdict, said, "")
 
 
-def test_lost_shots_do_not_speak_against_m(folds: dict[int, float]) -> None:
-    folds.update({M: 0.99, M + 1: 0.1})
-    assert told(check_line_length(seen(), USUAL, Turned(9, 0.3, 0.1, 2))) == (FINE, LIKE.format("0.01"), "")
-    assert told(check_line_length(seen(), USUAL, None))[0] is AGAINST
-
-
 ORDER = "lines far apart differ {} times as much as neighbouring lines, expected at least 1.6"
 
 
@@ -323,16 +260,6 @@ def test_standing(roughness: float, far: float, n_lines: int, name: str, verdict
             f"standing: {ORDER.format('1' if far == 0.3 else '1.6')} in 200 lines or more; the platform stands: cut "
             "such stretches out, or accept them"
         )
-
-
-@pytest.mark.parametrize(
-    ("again", "n_lines", "verdict"), [(0.85, 200, AGAINST), (0.851, 200, DOUBTFUL), (0.851, 199, AGAINST)]
-)
-def test_standing_again_and_again(again: float, n_lines: int, verdict: Verdict) -> None:
-    """Each line 20 times: macro F1 .84 instead of .94, without a word."""
-    found = check_line_order(seen(n_lines), replace(USUAL, moved=(0.3, 0.3), roughness=0.01, again=again))
-    assert found is not None
-    assert (found.check, found.verdict) == ("standing" if verdict is DOUBTFUL else "line-order", verdict)
 
 
 @pytest.mark.parametrize(("noise_m", "verdict"), [(0.012, FINE), (0.0121, DOUBTFUL)])

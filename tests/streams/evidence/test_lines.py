@@ -153,15 +153,6 @@ def test_an_odd_scan_is_doubted(odd: Callable[[F32], F32], check: str) -> None:
     assert told(odd(scan())).get(check) is Verdict.DOUBTFUL
 
 
-@pytest.mark.parametrize("step_m", [0.001, 0.01, 0.02, 0.029])
-def test_ranges_in_steps_of_centimetres_are_usual(step_m: float) -> None:
-    assert "rounding" not in told((np.round(scan() / step_m) * step_m).astype(np.float32))
-
-
-def test_a_lost_shot_in_thirty_is_usual() -> None:
-    assert not told(lost(scan(), 0.03))
-
-
 @pytest.mark.parametrize(
     ("share", "verdict"),
     [(0.009, Verdict.FINE), (0.011, Verdict.DOUBTFUL), (0.19, Verdict.DOUBTFUL), (0.21, Verdict.AGAINST)],
@@ -213,21 +204,6 @@ def test_range_noise_is_doubted_for_methods_that_do_not_stand_it(noise_m: float,
     for _ in stream.blocks():
         pass
     assert ("range-noise" in {one.check for one in stream.findings() if one.verdict}) is is_told
-
-
-def test_the_option_that_mends_is_offered() -> None:
-    coded = np.where(np.isnan(scan()), np.float32(120.0), scan())
-    found = asked(coded)["missing-code"]
-    name, _, value = found.option.partition(" ")
-    assert name == "--max-range"
-    assert np.float32(119.9) < np.float32(value) < np.float32(120.0)
-    assert asked(cut(scan(), M + 1))["line-length"].option == f"-M {M}"
-
-
-def test_tiny_and_uniform_streams_are_not_judged() -> None:
-    for ranges in (np.full((300, 50), 20.0), np.full((2, 3), 5.0), np.full((40, 4), np.nan), rng().random((9, 7))):
-        found = told(ranges.astype(np.float32))
-        assert set(found) <= {"returns"}
 
 
 def test_of_several_scanners_the_worst_is_told() -> None:

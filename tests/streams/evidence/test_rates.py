@@ -43,15 +43,6 @@ def test_rates_are_found_where_they_are_right(line_hz: float, m: int, quantum: f
     assert phase == pytest.approx(0.3, abs=0.01)
 
 
-def test_times_without_lines_or_lattice_show_nothing() -> None:
-    rng = np.random.default_rng(0)
-    assert measure_rates(np.sort(rng.uniform(0, 10, 20_000))) is None
-    assert measure_rates(np.arange(20_000) * 1e-5) is None
-    assert measure_rates(np.arange(100) * 1e-5) is None
-    assert measure_rates(np.zeros(20_000)) is None
-    assert measure_rates(np.full(20_000, np.nan)) is None
-
-
 def las_of_times(path: Path, time: Array, xyz: Array) -> None:
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, 0.001), np.round(xyz.mean(axis=0))
@@ -99,14 +90,6 @@ def test_the_real_profiler(real_data: Path) -> None:
     assert abs(found.points_per_line - 5099) <= 2
 
 
-def test_info_sends_nobody_to_itself(tmp_path: Path) -> None:
-    rng = np.random.default_rng(5)
-    las_of_times(tmp_path / "a.laz", np.sort(rng.uniform(0, 9, 500)), rng.uniform(0, 9, (500, 3)))
-    found = inspect(tmp_path / "a.laz", LoadedConfig(RunConfig()))
-    assert found.rates is None
-    assert found.hint.startswith("the times show no steady rates; give -M NUMBER")
-
-
 @pytest.mark.parametrize("field_deg", [250.0, 310.0, 360.0])
 @pytest.mark.parametrize("first", [0, 777])
 @pytest.mark.parametrize("swaps", [False, True])
@@ -125,10 +108,3 @@ def test_the_sweep_tells_lines_of_shots_stamped_anew(field_deg: float, first: in
     if field_deg < 360.0:
         assert round(begin) % 1000 == 0
     assert measure_sweeps(shot / 50_000.0, -angle) is not None
-
-
-def test_no_sweep_is_no_sweep() -> None:
-    rng = np.random.default_rng(0)
-    assert measure_sweeps(np.arange(9000) / 5e4, rng.uniform(-3, 3, 9000)) is None
-    assert measure_sweeps(np.arange(9000) / 5e4, np.zeros(9000)) is None
-    assert measure_sweeps(np.arange(9000)[::-1] / 5e4, np.arange(9000) % 100 / 20) is None

@@ -18,7 +18,6 @@ from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence.result import MAX_LINES, MAX_SCANNERS, ResultWatch
-from prc_cli.streams.evidence.table import check_table
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.simulated import drive_arrays
 
@@ -66,22 +65,12 @@ def test_a_street_is_fine_in_all_checks() -> None:
     assert doubted(found) == set()
 
 
-def test_every_check_is_explained() -> None:
-    for check in (one for one in check_table() if one.name in NAMES):
-        assert all((check.asks, check.limit, check.reason, check.blind)), check.name
-
-
 @pytest.mark.parametrize("off_deg", [-15.0, -10.0, 10.0, 15.0])
 def test_ground_that_leans_tells_where_down_is(off_deg: float) -> None:
     found = asked(*street(), beam_rad=ANGLE - np.deg2rad(off_deg))
     assert "ground-lean" in doubted(found)
     nadir = float(found["ground-lean"].hint.split("input.nadir=")[1].split(";")[0])
     assert abs(nadir) < 2.5  # what was told is off by up to 15 deg
-
-
-@pytest.mark.parametrize("off_deg", [-3.0, 3.0])
-def test_a_road_may_lean_a_little(off_deg: float) -> None:
-    assert doubted(asked(*street(), beam_rad=ANGLE - np.deg2rad(off_deg))) == set()
 
 
 def test_without_scan_angles_the_hint_still_says_where_to_look() -> None:
@@ -178,24 +167,6 @@ def test_noise_in_a_part_of_the_stream() -> None:
     found = asked(range_m, labels)
     assert doubted(found) == {"classes-along"}
     assert found["classes-along"].found.startswith("much noise in lines ")
-
-
-def test_noise_of_empty_shots_in_a_part_of_the_stream() -> None:
-    range_m, labels = street(512)
-    sky = np.zeros(range_m.shape, np.uint8)
-    sky[300:370] = Label.NOISE
-    range_m = np.hstack([range_m, np.where(sky > 0, 30.0, np.nan)]).astype(np.float32)
-    found = asked(range_m, np.hstack([labels, sky]), None, angle_rad=None)
-    assert not doubted(found)
-    assert found["classes-along"].found.startswith("much noise between whole surfaces in lines ")
-
-
-@pytest.mark.parametrize("preset", ["urban", "forest"])
-def test_prc_loses_the_ground_of_some_rightly_told_scans(preset: str) -> None:
-    range_m, labels = street(512)
-    rows = labels[200:330]
-    rows[rows == Label.GROUND] = Label.VEGETATION
-    assert doubted(asked(range_m, labels, None, usual_of(preset))) == set()
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (31, 2000), (499, 2)])

@@ -10,10 +10,9 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Verdict
-from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence.result import _Kept, _percent, _Sample, check_labels
+from prc_cli.streams.evidence.result import _percent, _Sample, check_labels
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
 USUAL = UsualLabels(0.25, 0.5, 0.25, (Label.GROUND,), 0.5, 0.5, 0.25, 5.0, 0.25)
@@ -202,24 +201,6 @@ def test_ground_below(n_other: int, verdict: Verdict) -> None:
     )
 
 
-@pytest.mark.parametrize(("n_below", "is_below"), [(1000, True), (999, False)])
-def test_ground_all_around(n_below: int, is_below: bool) -> None:
-    """Of ground above the scanner nothing counts, nor does the limit for what lies below."""
-    range_m, labels, _ = flat(500, 8)
-    beam = np.deg2rad([59.9, -59.9, 60.1, 89.9, 90.1, -90.1, 180.0, -60.1])
-    labels[:, :2] = B
-    labels.flat[: (1000 - n_below) * 8 : 8] = 0
-    usual = replace(USUAL, level_share=0.01, ground_share=0.375)
-    verdict, said = asked(sample(range_m, labels, beam), usual)["ground-below"]
-    assert verdict is (DOUBTFUL if is_below else FINE)
-    assert ("0 % of the returns within 60 deg of down are ground" in said) is is_below
-    assert (": 38 % of the returns are ground, expected at least 38 %" in said) is not is_below
-    for n_noise, is_told in ((120, True), (121, False)):
-        labels[0] = B
-        labels.flat[:n_noise] = N
-        assert ("ground-below" in asked(sample(range_m[:140], labels[:140], beam), usual)) is is_told
-
-
 @pytest.mark.parametrize(("lean_deg", "verdict"), [(4.9, FINE), (5.04, DOUBTFUL), (-5.1, DOUBTFUL)])
 def test_lean(lean_deg: float, verdict: Verdict) -> None:
     range_m, labels, beam = flat()
@@ -230,18 +211,6 @@ def test_lean(lean_deg: float, verdict: Verdict) -> None:
     expected = verdict, f"{said}; it would be level with --set input.nadir={nadir:.1f}; look where down is: prc info"
     assert asked(one)["ground-lean"] == expected
     assert asked(replace(one, angle_rad=None))["ground-lean"] == (verdict, said + WHERE)
-
-
-@pytest.mark.parametrize(
-    ("n_ground", "aside_m", "n_lines", "is_told"),
-    [(8, 0.31, 32, True), (7, 0.31, 32, False), (8, 0.29, 32, False), (8, 0.31, 31, False)],
-)
-def test_lines_that_tell_the_lean(n_ground: int, aside_m: float, n_lines: int, is_told: bool) -> None:
-    """Half of the ground returns lie on either side, which makes that distance their standard deviation."""
-    range_m, labels, _ = flat(40, 32, B)
-    beam = np.arctan2(np.where(np.arange(32) % 2, aside_m, -aside_m), 5.0)
-    labels[:n_lines, :n_ground] = G
-    assert ("ground-lean" in asked(sample(range_m, labels, beam))) is is_told
 
 
 @pytest.mark.parametrize(
@@ -270,67 +239,3 @@ def test_what_lies_below_the_ground(below_m: float, range_m: float, n_ground: in
         )
         assert found[0] is (FINE if said == "0 %" else DOUBTFUL)
     assert "below-ground" not in asked(sample(depths[:124], labels[:124], np.full(8, 0.001)))
-
-
-@pytest.mark.parametrize(("n_lines", "is_told"), [(128, True), (127, False)])
-def test_streams_of_few_stretches(n_lines: int, is_told: bool) -> None:
-    range_m, labels, _ = flat(n_lines)
-    labels[32:80] = N
-    found = asked(sample(range_m, labels, None), replace(USUAL, noise_share=0.4))
-    assert ("classes-along" in found) is is_told
-    if is_told:
-        hint = "look at them: prc render IN OUT.png --only-lines 54:292"
-        said = "classes-along: much noise in lines 54 to 292, expected ground and little noise all along"
-        # two of three stretches of noise are much, too
-        assert found["classes-along"] == (DOUBTFUL, f"{said}; {hint}")
-
-
-def test_shares_at_their_limits_are_usual() -> None:
-    range_m, labels, _ = flat(256)
-    labels[128:, ::4] = N
-    assert asked(sample(range_m, labels, None))["classes-along"][0] is FINE
-    range_m[:, 5:], labels[:, :5] = 4.0, B
-    labels[:, 5:] = G
-    # exactly 1 m below
-    assert asked(sample(range_m, labels, np.zeros(32)))["below-ground"][1].startswith("below-ground: 0 % of")
-    range_m[:, :8], labels[:, :8] = 6.0, B
-    found = asked(sample(range_m, labels, np.zeros(32)))["below-ground"]
-    assert found[0] is FINE
-    assert found[1].startswith("below-ground: 25 % of")
-
-
-@pytest.mark.parametrize("n_lines", [1600, 256])
-def test_the_hint_shows_500_lines(n_lines: int) -> None:
-    range_m, labels, _ = flat(n_lines)
-    labels[16 : n_lines // 2] = N
-    _, said = asked(sample(range_m, labels, None))["classes-along"]
-    start, stop = said.split("in lines ")[1].split(",")[0].split(" to ")
-    assert said.endswith(f"--only-lines {start}:{min(int(start) + 500, int(stop))}")
-
-
-@pytest.mark.parametrize(
-    ("m", "columns"),
-    [
-        (1, [0]),
-        (5, [0, 1, 2, 3, 4]),
-        (128, list(range(128))),
-        (129, list(range(0, 129, 2))),
-        (300, list(range(1, 300, 3))),
-    ],
-)
-def test_columns_that_are_kept(m: int, columns: list[int]) -> None:
-    beam = np.arange(m, dtype=np.float64)
-    rows = np.tile(beam.astype(np.float32), (10, 1))
-    item = LabelledBlock(
-        ScanBlock(20, rows, beam_rad=beam, angle_rad=-beam), (rows % 256).astype(np.uint8), np.empty(0, np.uint8)
-    )
-    kept = _Kept(item)
-    kept.add(item)
-    one = kept.sample()
-    assert one.line.tolist() == list(range(20, 30))
-    assert one.range_m.tolist() == [columns] * 10
-    assert one.labels.tolist() == [[column % 256 for column in columns]] * 10
-    assert one.beam_rad is not None
-    assert one.angle_rad is not None
-    assert one.beam_rad.tolist() == (-one.angle_rad).tolist() == columns
-    assert len(one.range_m[0]) <= 128
