@@ -5,16 +5,27 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from numpy.typing import NDArray
 
+import prc_cli
 from prc_cli.cli import main, report
+from prc_cli.config import load_config
+from prc_cli.core.classes import Label
 from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.explain import explain
+from prc_cli.methods.reasons import rule_of
+from prc_cli.simulation.settings import Kind
 from tests import patience
+from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.patience import HANGS_S, wait_until
 from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_endless, write_npz, write_raw
 
@@ -267,3 +278,347 @@ def test_info_says_doubts_behind_the_command(prc: Prc, tmp_path: Path) -> None:
     assert said[0].endswith(f"can classify it, but look at {', '.join(doubts)}")
     assert said[1].startswith("type: ")
     assert [line.split(":")[0] for line in said[2 : 2 + len(doubts)]] == [f"look at {name}" for name in doubts]
+
+
+def test_a_dump_is_read_by_the_configuration_beside_it(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    assert prc("convert", source, tmp_path / "drive.bin", "-q").code == 0
+    out = tmp_path / "again.npz"
+    assert prc("convert", tmp_path / "drive.bin", out, "-q", "--config", tmp_path / "drive.bin.toml").code == 0
+    with np.load(source) as left, np.load(out) as right:
+        assert np.array_equal(left["range_m"], right["range_m"], equal_nan=True)
+        assert np.allclose(left["angle_deg"], right["angle_deg"], rtol=0, atol=1e-9)
+
+
+def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_path: Path) -> None:
+    shuffled = np.random.default_rng(3).permuted(street(), axis=1)
+    source = write_npz(tmp_path / "shuffled.npz", shuffled)
+    result = prc("convert", source, tmp_path / "out.npy", "--json", "-q")
+    assert (result.code, np.array_equal(np.load(tmp_path / "out.npy"), shuffled, equal_nan=True)) == (4, True)
+    assert result.err.startswith("warning: shot-order: ")
+    found = json.loads(result.out)
+    assert found["doubts"][0]["verdict"] == "against"
+    assert any(notice.startswith("doubt shot-order: ") for notice in found["notices"])
+    names = [doubt["check"] for doubt in found["doubts"]]
+    options = [part for name in names for part in ("--accept-doubt", name)]
+    result = prc("convert", source, tmp_path / "out.npy", "--overwrite", "-q", *options)
+    assert (result.code, result.err) == (0, "")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("explain")
+    from prc_cli.jobs.simulate import simulate
+    from prc_cli.simulation.settings import load_settings
+
+    scans: dict[str, tuple[Kind, dict[str, object]]] = {
+        "street": ("street", {"lines": 160, "seed": 21, "scanner": {"points_per_line": 720}}),
+        "static": (
+            "street-scan",
+            {"seed": 22, "scanner": {"azimuth_step_deg": 1.5, "points_per_line": 313}, "station": {"turn_deg": 120.0}},
+        ),
+        "forest": (
+            "forest", {"lines": 150, "sight_m": 20.0, "seed": 931, "scanner": {"points_per_line": 712}},
+        ),
+    }  # fmt: skip
+    for name, (kind, options) in scans.items():
+        simulate(kind, place / f"{name}.npz", load_settings(kind, options=options))
+    ranges, _ = street_lines(40, noise_m=0.0)
+    lines = np.concatenate([np.arange(8), np.arange(32, 128) // 4, np.full(40, 32)])  # slow, then standing
+    noise = np.random.default_rng(3).normal(0, 0.002, (len(lines), len(BEAM)))
+    np.savez(place / "slow.npz", range_m=(ranges[lines] + noise).astype(np.float32), angle_deg=np.rad2deg(BEAM))
+    return place
+
+
+CASES = [
+    ("street", "urban"), ("street", "fused"), ("street", "street-scan"), ("street", None), ("static", "street-scan"),
+    ("forest", "forest"), ("forest", "fused-forest"), ("forest", "urban"), ("slow", "fused"),
+]  # fmt: skip
+
+
+def of_each(reasons: NDArray[np.uint8], seed: int) -> list[tuple[int, int]]:
+    """Draw a shot of every reason."""
+    rng = np.random.default_rng(seed)
+    places = [np.argwhere(reasons == reason) for reason in np.unique(reasons)]
+    return [tuple(there[rng.integers(len(there))].tolist()) for there in places]
+
+
+@pytest.mark.parametrize(("name", "preset"), CASES)
+def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: str | None) -> None:
+    given: dict[str, object] = {"nadir": 0.0} if (name, preset) == ("street", "street-scan") else {}
+    loaded = load_config(preset=preset, options={"input": {**given}, "output": {"reason": True}})
+    source, output = folder / f"{name}.npz", folder / f"{name}-{preset}.parquet"
+    summary = classify(source, output, loaded, overwrite=True)
+    table = pq.read_table(output)
+    codes, reasons = (table[key].to_numpy().reshape(summary.counts.n_lines, -1) for key in ("class", "reason"))
+    for line, column in of_each(reasons, 23):
+        told = explain(source, line, column, loaded)
+        assert told.code == codes[line, column], (line, column)
+        assert told.reason == reasons[line, column]
+        rule_name, rule = rule_of(told.reason)
+        assert (told.rule, told.sentence, tuple(told.limits)) == (rule_name, rule.sentence, rule.limits)
+        assert rule_name != "unknown"
+        assert (told.range_m is None) == (told.label == Label.MISSING) == (not told.measures)
+        json.dumps(told.as_dict())
+
+
+def test_a_table_and_json(prc: Prc, folder: Path) -> None:
+    result = prc("explain", folder / "street.npz", "--at", "100,300", "--preset", "urban")
+    assert result.code == 0, result.err
+    assert "decided by" in result.out
+    assert "supported in its line from zeta_p [m]" in result.out
+    found = json.loads(prc("explain", folder / "street.npz", "--at", "100,300", "--json").out)
+    assert found["method"] == "fused"
+    assert found["chosen"]["preset"] == "fused"
+    assert found["record"] == 100 * 720 + 300
+    assert found["limits"]
+    assert found["measures"]["near neighbours, of 28"] <= 28
+
+
+@pytest.mark.parametrize(
+    ("place", "code", "said"),
+    [
+        ("900,3", 1, "found lines 0 to 159, expected line 900"),
+        ("3,900", 1, "found column 900, expected 0 to 719"),
+        ("3", 2, "found '3', expected LINE,COLUMN"),
+        ("-3,5", 2, "found '-3,5', expected LINE,COLUMN"),
+    ],
+)
+def test_places_that_are_not_there(prc: Prc, folder: Path, place: str, code: int, said: str) -> None:
+    result = prc("explain", folder / "street.npz", "--at", place, "--preset", "urban")
+    assert result.code == code
+    assert said in result.err
+
+
+def test_scanners_have_lines_of_their_own(prc: Prc, folder: Path) -> None:
+    result = prc("explain", folder / "street.npz", "--at", "3,5", "--preset", "urban", "--station", "4")
+    assert result.code == 1
+    assert "found scanners 0, expected 4" in result.err
+
+
+URBAN = ("--preset", "urban")
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    return int(stop.value.code or 0)
+
+
+def test_a_profile_is_printed_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = write_raw(tmp_path / "drive.bin", street())
+    assert (
+        run("classify", source, tmp_path / "a.npy", "-M", POINTS_PER_LINE, "-q", "--profile", "--threads", 1, *URBAN)
+        == 0
+    )
+    out, told = capsys.readouterr()
+    assert out == ""
+    for word in ("support", "background", "components", "reading", "writing", "fingerprint", "all else", "on 1 thread"):
+        assert word in told
+
+
+def test_a_profile_is_part_of_the_json_and_not_of_the_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = street()
+    source = write_raw(tmp_path / "drive.bin", image)
+    arguments = ("classify", source, tmp_path / "a.npy", "-M", POINTS_PER_LINE, "-q", "--json", *URBAN)
+    assert run(*arguments, "--profile", "--threads", 2) == 0
+    out, told = capsys.readouterr()
+    assert told == ""
+    found = json.loads(out)
+    profile = found.pop("profile")
+    assert found.pop("doubts") == []
+    assert found == json.loads((tmp_path / "a.npy.prc.json").read_text())
+    assert (profile["threads"], profile["shots"]) == (2, image.size)
+    assert sum(row["cpu_s"] for row in profile["stages"]) == pytest.approx(profile["cpu_s"], rel=0.02)
+    assert sum(row["share_of_cpu"] for row in profile["stages"]) == pytest.approx(1, rel=0.02)
+    rates = [
+        (row["mshots_per_cpu_s"], row["cpu_s"]) for row in profile["stages"] if row["mshots_per_cpu_s"] is not None
+    ]
+    assert rates
+    for rate, cpu_s in rates:
+        assert rate == pytest.approx(image.size / cpu_s / 1e6)
+    # without it the record is the same
+    assert run(*arguments, "--overwrite", "--threads", 1) == 0
+    assert json.loads(capsys.readouterr().out) == {**found, "doubts": []}
+
+
+__all__ = ["prc"]
+
+
+def test_parameters_of_a_doubted_stream_are_told(prc: Prc, tmp_path: Path) -> None:
+    thin = np.full((137, 18_000), np.nan, np.float32)
+    thin[:, :180] = street()
+    np.save(tmp_path / "thin.npy", thin)
+    result = prc("calibrate", tmp_path / "thin.npy", "-o", tmp_path / "thin.toml", "-q")
+    assert (result.code, result.err.count("\n")) == (4, 1)
+    assert result.err.startswith("warning: returns: ")
+    text = (tmp_path / "thin.toml").read_text(encoding="utf-8")
+    assert "\n# doubt: returns: " in text
+    result = prc("calibrate", tmp_path / "thin.npy", "--json", "-q")
+    assert [doubt["check"] for doubt in json.loads(result.out)["doubts"]] == ["returns"]
+    assert prc("calibrate", tmp_path / "thin.npy", "-q", "--accept-doubt", "returns").code == 0
+    np.save(tmp_path / "shuffled.npy", np.random.default_rng(3).permuted(street(), axis=1))
+    result = prc("calibrate", tmp_path / "shuffled.npy", "-o", tmp_path / "shuffled.toml")
+    assert (result.code, "insist with --accept-doubt" in result.err) == (1, True)
+    assert not (tmp_path / "shuffled.toml").exists()
+
+
+def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    (tmp_path / "old.toml").write_text("", encoding="utf-8")
+    result = prc("calibrate", source, "-o", tmp_path / "old.toml")
+    assert result.code == 2
+    assert "exists already" in result.err
+    assert prc("calibrate", source, "-o", tmp_path / "old.toml", "--overwrite", "-q").code == 0
+    assert load_config(tmp_path / "old.toml").sources
+    np.save(tmp_path / "short.npy", np.ones(7, np.uint8))
+    files = sorted(tmp_path.iterdir())
+    result = prc(
+        "calibrate", source, "--method", "prc", "--reference", tmp_path / "short.npy", "-o", tmp_path / "new.toml"
+    )
+    assert (result.code, result.out) == (1, "")
+    assert result.err.startswith("error: ")
+    assert result.err.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == files
+    result = prc("calibrate", source, "-o", source, "--overwrite")
+    assert result.code == 2
+    assert "inputs are never modified" in result.err
+
+
+def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    for options, message in (
+        (["--plot", tmp_path / "curves.png"], "ends in .svg"),
+        (["--json", "--format", "markdown"], "contradict"),
+        (["--reference", source, "--objective", "beauty"], "found score 'beauty'"),
+        (["--reference", source, "--objective", "f1.houses"], "'f1.houses', expected one of: f1.noise, f1.ground, f1."),
+        (["--objective", "beauty"], "--objective needs --reference"),
+        (["--objective", "mean_f1"], "--objective needs --reference"),
+        (["--budget", 9], "--budget needs --reference"),
+        (["--mapping", "prc"], "--mapping needs --reference"),
+        (["--keep", "prc.support.zeta_p"], "--keep needs --reference"),
+        (["--training-share", 0.5], "--training-share needs --reference"),
+        (["--seed", 1], "--seed needs --reference"),
+        (["--max-shots", 5000], "--max-shots needs --reference"),
+        (["--reference-dimension", "class"], "--reference-dimension needs --reference"),
+        (["--reference", source, "--keep", "prc.zeta"], "--keep: found 'prc.zeta'"),
+        (["--reference", tmp_path / "none.npy"], "no such file"),
+    ):
+        result = prc("calibrate", source, *options)
+        assert result.code in (1, 2), message
+        assert message in result.err
+        assert result.code == 2 or "needs" not in message
+        assert "mean_f1, ground" not in result.err
+
+
+LAYOUT = "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
+
+
+@pytest.mark.parametrize("output", [".", "/", "", "sub"])
+def test_a_folder_is_no_output(prc: Prc, tmp_path: Path, output: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sub").mkdir()
+    drive = write_raw(tmp_path / "drive.bin", street())
+    found = prc("classify", drive, output, "-M", POINTS_PER_LINE)
+    assert (found.code, found.out) == (1, "")
+    assert found.err == f"error: {output or '.'}: is a folder, expected a file name; name the file inside it\n"
+
+
+def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Path) -> None:
+    layout = tmp_path / "layout.toml"
+    layout.write_text(LAYOUT)
+    image = tmp_path / "drive.npz"
+    np.savez(image, range_m=street())
+    said = "layout.fields: does nothing: .npz files describe their records themselves; leave it out; ranges in mm"
+    for words in (("classify", image, tmp_path / "o.npy"), ("info", image)):
+        found = prc(*words, "--layout", layout)
+        assert found.code == 2
+        assert said in found.err
+    np.savez(image, range_m=1000 * street())
+    found = prc("classify", image, tmp_path / "o.npy", "--set", "input.range_scale=0.001", "-v")
+    assert found.code in (0, 4)
+    assert "input.range_scale" in found.err
+    dump = write_raw(tmp_path / "drive.bin", street())
+    assert "not used" not in prc("classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE).err
+
+
+def test_lines_of_the_files_come_before_a_line_length(prc: Prc, tmp_path: Path) -> None:
+    """M would cut lines that do not exist."""
+    reference = tmp_path / "reference.csv"
+    rows = [f"{line},{column},2" for line in range(6) for column in range(10)]
+    reference.write_text("line,column,label\n" + "\n".join(rows) + "\n")
+    np.save(tmp_path / "labels.npy", np.full(60, 2, np.uint8))
+    found = prc("evaluate", tmp_path / "labels.npy", reference, "--by-lines", 3, "-M", 4, "--format", "json")
+    assert found.code == 0
+    assert "lines 0-2" in found.out
+    assert "lines 3-5" in found.out
+    assert "lines 6-8" not in found.out
+    assert "a column of the files; -M 4 is not used" in found.out + found.err
+
+
+def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Path) -> None:
+    """Numbers of the program and class codes cannot be mistaken for each other."""
+    image = street()
+    prc("classify", write_raw(tmp_path / "drive.bin", image), tmp_path / "o.npy", "-M", POINTS_PER_LINE)
+    found = prc_cli.classify_ranges(image)
+    np.testing.assert_array_equal(found.codes, np.load(tmp_path / "o.npy").reshape(image.shape))
+    assert found.counts["ground"] == np.count_nonzero(found.codes == 2)
+    assert found.counts["noise"] == np.count_nonzero(found.labels == prc_cli.Label.NOISE)
+    assert repr(found).startswith(f"{N_LINES} lines of {POINTS_PER_LINE} shots: ")
+    assert sum(found.counts.values()) == image.size == len(angles()) * N_LINES
+    assert issubclass(prc_cli.EvidenceError, prc_cli.PrcError)
+
+
+def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
+    """Each costs memory and time in every run."""
+    code = (
+        "import sys, prc_cli.cli.classify; "
+        "print({'pyarrow', 'sqlite3', 'laspy', 'pye57', 'skimage', 'dask'} & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert found.stdout == "set()\n"
+
+
+def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(prc: Prc, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    assert "this folder itself has no scan" in prc("info", bag).err
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    (bag / "bag_0.db3").write_bytes(b"SQLite format 3\0")
+    assert f"{bag / 'bag_0.db3'}: found no SQLite header" in prc("info", bag).err
+    assert prc("info", bag / "metadata.yaml").err.endswith(f"name the file beside it, {bag / 'bag_0.db3'}\n")
+    (bag / "bag_1.db3").write_bytes(b"SQLite format 3\0")
+    assert prc("info", bag).err.endswith(f"bag_0.db3, or {bag / 'bag_1.db3'}\n")
+    drive = write_raw(tmp_path / "drive.bin", street())
+    assert prc("info", tmp_path).err.endswith(f"name a file in it, for example {drive}\n")
+    (tmp_path / "os.json").write_text("{}")
+    (tmp_path / "os.pcap").write_bytes(b"x")
+    assert prc("info", tmp_path / "os.json").err.endswith(f"name the capture beside it, {tmp_path / 'os.pcap'}\n")
+
+
+def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
+    frame = np.stack([*frame_xyz(), np.full(64 * 900, 0.3)], axis=1).astype("<f4")
+    frame.tofile(tmp_path / "frame.bin")
+    found = prc("classify", tmp_path / "frame.bin", tmp_path / "frame.laz", "--accept-doubt", "ground-below")
+    assert "look like x, y, z and intensity of a frame" in found.err
+    assert "points are in the order of the shots" in found.err
+    assert "compare it" not in found.err
+    ranges = street()
+    np.abs(frame).tofile(tmp_path / "other.bin")
+    for path in (write_raw(tmp_path / "drive.bin", ranges), tmp_path / "other.bin"):
+        refused = prc("classify", path, tmp_path / "labels.npy")
+        assert refused.code == 1
+        assert "no scan lines" in refused.err
+
+
+def frame_xyz() -> np.ndarray:
+    """Return a road and a round wall as 64 rings see them, ring after ring, (3, n)."""
+    azimuth = np.tile(np.linspace(0.0, 2 * np.pi, 900, endpoint=False), 64)
+    elevation = np.repeat(np.deg2rad(np.linspace(2.0, -24.8, 64)), 900)
+    distance = np.minimum(
+        20.0 / np.cos(elevation), np.where(elevation < 0, 1.7 / np.sin(np.maximum(-elevation, 1e-3)), 99)
+    )
+    flat = distance * np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)])

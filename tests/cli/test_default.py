@@ -16,7 +16,7 @@ from prc_cli.config import RunConfig, from_layers, preset_table
 from prc_cli.core.errors import ConfigError, InputError
 from tests.cli.test_commands import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
-from tests.streams.evidence.test_place import forest_lines
+from tests.streams.evidence.test_estimates import forest_lines
 
 M = len(BEAM)
 ANGLES = ("-M", M, "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2", "--set", "input.nadir=0")

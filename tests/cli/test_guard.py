@@ -16,6 +16,7 @@ from prc_cli.cli import COMMANDS, guard
 from tests import patience
 from tests.fuzz.crafted import huge_page, overflowing
 from tests.fuzz.seeds import seed
+from tests.patience import HANGS_S
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard is for Linux")
 ROOT = Path(__file__).resolve().parents[2]
@@ -218,3 +219,49 @@ def _runs(process: str) -> bool:
 def test_every_command_that_reads_files_is_guarded() -> None:
     assert set(COMMANDS) > guard.UNGUARDED
     assert not guard.UNGUARDED & {"info", "classify", "batch", "stream", "evaluate", "transfer", "convert", "thin"}
+
+
+def run(redirection: str, *arguments: str) -> tuple[int, bytes, str]:
+    command = [sys.executable, "-m", "prc_cli", *arguments]
+    done = patience.run(["sh", "-c", f'"$@" {redirection}', "sh", *command], input=bytes(4 * 90), capture_output=True)
+    return done.returncode, done.stdout, done.stderr.decode()
+
+
+@pytest.mark.parametrize(("redirection", "name"), [("<&-", "stdin"), (">&-", "stdout")])
+def test_a_live_stream_needs_both_ends(redirection: str, name: str) -> None:
+    code, out, err = run(redirection, "stream", "-M", "9")
+    assert (code, out) == (2, b"")
+    assert f"{name} is closed" in err
+    assert err.count("\n") == 1
+
+
+def test_files_are_written_though_nobody_listens(tmp_path: Path) -> None:
+    source, output = tmp_path / "drive.bin", tmp_path / "labels.npy"
+    np.full((20, 9), 7.0, np.float32).tofile(source)
+    code, _, _ = run("<&- >&- 2>&-", "classify", str(source), str(output), "-M", "9", "--json")
+    assert code == 0
+    assert np.load(output).size == 180
+
+
+PROGRAM = """
+import os, signal, time
+from prc_cli.cli import _leave_on_signals
+_leave_on_signals()
+
+class Deleted:
+    def __del__(self):
+        os.kill(os.getpid(), signal.{name})
+        sum(range(100))
+
+Deleted()
+time.sleep({hangs})
+print("still running")
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends itself a signal")
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", -2)])
+def test_it_comes_again(name: str, code: int) -> None:
+    program = PROGRAM.format(name=name, hangs=HANGS_S)
+    done = patience.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (code, "")

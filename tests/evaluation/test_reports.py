@@ -1,14 +1,28 @@
+"""Reports as text, LaTeX and HTML."""
+
 from __future__ import annotations
 
 import json
+import math
+import re
+import shutil
 from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.html import as_html
+from prc_cli.evaluation.html import Curve, as_html, line_chart
+from prc_cli.evaluation.latex import as_latex, escape
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict, as_json, as_markdown, doubts
+from prc_cli.evaluation.scores import Evaluation, Gate, check_gates, scores
+from tests import patience
 from tests.evaluation import samples
 
 MATRIX = ConfusionMatrix(
@@ -55,3 +69,160 @@ def test_agreement_of_chance_is_told() -> None:
     for other in ([[5000, 0], [0, 0]], [[5, 5], [5, 5]]):
         matrix = ConfusionMatrix(("a", "b"), ("a", "b"), np.array(other))
         assert doubts(replace(shuffled, matrix=matrix)) == ()
+
+
+NASTY = '50%_a&b {x} $y$ #1 ^~\\end{table} <|>"\n%.npy'
+
+
+def test_every_row_has_as_many_cells_as_its_table_columns() -> None:
+    text = as_latex(samples.evaluation(part=NASTY))
+    for columns, body in re.findall(r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL):
+        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
+        assert rows
+        assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {len(columns)}
+
+
+def test_nothing_of_a_user_is_a_command() -> None:
+    shown = escape(NASTY)
+    assert "\n" not in shown
+    assert r"\end{table}" not in shown
+    assert not re.search(r"(?<!\\)[%$&#_^~]", shown.replace("{}", ""))
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex here")
+def test_latex_takes_the_tables(tmp_path: Path) -> None:
+    found = samples.evaluation(predicted=NASTY, mapping="a_b#%.toml", part=NASTY)
+    document = (
+        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{booktabs}\n\\begin{document}\n"
+        f"{as_latex(found)}\\end{{document}}\n"
+    )
+    (tmp_path / "page.tex").write_text(document, encoding="utf-8")
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "page.tex"]
+    result = patience.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout[-2000:]
+
+
+VOID = {"meta", "input", "img", "br", "link"}
+PNG = b"\x89PNG\r\n\x1a\nrest"
+NASTY_HTML = "</script><script>alert(1)</script>'\"&<b>.npy"
+
+
+class Page(HTMLParser):
+    """Checks that every element is closed in its order; keeps visible text and attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[str] = []
+        self.words: list[str] = []
+        self.data = ""
+        self.attributes: list[tuple[str, str | None]] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert len({name for name, _ in attrs}) == len(attrs), tag
+        self.seen.append(tag)
+        self.attributes += attrs
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append(tag)
+        self.attributes += attrs
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "script" in self.open:
+            self.data += data
+        elif "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.words)
+
+
+def full_page() -> tuple[Evaluation, str]:
+    found = samples.evaluation()
+    gates = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
+    pictures = [("Predicted", PNG)]
+    return found, as_html(found, gates, mapping=load_mapping("oakland"), pictures=pictures)
+
+
+def test_page_is_well_formed_and_needs_nothing_else() -> None:
+    _, text = full_page()
+    page = Page(text)
+    assert text.startswith("<!DOCTYPE html>")
+    assert not {"link", "iframe", "object", "embed", "base"} & set(page.seen)
+    assert "http" not in text.replace('http-equiv="Content-Security-Policy"', "")
+    assert "url(" not in text
+    assert "@import" not in text
+    for name, value in page.attributes:
+        assert name not in ("srcset", "action", "onload", "onclick")
+        assert name != "href" or (value or "").startswith("#")
+        if name == "src":
+            assert (value or "").startswith("data:image/png;base64,")
+    # nothing runs: the one script element holds data
+    assert page.seen.count("script") == 1
+    assert ("type", "application/json") in page.attributes
+    identifiers = [value for name, value in page.attributes if name == "id"]
+    assert len(set(identifiers)) == len(identifiers)
+
+
+def test_text_of_users_is_shown_and_never_read_as_html() -> None:
+    found = samples.evaluation(predicted=NASTY_HTML, mapping=NASTY_HTML, note=NASTY_HTML, part=NASTY_HTML)
+    text = as_html(found, pictures=[(NASTY_HTML, PNG)], title=NASTY_HTML)
+    page = Page(text)
+    assert "<b>.npy" not in text
+    assert page.seen.count("script") == 1
+    assert page.text.count(NASTY_HTML) >= 6
+    assert json.loads(page.data)["files"]["predicted"] == [NASTY_HTML]
+
+
+def test_pictures_that_are_not_png_are_refused() -> None:
+    with pytest.raises(InputError, match="over: is no PNG picture"):
+        as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    names=st.lists(st.sampled_from(["ground", "road-1", "a b", "other", "noise", "Tree_2"]), min_size=1, unique=True),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_any_matrix_has_a_page(names: list[str], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 10**6, (len(names), len(names))) * (rng.random((len(names), len(names))) < 0.6)
+    mapping = ClassMapping.model_construct(
+        unlisted="other", ignore=(), ignore_reference=(), predicted=dict.fromkeys(names, (1,)),
+        reference=dict.fromkeys(names, ("2-3",)),
+    )  # fmt: skip
+    page = Page(as_html(ConfusionMatrix(tuple(names), tuple(names[::-1]), counts), mapping=mapping))
+    shown = ConfusionMatrix(tuple(names), tuple(names[::-1]), counts).trimmed()
+    assert all(f"{count:,}" in page.text for count in shown.counts.ravel().tolist())
+
+
+def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
+    values = (0.1, 0.9, math.nan, 0.5, math.nan, 1.0, 0.0)
+    names = [f"{i} <m>" for i in range(7)]
+    chart = line_chart(
+        "recall by range", "range [m]", names, [5, 0, 3, 9, 1, 0, 2], [Curve("ground", values, 0)], names
+    )
+    Page(chart)
+    lines = re.findall(r'<polyline points="([^"]*)"', chart)
+    assert [len(line.split()) for line in lines] == [2, 2]
+    assert chart.count("<circle") == 5  # a mark wherever there is a value, the lonely one too
+    box = [float(n) for n in re.search(r'viewBox="([^"]*)"', chart)[1].split()]  # type: ignore[index]
+    for x, y in (pair.split(",") for line in lines for pair in line.split()):
+        assert 0 < float(x) < box[2]
+        assert 0 < float(y) < box[3]
+
+
+def test_curves_break_where_the_next_file_begins() -> None:
+    names = list("abcdef")
+    chart = line_chart("recall", "line", names, [1] * 6, [Curve("car", (0.5,) * 6, 2)], names, {2, 5})
+    assert [len(line.split()) for line in re.findall(r'<polyline points="([^"]*)"', chart)] == [2, 3]
+    assert chart.count('class="break"') == 2

@@ -1,4 +1,4 @@
-"""Scores against scikit-learn; for the figures of the papers see test_paper_tables."""
+"""Confusion matrices, scores, gates, intervals and splits."""
 
 from __future__ import annotations
 
@@ -6,11 +6,36 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
 
-from prc_cli.core.errors import ConfigError
-from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
-from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.scores import gate_value, scores
+from prc_cli.core.errors import ConfigError, GateError, InputError
+from prc_cli.evaluation.confusion import (
+    UNKNOWN,
+    ConfusionMatrix,
+    GroupedCounts,
+    accumulate,
+    cells_of,
+    check_edges,
+    range_bounds,
+    range_groups,
+    refuse_poor_match,
+)
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.scores import (
+    CLASS_SCORES,
+    OVERALL_SCORES,
+    Gate,
+    all_scores,
+    block_intervals,
+    check_gates,
+    gate_value,
+    parse_gate,
+    refuse_failed,
+    scores,
+)
+from tests.evaluation.samples import MATRIX
 
 FOREST = ("noise", "ground", "stem")
 TABLE_II = np.array([[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]])
@@ -86,3 +111,234 @@ def test_unknown_gates_name_those_there_are(name: str, expected: str) -> None:
     with pytest.raises(ConfigError) as caught:
         gate_value(found, name)
     assert expected in str(caught.value)
+
+
+MAPPING = ClassMapping(
+    ignore=(0,),
+    predicted={"noise": (7,), "ground": (2,), "unclassified": (1,)},
+    reference={"ground": (2, 66), "noise": (7,), "other": (65,)},
+)
+
+
+def test_counts_by_hand() -> None:
+    predicted = np.array([2, 2, 7, 1, 2, 0, 2, 7])
+    reference = np.array([2, 66, 2, 2, 65, 0, 0, 7])
+    matrix = accumulate(ConfusionMatrix.empty(MAPPING), predicted, reference, MAPPING)
+    assert matrix.reference_names == ("ground", "noise", "other")
+    assert matrix.predicted_names == ("noise", "ground", "unclassified")
+    assert matrix.counts.tolist() == [[1, 2, 1], [1, 0, 0], [0, 1, 0]]
+    assert matrix.n_ignored == 2
+    assert matrix.counts.dtype == np.int64
+    assert matrix.scored_names == ("ground", "noise")
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    pairs=st.lists(st.tuples(st.sampled_from([0, 1, 2, 7]), st.sampled_from([0, 2, 7, 65, 66])), max_size=60),
+    cut=st.integers(0, 60),
+)
+def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -> None:
+    codes = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    whole = accumulate(ConfusionMatrix.empty(MAPPING), codes[:, 0], codes[:, 1], MAPPING)
+    state = ConfusionMatrix.empty(MAPPING)
+    for part in (codes[:cut], codes[cut:]):
+        state = accumulate(state, part[:, 0], part[:, 1], MAPPING)
+    assert np.array_equal(whole.counts, state.counts)
+    assert whole.n_ignored == state.n_ignored
+    assert whole.n_scored + whole.n_ignored == len(pairs)
+
+
+def test_different_lengths_are_refused_with_both_counts() -> None:
+    with pytest.raises(InputError, match="3 records, but reference holds 2; matched by order needs equal counts"):
+        accumulate(ConfusionMatrix.empty(MAPPING), np.array([2, 2, 2]), np.array([2, 2]), MAPPING)
+    with pytest.raises(InputError, match=r"a\.npy: 5 records, but b\.las holds 4;"):
+        refuse_poor_match(5, 4, "a.npy", "b.las")
+    refuse_poor_match(4, 4)
+
+
+def test_shares_of_empty_rows_and_columns_are_undefined() -> None:
+    matrix = ConfusionMatrix(("a", "b"), ("a", "b", "c"), np.array([[3, 1, 0], [0, 0, 0]]))
+    assert np.array_equal(matrix.row_shares(), [[0.75, 0.25, 0.0], [np.nan] * 3], equal_nan=True)
+    assert np.array_equal(matrix.column_shares(), [[1.0, 1.0, np.nan], [0.0, 0.0, np.nan]], equal_nan=True)
+
+
+def test_trimmed_keeps_a_class_that_one_side_uses() -> None:
+    counts = np.array([[4, 0, 0, 0], [2, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
+    matrix = ConfusionMatrix(("ground", "building", "stem", "other"), ("ground", "building", "stem", "lost"), counts, 3)
+    shown = matrix.trimmed()
+    assert shown.reference_names == ("ground", "building")
+    assert shown.predicted_names == ("ground", "building")
+    assert shown.counts.tolist() == [[4, 0], [2, 0]]
+    assert shown.n_ignored == 3
+
+
+def test_passed_and_failed() -> None:
+    results = check_gates(scores(MATRIX), [Gate("recall.ground", 0.9), Gate("accuracy", 1.0), Gate("recall.stem", 0.0)])
+    assert [item.passed for item in results] == [True, False, False]  # undefined has reached nothing
+    refuse_failed(results[:1])
+    with pytest.raises(GateError) as caught:
+        refuse_failed(results)
+    assert str(caught.value) == (
+        "accuracy: found 0.9869, demanded at least 1.0000; "
+        "recall.stem: found undefined (no such records), demanded at least 0.0000"
+    )
+    assert caught.value.exit_code == 3
+
+
+@pytest.mark.parametrize("text", ["recall.ground", "recall.ground=", "recall.ground=x", "accuracy=1.1", "kappa=nan"])
+def test_limits_that_make_no_sense(text: str) -> None:
+    with pytest.raises(ConfigError, match="--fail-under: found"):
+        parse_gate(text, load_mapping("prc"))
+
+
+@pytest.mark.parametrize("text", ["recal.ground=0.5", "recall.road=0.5", "=0.5"])
+def test_scores_and_classes_that_are_not_there(text: str) -> None:
+    with pytest.raises(ConfigError, match="score: found"):
+        parse_gate(text, load_mapping("prc"))
+
+
+@pytest.mark.parametrize("score", ["recall", "precision", "f1", "iou", "accuracy"])
+def test_classes_of_one_side_have_no_gate_and_are_not_offered(score: str) -> None:
+    mapping = ClassMapping(
+        unlisted="other", predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "car": (65,)}
+    )
+    for name in ("other", "noise", "car"):
+        with pytest.raises(ConfigError) as caught:
+            parse_gate(f"{score}.{name}=0.5", mapping)
+        told = str(caught.value)
+        assert f"found class {name!r}, which the mapping does not have on both sides" in told
+        assert told.endswith("expected one of: ground")
+    assert parse_gate(f"{score}.ground=0.5", mapping).limit == 0.5
+
+
+ROWS, COLUMNS = ("ground", "stem", "other"), ("noise", "ground", "stem")
+NAMES = ROWS, COLUMNS
+
+
+def blocks_of(n: int, seed: int = 0, size: int = 400) -> np.ndarray:
+    """Blocks of equal size whose share of agreement differs."""
+    random = np.random.default_rng(seed)
+    found = []
+    for _ in range(n):
+        share = random.dirichlet([0.5, 8, 1, 0.5, 1, 6, 0.2, 0.5, 0.5])
+        found.append(random.multinomial(size, share).reshape(3, 3))
+    return np.array(found)
+
+
+def test_all_scores_are_those_of_one_matrix_at_a_time() -> None:
+    blocks = blocks_of(20)
+    blocks[3, 1] = 0  # no stem in the reference
+    blocks[4] = 0
+    blocks[5] = np.diag([0, 0, 7])
+    found = all_scores(blocks, *NAMES)
+    assert set(found) == {f"{s}.{c}" for s in CLASS_SCORES for c in ("ground", "stem")} | set(OVERALL_SCORES)
+    for k, counts in enumerate(blocks):
+        expected = scores(ConfusionMatrix(*NAMES, counts))
+        for name, values in found.items():
+            np.testing.assert_allclose(values[k], gate_value(expected, name), rtol=1e-12, err_msg=f"{name} {k}")
+
+
+def test_jackknife_of_a_mean_is_the_textbook_interval() -> None:
+    blocks = blocks_of(25)
+    per_block = all_scores(blocks, *NAMES)["accuracy"]  # of blocks of one size: their mean is the score
+    half = stats.t.ppf(0.975, 24) * per_block.std(ddof=1) / np.sqrt(25)
+    found = block_intervals(blocks, NAMES)["accuracy"]
+    assert (found.low, found.high) == pytest.approx((per_block.mean() - half, per_block.mean() + half))
+
+
+@pytest.mark.parametrize("name", ["recall.stem", "iou.ground", "kappa", "balanced_accuracy"])
+def test_jackknife_by_hand(name: str) -> None:
+    blocks = blocks_of(9)
+    left_out = [
+        gate_value(scores(ConfusionMatrix(*NAMES, np.delete(blocks, k, axis=0).sum(axis=0))), name) for k in range(9)
+    ]
+    error = np.sqrt(8 / 9 * np.sum((np.array(left_out) - np.mean(left_out)) ** 2))
+    value = gate_value(scores(ConfusionMatrix(*NAMES, blocks.sum(axis=0))), name)
+    found = block_intervals(blocks, NAMES)[name]
+    half = stats.t.ppf(0.975, 8) * error
+    assert (found.low, found.high) == pytest.approx((value - half, value + half))
+
+
+def test_intervals_hold_the_true_score_about_as_often_as_they_say() -> None:
+    true = float(all_scores(blocks_of(4000, 99).sum(axis=0)[None], *NAMES)["recall.stem"][0])
+    n_held = 0
+    for seed in range(60):
+        found = block_intervals(blocks_of(40, seed), NAMES)["recall.stem"]
+        n_held += found.low <= true <= found.high
+    assert n_held >= 51  # 57 expected; fewer than 51 in one of 200 such tests
+
+
+def test_bounds_and_undefined_scores() -> None:
+    blocks = blocks_of(10)
+    blocks[:, 1] = 0
+    blocks[2, 1, 2] = 5  # stems in one block alone
+    found = block_intervals(blocks, NAMES)
+    assert "recall.stem" not in found
+    assert all(-1 <= item.low <= item.high <= 1 for item in found.values())
+    perfect = np.zeros((5, 3, 3), np.int64)
+    perfect[:, 0, 1] = perfect[:, 1, 2] = 3
+    assert block_intervals(perfect, NAMES)["accuracy"].low == 1.0
+
+
+def test_counts_beyond_32_bits() -> None:
+    blocks = blocks_of(10) * 10**9
+    found, small = (block_intervals(b, NAMES)["kappa"] for b in (blocks, blocks_of(10)))
+    assert (found.low, found.high) == pytest.approx((small.low, small.high))
+
+
+def test_what_cannot_be_done() -> None:
+    with pytest.raises(InputError, match="at least 2 blocks with scored pairs, found 1"):
+        block_intervals(blocks_of(1), NAMES)
+
+
+MAPPING_SPLITS = ClassMapping(
+    ignore=[0], predicted={"ground": [2], "building": [6]}, reference={"ground": [2], "building": [6], "car": [65]}
+)
+
+
+@pytest.mark.parametrize("spread", [3, 1_000_000_007])
+def test_groups_are_counted_as_if_alone(spread: int) -> None:
+    random = np.random.default_rng(0)
+    n = 5000
+    group = random.integers(-1, 40, n) * spread
+    predicted, reference = random.choice([0, 2, 6], n), random.choice([2, 6, 65], n)
+    counts, half = GroupedCounts(MAPPING_SPLITS, "test"), GroupedCounts(MAPPING_SPLITS, "test")
+    cells = cells_of(MAPPING_SPLITS, predicted, MAPPING_SPLITS.class_indices(reference, "reference"))
+    for at in np.array_split(np.arange(n), 7):
+        (counts if at[0] < n // 2 else half).add(group[at], cells[at])
+    counts.merge(half)
+    assert counts.groups == tuple(np.unique(group).tolist())
+    blocks = []
+    for name in counts.groups:
+        here = group == name
+        expected = accumulate(ConfusionMatrix.empty(MAPPING_SPLITS), predicted[here], reference[here], MAPPING_SPLITS)
+        np.testing.assert_array_equal(counts.matrix(name).counts, expected.counts)
+        assert counts.matrix(name).n_ignored == expected.n_ignored
+        blocks.append(expected.counts)
+    np.testing.assert_array_equal(counts.scored(), blocks)
+    assert counts.matrix(123_456).n_scored == 0
+    empty = GroupedCounts(MAPPING_SPLITS, "test")
+    empty.add(np.empty(0, np.int64), np.empty(0, np.int64))
+    counts.merge(empty)
+    assert empty.scored().shape == (0, 3, 2)
+
+
+def test_blocks_without_scored_pairs_do_not_count() -> None:
+    counts = GroupedCounts(MAPPING_SPLITS, "test")
+    counts.add(np.array([0, 1]), cells_of(MAPPING_SPLITS, np.array([0, 2]), np.array([0, 0])))
+    assert counts.groups == (0, 1)
+    assert len(counts.scored()) == 1
+
+
+def test_ranges() -> None:
+    edges = check_edges((0.0, 10.0, 20.0))
+    groups = range_groups(np.array([0.0, 9.99, 10.0, 20.0, 1e9, np.nan]), edges)
+    assert groups.tolist() == [1, 1, 2, 3, 3, UNKNOWN]
+    assert range_bounds(1, edges) == ("0-10 m", 0.0, 10.0)
+    assert range_bounds(3, edges) == ("from 20 m", 20.0, math.inf)
+
+
+@pytest.mark.parametrize("edges", [(1.0, 1.0), (2.0, 1.0), (-1.0,), (math.nan,), (math.inf,)])
+def test_bad_edges(edges: tuple[float, ...]) -> None:
+    with pytest.raises(ConfigError, match="expected ascending ranges"):
+        check_edges(edges)

@@ -1,4 +1,4 @@
-"""Record layouts: numpy types and decoding."""
+"""Layouts, their options and the ranges that come out."""
 
 from __future__ import annotations
 
@@ -12,8 +12,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
-from prc_cli.formats.options import Layout, LayoutField, decode, record_dtype
+from prc_cli.core.stream import ReadTally
+from prc_cli.formats.options import (
+    MAX_RECORD_BYTES,
+    InputConfig,
+    Layout,
+    LayoutField,
+    decode,
+    record_dtype,
+)
+from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.text.read import TextSource
@@ -129,3 +139,66 @@ def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
 def test_every_sample_layout_is_tried_above() -> None:
     tried = test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads.pytestmark[0].args[1]  # type: ignore[attr-defined]
     assert {path.stem for path in SAMPLES.glob("*.toml")} == {case[0] for case in tried}
+
+
+def refused(model: Any, **table: Any) -> str:
+    with pytest.raises(ConfigError) as caught:
+        build(model, table, "prc.toml")
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("size", [MAX_RECORD_BYTES + 1, 9_000_000_000_000_000_000, 10**30])
+def test_records_larger_than_any_scanner_writes(size: int) -> None:
+    message = refused(Layout, record_bytes=size)
+    assert message.startswith(f"prc.toml: record_bytes: found {size}, expected: ")
+    assert "less than or equal to 1048576" in message
+
+
+@pytest.mark.parametrize("rule", ["time:1e999", "time:-1", "time:0", "time:e"])
+@pytest.mark.parametrize("key", ["lines", "columns"])
+def test_a_rate_is_a_positive_finite_number(key: str, rule: str) -> None:
+    message = refused(InputConfig, **{key: rule})
+    assert f"{key} = time:HZ with 1e-06 to 1e+12 Hz, found {rule!r}" in message
+
+
+@pytest.mark.parametrize("kind", ["f4,(", "i4,,", "3f4", "(1,)f4", "O", "S4", "", "nonsense"])
+def test_types_that_are_no_number(kind: str) -> None:
+    message = refused(Layout, fields=[{"name": "range", "type": kind}])
+    assert f"found {kind!r}, expected: a numpy number type such as f4" in message
+
+
+@pytest.mark.parametrize("gap", [0, -1.0, float("nan"), float("inf")])
+def test_a_trajectory_gap_is_a_positive_time(gap: float) -> None:
+    assert refused(InputConfig, trajectory_max_gap=gap).startswith(f"prc.toml: trajectory_max_gap: found {gap}, ")
+
+
+def test_keeps_good_ranges_as_they_are_and_leaves_its_input_alone() -> None:
+    given = np.asfortranarray(np.array([[1.5, np.nan], [-2.0, 7.25]], np.float32))
+    before = given.copy()
+    ranges, tally = clean_ranges(given)
+    assert ranges.dtype == np.float32
+    assert ranges.flags.c_contiguous
+    assert not np.shares_memory(ranges, given)
+    np.testing.assert_array_equal(given, before)
+    np.testing.assert_array_equal(ranges, np.array([[1.5, np.nan], [np.nan, 7.25]], np.float32))
+    assert tally == ReadTally(n_not_positive=1)
+
+
+def test_every_reason_is_counted_once() -> None:
+    given = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, -5.0, 0.5, 1.0, 1.5, 100.0, 100.5])
+    ranges, tally = clean_ranges(given, min_range=1.0, max_range=100.0)
+    np.testing.assert_array_equal(np.flatnonzero(~np.isnan(ranges)), [8, 9])
+    assert tally == ReadTally(n_not_finite=2, n_not_positive=3, n_beyond=3)
+
+
+def test_bounds_are_judged_the_same_for_float32_float64_and_integers() -> None:
+    rng = np.random.default_rng(1)
+    millimetres = rng.integers(0, 40_000, 5_000)
+    exact = millimetres / 1000.0
+    for bound in (30.1, 17.003, 0.007):
+        narrow, tally_narrow = clean_ranges(exact.astype(np.float32), bound, bound + 2.3)
+        wide, tally_wide = clean_ranges(exact, bound, bound + 2.3)
+        np.testing.assert_array_equal(narrow, wide)
+        assert tally_narrow == tally_wide
+    whole, _ = clean_ranges(millimetres, 5.0, 30_000.0)
+    np.testing.assert_array_equal(whole, clean_ranges(millimetres.astype(np.float64), 5.0, 30_000.0)[0])

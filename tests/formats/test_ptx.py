@@ -1,27 +1,36 @@
-"""PTX: headers, points to shots, and every kind of wrong header."""
+"""PTX, 3DTK and echo pulse files."""
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import PrcError
+from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
+from prc_cli.formats import check_input, scan_file
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised import ptx
+from prc_cli.formats.organised import e57_read, ptx
 from prc_cli.formats.organised.ptx import PtxStream
 from prc_cli.streams.open import open_input
+from tests.cli.test_commands import Prc
+from tests.formats.cloud_files import pulse_folder
 from tests.formats.organised_files import (
     Array,
+    Scan,
+    e57_fields,
     grid_points,
     ptx_header,
     ptx_rows,
     ptx_scan,
+    reordered,
     turn_x,
+    write_e57,
     write_text,
 )
 
@@ -206,3 +215,111 @@ def test_a_real_file_with_colour(real_data: Path) -> None:
     assert not np.isnan(block.range_m).any()
     # an airborne strip in the frame of a scanner that was never there: read as it says
     assert block.range_m.min() > 1e6
+
+
+def peak_bytes(path: Path) -> int:
+    """Most memory held while a file is opened and read."""
+    tracemalloc.start()
+    try:
+        assert sum(block.n_lines for block in open_input(path, InputConfig()).blocks()) > 0
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("kind", ["ptx", "e57", "e57 row by row"])
+def test_memory_does_not_grow_with_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", 2048)
+    monkeypatch.setattr(e57_read, "CHUNK_POINTS", 1024)
+    monkeypatch.setattr(ptx, "BLOCK_BYTES", 1 << 15)
+    peaks = []
+    for n_lines in (100, 100, 1000):  # the first one imports
+        points = grid_points(n_lines, 64)
+        fields = e57_fields(points)
+        if kind == "ptx":
+            path = write_text(tmp_path / "a.ptx", ptx_scan(points, rotation=turn_x(2)))
+        elif kind == "e57":
+            path = write_e57(tmp_path / "a.e57", [Scan(fields)])
+        else:
+            order = np.lexsort((fields["columnIndex"], fields["rowIndex"]))
+            path = write_e57(tmp_path / "a.e57", [Scan(reordered(fields, order))])
+        peaks.append(peak_bytes(path))
+    assert peaks[2] < 1.3 * peaks[1] + 50_000
+
+
+RULES: dict[str, Any] = {"points_per_line": 2, "range": "sensor-xyz"}
+
+
+def test_centimetres_with_y_up_become_metres_with_z_up(tmp_path: Path) -> None:
+    path = tmp_path / "scan000.3d"
+    path.write_text("100 200 300\n0 3.1e-5 50\n-1 -2 -3\n0 0 3270\n")
+    block = join(list(open_input(path, InputConfig(**RULES, max_range=32.0)).blocks()))
+    assert block.xyz_m is not None
+    np.testing.assert_allclose(block.xyz_m[0, 0], [1, 3, 2])
+    np.testing.assert_allclose(block.range_m, [[np.sqrt(14), 0.5], [np.sqrt(14) / 100, np.nan]], rtol=1e-6)
+
+
+@pytest.mark.data
+def test_the_sample_of_3dtk(real_data: Path) -> None:
+    rules = InputConfig(points_per_line=360, range="sensor-xyz", max_range=32.7)
+    stream = open_input(real_data / "organised" / "scan000.3d", rules)
+    block = join(list(stream.blocks()))
+    assert block.range_m.shape == (226, 360)
+    assert np.isnan(block.range_m).sum() == 1481
+    assert np.nanmax(block.range_m) < 32.7
+
+
+ECHOES = "echo-float32-range.bin"
+
+
+def test_every_pulse_is_a_shot(tmp_path: Path) -> None:
+    path = pulse_folder(tmp_path / "p")
+    count = np.fromfile(path, np.uint8)
+    block = join(list(open_input(path, InputConfig.model_validate({"return": "last"})).blocks()))
+    assert block.range_m.shape == (12, 60)
+    np.testing.assert_array_equal(np.isfinite(block.range_m).ravel(), count > 0)
+    ranges = np.fromfile(tmp_path / "p" / "echo-float32-range.bin", "<f4")
+    last = np.cumsum(count, dtype=int)[count > 0] - 1
+    np.testing.assert_array_equal(block.range_m[np.isfinite(block.range_m)], ranges[last])
+    np.testing.assert_allclose(np.asarray(block.time_s).ravel(), 100 + 1e-5 * np.arange(720))
+    assert len(block.extra) == count.sum() - np.count_nonzero(count)
+
+
+def test_the_folder_names_the_file_to_give(tmp_path: Path) -> None:
+    pulse_folder(tmp_path / "p")
+    assert scan_file(tmp_path / "p") == tmp_path / "p" / "pulse-uint8-n_echo.bin"
+    with pytest.raises(InputError, match="name the file in it: .*pulse-uint8-n_echo.bin"):
+        check_input(tmp_path / "p")
+
+
+def test_a_shot_without_return_that_meets_another_is_no_return(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = pulse_folder(tmp_path / "p")
+    theta = np.fromfile(tmp_path / "p" / "pulse-float32-theta.bin", "<f4")
+    count = np.fromfile(path, np.uint8)
+    empty = int(np.flatnonzero(count == 0)[60])
+    theta[empty] = theta[empty - 1]
+    theta.tofile(tmp_path / "p" / "pulse-float32-theta.bin")
+    for command in (["convert"], ["classify", "--preset", "urban"]):
+        output = tmp_path / f"{command[0]}.laz"
+        assert Prc(capsys)(*command, path, output).code in (0, 4)  # 4: such echoes are no street
+        points = laspy.read(output)
+        np.testing.assert_array_equal(np.sort(points["range"]), np.sort(np.fromfile(path.parent / ECHOES, "<f4")))
+
+
+@pytest.mark.data
+def test_the_standing_car(real_data: Path) -> None:
+    folder = real_data / "echopulse"
+    stream = open_input(folder / "pulse-uint8-n_echo.bin", InputConfig())
+    blocks = list(stream.blocks())
+    shots = sum(int(np.isfinite(block.range_m).sum()) for block in blocks)
+    tally = sum((block.tally for block in blocks[1:]), blocks[0].tally)
+    count = np.fromfile(folder / "pulse-uint8-n_echo.bin", np.uint8)
+    assert stream.info.points_per_line == 2917
+    assert abs(shots - np.count_nonzero(count)) <= 438  # of 291 970, shots that met another one
+    assert tally.n_collisions <= 438
+    ranges = np.sort(np.fromfile(folder / "echo-float32-range.bin", "<f4"))
+    seen = [block.range_m[np.isfinite(block.range_m)] for block in blocks] + [block.extra.range_m for block in blocks]
+    flat = np.concatenate(seen)
+    np.testing.assert_array_equal(np.sort(flat[np.isfinite(flat)])[-1000:], ranges[-1000:])

@@ -21,9 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.corpus import Corpus
-from tests.fuzz.figures import add_up, report
-from tests.fuzz.found import FOUND, Found, keep, known_kinds
+from tests.fuzz.corpus import FOUND, Corpus, Found, add_up, keep, known_kinds, report
 from tests.fuzz.minimise import minimise
 from tests.fuzz.seeds import seed, write_seeds
 from tests.fuzz.targets import INPUTS, LABELLED, TARGETS, Target, lay, sound_of

@@ -22,7 +22,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.registry import by_suffix
 from tests import patience
 from tests.fuzz.campaign import attempt
-from tests.fuzz.found import FOUND, Found, all_found
+from tests.fuzz.corpus import FOUND, Found, all_found
 from tests.fuzz.guard import unprintable
 from tests.fuzz.mutations import MUTATIONS, mutate
 from tests.fuzz.seeds import RECORDINGS, SEEDS, seed, write_seeds

@@ -28,10 +28,10 @@ from prc_cli.core.files import cache_folder
 from prc_cli.kernels import load_kernels
 from prc_cli.kernels.cache import writable_cache
 from tests.fuzz.guard import Guard, unprintable
+from tests.fuzz.minimise import Tracer
 from tests.fuzz.oracles import BLOCKS, judge_labels, judge_las
 from tests.fuzz.reads import READS, blocks
 from tests.fuzz.targets import LABELLED, STATE, arguments
-from tests.fuzz.tracing import Tracer
 
 ADDRESS_SPACE = 3 << 30
 """Most memory that a worker may map [bytes]."""

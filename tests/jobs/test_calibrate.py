@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -9,19 +10,21 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config
+from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
-from prc_cli.core.types import F32
+from prc_cli.core.types import F32, F64
+from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import gate_value, scores
-from prc_cli.jobs.calibrate import SearchOptions, calibrate
-from prc_cli.jobs.calibrate.implied import CurveCounter, Curves
+from prc_cli.jobs.calibrate import SearchOptions, _measure, calibrate
+from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply, thresholds
 from prc_cli.jobs.calibrate.reports import (
     as_json,
     as_svg,
     as_toml,
 )
+from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES, ZETA_P, ZETA_S, Axis, Searcher, _neighbours, with_values
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import classify
 from prc_cli.methods.prc.pipeline import PrcParams
@@ -33,6 +36,7 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
+from tests.streams.beam_lines import stream
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz
 
 
@@ -85,7 +89,7 @@ def corridor(sigma_m: float, per_m: float, step_deg: float = 0.5, n_lines: int =
     return (image + rng.normal(size=image.shape) * np.hypot(sigma_m, per_m * image)).astype(np.float32)
 
 
-def measure(image: F32, **known: Any) -> SensorEstimate:
+def measured(image: F32, **known: Any) -> SensorEstimate:
     meter = SensorMeter(StreamInfo("drive", "array", image.shape[1], image.size, len(image), **known))
     for block in regroup(iter([ScanBlock(0, image)]), 50):
         meter.add(block)
@@ -94,7 +98,7 @@ def measure(image: F32, **known: Any) -> SensorEstimate:
 
 @pytest.mark.parametrize(("sigma_m", "per_m"), [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)])
 def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: float) -> None:
-    found = measure(corridor(sigma_m, per_m))
+    found = measured(corridor(sigma_m, per_m))
     for range_m in (2.5, 6.5, 15.0):
         assert found.noise_at(range_m) == pytest.approx(np.hypot(sigma_m, per_m * range_m), rel=0.2)
 
@@ -250,3 +254,239 @@ def test_oakland_section_helps_the_other_two(real_data: Path, tmp_path: Path) ->
     for section, least in zip(others, (0.80, 0.80), strict=True):
         classify(section, tmp_path / "labels.npy", found.config, overwrite=True)
         assert gate_value(scores(evaluate(tmp_path / "labels.npy", section, "oakland")), "kappa") > least
+
+
+SENSOR = SensorEstimate(
+    points_per_line=2154, n_lines=500, n_shots=500 * 2154, n_missing=0,
+    range_quantiles_m={"5%": 2.0, "25%": 4.0, "50%": 6.0, "75%": 10.0, "95%": 30.0}, noise=(), sigma_m=0.001,
+    sigma_per_m=0.0, step_rad=None, step_source="", rounding_m=None, line_hz=None, in_line_m=None, across_lines_m=None,
+)  # fmt: skip
+
+
+def advised(
+    sensor: SensorEstimate = SENSOR, *, low: float = 0.99, plateau: float = 0.9, zeta: float = 0.1, **params: object
+) -> dict[str, Advice]:
+    """Return the advice by key where thresholds below 1 m support ``low`` of what wide ones do."""
+    used = PrcParams.model_validate({"support": {"zeta_s": zeta, "zeta_p": zeta}, **params})
+    grid = thresholds(zeta)
+    lengths = np.geomspace(0.001, 100.0, 51)
+    reached = np.where(np.minimum(grid[:, None], grid[None, :]) < 1.0, low, 1.0) * plateau
+    supported = np.round(100_000 * reached).astype(np.int64)
+    background = np.full(len(lengths), 1000, np.int64)
+    curves = Curves(grid, grid, supported, lengths, background, 100_000, 100_000, 100_000)
+    return {item.key: item for item in imply(sensor, curves, used, 0.02)}
+
+
+@pytest.mark.parametrize(("environment", "share"), [("urban", 0.95), ("forest", 0.5)])
+@pytest.mark.parametrize("name", ["zeta_s", "zeta_p"])
+def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment: str, share: float, name: str) -> None:
+    key = f"prc.support.{name}"
+    assert advised(low=share + 0.01, environment=environment)[key].value == 0.1
+    raised = advised(low=share - 0.01, environment=environment)[key]
+    assert (raised.before, raised.value) == (0.1, 1.0)
+    assert raised.reason.endswith(f"reaches {share:.0%} of that and 6 times the noise of 1 mm")
+
+
+def test_the_threshold_of_adjacent_lines_is_never_the_lower_one() -> None:
+    """The paper advises zeta_s >= zeta_p; 0.1 m supports too little for zeta_p alone, so zeta_s follows."""
+    grid = thresholds(0.1)
+    reached = np.where(grid[:, None] < 1.0, 0.5, 1.0) * np.ones(len(grid))
+    lengths = np.geomspace(0.001, 100.0, 51)
+    flat = np.full(len(lengths), 1000, np.int64)
+    n = 100_000
+    curves = Curves(grid, grid, np.round(0.9 * n * reached).astype(np.int64), lengths, flat, n, n, n)
+    params = PrcParams.model_validate({"support": {"zeta_s": 0.1, "zeta_p": 0.1}})
+    found = {item.key: item for item in imply(SENSOR, curves, params, 0.02)}
+    assert (found["prc.support.zeta_p"].value, found["prc.support.zeta_s"].value) == (1.0, 1.0)
+    assert found["prc.support.zeta_s"].reason.startswith("raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B)")
+
+
+def test_thresholds_are_six_times_the_noise() -> None:
+    noisy = replace(SENSOR, sigma_m=0.1)
+    assert advised(noisy, zeta=0.61)["prc.support.zeta_s"].value == 0.61
+    assert advised(noisy, zeta=0.59)["prc.support.zeta_s"].value == pytest.approx(0.64)
+
+
+def test_a_plateau_is_a_fifth_of_the_returns() -> None:
+    assert advised(low=0.5, plateau=0.21)["prc.support.zeta_s"].value == 1.0
+    assert advised(low=0.5, plateau=0.19)["prc.support.zeta_s"].value == 0.1
+
+
+@pytest.mark.parametrize(
+    ("known", "value", "reason"),
+    [
+        ({}, 0.05, "the published value"),
+        ({"sigma_m": 0.1}, 1.7, "17 times the deviation of flat stretches, 1e+02 mm at 10 m"),
+        ({"sigma_m": None}, 0.05, "the published value"),
+        ({"rounding_m": 0.1}, 0.5, "ranges are stored in steps of 0.1 m"),
+        ({"step_rad": 0.01}, 0.2, "the three shots of eq. 9 span 0.2 m at 10 m under steps of 0.57 degrees"),
+        ({"step_rad": 0.01, "rounding_m": 0.1}, 0.5, "ranges are stored in steps of 0.1 m"),
+        ({"step_rad": 0.04, "rounding_m": 0.1}, 0.8, "the three shots of eq. 9 span 0.8 m"),
+    ],
+)
+def test_the_length_is_the_largest_that_is_asked_for(known: dict[str, float], value: float, reason: str) -> None:
+    found = advised(replace(SENSOR, **known))["prc.background.d_c"]  # type: ignore[arg-type]
+    assert found.value == pytest.approx(value)
+    assert found.reason.startswith(reason)
+    assert "; marks 1.0% of the returns" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("lines", "m", "value"), [(99, 2154, 30.0), (99, 1077, 15.0), (99, 870, 12.1), (99, 850, 12.0)]
+)
+def test_the_area_is_the_published_share_of_a_block_and_twelve_at_least(lines: int, m: int, value: float) -> None:
+    found = advised(replace(SENSOR, points_per_line=m), lines_per_block=lines)["prc.surfaces.area"]
+    assert found.value == value
+    assert ("three lines of four shots" in found.reason) is (m == 850)
+
+
+@pytest.mark.parametrize("axis", [*PRC_AXES, *ANGLE_AXES], ids=lambda axis: axis.key)
+def test_every_value_of_an_axis_is_a_configuration(axis: Axis) -> None:
+    assert list(axis.grid) == sorted(set(axis.grid))
+    assert axis.bounds[0] <= axis.grid[0] < axis.grid[-1] <= axis.bounds[1]
+    for value in (*axis.bounds, *axis.grid):
+        with_values(RunConfig(), {axis.key: int(value) if axis.whole else value})
+
+
+@pytest.mark.parametrize(
+    ("searched", "key", "given", "expected"),
+    [
+        ({ZETA_S, ZETA_P}, ZETA_P, (1.0, 3.0), (3.0, 3.0)),
+        ({ZETA_S, ZETA_P}, ZETA_S, (0.3, 1.0), (0.3, 0.3)),
+        ({ZETA_S, ZETA_P}, ZETA_S, (3.0, 1.0), (3.0, 1.0)),
+        ({ZETA_P}, ZETA_P, (None, 3.0), (None, 2.0)),
+        ({ZETA_S}, ZETA_S, (0.3, None), (1.5, None)),
+    ],
+)
+def test_a_threshold_takes_the_other_along(
+    searched: set[str], key: str, given: tuple[float | None, float | None], expected: tuple[float | None, float | None]
+) -> None:
+    """zeta_s stays at least zeta_p; one that is not searched stays where it is configured, here at 2 m and 1.5 m."""
+    config = with_values(RunConfig(), {ZETA_S: 2.0, ZETA_P: 1.5})
+    mapping = load_mapping("oakland")
+    searcher = Searcher(config, mapping, (), "mean_f1", 5, tuple(axis for axis in PRC_AXES if axis.key in searched))
+    values = {name: value for name, value in zip((ZETA_S, ZETA_P), given, strict=True) if value is not None}
+    found = searcher._advisable(values, key)
+    assert (found.get(ZETA_S), found.get(ZETA_P)) == expected
+
+
+def test_refinement_goes_down_to_one_pixel_and_not_out_of_bounds() -> None:
+    area = next(axis for axis in PRC_AXES if axis.key == "prc.surfaces.area")
+    assert _neighbours(area, 2.0, 2.0) == (1.0, 4.0)
+    assert _neighbours(area, 1.0, 2.0) == (2.0,)
+    gamma = next(axis for axis in PRC_AXES if axis.whole)
+    assert _neighbours(gamma, 0.0, 2.0) == (1.0,)
+    assert _neighbours(gamma, 3.0, 2.0) == (2.0, 4.0)
+    zeta = next(axis for axis in PRC_AXES if axis.key == "prc.support.zeta_p")
+    assert _neighbours(zeta, 0.01, 1.5) == (0.015,)
+    assert _neighbours(zeta, 10.0, 1.5) == (6.67,)
+
+
+@pytest.mark.parametrize(("n_lines", "is_enough"), [((2, 3), True), ((3, 2), True), ((2, 2), False), ((2, 0), False)])
+def test_one_scanner_with_three_lines_is_enough(n_lines: tuple[int, int], is_enough: bool) -> None:
+    parts = [ScanBlock(0, np.full((n, 50), 5.0, np.float32), scanner=scanner) for scanner, n in enumerate(n_lines) if n]
+    if is_enough:
+        assert _measure(stream(*parts), RunConfig(), None)[2] == dict(enumerate(n_lines))
+    else:
+        with pytest.raises(InputError, match=f"found {sum(n_lines)} scan lines, expected 3 or more"):
+            _measure(stream(*parts), RunConfig(), None)
+
+
+N = 60
+"""Stretches of a level; 50 make a range bin usable."""
+
+
+def levels(*of: tuple[float, float], n: int | tuple[int, ...] = N) -> SensorEstimate:
+    """Measure stretches of nine shots at some ranges [m] with exactly the standard deviations given beside them [m]."""
+    place = np.arange(9) - 4
+    pattern = np.where(place % 2, 1.0, -1.0)
+    pattern -= np.polyval(np.polyfit(place, pattern, 2), place)
+    pattern *= np.sqrt(6 / (pattern**2).sum())
+    counts = (n,) * len(of) if isinstance(n, int) else n
+    rows = [
+        np.tile(range_m + sigma_m * pattern, (count, 1)) for (range_m, sigma_m), count in zip(of, counts, strict=True)
+    ]
+    return measured(np.concatenate(rows).astype(np.float32))
+
+
+def flat(found: SensorEstimate) -> list[bool]:
+    return [item.flat for item in found.noise]
+
+
+def test_a_bin_gives_its_range_deviation_and_number() -> None:
+    found = levels((2.2, 0.005), (9.0, 0.02))
+    assert [item.n_stretches for item in found.noise] == [N, N]
+    assert [item.range_m for item in found.noise] == pytest.approx([2.2, 9.0], rel=0.1)
+    assert [item.sigma_m for item in found.noise] == pytest.approx([0.005, 0.02], rel=0.06)
+    assert levels((2.2, 0.005), n=50).sigma_m is not None
+    assert levels((2.2, 0.005), n=49).noise == ()
+
+
+def test_deviations_of_a_decimetre_are_foliage() -> None:
+    assert flat(levels((20.0, 0.09))) == [True]
+    assert flat(levels((20.0, 0.115))) == [False]
+    assert flat(levels((10.0, 0.06), (20.0, 0.09))) == [True, True]
+    assert flat(levels((10.0, 0.06), (20.0, 0.12))) == [True, False]
+
+
+def test_noise_may_grow_with_the_range_and_twice_as_much() -> None:
+    assert flat(levels((2.2, 0.005), (4.4, 0.018))) == [True, True]
+    assert flat(levels((2.2, 0.005), (4.4, 0.022))) == [True, False]
+    # towards the scanner noise does not fall
+    assert flat(levels((2.2, 0.009), (4.4, 0.005))) == [True, True]
+    assert flat(levels((2.2, 0.011), (4.4, 0.005))) == [False, True]
+    # what is no flat surface is no measure for what lies behind it
+    assert flat(levels((2.2, 0.005), (4.4, 0.05), (8.8, 0.036))) == [True, False, True]
+    assert flat(levels((2.2, 0.005), (4.4, 0.05), (8.8, 0.045))) == [True, False, False]
+
+
+def test_rare_ranges_are_no_measure() -> None:
+    assert flat(levels((2.2, 0.01), (4.4, 0.001), n=(1000, 99))) == [True, True]
+    assert flat(levels((2.2, 0.01), (4.4, 0.001), n=(1000, 101))) == [False, True]
+
+
+def test_noise_is_fitted_to_the_flat_bins() -> None:
+    found = levels(*((range_m, float(np.hypot(0.004, 0.001 * range_m))) for range_m in (2.2, 5.2, 12.4)))
+    assert found.sigma_m == pytest.approx(0.004, rel=0.15)
+    assert found.sigma_per_m == pytest.approx(0.001, rel=0.15)
+    one = levels((2.2, 0.01), (4.4, 0.5))
+    assert (one.sigma_m, one.sigma_per_m) == (one.noise[0].sigma_m, 0.0)
+
+
+def test_grazing_stretches_are_left_out() -> None:
+    for ratio, n in ((1.28, 1), (1.32, 0)):
+        # a plane, under a steep angle
+        slanted = (1.0 + 1e-3 * (np.arange(9) % 2)) / np.linspace(1.0, 1 / ratio, 9)
+        assert len(measured(np.tile(slanted, (N, 1)).astype(np.float32)).noise) == n
+
+
+@pytest.mark.parametrize("power", [-4, -3, -2, -1, 0])
+@pytest.mark.parametrize("factor", [1, 2, 2.5, 5])
+def test_every_usual_rounding_is_found(factor: float, power: int) -> None:
+    unit = factor * 10.0**power
+    image = np.random.default_rng(7).uniform(3.0, 12.0, (40, 200))
+    assert measured((np.round(image / unit) * unit).astype(np.float32)).rounding_m == pytest.approx(unit)
+
+
+@pytest.mark.parametrize(("n_wrong", "expected"), [(9, 0.01), (11, None)])
+def test_one_range_in_a_hundred_may_be_no_multiple(n_wrong: int, expected: float | None) -> None:
+    """Every 37th shot of a block is tested."""
+    image = np.random.default_rng(7).uniform(2.0, 12.0, (50, 740))
+    flat = (np.round(image / 0.01) * 0.01).ravel()
+    flat[: 37 * n_wrong : 37] += 0.00437
+    assert measured(flat.reshape(image.shape).astype(np.float32)).rounding_m == expected
+
+
+def test_differences_of_neighbours_are_their_median() -> None:
+    steps = np.where(np.arange(200) % 10 < 6, 0.1, 1.0)
+    along = 5.0 + np.cumsum(np.concatenate([[0.0], steps]))
+    image: F64 = np.tile(along, (101, 1)) + np.cumsum(np.where(np.arange(101) % 10 < 6, 0.03, 0.3))[:, None]
+    found = measured(image.astype(np.float32))
+    assert found.in_line_m == pytest.approx(0.1, rel=0.02)
+    assert found.across_lines_m == pytest.approx(0.03, rel=0.02)
+
+
+def test_quantiles_of_the_ranges() -> None:
+    image = np.linspace(10.0, 110.0, 20_000).reshape(100, 200)
+    found = measured(image.astype(np.float32)).range_quantiles_m
+    assert found == pytest.approx({"5%": 15.0, "25%": 35.0, "50%": 60.0, "75%": 85.0, "95%": 105.0}, rel=0.02)

@@ -11,7 +11,7 @@ import pytest
 
 from prc_cli.cli import main
 from tests.golden.inputs import N_LINES, M, image
-from tests.streams.evidence.test_rates import drive, las_of_times
+from tests.streams.evidence.test_estimates import drive, las_of_times
 
 
 def run(*words: Any) -> int:

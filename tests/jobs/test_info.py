@@ -14,7 +14,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.info import inspect
 from prc_cli.streams.open import open_input
 from tests.formats.organised_files import ptx_scan, write_text
-from tests.streams.evidence.test_rates import drive
+from tests.streams.evidence.test_estimates import drive
 
 
 def upright(n_lines: int = 5, m: int = 40) -> np.ndarray:

@@ -1,20 +1,30 @@
-"""The runner with a method defined here, and the table of methods."""
+"""The runner of all methods: scanners, further returns, reasons."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
 
-from prc_cli.config import RunConfig
+from prc_cli.config import RunConfig, load_config
+from prc_cli.core.blocks import join
+from prc_cli.core.classes import LABEL_BITS, Label, Reason
 from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.types import F32, U8
+from prc_cli.jobs.classify import label_blocks
 from prc_cli.kernels import KERNELS
 from prc_cli.kernels.loading import short_name
 from prc_cli.methods.base import Classifier, MethodParams, Needs, OneByOne, Part, Turn, Wanted
+from prc_cli.methods.fused.thresholds import FOREST, STREET
 from prc_cli.methods.methods import METHODS, MethodTables, table_of
+from prc_cli.methods.reasons import FURTHER, RULES, VOTE, reason_table
+from prc_cli.methods.returns import label_extra_returns
+from prc_cli.methods.rings.thresholds import MANY
 from prc_cli.methods.run import run_blocks
+from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,3 +117,100 @@ def test_the_table_holds_what_it_names() -> None:
         assert isinstance(params, MethodParams)
         for kernels in params.method().needs.kernels:
             assert any(home == kernels or home.startswith(f"{kernels}.") for home in homes)
+
+
+def label_one(image: F32, labels: U8, cell: tuple[int, int], range_m: float, zeta_p: float, zeta_s: float) -> int:
+    """What the rule says, one return and one cell at a time."""
+    line, column = cell
+    candidates = []
+    for order, (y, x, zeta) in enumerate(
+        [(line, column + dx, zeta_p) for dx in range(-4, 5)]
+        + [(line + dy, column + dx, zeta_s) for dy in (-1, 1) for dx in (-1, 0, 1)]
+    ):
+        if 0 <= y < image.shape[0] and 0 <= x < image.shape[1] and not np.isnan(image[y, x]):
+            difference = abs(float(np.float32(range_m) - image[y, x]))
+            if difference < zeta:
+                candidates.append((difference, order, int(labels[y, x])))
+    return min(candidates)[2] if candidates else Label.NOISE
+
+
+@pytest.mark.parametrize(("zeta_p", "zeta_s"), [(1.0, 1.0), (0.25, 1.0), (1.0, 0.1), (0.0, 0.5)])
+def test_rule_one_return_at_a_time(zeta_p: float, zeta_s: float) -> None:
+    rng = np.random.default_rng(11)
+    for n_lines, width in [(1, 1), (1, 12), (2, 3), (9, 15)]:
+        image = (rng.integers(16, 40, (n_lines, width)) / 8).astype(np.float32)
+        image[rng.random(image.shape) < 0.2] = np.nan
+        labels = rng.integers(1, 7, image.shape).astype(np.uint8)
+        line, column = rng.integers(n_lines, size=200), rng.integers(width, size=200)
+        ranges = (rng.integers(16, 48, 200) / 8).astype(np.float32)
+        found = label_extra_returns(
+            image, labels, line.astype(np.int32), column.astype(np.int32), ranges, zeta_p, zeta_s
+        )
+        expected = [
+            label_one(image, labels, (y, x), r, zeta_p, zeta_s) for y, x, r in zip(line, column, ranges, strict=True)
+        ]
+        assert found.dtype == np.uint8
+        np.testing.assert_array_equal(found, expected)
+
+
+SELDOM = {Reason.FAR_BELOW, Reason.ABOVE_TOP, Reason.BEYOND_REACH, Reason.UNDECIDED, Reason.PROFILE, Reason.CURB_REGION}
+"""Rules that the scans below need not have."""
+
+
+def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
+    assert set(RULES) == set(Reason)
+    assert len({rule.sentence for rule in RULES.values()}) == len(RULES)
+    config, constants = RunConfig(), (STREET, FOREST, MANY)
+    for rule in (*RULES.values(), VOTE, FURTHER):
+        for name in rule.limits:
+            if name.startswith(("prc.", "sequential_angle.")):
+                attrgetter(name)(config)
+            else:
+                assert any(hasattr(each, name.partition(".")[0]) for each in constants), name
+                [attrgetter(name)(each) for each in constants if hasattr(each, name.partition(".")[0])]
+    numbers = [number for number, *_ in reason_table()]
+    assert numbers == [*sorted(RULES), 224, 240]
+
+
+SCANS: list[tuple[Kind, dict[str, object], tuple[str, ...]]] = [
+    ("street", {"lines": 500, "seed": 41}, ("fused", "urban", "street-scan")),
+    ("forest", {"lines": 120, "sight_m": 30.0, "seed": 42}, ("fused-forest", "forest")),
+]
+
+
+@pytest.mark.parametrize(("kind", "options", "presets"), SCANS)
+def test_reasons_are_those_of_the_labels(kind: Kind, options: dict[str, object], presets: tuple[str, ...]) -> None:
+    """Over a million shots in streets; and who asks for reasons gets the same labels."""
+    scan = open_simulation(kind, load_settings(kind, options=options)).scan
+    block = join([item.block for item in scan.labelled_blocks()])
+    assert block.angle_rad is not None
+    block = replace(block, beam_rad=block.angle_rad)
+    for preset in presets:
+        params = load_config(preset=preset).config.classifier
+        found = [list(label_blocks(iter([block]), params, wanted=Wanted(reasons=on))) for on in (True, False)]
+        labels, plain = (np.concatenate([item.labels for item in items]) for items in found)
+        np.testing.assert_array_equal(labels, plain)
+        assert all(item.reasons is None for item in found[1]) or preset == "fused-forest"
+        reasons = np.concatenate([item.reasons for item in found[0] if item.reasons is not None])
+        np.testing.assert_array_equal(reasons & LABEL_BITS, labels)
+        seen = set(np.unique(reasons).tolist())
+        assert seen <= {*(int(one) for one in Reason), *(240 + label for label in range(16))}
+        if preset.startswith("fused"):
+            names = [one for one in Reason if (one in _FOREST) == (kind == "forest") and one in _FUSED]
+            missing = {one for one in names if int(one) not in seen} - SELDOM
+            assert not missing
+
+
+_FOREST = {
+    Reason.FAR_BELOW, Reason.ALONE, Reason.SOIL, Reason.FLAT, Reason.ON_STEM, Reason.BESIDE_STEM, Reason.ABOVE_TOP,
+    Reason.PLANT,
+}  # fmt: skip
+_RINGS = {
+    Reason.FLAKE, Reason.SURFACE, Reason.THIN_SMOOTH, Reason.ROUGH_PLACE, Reason.LOW_PLANT, Reason.CAR_BOX,
+    Reason.LARGE_BOX, Reason.THIN_PLACE,
+}  # fmt: skip
+_FUSED = (
+    {one for one in list(Reason)[list(Reason).index(Reason.LONELY) :] if "prc." not in str(RULES[one].limits)}
+    - {one for one in Reason if "sequential_angle" in str(RULES[one].limits)}
+    - _RINGS
+)

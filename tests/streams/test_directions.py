@@ -1,11 +1,17 @@
-"""Every limit of the directions, from both sides."""
+"""Directions of lines and columns."""
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from prc_cli.core.types import F64
+from prc_cli.core.types import F64, Mask
+from prc_cli.streams import angles, directions
+from prc_cli.streams.angles import column_angles, find_angle_grid
 from prc_cli.streams.directions import fit_beams, turn_evenly
 from prc_cli.streams.down import (
     LevelLinesError,
@@ -185,3 +191,179 @@ def test_equal_angles_are_one_knot_in_the_middle_of_their_columns() -> None:
     beam, _ = even(angle, np.array([1.0, 1.0, 1.0, 2.0, 1.0, 1.0]))
     np.testing.assert_allclose(beam[4:], [50.0, 90.0], atol=1e-6)
     np.testing.assert_allclose(beam[:4], np.interp([0, 1, 2, 3], [0, 2.25, 4], [0.0, 10.0, 50.0]), atol=1e-3)
+
+
+TURN = 2 * math.pi
+
+
+def planes(seed: int, n: int = 9, m: int = 40) -> tuple[F64, Mask]:
+    """Return directions about planes that lean all ways, some missing, some off."""
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(rng.uniform(-3, 0), rng.uniform(0.2, 3), m)
+    off = rng.normal(0.0, 0.004, (n, m)) * rng.choice([1.0, 8.0], (n, m), p=[0.9, 0.1])
+    local = np.stack([np.cos(off) * np.sin(angle), np.sin(off), -np.cos(off) * np.cos(angle)], axis=-1)
+    turns = Rotation.random(n, random_state=seed).as_matrix()
+    seen = rng.random((n, m)) < 0.8
+    return np.where(seen[..., None], local @ turns, 0.0), seen
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_planes_equal_those_of_single_lines(seed: int) -> None:
+    unit, seen = planes(seed)
+    normal, arc, off = directions._planes(unit, seen)
+    for row, (line, has) in enumerate(zip(unit, seen, strict=True)):
+        use = has.copy()
+        for _ in range(5):
+            moments = sum(np.outer(shot, shot) for shot in line[use])
+            values, vectors = np.linalg.eigh(moments)
+            away = np.abs(line @ vectors[:, 0])
+            middle = np.median(away[has])
+            use = has & (away <= max(3 * 1.4826 * middle, math.radians(0.5)))
+        assert abs(abs(normal[row] @ vectors[:, 0]) - 1) < 1e-12
+        assert off[row] == pytest.approx(math.asin(middle))
+        assert arc[row] == pytest.approx(math.sqrt(12 * values[1] / values.sum()))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_angles_in_planes_equal_those_of_single_shots(seed: int) -> None:
+    unit, seen = planes(seed)
+    normal, _, _ = directions._planes(unit, seen)
+    found = directions._angles_in_plane(unit, seen, normal)
+    assert (np.isnan(found) == ~seen).all()
+    for row, has in enumerate(seen):
+        # the lowest direction of the plane, and the level one across it
+        down = np.array([0.0, 0.0, -1.0]) + normal[row] * normal[row, 2]
+        side = np.cross(normal[row], [0.0, 0.0, -1.0])
+        expected = np.array(
+            [
+                math.atan2(shot @ side / np.linalg.norm(side), shot @ down / np.linalg.norm(down))
+                for shot in unit[row, has]
+            ]
+        )
+        steps = [math.remainder(step, TURN) for step in np.diff(expected)]
+        if sum(np.sign(step) for step in steps if abs(step) < math.pi / 2) < 0:
+            expected = -expected
+        both = np.abs(np.exp(1j * found[row, has]) - np.exp(1j * expected)).max()
+        if both > 1e-9:  # the side may be the other one, which turns all signs before the choice
+            both = np.abs(np.exp(1j * found[row, has]) - np.exp(-1j * expected)).max()
+        assert both < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_straight_lines_without_outliers_equal_a_plain_fit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    column = np.sort(rng.choice(200, 30, replace=False)).astype(np.float64)
+    angle = 0.3 + 0.02 * column + rng.normal(0, 0.003, 30) + np.where(rng.random(30) < 0.2, rng.normal(0, 0.5, 30), 0.0)
+    weight = rng.integers(1, 9, 30).astype(np.float64)
+    use = weight
+    for _ in range(5):
+        kept = use > 0
+        slope, start = np.polyfit(column[kept], angle[kept], 1, w=np.sqrt(use[kept]))
+        off = np.abs(angle - start - slope * column)
+        use = np.where(off <= 3 * 1.4826 * np.median(off), weight, 0.0)
+    assert directions._straight(column, angle, weight) == pytest.approx((slope, start))
+    assert directions._straight(column[:1], angle[:1], weight[:1])[0] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_columns_are_medians_of_their_lines(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    true = np.cumsum(rng.uniform(0.04, 0.14, 25)) + seed
+    angle = true + rng.normal(0, 0.01, (15, 25)) + np.where(rng.random((15, 25)) < 0.1, 0.5, 0.0)
+    seen = rng.random(angle.shape) < 0.8
+    seen[:, 7] = False
+    angle = np.where(seen, np.remainder(angle + math.pi, TURN) - math.pi, np.nan)
+    found = directions._columns(angle, seen)
+    assert found.n_lines == 15
+    for column in range(25):
+        if column != 7:
+            near = np.array([math.remainder(one - true[column], TURN) for one in angle[seen[:, column], column]])
+            # rising medians are as they are; others are pooled with their neighbours
+            assert abs(math.remainder(found.beam_rad[column] - true[column] - np.median(near), TURN)) < 0.02
+    assert not found.is_straight
+
+
+# -- scan angles -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_mean_angles_of_columns_equal_plain_ones(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = 40
+    true = rng.uniform(-3, 3) + (-1) ** seed * np.deg2rad(2.0) * np.arange(m)
+    if seed % 3 == 0:
+        true[m // 2 :] += (-1) ** seed * np.deg2rad(40.0)
+    column = rng.choice(np.delete(np.arange(m), [0, 1, 9, 18, 19, 20, 21, 38 + seed % 2, *range(25, 30)]), 400)
+    angle = np.angle(np.exp(1j * (true[column] + rng.normal(0, 0.002, 400))))
+    angle[::50] = np.nan
+    found = column_angles(np.append(angle, [0.0, 0.0]), np.append(column, [-1, m]), m)
+    seen = sorted(set(column[np.isfinite(angle)].tolist()))
+    mean = {}
+    for one in seen:
+        values = np.exp(1j * angle[(column == one) & np.isfinite(angle)])
+        mean[one] = float(np.angle(values.mean()))
+    for a, b in pairwise(seen):
+        mean[b] = mean[a] + math.remainder(mean[b] - mean[a], TURN)
+    slope = float(np.median([(mean[b] - mean[a]) / (b - a) for a, b in pairwise(seen)]))
+    expected = np.empty(m)
+    for k in range(m):
+        left, right = (
+            max((one for one in seen if one <= k), default=None),
+            min((one for one in seen if one >= k), default=None),
+        )
+        if left is None or right is None or left == right:
+            at = left if left is not None else right
+            assert at is not None
+            expected[k] = mean[at] + slope * (k - at)
+        elif abs(mean[right] - mean[left] - slope * (right - left)) > math.radians(10):
+            # beside a dead angle, the nearer side goes on
+            at = left if k < (left + right + 1) // 2 else right
+            expected[k] = mean[at] + slope * (k - at)
+        else:
+            expected[k] = mean[left] + (mean[right] - mean[left]) * (k - left) / (right - left)
+    assert found is not None
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_refined_step_equals_a_plain_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    number = np.sort(rng.choice(300, 200, replace=False))
+    line = number // 60
+    along = 0.01 * number + rng.normal(0, 2e-4, 200)
+    if seed % 2:
+        # half of the steps are zero, or none is
+        along = np.round(50 * along) / 50 if seed % 4 == 1 else np.round(along, 3)
+    forward = np.diff(along)
+    forward = forward[(np.diff(line) == 0) & (forward >= 0)]
+    ahead = [one for one in forward.tolist() if one > 0]
+    if len(ahead) < 0.995 * len(forward):
+        step = float(np.mean([one for one in forward.tolist() if one < 2.5 * np.median(ahead)]))
+    else:
+        step = float(np.median([one for one in ahead if one < 1.5 * np.percentile(ahead, 20)]))
+    for lag in (1, 2, 4, 8, 16, 32, 64, 128):
+        use = []
+        for i in range(200 - lag):
+            distance = along[i + lag] - along[i]
+            n = round(distance / step)
+            if line[i] == line[i + lag] and 1 <= n <= 4 * lag and abs(distance / step - n) < 0.25:
+                use.append((distance, n))
+        if use:
+            step = sum(d * n for d, n in use) / sum(n * n for _, n in use)
+    assert angles._refine_step(along, line, forward) == pytest.approx(step, rel=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("phase", [0.0, 0.3, -0.4])
+def test_column_0_is_the_earliest_start_fitted_to_all_angles(sign: int, phase: float) -> None:
+    """The first line is cut; lines begin in columns 2, 0, 1 and so on, and all angles are off by a part of a step."""
+    step = math.radians(0.5)
+    first = [20, 2, 0, 1, 3]
+    column = np.concatenate([np.arange(one, 100) for one in first])
+    line = np.repeat(np.arange(5), [100 - one for one in first])
+    noise = np.random.default_rng(3).normal(0.0, 0.05, len(column))
+    angle = sign * step * (column + phase + noise - noise.mean()) + 2.0
+    found = find_angle_grid(angle, line, "a.laz")
+    assert math.remainder(found.start_rad - (2.0 + sign * step * phase), TURN) == pytest.approx(0.0, abs=0.02 * step)
+    assert found.step_rad == pytest.approx(sign * step, rel=1e-3)
+    assert (found.n_columns, found.whole_turn) == (100, False)

@@ -1,20 +1,23 @@
-"""PLY: both byte orders, text, names, returns that are listed again, headers that lie."""
+"""PLY and PCD, read and written."""
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from prc_cli.cli import main
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.formats import open_source
+from prc_cli.formats.clouds.pcd import decode_lzf
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.raw_binary import read as raw
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.open import open_input
-from tests.formats.cloud_files import Array, ply
+from tests.formats.cloud_files import Array, lzf, pcd, ply
 
 FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
 N = 700
@@ -186,3 +189,168 @@ def test_a_frame_in_raw_column_order(real_data: Path) -> None:
     azimuth = np.arctan2(row["y"], row["x"])[record]
     width = np.array([np.ptp(np.unwrap(np.sort(azimuth[k][there[k]]))) for k in range(2, 2046) if there[k].sum() > 4])
     assert np.median(width) < np.deg2rad(0.5)
+
+
+DATA = ("ascii", "binary", "binary_compressed")
+N_LINES, M = 13, 40
+
+
+def columns_of_pcd() -> dict[str, Array]:
+    rng = np.random.default_rng(3)
+    xyz = rng.uniform(-20, 20, (N_LINES * M, 3)).astype(np.float32)
+    xyz[rng.random(len(xyz)) < 0.2] = np.nan
+    return {
+        **{axis: xyz[:, at] for at, axis in enumerate("xyz")},
+        "intensity": rng.integers(0, 900, len(xyz)).astype(np.uint16),
+    }
+
+
+@pytest.mark.parametrize("data", DATA)
+def test_an_organised_cloud_keeps_its_empty_cells(tmp_path: Path, data: str) -> None:
+    path, made = tmp_path / "a.pcd", columns_of_pcd()
+    path.write_bytes(pcd(made, data, height=N_LINES))
+    stream = open_input(path, InputConfig())
+    assert stream.info.points_per_line == M
+    block = join(list(stream.blocks()))
+    xyz = np.stack([made[axis] for axis in "xyz"], axis=1).astype(float)
+    expected = np.sqrt((xyz**2).sum(axis=1)).reshape(N_LINES, M)
+    np.testing.assert_allclose(block.range_m, expected, rtol=1e-6)
+    np.testing.assert_array_equal(np.asarray(block.intensity).ravel(), made["intensity"])
+
+
+def test_fields_of_several_numbers_and_padding(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcd"
+    head = "VERSION .7\nFIELDS range _ h\nSIZE 4 1 2\nTYPE F U I\nCOUNT 1 3 2\nWIDTH 2\nPOINTS 2\nDATA binary\n"
+    path.write_bytes(head.encode() + struct.pack("<f3xhhf3xhh", 1.5, 1, 2, 2.5, 3, 4))
+    source = open_source(path)
+    assert source is not None
+    assert source.dimensions == ("range", "h_0", "h_1")
+    (chunk,) = source.chunks(("h_1", "range"))
+    assert chunk.values["h_1"].tolist() == [2, 4]
+    assert chunk.values["range"].tolist() == [1.5, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("WIDTH 40", "WIDTH 41", "WIDTH 41 x HEIGHT 13 = 533 points, but POINTS 520"),
+        ("WIDTH 40\nHEIGHT 13", "WIDTH 4000\nHEIGHT 1300", "but POINTS 520"),
+        ("POINTS 520", "POINTS 5200", "but POINTS 5200"),
+        ("SIZE 4 4 4 2", "SIZE 4 4 4 3", "of type U and 3 bytes"),
+        ("COUNT 1 1 1 1", "COUNT 1 1 1", "3 COUNT, expected as many"),
+        ("DATA ", "DATA x", "found DATA"),
+        ("FIELDS x", "FIELDS y", "equal names"),
+        ("VIEWPOINT 0", "VIEWPOINT nan", "seven numbers"),
+        ("VERSION", "VERSIOM", "expected each of"),
+    ],
+)
+@pytest.mark.parametrize("data", DATA)
+def test_headers_that_lie_of_pcd(tmp_path: Path, data: str, old: str, new: str, told: str) -> None:
+    path = tmp_path / "a.pcd"
+    path.write_bytes(pcd(columns_of_pcd(), data, height=N_LINES).replace(old.encode(), new.encode(), 1))
+    with pytest.raises(InputError, match=told):
+        open_source(path)
+
+
+def test_lzf_gives_back_what_was_packed() -> None:
+    rng = np.random.default_rng(0)
+    for size in (0, 1, 2, 31, 32, 33, 500, 20_000):
+        for data in (bytes(size), rng.bytes(size), rng.integers(0, 3, size, np.uint8).tobytes()):
+            assert decode_lzf(memoryview(lzf(data)), size) == data
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_damaged_lzf_is_told(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    packed = lzf(rng.integers(0, 3, 900, np.uint8).tobytes())
+    for _ in range(300):
+        damaged = bytearray(packed)
+        damaged[rng.integers(len(damaged))] = rng.integers(256)
+        found = decode_lzf(memoryview(damaged[: rng.integers(1, len(damaged) + 1)]), 900)
+        assert found is None or len(found) == 900
+
+
+SUFFIXES = ("ply", "pcd")
+
+
+def run(words: list[str]) -> int:
+    """Run a command; return its exit code."""
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    return int(str(left.value.code))
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated drive, as an archive of arrays, with its labels."""
+    folder = tmp_path_factory.mktemp("drive")
+    told = ["simulate", "street", "-o", str(folder / "s.npz"), "--lines", "40", "--scanner", "sick-push-broom", "-q"]
+    assert run([*told, "--seed", "5"]) == 0
+    assert run(["classify", str(folder / "s.npz"), str(folder / "s.npy"), "--preset", "urban", "-q"]) in (0, 4)
+    return folder
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"s.{suffix}"
+    assert run(["convert", str(drive / "s.npz"), str(path), "-q"]) == 0
+    first, again = (join(list(open_input(one, InputConfig()).blocks())) for one in (drive / "s.npz", path))
+    np.testing.assert_array_equal(first.range_m, again.range_m)
+    assert run(["classify", str(path), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (0, 4)
+    np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), np.load(drive / "s.npy").ravel())
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_classes_of_another_format(drive: Path, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"c.{suffix}"
+    assert run(["classify", str(drive / "s.npz"), str(path), "--preset", "urban", "-q"]) in (0, 4)
+    source = open_source(path)
+    assert source is not None
+    (chunk,) = source.chunks(("class", "scan_line", "column", "range"))
+    labels = np.load(drive / "s.npy").reshape(40, -1)
+    image = join(list(open_input(drive / "s.npz", InputConfig()).blocks())).range_m
+    line, column = chunk.values["scan_line"].astype(int), chunk.values["column"].astype(int)
+    np.testing.assert_array_equal(chunk.values["class"], labels[line, column])
+    np.testing.assert_array_equal(chunk.values["range"], image[line, column])
+    assert chunk.n == np.isfinite(image).sum()
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_cloud_keeps_its_properties(drive: Path, tmp_path: Path, form: str, suffix: str) -> None:
+    """Class, line and column are added to what was there; plyfile reads it."""
+    plyfile = pytest.importorskip("plyfile")
+    image = join(list(open_input(drive / "s.npz", InputConfig()).blocks())).range_m[:, ::4]
+    n_lines, m = image.shape
+    line, column = np.divmod(np.arange(image.size, dtype=np.uint32), m)
+    made = {
+        "range": np.nan_to_num(image).ravel(), "scan_line": line, "column": column,
+        "quality": np.arange(image.size, dtype=np.int16),
+    }  # fmt: skip
+    given = tmp_path / f"g.{suffix}"
+    data = ply(made, form, ("a comment",)) if suffix == "ply" else pcd(made, "ascii" if form == "ascii" else "binary")
+    given.write_bytes(data)
+    out = tmp_path / "o.ply"
+    assert run(["classify", str(given), str(out), "--preset", "urban", "-q"]) in (0, 4)
+    vertex = plyfile.PlyData.read(str(out))
+    names = [prop.name for prop in vertex["vertex"].properties]
+    assert names == ["range", "quality", "scan_line", "column", "class"]
+    np.testing.assert_array_equal(vertex["vertex"]["quality"], made["quality"])
+    np.testing.assert_array_equal(vertex["vertex"]["scan_line"], line)
+    assert run(["classify", str(out), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (0, 4)
+    np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), vertex["vertex"]["class"])
+    assert n_lines == 40
+
+
+@pytest.mark.data
+def test_the_labels_of_a_profiler_and_a_frame(real_data: Path, tmp_path: Path) -> None:
+    """Every row has its class, copies of returns too; the file written is classified as the first one was."""
+    for name in ("riegl/sample_riegl_18_02.ply", "ouster/rellis_frame000104.ply"):
+        out, again = tmp_path / "o.ply", tmp_path / "a.pcd"
+        for source, target in ((real_data / name, out), (out, again)):
+            told = ["classify", str(source), str(target), "--preset", "urban", "-q", "--overwrite"]
+            assert run(told) in (0, 4)
+        (first,), (second,) = (open_source(one).chunks(("class", "scan_line")) for one in (out, again))  # type: ignore[union-attr]
+        np.testing.assert_array_equal(first.values["class"], second.values["class"])
+        np.testing.assert_array_equal(first.values["scan_line"], second.values["scan_line"])
+        assert np.mean(first.values["class"] > 0) > 0.55

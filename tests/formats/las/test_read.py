@@ -1,3 +1,5 @@
+""""""
+
 from __future__ import annotations
 
 import json
@@ -19,6 +21,7 @@ from prc_cli.formats.las.laz import read_records
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.streams.order import OrderWatch
+from tests.formats.las.lasbytes import make_las
 
 VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
 ANGLE = {True: ("scan_angle", 0.006), False: ("scan_angle_rank", 1.0)}
@@ -561,3 +564,24 @@ def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pyte
             time.sleep(0.01)  # lets the thread that reads ahead go as far as it can
             found.append(rows.tobytes())
     assert b"".join(found) == expected
+
+
+@pytest.mark.parametrize("left", [1.0 / 2, 0.99, 0.999])
+def test_it_is_refused_in_one_line(tmp_path: Path, left: float) -> None:
+    path = tmp_path / "drive.laz"
+    make_las(path, 6, n=3000, raw_points=True)
+    source = LasSource(path)
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * left)])
+    with pytest.raises(InputError, match=r"drive\.laz"):
+        for _ in source.chunks(("x",)):
+            pass
+
+
+def test_the_table_itself_is_cut(tmp_path: Path) -> None:
+    path = tmp_path / "drive.laz"
+    make_las(path, 6, n=3000, raw_points=True)
+    whole, source = path.read_bytes(), LasSource(path)
+    for n_bytes in range(len(whole) - 20, len(whole)):
+        path.write_bytes(whole[:n_bytes])
+        with pytest.raises(InputError, match=r"drive\.laz"):
+            list(source.chunks(("x",)))

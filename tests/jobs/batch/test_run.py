@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -16,8 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
+from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
@@ -46,6 +49,7 @@ from prc_cli.jobs.batch.types import (
     Task,
     doubts_of,
 )
+from prc_cli.jobs.batch.worker import run_task
 from prc_cli.jobs.classify import classify
 from tests import patience
 from tests.patience import HANGS_S
@@ -526,3 +530,64 @@ def test_a_run_whose_folder_was_removed_says_so(settings: BatchSettings, gone: s
 
     with pytest.raises(PrcError, match=r"the lock was lost: its file is gone|cannot be"):
         run_batch(settings, Scripted(script))
+
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
+
+PROGRAM = """
+import os, pickle, signal, sys
+from pathlib import Path
+from prc_cli.core import files
+from prc_cli.jobs.batch import worker
+
+step, n = sys.argv[1], 0
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+place = files.place
+def dying(temporary, path, *, overwrite):
+    global n
+    place(temporary, path, overwrite=overwrite)
+    n += 1
+    if n == int(step):
+        die()
+
+if step == "3":
+    worker._done = lambda *_: die()
+else:
+    files.place = dying
+worker.run_task(pickle.load(sys.stdin.buffer))
+"""
+
+
+def order(folder: Path) -> Task:
+    (folder / "out").mkdir()
+    source = write_npz(folder / "a.npz", street(80))
+    return Task("a.npz", source, folder / "out" / "a.npy", LoadedConfig(RunConfig()), "")
+
+
+def tree_of_repeated(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(("step", "n_left"), [("1", 3), ("2", 4), ("3", 2)])
+def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left: int) -> None:
+    """Steps: the output has its name; the record too; both, and no temporary file is left."""
+    task = order(tmp_path)
+    root = Path(__file__).resolve().parents[3]
+    ended = patience.run(
+        [sys.executable, "-c", PROGRAM, step], input=pickle.dumps(task), env={**os.environ, "PYTHONPATH": str(root)}
+    )
+    assert ended.returncode == -signal.SIGKILL
+    # the spool is left as well, unless the writer got to its end
+    left = [name for name in tree_of_repeated(task.output.parent) if not name.endswith(".part") or ".prc.json" in name]
+    assert task.output.name in left, left
+    assert len(tree_of_repeated(task.output.parent)) >= n_left
+    again = run_task(task)
+    assert isinstance(again, Done), again
+    undisturbed = replace(task, output=tmp_path / "alone.npy")
+    assert isinstance(run_task(undisturbed), Done)
+    assert task.output.read_bytes() == undisturbed.output.read_bytes()
+    assert record_path(task.output).read_bytes() == record_path(undisturbed.output).read_bytes()
+    assert set(tree_of_repeated(task.output.parent)) == {"a.npy", "a.npy.prc.json"}

@@ -1,26 +1,37 @@
-"""The summary of a run: counts, exit codes in their order, and JSON that holds every name."""
+"""What a batch says of itself: summary, drift, the night's report, the runbook."""
 
 from __future__ import annotations
 
+import ast
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import prc_cli.core.errors
+import prc_cli.jobs.batch
+from prc_cli.config import load_config
+from prc_cli.core.classes import ClassCodes
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
 from prc_cli.jobs.batch.report import (
     EXIT_CODES,
+    MIN_EARLIER,
     BatchEvaluation,
     BatchSummary,
     as_dict,
+    drift,
     write_summary,
 )
+from prc_cli.jobs.batch.run import run_batch
 from prc_cli.jobs.batch.types import (
     Alarm,
+    BatchSettings,
+    ConfigLayers,
     Done,
     Doubted,
     Failed,
@@ -29,6 +40,8 @@ from prc_cli.jobs.batch.types import (
     ReferenceSettings,
     Shard,
 )
+from prc_cli.jobs.classify import classify_ranges
+from tests.street import street, write_npz
 
 
 def done(name: str, **labels: int) -> Done:
@@ -92,3 +105,142 @@ def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) ->
     # a later run replaces it
     write_summary(summary(out=tmp_path, run="r2"))
     assert json.loads((tmp_path / "summary.json").read_text())["run"] == "r2"
+
+
+NAMES = ("NOISE", "GROUND", "OBJECT", "CAR")
+
+
+def shares_of(rng: np.random.Generator, n: int, concentration: float = 300.0) -> list[dict[str, int]]:
+    """Histograms of streets that differ as streets do."""
+    shares = rng.dirichlet(np.array([0.05, 0.55, 0.35, 0.05]) * concentration, n)
+    return [dict(zip(NAMES, map(int, row * rng.integers(10_000, 5_000_000)), strict=True)) for row in shares]
+
+
+def moved(histogram: dict[str, int], share: float, source: str = "GROUND", to: str = "NOISE") -> dict[str, int]:
+    """The same file with a part of its records in another class."""
+    n = int(sum(histogram.values()) * share)
+    assert histogram[source] >= n
+    return {**histogram, source: histogram[source] - n, to: histogram[to] + n}
+
+
+def test_ordinary_files_raise_no_alarm() -> None:
+    rng = np.random.default_rng(7)
+    alarms = sum(drift(one, shares_of(rng, 40)) is not None for one in shares_of(rng, 1000))
+    assert alarms <= 2
+
+
+@pytest.mark.parametrize("n_earlier", [MIN_EARLIER, 30, 300])
+def test_a_quarter_of_the_records_in_another_class_is_an_alarm(n_earlier: int) -> None:
+    rng = np.random.default_rng(8)
+    found = [drift(moved(one, 0.25), shares_of(rng, n_earlier)) for one in shares_of(rng, 100)]
+    assert sum(text is not None for text in found) >= 99 - 10 * (n_earlier == MIN_EARLIER)
+
+
+@pytest.mark.parametrize("n_earlier", [0, 1, MIN_EARLIER - 1])
+def test_few_earlier_files_say_nothing(n_earlier: int) -> None:
+    assert drift({"NOISE": 1}, [{"GROUND": 100}] * n_earlier) is None
+
+
+def test_a_smaller_kind_of_drive_is_known_after_some() -> None:
+    rng = np.random.default_rng(10)
+    forest = [{"NOISE": 2, "GROUND": 20 + i % 3, "OBJECT": 78 - i % 3, "CAR": 0} for i in range(10)]
+    town = shares_of(rng, 50)
+    assert drift(forest[0], town) is not None
+    assert drift(forest[5], town + forest[:5]) is None
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> BatchSettings:
+    """Two drives; half of the second one's reference is wrong."""
+    for folder in ("archive", "ref"):
+        (tmp_path / folder).mkdir()
+    for name, seed in (("a", 1), ("b", 2)):
+        image = street(seed=seed)
+        write_npz(tmp_path / "archive" / f"{name}.npz", image)
+        codes = ClassCodes().lookup()[classify_ranges(image, load_config(preset="urban")).labels]
+        if name == "b":
+            codes[: len(codes) // 2] = np.where(codes[: len(codes) // 2] > 0, 6, 0)
+        np.save(tmp_path / "ref" / f"{name}.npy", codes.ravel())
+    layers = ConfigLayers(preset="urban", options={"input": {"accept_doubts": ["method"]}})
+    reference = ReferenceSettings(tmp_path / "ref", "prc", gates=("accuracy=0.99",))
+    return BatchSettings(tmp_path / "archive", tmp_path / "out", layers, jobs=1, reference=reference, drift=False)
+
+
+def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
+    summary = run_batch(settings)
+    assert summary.evaluation is not None
+    page = (settings.out / "report.html").read_text(encoding="utf-8")
+    # the worst file comes first, with its pictures
+    rows = page.partition("Files, the worst first")[2]
+    assert 0 < rows.index("<td>b.npz</td>") < rows.index("<td>a.npz</td>")
+    assert page.count("<figure>") == 6
+    assert "2 files classified" in page
+    assert "badge failed" in page
+    assert "<h2>Nights</h2>" not in page
+    run_batch(settings)
+    page = (settings.out / "report.html").read_text(encoding="utf-8")
+    assert "0 files classified, 2 done before" in page
+    assert "<h2>Nights</h2>" in page
+    nights = json.loads((settings.out / ".prc" / "nights.json").read_text(encoding="utf-8"))
+    assert len(nights) == 2
+    assert nights[0]["f1"] == nights[1]["f1"]
+    # a damaged file of nights begins anew
+    (settings.out / ".prc" / "nights.json").write_text("[")
+    run_batch(settings)
+    assert len(json.loads((settings.out / ".prc" / "nights.json").read_text(encoding="utf-8"))) == 1
+
+
+ROOT = Path(__file__).resolve().parents[3]
+RUNBOOK = (ROOT / "docs" / "runbook.md").read_text(encoding="utf-8")
+OPERATIONS = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
+
+
+def headings() -> set[str]:
+    return set(re.findall(r"^#+ (.+)$", RUNBOOK, re.MULTILINE))
+
+
+def subclasses(kind: type[BaseException]) -> set[str]:
+    return {kind.__name__}.union(*(subclasses(item) for item in kind.__subclasses__()))
+
+
+def kinds_in_code() -> set[str]:
+    """First arguments of ``Problem(...)``: literals, and names of constants of the module."""
+    found = set()
+    for path in Path(prc_cli.jobs.batch.__path__[0]).glob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        constants: dict[str, str] = {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Assign):
+                target, value = node.targets[0], node.value
+                pairs = zip(target.elts, value.elts, strict=False) if (
+                    isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
+                ) else [(target, value)]  # fmt: skip
+                for name, item in pairs:
+                    if isinstance(name, ast.Name) and isinstance(item, ast.Constant) and isinstance(item.value, str):
+                        constants[name.id] = item.value
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == Problem.__name__ and node.args:
+                kind = node.args[0]
+                if isinstance(kind, ast.Constant):
+                    found.add(str(kind.value))
+                elif isinstance(kind, ast.Name) and kind.id in constants:
+                    found.add(constants[kind.id])
+    return found
+
+
+def test_every_error_of_the_package_has_its_entry() -> None:
+    missing = subclasses(prc_cli.core.errors.PrcError) - headings()
+    # classes that tests define are none of ours
+    ours = {name for name in missing if hasattr(prc_cli.core.errors, name)}
+    assert not ours
+
+
+def test_every_kind_of_problem_has_its_entry() -> None:
+    kinds = kinds_in_code()
+    assert {"killed", "timeout", "memory", "NoReference"} <= kinds
+    assert not (kinds | {"interrupted", "OSError", "PermissionError"}) - headings()
+
+
+def test_every_exit_code_is_in_the_page_on_operations() -> None:
+    for code in EXIT_CODES:
+        assert re.search(rf"^\| {code} \|", OPERATIONS, re.MULTILINE), code

@@ -1,4 +1,4 @@
-"""The test between two hidden Markov models: against likelihoods summed over paths, and at the ends of data."""
+"""Sequential tests."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64
 from prc_cli.methods.keys import table_of
 from prc_cli.methods.sequential_angle import coarse_loops as kernel_module
+from prc_cli.methods.sequential_angle.car import suspicious
 from prc_cli.methods.sequential_angle.coarse import hmm_cusum
-from prc_cli.methods.sequential_angle.thresholds import UNIFORM, MarkovThresholds, Matrix, Row
+from prc_cli.methods.sequential_angle.thresholds import UNIFORM, MarkovThresholds, Matrix, Row, SuspiciousThresholds
+from prc_cli.reference.sequential_angle.ground import EIGHTHS, grid_modes
 from tests.methods.sequential_angle.made import made
 
 HELPERS: Any = kernel_module
@@ -187,3 +189,139 @@ def test_false_alarms_are_rarer_than_the_bound(rng: Generator) -> None:
 def test_wrong_parameters_are_told(table: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         build(table_of(MarkovThresholds(), "vegetation"), table, "street.toml")
+
+
+def modes_of(values: F64, bandwidth: float) -> list[tuple[float, int]]:
+    """Place and samples of every mode."""
+    width = bandwidth / EIGHTHS
+    modes = grid_modes(np.floor(np.array(values) / width).astype(int).tolist())
+    return [((place + 0.5) * width, count) for place, count in modes if count > 0]
+
+
+def literal(values: F64, bandwidth: float) -> list[int]:
+    """Shift a Gaussian window from every sample until it stands, merge where they end; samples of every mode."""
+    ends = []
+    for value in values:
+        place = value
+        while True:
+            weight = np.exp(-0.5 * ((values - place) / bandwidth) ** 2)
+            shifted = float(weight @ values / weight.sum())
+            if abs(shifted - place) < 1e-3 * bandwidth:
+                break
+            place = shifted
+        ends.append(shifted)
+    ends.sort()
+    return [len(group) for group in np.split(ends, np.flatnonzero(np.diff(ends) >= bandwidth / 2) + 1)]
+
+
+def test_grid_decides_on_one_mode_as_literal_mean_shift_does() -> None:
+    rng = np.random.default_rng(3)
+    one_mode, groups, sizes = [], 0, 0
+    for _ in range(600):
+        apart = rng.choice([0.0, 0.0, 1.5, 2.5, 3.5, 6.0])
+        second = rng.random(n := int(rng.integers(9, 50))) < rng.choice([0.1, 0.5])
+        values = rng.normal(0, rng.choice([0.2, 0.5, 1.0]), n) + apart * second
+        expected, found = literal(values, 1.0), [count for _, count in modes_of(values, 1.0)]
+        one_mode.append((sum(c >= 2 for c in expected) == 1) == (sum(c >= 2 for c in found) == 1))
+        groups += len(expected) == len(found)
+        sizes += expected == found
+    assert np.mean(one_mode) >= 0.98  # .993 of these
+    assert groups / 600 >= 0.97
+    assert sizes / 600 >= 0.85
+
+
+def test_a_gaussian_has_one_mode_from_a_bandwidth_of_its_deviation_on() -> None:
+    rng = np.random.default_rng(4)
+
+    def share(b: float, n: int) -> float:
+        return float(np.mean([len(modes_of(rng.normal(0, 1, n), b)) == 1 for _ in range(200)]))
+
+    assert 0.3 < share(0.5, 9) < 0.7
+    for n in (9, 50, 200):
+        assert share(1.0, n) >= 0.98
+        assert share(2.0, n) == 1.0
+
+
+def test_order_of_samples_changes_nothing() -> None:
+    rng = np.random.default_rng(5)
+    values = rng.normal(0, 3, 200)
+    found = modes_of(values, 0.7)
+    assert found == modes_of(rng.permutation(values), 0.7)
+    assert sum(count for _, count in found) == 200
+
+
+CODES = {"M": 0, "T": 1, "H": 2, "V": 3, "U": 4}
+PARAMS = made(SuspiciousThresholds, enabled=True)
+
+
+def trigger(states: str, params: SuspiciousThresholds = PARAMS) -> int:
+    codes = np.array([[CODES[state] for state in states]], np.uint8)
+    return int(suspicious(codes, np.array([len(states)], np.int32), params)[0])
+
+
+@pytest.mark.parametrize("start", ["", "MMM"])
+@pytest.mark.parametrize(
+    ("states", "beam"),
+    [
+        ("VH", 1),
+        ("HHHHVVVVH", 8),
+        ("VM", 1),
+        ("HHHHVVVVVVM", 10),
+        ("HHMM", 3),
+        ("HHHHHHHH", -1),
+        ("HHHMHHHH", -1),
+        ("HMH", -1),
+        ("HHHVVVVVVVV", -1),
+        ("HVVVVVVV", -1),
+        ("VVVV", -1),
+        ("H", -1),
+    ],
+)
+def test_what_fires(start: str, states: str, beam: int) -> None:
+    assert trigger(start + states) == (beam if beam < 0 else beam + len(start))
+
+
+@pytest.mark.parametrize("end", ["T", "U"])
+def test_dense_vegetation_and_points_without_an_angle_end_it(end: str) -> None:
+    assert trigger("HH" + end + "VHVHMM") == -1
+    assert trigger("HVH" + end) == 2
+
+
+def test_sky_fires() -> None:
+    assert trigger("HHHVVVMMMM") == 6
+
+
+def chain(rng: Generator, matrix: tuple[tuple[float, float, float], ...], n: int) -> str:
+    states = [0]
+    for _ in range(n - 1):
+        states.append(int(rng.choice(3, p=matrix[states[-1]])))
+    return "".join("HVM"[state] for state in states)
+
+
+def test_sum_is_the_largest_log_likelihood_ratio_of_any_end_of_the_chain() -> None:
+    """S at beam k is max(0, max over j < k of ln P1(j+1..k | j) / P0(j+1..k | j)), product by product."""
+    rng = np.random.default_rng(7)
+    h0, h1 = np.array(PARAMS.h0), np.array(PARAMS.h1)
+    for _ in range(200):
+        states = chain(rng, PARAMS.h1 if rng.random() < 0.5 else PARAMS.h0, 14)
+        numbers = ["HVM".index(state) for state in states]
+        steps = list(pairwise(numbers))
+        best = [
+            max(np.prod([h1[s] for s in steps[j:k]]) / np.prod([h0[s] for s in steps[j:k]]) for j in range(k))
+            for k in range(1, len(numbers))
+        ]
+        above = [k for k, ratio in enumerate(best, start=1) if ratio > np.e]
+        assert trigger(states) == (above[0] if above else -1)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"h0": [[0.8, 0.1, 0.2], [0.09, 0.9, 0.01], [0.6, 0.3, 0.1]]}, "add up to 1, found a sum of 1.1"),
+        ({"h1": [[1.0, 0.0, 0.0], [0.25, 0.5, 0.25], [0.25, 0.25, 0.5]]}, "less than 1"),
+        ({"threshold": -1}, "threshold"),
+    ],
+)
+def test_matrices_hold_probabilities(table: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        build(table_of(SuspiciousThresholds(), "suspicious"), table, "test")

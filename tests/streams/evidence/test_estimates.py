@@ -1,17 +1,33 @@
+"""What is guessed of a stream."""
+
 from __future__ import annotations
 
 import csv
 import gzip
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 
+from prc_cli.cli import main
+from prc_cli.config import LoadedConfig, RunConfig, load_config
+from prc_cli.core.blocks import join
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F32
+from prc_cli.jobs.info import inspect
+from prc_cli.streams.evidence.lines import Reading, other_reading
 from prc_cli.streams.evidence.periods import (
     WEAK,
     estimate_line_frequency,
     estimate_points_per_line,
+    measure_rates,
+    measure_sweeps,
 )
+from prc_cli.streams.evidence.place import SAMPLE_LINES, place_of, place_of_blocks
+from prc_cli.streams.open import open_input
+from tests.formats.cloud_files import Array
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 
 def street(m: int, n_lines: int, seed: int = 0) -> np.ndarray:
@@ -81,3 +97,239 @@ def test_jakarto_is_too_short(real_data: Path) -> None:
     estimate = estimate_points_per_line(image)
     assert estimate.points_per_line is None
     assert "too few lines" in estimate.reason
+
+
+def drive(line_hz: float, m: int, n_lines: int, seed: int = 0) -> tuple[Array, Array, Array]:
+    """Times, line and column of the shots that return: a street with a third of sky, and leaves."""
+    rng = np.random.default_rng(seed)
+    line, column = np.divmod(np.arange(n_lines * m), m)
+    sky = np.abs(column - 0.3 * m) < m / 6
+    leaves = (np.abs(column - 0.7 * m) < m / 12) & (rng.random(len(line)) < 0.4)
+    there = ~sky & ~leaves
+    return ((line * m + column) / (line_hz * m) + 1000.0)[there], line[there], column[there]
+
+
+@pytest.mark.parametrize(("line_hz", "m"), [(54.0, 2154), (48.0, 2154), (100.0, 300)])
+@pytest.mark.parametrize("quantum", [0.0, 1e-7])
+def test_rates_are_found_where_they_are_right(line_hz: float, m: int, quantum: float) -> None:
+    """Shots a second of 54 x 2154 = 116 316, not the 103 392 of 48 lines a second."""
+    time, _, _ = drive(line_hz, m, 60)
+    if quantum:
+        time = np.round(time / quantum) * quantum
+    found = measure_rates(time)
+    assert found is not None
+    assert found.shot_hz == pytest.approx(line_hz * m, rel=2e-6)
+    assert found.line_hz == pytest.approx(line_hz, rel=2e-5)
+    assert found.points_per_line == m
+    # the line begins in the middle of the sky
+    phase = (found.time_origin_s - 1000) * line_hz % 1
+    assert phase == pytest.approx(0.3, abs=0.01)
+
+
+def las_of_times(path: Path, time: Array, xyz: Array) -> None:
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, 0.001), np.round(xyz.mean(axis=0))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz.T
+    las.gps_time = time
+    las.return_number[:] = las.number_of_returns[:] = 1
+    las.write(str(path))
+
+
+def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> None:
+    """Lines and columns come back as they were; a guess of 48 lines a second makes shots collide."""
+    time, line, column = drive(54.0, 2154, 40)
+    angle = 2 * np.pi * column / 2154 - 0.6 * np.pi + np.pi
+    range_m = np.minimum(2.0 / np.maximum(np.cos(angle), 0.05), 9.0 / np.maximum(np.abs(np.sin(angle)), 0.05))
+    xyz = np.stack([5 * time, range_m * np.sin(angle), 2 - range_m * np.cos(angle)], axis=1)
+    path, track = tmp_path / "a.laz", tmp_path / "t.csv"
+    las_of_times(path, time, xyz)
+    track.write_text("time,x,y,z\n" + "".join(f"{t},{5 * t},0,2\n" for t in (999.0, 1001.0)))
+    found = inspect(path, LoadedConfig(RunConfig()))
+    assert found.missing == ("--range trajectory:FILE",)
+    assert "no scan lines, no columns and no ranges" in found.problem
+    assert found.hint.startswith("the times show 116316 shots and 54")
+    rules = {"range": f"trajectory:{track}"}
+    block = join(list(open_input(path, load_config(options={"input": rules}).config.input).blocks()))
+    assert block.tally.n_collisions == block.tally.n_unplaced == 0
+    record = np.asarray(block.record)
+    at_line, at_column = np.nonzero(record >= 0)
+    shot = line * 2154 + column
+    np.testing.assert_array_equal(np.diff(at_line * 2154 + at_column), np.diff(shot[record[record >= 0]]))
+    guess = rules | {"lines": "time:48", "columns": f"time:{48 * 2154}"}
+    guessed = inspect(path, load_config(options={"input": guess}))
+    assert any("the times show 116316" in note for note in guessed.notes)
+    assert guessed.facts is not None
+    assert guessed.facts.tally.n_collisions > 1000
+
+
+@pytest.mark.data
+def test_the_real_profiler(real_data: Path) -> None:
+    """Four lines, times rounded to four shots: 0.98374 us a shot, 5.0161 ms a line."""
+    found = inspect(real_data / "profiler" / "jakarto_0.02s.las", LoadedConfig(RunConfig())).rates
+    assert found is not None
+    assert 1e6 / found.shot_hz == pytest.approx(0.98374, rel=5e-4)
+    assert 1e3 / found.line_hz == pytest.approx(5.0161, rel=1e-4)
+    assert abs(found.points_per_line - 5099) <= 2
+
+
+@pytest.mark.parametrize("field_deg", [250.0, 310.0, 360.0])
+@pytest.mark.parametrize("first", [0, 777])
+@pytest.mark.parametrize("swaps", [False, True])
+def test_the_sweep_tells_lines_of_shots_stamped_anew(field_deg: float, first: int, swaps: bool) -> None:
+    """No time for the dead angle: what returns repeats, but where lines begin, and M, came out wrong."""
+    _, line, column = drive(50.0, 1000, 300)
+    shot = (line * 1000 + column)[first:]
+    angle = np.deg2rad(field_deg) * column[first:] / 1000 + 0.3
+    angle += np.random.default_rng(0).normal(0, 3e-4 if swaps else 0, len(angle))
+    found = measure_sweeps(shot / 50_000.0 + 5e5, angle)
+    assert found is not None
+    assert found.points_per_line == 1000
+    assert found.line_hz == pytest.approx(50.0, rel=1e-6)
+    begin = (found.time_origin_s - 5e5) * 50_000.0
+    assert begin == pytest.approx(round(begin), abs=0.01)
+    if field_deg < 360.0:
+        assert round(begin) % 1000 == 0
+    assert measure_sweeps(shot / 50_000.0, -angle) is not None
+
+
+M, LINES = 1000, 200
+
+
+def run(arguments: list[str]) -> object:
+    """Exit code of a command."""
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    return stop.value.code
+
+
+def street_of_misread() -> F32:
+    """A road and two walls around a scanner 2 m above it, a tenth of the shots missing, 5 mm of noise."""
+    angle = np.linspace(-np.pi, np.pi, M, endpoint=False)
+    noise = np.random.default_rng(3).normal(0, 0.005, (LINES, M))
+    with np.errstate(divide="ignore"):
+        wall = np.where(np.arange(LINES)[:, None] // 40 % 2, 6.0, 9.0) / np.abs(np.sin(angle))
+        road = np.where(np.cos(angle) > 0, 2.0 / np.cos(angle), np.inf)
+    range_m = np.minimum(np.minimum(road, wall), 60.0) + noise
+    range_m[:, : M // 20] = range_m[:, -M // 20 :] = 0
+    return range_m.astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("stored", "scale", "header", "options"),
+    [
+        ("<f4", 1, 0, ""),
+        (">f4", 1, 0, "--set layout.endian=big"),
+        ("<f4", 1, 2, "--set layout.header_bytes=2"),
+        ("<f4", 1, 128, "--set layout.header_bytes=128"),
+        ("<f8", 1, 0, """--set 'layout.fields=[{name="range",type="f8",missing=0}]'"""),
+        ("<u2", 1000, 0, """--set 'layout.fields=[{name="range",type="u2",scale=0.001,missing=0}]'"""),
+        ("<u2", 100, 0, """--set 'layout.fields=[{name="range",type="u2",scale=0.01,missing=0}]'"""),
+        (
+            ">u4", 1000, 3,
+            """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' --set layout.endian=big """
+            "--set layout.header_bytes=3",
+        ),
+        ("<f4", 1000, 0, """--set 'layout.fields=[{name="range",type="f4",scale=0.001,missing=0}]'"""),
+    ],
+)  # fmt: skip
+def test_the_right_reading_is_found(tmp_path: Path, stored: str, scale: float, header: int, options: str) -> None:
+    """Whatever type, byte order, unit and header."""
+    dump = tmp_path / "scan.bin"
+    dump.write_bytes(bytes(range(header)) + (street_of_misread() * scale).astype(stored).tobytes())
+    found = other_reading(dump, M)
+    assert found is not None
+    assert found.options() == options
+
+
+def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
+    dump = tmp_path / "scan.bin"
+    for content in (
+        np.random.default_rng(1).bytes(1 << 18),
+        bytes(1 << 18),
+        np.full(1 << 16, 8, "<f4").tobytes(),
+        np.random.default_rng(1).permutation(street_of_misread().ravel()).tobytes(),
+        street_of_misread().tobytes()[:4000],
+    ):
+        dump.write_bytes(content)
+        assert other_reading(dump) is None
+
+
+def test_a_header_is_whole_numbers_of_another_kind(tmp_path: Path) -> None:
+    """Bytes that are too many are a header only if few, and if they end where the numbers begin."""
+    dump, bytes_ = tmp_path / "scan.bin", street_of_misread().tobytes()
+    dump.write_bytes(b"h" + bytes_ + bytes(6))
+    assert other_reading(dump, M) == Reading("f4", "little", 1, 1.0, has_zeros=True)
+    dump.write_bytes(b"h" + bytes_)
+    assert other_reading(dump) == Reading("f4", "little", 1, 1.0, has_zeros=True)
+
+
+def test_the_refusal_names_the_options_that_mend_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is named can be typed, and labels the scan."""
+    dump, labels = tmp_path / "scan.bin", tmp_path / "labels.npy"
+    street_of_misread().astype(">f4").tofile(dump)
+    command = ["classify", str(dump), str(labels), "--preset", "urban", "-M", str(M)]
+    assert run(command) == 1
+    assert "; its bytes are ranges of a scan with --set layout.endian=big, or insist" in capsys.readouterr().err
+    assert run(["info", str(dump), "-M", str(M)]) == 0
+    assert f"-M {M} --set layout.endian=big\n" in capsys.readouterr().out
+    assert run([*command, "--set", "layout.endian=big"]) == 0
+
+
+def forest_lines(n_lines: int, *, stems: bool = True) -> F32:
+    """Patches of plants of 0.2 m, leaves on both sides, and a few stems."""
+    rng = np.random.default_rng(4)
+    side, down = np.sin(BEAM), np.cos(BEAM)
+    with np.errstate(divide="ignore"):
+        plants = rng.uniform(0, 0.2, (n_lines, len(BEAM))) * (np.arange(len(BEAM)) // 30 % 2)
+        floor = np.where(down > 0, (1.8 - plants) / down, np.inf)
+        leaves = np.where(down < 0.4, rng.uniform(3, 12, floor.shape) / np.abs(side), np.inf)
+        stem = np.where((side > 0) & (np.arange(n_lines) % 8 == 0)[:, None], 5 / side, np.inf)
+    every = np.minimum(floor, leaves)
+    every = np.minimum(every, stem) if stems else every
+    every[every > 60] = np.nan
+    return every.astype(np.float32)
+
+
+def test_streets_and_forests_are_told() -> None:
+    street = place_of(street_lines(SAMPLE_LINES)[0], BEAM)
+    forest = place_of(forest_lines(SAMPLE_LINES), BEAM)
+    assert (street.kind, forest.kind) == ("street", "forest")
+    assert "% of the ground is smooth" in forest.why
+
+
+def test_a_lawn_between_trees_is_not_guessed() -> None:
+    park = forest_lines(SAMPLE_LINES, stems=False)
+    down = np.cos(BEAM) > 0.25
+    park[:, down] = (1.8 / np.cos(BEAM[down])).astype(np.float32)
+    assert place_of(park, BEAM).kind == "unknown"
+
+
+@pytest.mark.parametrize("value", [np.nan, 3.0])
+def test_too_little_is_not_guessed(value: float) -> None:
+    for shape in ((1, len(BEAM)), (4, 2)):
+        assert place_of(np.full(shape, value, np.float32), BEAM[: shape[1]]).kind == "unknown"
+    assert place_of_blocks(iter(())).kind == "unknown"
+
+
+def test_a_road_in_the_open_is_a_street() -> None:
+    road = street_lines(SAMPLE_LINES)[0]
+    road[:, np.cos(BEAM) < 0.2] = np.nan
+    found = place_of(road, BEAM)
+    assert found.kind == "street"
+    assert "nothing stands high" in found.why
+
+
+@pytest.mark.parametrize("cut", [1, 7, 64, 90])
+def test_the_answer_depends_on_the_lines_alone(cut: int) -> None:
+    lines = np.concatenate([np.full((5, len(BEAM)), np.nan, np.float32), street_lines(90)[0]])
+    other = forest_lines(40)
+
+    def blocks() -> list[ScanBlock]:
+        found = []
+        for start in range(0, len(lines), cut):
+            found.append(ScanBlock(start, lines[start : start + cut], beam_rad=BEAM))
+            found.append(ScanBlock(start, other, scanner=1, beam_rad=BEAM))
+        return found
+
+    assert place_of_blocks(iter(blocks())) == place_of(lines[5 : 5 + SAMPLE_LINES], BEAM)

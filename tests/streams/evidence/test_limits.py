@@ -1,18 +1,32 @@
-"""Checks of shots and lines at their limits, on figures that are made up."""
+"""Every check of a stream at its limits."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from math import inf, nan
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.stream import ScanBlock, StreamInfo
-from prc_cli.core.types import F32
-from prc_cli.streams.evidence import lines
+from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.types import F32, F64
+from prc_cli.streams.angle_step import AngleStep
+from prc_cli.streams.down import DownGuess
+from prc_cli.streams.evidence import geometry, lines
+from prc_cli.streams.evidence.checks import (
+    check_collisions,
+    check_missing_code,
+    check_ranges,
+    check_returns,
+    check_rounding,
+    check_unplaced,
+)
 from prc_cli.streams.evidence.figures import Figures, LineSample, Seen, Turned, Window, figures_of
+from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
     check_columns_along,
     check_dropouts,
@@ -280,3 +294,257 @@ def test_dropouts(share: float, verdict: Verdict) -> None:
         "were lost or filtered out; isolated gaps cost classes at their edges",
         "",
     )
+
+
+def seen_of_cells(ranges: ArrayLike = (), **more: Any) -> Seen:
+    row: F32 = np.asarray(ranges, np.float32).reshape(1, -1)
+    windows = (Window(0, row),) if row.size else ()
+    return Seen(StreamInfo("a.npy", "array", 10, None, None), 0, windows, **more)
+
+
+def told_of_cells(found: Finding | None) -> tuple[Verdict, str]:
+    assert found is not None
+    return found.verdict, found.sentence()
+
+
+@pytest.mark.parametrize(
+    ("n", "verdict", "share"),
+    [(0, FINE, "0.0%"), (10, FINE, "1.0%"), (11, DOUBTFUL, "1.1%"), (200, DOUBTFUL, "20.0%"), (201, AGAINST, "20.1%")],
+)
+def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
+    one = seen_of_cells(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
+    assert told_of_cells(check_collisions(one)) == (
+        verdict,
+        f"collisions: {share} of the records met another shot in their cell, expected at most 1%; check --lines, "
+        "--columns and -M; several scanners in one file: --scanner DIMENSION",
+    )
+    assert told_of_cells(check_unplaced(one)) == (
+        verdict,
+        f"unplaced: {share} of the records found no cell and stay unclassified, expected at most 1%; check --lines, "
+        "--columns and -M; a recording that was begun anew: split the file there",
+    )
+
+
+@pytest.mark.parametrize(
+    ("n_shots", "n_missing", "verdict", "share"),
+    [
+        (100, 0, FINE, "100.00%"),
+        (100, 98, FINE, "2.00%"),
+        (1000, 981, DOUBTFUL, "1.90%"),
+        (400, 400, DOUBTFUL, "0.00%"),
+    ],
+)
+def test_returns(n_shots: int, n_missing: int, verdict: Verdict, share: str) -> None:
+    assert told_of_cells(check_returns(seen_of_cells(n_shots=n_shots, n_missing=n_missing))) == (
+        verdict,
+        f"returns: {share} of the shots have a range, expected at least 2%; check --range, --max-range, the layout, "
+        "and --columns and -M",
+    )
+    assert check_returns(seen_of_cells(n_shots=99, n_missing=99)) is None
+
+
+@pytest.mark.parametrize(
+    ("n", "usual_m", "verdict"),
+    [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)],
+)
+def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
+    found = check_missing_code(seen_of_cells(np.where(np.arange(1000) < n, 100.0, usual_m)))
+    option = "--max-range 99.9999924"
+    assert told_of_cells(found) == (
+        verdict,
+        f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, expected at most 1%; if it stands "
+        f"for no return: {option}; else the scanner's reach cuts the scene off",
+    )
+    assert found is not None
+    assert found.option == (option if verdict else "")
+
+
+@pytest.mark.parametrize(
+    ("step_m", "said", "verdict"),
+    [
+        (0.014, "the ranges are finer than any threshold", FINE),
+        (0.016, "all ranges are multiples of 0.016 m", FINE),
+        (0.0299, "all ranges are multiples of 0.0299 m", FINE),
+        (0.0301, "all ranges are multiples of 0.0301 m", DOUBTFUL),
+        (0.25, "all ranges are multiples of 0.25 m", DOUBTFUL),
+    ],
+)
+def test_rounded_ranges(step_m: float, said: str, verdict: Verdict) -> None:
+    assert told_of_cells(check_rounding(seen_of_cells(step_m * (100 + np.arange(6000) % 300)))) == (
+        verdict,
+        f"rounding: {said}, expected steps of at most 0.03 m; take the ranges from a file that was not rounded; check "
+        "the scale of the layout",
+    )
+
+
+@pytest.mark.parametrize(
+    ("median_m", "verdict"),
+    [
+        (0.0199, AGAINST), (0.0201, FINE), (150.0, FINE), (150.1, DOUBTFUL), (5000.0, DOUBTFUL), (5000.1, AGAINST),
+    ],
+)  # fmt: skip
+def test_median_range(median_m: float, verdict: Verdict) -> None:
+    unit = ""
+    if not 0.15 <= median_m <= 150.0:
+        name, scale = ("millimetres", "0.001") if median_m > 1.0 else ("kilometres", "1000")
+        unit = f"if they are {name}: --set input.range_scale={scale}; else "
+    assert told_of_cells(check_ranges(seen_of_cells(np.full(100, median_m)))) == (
+        verdict,
+        f"ranges: the median range is {np.float32(median_m):.4g} m, and 0.00% of the ranges lie beyond 20 km, expected "
+        f"0.02 to 150 m, and at most 1% that far; {unit}check the layout (byte order, types, scale, header bytes), and "
+        "--range with its coordinate system",
+    )
+
+
+BEAM: F64 = np.deg2rad(np.arange(-90.0, 90.0, 1.0))
+STREET: F32 = np.where(np.abs(BEAM) < 1.2, 2.0 / np.cos(BEAM), np.nan).astype(np.float32)
+
+
+def seen_of_geometry_limits(n_windows: int = 1, **more: Any) -> Seen:
+    windows = tuple(Window(100 * k, np.tile(STREET, (20, 1))) for k in range(n_windows))
+    info = StreamInfo("a.npy", "array", len(BEAM), None, None, cos_tilt=more.pop("cos_tilt", 1.0))
+    return Seen(info, 0, windows, **{"angle_rad": BEAM + 1.0, "beam_rad": BEAM, **more})
+
+
+def told_of_geometry_limits(found: Finding | None) -> tuple[Verdict, str]:
+    assert found is not None
+    return found.verdict, found.sentence()
+
+
+def deg(degrees: float, rival: float | None = None, ratio: float = math.inf, depth_m: float = 2.0) -> DownGuess:
+    return DownGuess(math.radians(degrees), depth_m, None if rival is None else math.radians(rival), ratio)
+
+
+@pytest.fixture
+def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
+    """The guess for all lines, then those for every window."""
+    found: list[DownGuess | None] = []
+
+    def guess(beam_rad: F64, range_m: F32, *, is_coarse: bool = False) -> DownGuess | None:
+        assert beam_rad.shape == range_m.shape[1:]
+        # scaled to 2 m
+        assert 1.9 < np.nanmin(range_m * np.cos(beam_rad)[None] if beam_rad is not BEAM else range_m) < 2.1
+        assert len(range_m) in ((16,) if is_coarse else (20, 60, 64))
+        return found.pop(0)
+
+    monkeypatch.setattr(geometry, "guess_down", guess)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "verdict"),
+    [
+        (10.9, FINE),
+        (-10.9, FINE),
+        (11.1, DOUBTFUL),
+        (-19.9, DOUBTFUL),
+        (20.1, AGAINST),
+        (-180.0, AGAINST),
+        (352.0, FINE),
+    ],
+)
+def test_down_is_judged_by_the_angle(guesses: list[DownGuess | None], off_deg: float, verdict: Verdict) -> None:
+    guesses.append(deg(off_deg, 95.4, 3.14))
+    off = min(abs(off_deg), 360 - abs(off_deg))
+    # the scan angle of straight down is 1 rad, 57.3 deg
+    nadir = round(math.degrees(math.remainder(1.0 + math.radians(off_deg), 2 * math.pi)))
+    assert told_of_geometry_limits(check_down(seen_of_geometry_limits())) == (
+        verdict,
+        f"down: level ground is {off:.0f} deg from straight down (runner-up at 95 deg, 3.1 times weaker), expected "
+        "within 11 deg of the direction in use"
+        + (f"; give input.nadir, or where the ground is right --set input.nadir={nadir}" if verdict else ""),
+    )
+
+
+def test_scan_angles_may_run_the_other_way(guesses: list[DownGuess | None]) -> None:
+    guesses.extend([deg(30.0), deg(30.0), deg(30.4)])
+    assert told_of_geometry_limits(check_down(seen_of_geometry_limits(angle_rad=1.0 - BEAM)))[1].endswith(
+        "--set input.nadir=27"
+    )
+    assert told_of_geometry_limits(check_down(seen_of_geometry_limits(angle_rad=None)))[1].endswith(
+        "or coordinates relative to the scanner with z up"
+    )
+    # between two beams
+    assert told_of_geometry_limits(check_down(seen_of_geometry_limits(angle_rad=-BEAM)))[1].endswith(
+        "--set input.nadir=-30"
+    )
+
+
+@pytest.mark.parametrize(
+    ("n_windows", "n_off", "is_told"),
+    [(4, 2, True), (4, 1, False), (3, 3, False), (11, 2, True), (12, 2, False), (12, 3, True)],
+)
+def test_windows_that_look_elsewhere(
+    guesses: list[DownGuess | None], n_windows: int, n_off: int, is_told: bool
+) -> None:
+    guesses.extend([deg(1.0), *[deg(-41.0)] * n_off, *[deg(39.0), None, deg(90.0, 0.0, 1.4), *[deg(0.0)] * 12]])
+    verdict, said = told_of_geometry_limits(check_down(seen_of_geometry_limits(n_windows)))
+    assert verdict is (DOUBTFUL if is_told else FINE)
+    assert (said == (
+        f"down: level ground is elsewhere in {n_off} of {n_windows} samples along the drive, expected within 11 deg of "
+        "the direction in use; check whether the scanner was moved, or parts of the file are of another scanner"
+    )) is is_told  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("factor", "off", "verdict"),
+    [
+        (1.0, 0.005, FINE), (1.079, 0.005, FINE), (0.921, 0.005, FINE),
+        (1.081, 0.005, DOUBTFUL), (0.919, 0.005, DOUBTFUL),
+        # three times the uncertainty
+        (1.149, 0.05, FINE), (1.151, 0.05, DOUBTFUL),
+        (1.59, 0.05, DOUBTFUL), (1.61, 0.05, AGAINST), (0.63, 0.05, DOUBTFUL), (0.62, 0.05, AGAINST),
+    ],
+)  # fmt: skip
+def test_angle_step(monkeypatch: pytest.MonkeyPatch, factor: float, off: float, verdict: Verdict) -> None:
+    step = AngleStep(math.radians(factor), off, 100)
+    monkeypatch.setattr(geometry, "measure_step", lambda _: step)
+    said = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use ({factor:.4g} deg, known to "
+    hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M" if verdict else ""
+    assert told_of_geometry_limits(check_angle_step(seen_of_geometry_limits())) == (
+        verdict,
+        f"angle-step: {said}{off:.1%}), expected 0.92 to 1.08{hint}",
+    )
+    assert check_angle_step(seen_of_geometry_limits(beam_rad=None)) is None
+    # uneven beams, and a single one
+    assert check_angle_step(seen_of_geometry_limits(beam_rad=np.sign(BEAM) * BEAM**2)) is None
+    assert check_angle_step(seen_of_geometry_limits(beam_rad=BEAM[:1])) is None
+    monkeypatch.setattr(geometry, "measure_step", lambda _: None)
+    assert check_angle_step(seen_of_geometry_limits()) is None
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(0.03, FINE), (0.031, DOUBTFUL)])
+def test_a_measured_step_that_is_uncertain_is_a_doubt(
+    monkeypatch: pytest.MonkeyPatch, off: float, verdict: Verdict
+) -> None:
+    monkeypatch.setattr(geometry, "measure_step", lambda _: AngleStep(math.radians(1.0), off, 100))
+    one = seen_of_geometry_limits()
+    found = told_of_geometry_limits(check_angle_step(replace(one, info=replace(one.info, angles_off=off))))
+    assert found[0] is verdict
+    if verdict:
+        assert found[1].startswith("angle-step: the angles were measured from the ranges to ± 3.1%: 1 deg a shot")
+        assert found[1].endswith("--set input.angle_start=0 --set input.angle_step=DEG")
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "verdict"),
+    [(0.099, AGAINST), (0.1, DOUBTFUL), (0.399, DOUBTFUL), (0.4, FINE), (5.0, FINE), (5.01, DOUBTFUL),
+     (50.0, DOUBTFUL), (50.1, AGAINST)],
+)  # fmt: skip
+@pytest.mark.parametrize("is_blind", [False, True])
+def test_height(
+    guesses: list[DownGuess | None], monkeypatch: pytest.MonkeyPatch, depth_m: float, verdict: Verdict, is_blind: bool
+) -> None:
+    monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
+    # half of it remains below a plane that leans by 60 deg
+    guesses.append(deg(-19.9 if not is_blind else 120.0, depth_m=2.0 * depth_m))
+    one = seen_of_geometry_limits(cos_tilt=0.5, beam_rad=None if is_blind else BEAM, angle_rad=BEAM)
+    limits = "0.3 to 6" if is_blind else "0.4 to 5"
+    if is_blind and depth_m in (0.399, 5.01):
+        verdict = FINE
+    # the unit in which the depth would be usual
+    scale = "=0.01" if depth_m >= 50.0 else "=0.3048" if depth_m > 5.0 else ""
+    unit = f"--set input.range_scale{scale}" if scale else "input.range_scale"
+    hint = f"; check the unit of the ranges, which are taken for metres: {unit}" if verdict else ""
+    said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
+    assert told_of_geometry_limits(check_height(one)) == (verdict, said)

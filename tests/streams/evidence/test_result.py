@@ -1,7 +1,8 @@
-"""Checks of the result after labelling."""
+"""Checks of the labels."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,7 +18,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock, cut
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence.result import MAX_LINES, MAX_SCANNERS, ResultWatch
+from prc_cli.streams.evidence.result import MAX_LINES, MAX_SCANNERS, ResultWatch, _percent, _Sample, check_labels
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.simulated import drive_arrays
 
@@ -232,3 +233,247 @@ def test_a_simulated_street_with_down_told_wrong(off_deg: float, is_fine: bool) 
     for item in label_blocks(iter([replace(block, beam_rad=beam_rad)]), params):
         watch.see(item)
     assert (not doubted({one.check: one for one in watch.findings()})) == is_fine
+
+
+FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
+USUAL = UsualLabels(0.25, 0.5, 0.25, (Label.GROUND,), 0.5, 0.5, 0.25, 5.0, 0.25)
+G, B, N, U, C, V = (
+    int(one) for one in (Label.GROUND, Label.BUILDING, Label.NOISE, Label.UNCLASSIFIED, Label.CURB, Label.VEGETATION)
+)
+BEAM_RESULT_LIMITS: F64 = np.deg2rad(np.linspace(-75.0, 75.0, 50))
+
+
+def sample(
+    range_m: F32, labels: U8, beam: F64 | None = BEAM_RESULT_LIMITS, angle: F64 | None = BEAM_RESULT_LIMITS
+) -> _Sample:
+    return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle)
+
+
+def asked_of_result_limits(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
+    return {finding.check: (finding.verdict, finding.sentence()) for finding in check_labels(one, usual)}
+
+
+def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:  # noqa: C901, PLR0912, PLR0915
+    """Answer shot by shot: what is found, without what is expected."""
+    assert one.beam_rad is not None
+    n = dict.fromkeys(("there", "noise", "without", "below", "level", "near", "under", "solid", "far"), 0)
+    leans = []
+    stretches = np.zeros((len(one.labels) // 16, 4))
+    for row, (ranges, labels) in enumerate(zip(one.range_m.tolist(), one.labels.tolist(), strict=True)):
+        ground: list[tuple[float, float]] = []
+        sides: dict[bool, list[tuple[bool, float]]] = {True: [], False: []}
+        counts = np.zeros(4)
+        for range_m, label, beam in zip(ranges, labels, one.beam_rad.tolist(), strict=True):
+            is_there, is_noise, is_down = label != 0, label == N, abs(beam) < math.radians(60)
+            is_solid = is_there and not is_noise
+            n["there"] += is_there
+            n["noise"] += is_noise
+            n["without"] += label == U
+            n["solid"] += is_solid
+            n["far"] += is_solid and range_m > usual.reach_m
+            n["below"] += is_solid and is_down
+            n["level"] += is_solid and is_down and label in usual.level
+            counts += is_solid and is_down and label in usual.level, is_solid and is_down, is_noise, is_there
+            if is_solid and is_down and range_m < 20.0:
+                is_ground, up = label in (G, C), -range_m * math.cos(beam)
+                sides[beam < 0].append((is_ground, up))
+                if is_ground:
+                    ground.append((range_m * math.sin(beam), up))
+        if len(ground) >= 8:
+            x, y = np.array(ground).T
+            if x.var() > 0.09:
+                leans.append(float(((x - x.mean()) * (y - y.mean())).mean() / x.var()))
+        for side in sides.values():
+            heights = sorted(up for is_ground, up in side if is_ground)
+            if len(heights) >= 3:
+                middle = heights[len(heights) // 2]
+                n["near"] += len(side)
+                n["under"] += sum(not is_ground and up < middle - 1.0 for is_ground, up in side)
+        if row // 16 < len(stretches):
+            stretches[row // 16] += counts
+    found = {}
+    without, noise = n["without"] / n["there"], n["noise"] / n["there"]
+    if without > usual.unclassified_share and noise <= usual.noise_share:
+        found["noise-share"] = DOUBTFUL, f"{_percent(without)} of the returns have no class"
+    else:
+        verdict = AGAINST if noise > usual.garbage_share else DOUBTFUL if noise > usual.noise_share else FINE
+        found["noise-share"] = verdict, f"{_percent(noise)} of the returns are noise"
+    if usual.reach_m > 0:
+        share = n["far"] / n["solid"]
+        verdict = DOUBTFUL if share < 0.01 else FINE
+        found["indoors"] = verdict, f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
+    share = n["level"] / n["below"]
+    found["ground-below"] = (
+        DOUBTFUL if share < usual.level_share else FINE,
+        f"{_percent(share)} of the returns within 60 deg of down are ground",
+    )
+    if len(leans) >= 32:
+        lean = abs(math.degrees(math.atan(np.median(leans))))
+        found["ground-lean"] = (
+            DOUBTFUL if lean > usual.lean_deg else FINE, f"the ground leans by {lean:.2f} deg across the lines",
+        )  # fmt: skip
+    share = n["under"] / n["near"]
+    found["below-ground"] = (
+        DOUBTFUL if share > usual.below_share else FINE,
+        f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground",
+    )
+    pooled = np.array([stretches[i : i + 3].sum(axis=0) for i in range(len(stretches) - 2)])
+    known = pooled[:, 1] >= 375
+    ground_shares = [a / b for a, b in pooled[known, :2]]
+    usually = float(np.quantile(ground_shares, 0.75)) if ground_shares else 0.0
+    gone = [bool(k) and a / b < usual.vanished_share * usually for (a, b, _, _), k in zip(pooled, known, strict=True)]
+    noisy = [d >= 375 and c / d > usual.noise_share for _, _, c, d in pooled]
+    solid = [d - c for _, _, c, d in pooled]
+    least = 0.8 * float(np.median([n for n, bad in zip(solid, noisy, strict=True) if not bad] or [np.inf]))
+    bare = [bad and n < least for n, bad in zip(solid, noisy, strict=True)]
+    found["classes-along"] = FINE, "ground and noise are even along the stream"
+    for bad, said, verdict in (
+        (gone, "hardly any ground", DOUBTFUL),
+        (bare, "much noise", DOUBTFUL),
+        (noisy, "much noise between whole surfaces", FINE),
+    ):
+        runs = [(i, j) for i in range(len(bad)) for j in range(i + 1, len(bad) + 1) if all(bad[i:j])]
+        first, last = max(runs, key=lambda run: (run[1] - run[0], -run[0]), default=(0, 0))
+        if 0 < last - first < len(bad):
+            start, stop = one.line[first * 16], one.line[(last + 2) * 16 - 1] + 1
+            found["classes-along"] = verdict, f"{said} in lines {start} to {stop}"
+            break
+    return found
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("preset", ["lax", "usual"])
+def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
+    rng = np.random.default_rng(seed)
+    usual = (
+        USUAL
+        if preset == "usual"
+        else UsualLabels(0.4, 0.9, 0.1, (Label.GROUND, Label.CURB), 0.9, 0.1, 0.02, 1.0, 0.6, 4.0 + seed)
+    )
+    shape = (192 + 5 * seed, 50)
+    lean = np.tan(np.deg2rad(rng.uniform(-12, 12)))
+    range_m = (
+        4.0
+        / np.maximum(np.cos(BEAM_RESULT_LIMITS) + lean * np.sin(BEAM_RESULT_LIMITS), 0.1)
+        * rng.normal(1.0, 0.02, shape)
+    )
+    range_m *= np.where(rng.random(shape) < 0.2, rng.uniform(0.5, 3.0, shape), 1.0)
+    chances = np.array([0.1, 0.5, 0.15, 0.05 + 0.012 * seed, 0.05, 0.05, 0.0])
+    chances[-1] = 1 - chances.sum()
+    labels = rng.choice(np.array([0, G, B, N, U, C, V], np.uint8), shape, p=chances)
+    stretch = slice(20 * (seed % 4), 20 * (seed % 4) + 90)
+    labels[stretch] = np.where(labels[stretch] == (G if seed % 2 else B), N if seed in (2, 6) else V, labels[stretch])
+    # few lines show the ground, or few returns
+    labels[::7, 5:] = np.where(labels[::7, 5:] == G, B, labels[::7, 5:])
+    labels[100:150, 12 + seed :] = 0
+    one = sample(range_m.astype(np.float32), labels)
+    found = {
+        name: (verdict, said.split(": ", 1)[1].split(", expected")[0])
+        for name, (verdict, said) in asked_of_result_limits(one, usual).items()
+    }
+    assert found == slow_answers(one, usual)
+
+
+def flat(n_lines: int = 32, m: int = 32, label: int = G) -> tuple[F32, U8, F64]:
+    """Lines of 32 equal shots straight down."""
+    return np.full((n_lines, m), 5.0, np.float32), np.full((n_lines, m), label, np.uint8), np.linspace(-1, 1, m)
+
+
+@pytest.mark.parametrize(("n_lines", "n_gone", "is_told"), [(32, 24, True), (32, 25, False), (31, 0, False)])
+def test_so_much_is_needed_to_tell(n_lines: int, n_gone: int, is_told: bool) -> None:
+    range_m, labels, beam = flat(n_lines, 33 if n_lines == 31 else 32)
+    labels[0, :n_gone] = 0
+    assert (
+        bool(asked_of_result_limits(sample(range_m, labels, None)))
+        is bool(asked_of_result_limits(sample(range_m, labels, beam)))
+        is is_told
+    )
+
+
+@pytest.mark.parametrize(
+    ("n_noise", "n_without", "verdict", "said"),
+    [
+        (256, 256, FINE, "25 % of the returns are noise, expected at most 25 %"),
+        (257, 257, DOUBTFUL, "25 % of the returns are noise, expected at most 25 %"),
+        (256, 257, DOUBTFUL, "25 % of the returns have no class, expected at most 25 %"),
+        (512, 0, DOUBTFUL, "50 % of the returns are noise, expected at most 25 %"),
+        (513, 0, AGAINST, "50 % of the returns are noise, expected at most 25 %"),
+        (0, 0, FINE, "0 % of the returns are noise, expected at most 25 %"),
+        (102, 0, FINE, "10 % of the returns are noise, expected at most 25 %"),
+        (100, 0, FINE, "9.8 % of the returns are noise, expected at most 25 %"),
+    ],
+)
+def test_noise_and_no_class(n_noise: int, n_without: int, verdict: Verdict, said: str) -> None:
+    range_m, labels, _ = flat()
+    labels.flat[:n_noise] = N
+    labels.flat[n_noise : n_noise + n_without] = U
+    assert asked_of_result_limits(sample(range_m, labels, None))["noise-share"] == (
+        verdict, f"noise-share: {said}; look at the order of the shots, M and the unit of the ranges: prc info",
+    )  # fmt: skip
+
+
+WHERE = "; look where down is: prc info, or give it with --set input.nadir=DEG"
+
+
+@pytest.mark.parametrize(("n_other", "verdict"), [(512, FINE), (513, DOUBTFUL)])
+def test_ground_below(n_other: int, verdict: Verdict) -> None:
+    range_m, labels, beam = flat()
+    labels.flat[:n_other] = C
+    said = "50 % of the returns within 60 deg of down are ground, expected at least 50 %"
+    assert asked_of_result_limits(sample(range_m, labels, beam))["ground-below"] == (
+        verdict,
+        f"ground-below: {said}{WHERE}",
+    )
+    assert "ground-below" not in asked_of_result_limits(
+        sample(range_m, labels, beam), replace(USUAL, level_share=0.0, ground_share=0.0)
+    )
+    # curbs are level for other methods, noise is not asked
+    range_m, labels, beam = flat(40)
+    labels[:] = C
+    labels.flat[-200:] = N
+    assert (
+        asked_of_result_limits(sample(range_m, labels, beam), replace(USUAL, level=(Label.GROUND, Label.CURB)))[
+            "ground-below"
+        ][0]
+        is FINE
+    )
+
+
+@pytest.mark.parametrize(("lean_deg", "verdict"), [(4.9, FINE), (5.04, DOUBTFUL), (-5.1, DOUBTFUL)])
+def test_lean(lean_deg: float, verdict: Verdict) -> None:
+    range_m, labels, beam = flat()
+    range_m[:] = 4.0 / np.cos(beam - np.deg2rad(lean_deg))
+    said = f"ground-lean: the ground leans by {abs(lean_deg):.2f} deg across the lines, expected at most 5 deg"
+    one = sample(range_m, labels, beam, np.linspace(0, 2, 32))
+    nadir = np.rad2deg(np.linspace(0, 2, 32)[np.argmin(np.abs(beam - np.deg2rad(lean_deg)))])
+    expected = verdict, f"{said}; it would be level with --set input.nadir={nadir:.1f}; look where down is: prc info"
+    assert asked_of_result_limits(one)["ground-lean"] == expected
+    assert asked_of_result_limits(replace(one, angle_rad=None))["ground-lean"] == (verdict, said + WHERE)
+
+
+@pytest.mark.parametrize(
+    ("below_m", "range_m", "n_ground", "said"),
+    [
+        (1.01, 5.0, 3, "62 %"),
+        (0.99, 5.0, 3, "0 %"),
+        (1.01, 5.0, 2, None),
+        (15.01, 19.99, 3, "62 %"),
+        (15.01, 20.0, 3, None),
+    ],
+)
+def test_what_lies_below_the_ground(below_m: float, range_m: float, n_ground: int, said: str | None) -> None:
+    """Straight down on one side: ground at a depth, and things below it."""
+    depths, labels, _ = flat(250, 8, B)
+    depths[:] = range_m
+    depths[:, 5:] = range_m - below_m
+    labels[:, 8 - n_ground :] = G
+    found = asked_of_result_limits(sample(depths, labels, np.full(8, 0.001))).get("below-ground")
+    if said is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert found[1].startswith(
+            f"below-ground: {said} of the returns within 20 m and 60 deg of down lie more than 1 m"
+        )
+        assert found[0] is (FINE if said == "0 %" else DOUBTFUL)
+    assert "below-ground" not in asked_of_result_limits(sample(depths[:124], labels[:124], np.full(8, 0.001)))

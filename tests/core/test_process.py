@@ -1,0 +1,208 @@
+"""What a process says of its memory and time, and how it is interrupted."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from prc_cli import kernels
+from prc_cli.core.interrupts import held, raise_or_hold
+from prc_cli.core.profile import peak_memory, profiling, stage, timed, timed_items
+from tests import patience
+from tests.patience import HANGS_S
+
+SCRIPT = """
+import resource
+import numpy as np
+from prc_cli.core.process import keep_memory
+from tests import patience
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(20):
+        np.ones(1 << 20, np.uint8)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+faults()
+keep_memory()
+faults()
+print(faults())
+"""
+
+RETURNED = """
+import numpy as np
+from prc_cli.core.process import keep_memory, return_memory
+
+def resident():
+    with open("/proc/self/statm") as file:
+        return 4 * int(file.read().split()[1]) // 1024
+
+def left(mib=24):
+    before = resident()
+    kept = [np.ones(mib << 20, np.uint8), np.ones(1000, np.uint8)]
+    del kept[0]
+    return resident() - before
+
+return_memory()
+first = left()
+keep_memory()
+print(first, left())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library")
+def test_what_is_read_to_look_at_an_input_is_returned() -> None:
+    done = patience.run([sys.executable, "-c", RETURNED], capture_output=True, text=True, check=True)
+    returned, kept = map(int, done.stdout.split())
+    assert returned < 2
+    assert kept > 20
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library")
+def test_arrays_that_follow_each_other_share_memory() -> None:
+    done = patience.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 20 * 16, "20 arrays of 256 pages"
+
+
+def burn(seconds: float) -> None:
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+
+def test_a_stage_inside_another_is_not_counted_twice() -> None:
+    with profiling() as profile, timed("outer"):
+        burn(0.02)
+        with timed("inner"):
+            burn(0.05)
+    found = {each.name: each for each in profile.stages()}
+    assert found["inner"].cpu_s >= 0.05
+    assert found["outer"].cpu_s >= 0.02
+    assert sum(each.cpu_s for each in found.values()) <= profile.cpu_s
+    assert found["outer"].wall_s + found["inner"].wall_s <= profile.wall_s
+
+
+def test_threads_add_up() -> None:
+    @stage("burning")
+    def work() -> None:
+        burn(0.02)
+
+    with profiling() as profile:
+        threads = [threading.Thread(target=work) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    (found,) = profile.stages()
+    assert found.calls == 3
+    assert 0.06 <= found.cpu_s <= profile.cpu_s
+
+
+def test_nothing_is_kept_while_nobody_asks() -> None:
+    with profiling() as profile:
+        pass
+    with timed("later"):
+        pass
+    assert profile.stages() == ()
+    assert timed("one") is timed("other")
+
+
+def test_a_stage_that_fails_is_timed_and_the_next_one_too() -> None:
+    with profiling() as profile:
+        with pytest.raises(ValueError, match="broken"), timed("failing"):
+            raise ValueError("broken")
+        with timed("after"):
+            pass
+    assert [each.name for each in profile.stages()] == ["failing", "after"]
+
+
+def test_making_items_is_timed_and_using_them_is_not() -> None:
+    closed = []
+
+    def items() -> Iterator[int]:
+        try:
+            for n in range(3):
+                burn(0.01)
+                yield n
+        finally:
+            closed.append(True)
+
+    with profiling() as profile:
+        source = timed_items(items(), "reading")
+        for _ in source:
+            burn(0.03)
+            break
+        source.close()
+    (found,) = profile.stages()
+    assert 0.01 <= found.cpu_s <= profile.cpu_s - 0.03
+    assert closed
+
+
+def test_the_peak_of_memory_is_that_of_a_process_with_an_interpreter() -> None:
+    peak = peak_memory()
+    assert peak is None or 5 << 20 < peak < 1 << 40
+
+
+def test_outside_it_is_raised_at_once() -> None:
+    with pytest.raises(SystemExit, match="143"):
+        raise_or_hold(SystemExit(143))
+
+
+def test_inside_the_work_ends_first_even_when_nested() -> None:
+    done = []
+
+    @held
+    def inner() -> None:
+        raise_or_hold(KeyboardInterrupt())
+        done.append("inner")
+
+    @held
+    def outer() -> None:
+        inner()
+        done.append("outer")
+
+    with pytest.raises(KeyboardInterrupt):
+        outer()
+    assert done == ["inner", "outer"]
+    inner_again = held(lambda: 5)
+    assert inner_again() == 5, "nothing is left pending"
+
+
+def test_an_error_of_the_work_gives_way_to_the_interrupt() -> None:
+    @held
+    def work() -> None:
+        raise_or_hold(KeyboardInterrupt())
+        raise ValueError
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+
+def test_work_in_another_thread_holds_nothing_back_here() -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    @held
+    def work() -> None:
+        entered.set()
+        leave.wait(HANGS_S)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        assert entered.wait(HANGS_S)
+        with pytest.raises(KeyboardInterrupt):
+            raise_or_hold(KeyboardInterrupt())
+    finally:
+        leave.set()
+        thread.join()
+
+
+def test_every_kernel_is_held() -> None:
+    assert kernels.dilate.__wrapped__ is not kernels.dilate  # type: ignore[attr-defined]
+    assert not kernels.dilate(np.zeros((2, 2), np.bool_), 1).any()

@@ -1,0 +1,212 @@
+"""Live streams: doubts, narrow pipes, progress."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.cli.report import LineBar
+from prc_cli.config import load_config
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.errors import EvidenceError
+from prc_cli.core.findings import CHECK_NAMES, Finding
+from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.types import F32
+from prc_cli.core.window import Window
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.progress import advance, share_done
+from prc_cli.jobs.stream import stream
+from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
+from tests.street import POINTS_PER_LINE, street
+
+URBAN = load_config(
+    preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"lines_per_block": 16}}
+)
+
+
+@dataclass
+class Endless:
+    """A scanner that goes on until nobody listens: first some lines, then others for ever."""
+
+    first: F32
+    then: F32
+
+    @property
+    def info(self) -> StreamInfo:
+        return StreamInfo("stdin", "raw binary", self.first.shape[1], None, None)
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        yield ScanBlock(0, self.first)
+        line = len(self.first)
+        for _ in range(200_000):  # more than any test hears
+            yield ScanBlock(line, self.then)
+            line += len(self.then)
+
+
+def shuffled(image: F32) -> F32:
+    found: F32 = np.random.default_rng(3).permuted(image, axis=1)
+    return found
+
+
+def test_a_stream_without_an_end_is_refused_while_it_goes_on() -> None:
+    bad = shuffled(street())
+    live = LiveEvidence(EvidenceStream(Endless(bad, bad)), [].append)
+    with pytest.raises(EvidenceError, match="stdin: ranges of neighbouring shots"):
+        for _ in live.blocks():
+            pass
+
+
+def test_what_goes_wrong_later_is_found_as_the_stream_grows() -> None:
+    good, far = street(7000), np.full((500, POINTS_PER_LINE), 40_000.0, np.float32)
+    others = tuple(name for name in CHECK_NAMES if name != "ranges")
+    live = LiveEvidence(EvidenceStream(Endless(good, far), others), [].append)
+    n_lines = 0
+    with pytest.raises(EvidenceError, match="of the ranges lie beyond"):
+        for block in live.blocks():
+            n_lines += block.n_lines
+    assert n_lines > len(good)
+
+
+def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
+    sink = io.BytesIO()
+    with pytest.raises(EvidenceError):
+        stream(io.BytesIO(shuffled(street()).tobytes()), sink, URBAN)
+    assert len(sink.getvalue()) == street().size
+
+
+def test_doubts_are_told_once_and_kept() -> None:
+    thin = np.full((137, 18_000), np.nan, np.float32)
+    thin[:, :POINTS_PER_LINE] = street()
+    told: list[Finding] = []
+    for accepts in ((), ("returns",)):
+        options = {"input": {"points_per_line": 18_000, "accept_doubts": list(accepts)}}
+        config = load_config(preset="urban", options=options)
+        summary = stream(io.BytesIO(thin.tobytes()), io.BytesIO(), config, doubted=told.append)
+        assert [doubt.check for doubt in summary.doubts] == ([] if accepts else ["returns"])
+        assert [one.check for one in summary.findings if one.is_accepted] == list(accepts)
+    assert [doubt.check for doubt in told] == ["returns"]
+
+
+def test_labels_are_checked_as_they_leave() -> None:
+    stray = street(1100)
+    stray[:, ::2] = np.random.default_rng(1).uniform(1, 80, stray[:, ::2].shape)  # noise, whatever the order may be
+    others = [name for name in CHECK_NAMES if name != "noise-share"]
+    options = {"input": {"points_per_line": POINTS_PER_LINE, "accept_doubts": others}, "prc": {"lines_per_block": 16}}
+    sink = io.BytesIO()
+    with pytest.raises(EvidenceError, match="of the returns are noise"):
+        stream(io.BytesIO(stray.tobytes()), sink, load_config(preset="urban", options=options))
+    assert 1024 * POINTS_PER_LINE <= len(sink.getvalue()) < stray.size
+
+
+NOISE = ClassCodes().lookup()[Label.NOISE]
+
+
+class Dribble:
+    """Gives out bytes in pieces of random size."""
+
+    def __init__(self, data: bytes, rng: np.random.Generator) -> None:
+        self._data, self._rng = data, rng
+
+    def fileno(self) -> int:
+        raise OSError
+
+    def read(self, size: int = -1, /) -> bytes:
+        n = min(int(self._rng.choice([1, 3, 7, 100, 5000])), size)
+        piece, self._data = self._data[:n], self._data[n:]
+        return piece
+
+
+class SlowSink:
+    """Takes some of the bytes at a time."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.data, self._rng = bytearray(), rng
+
+    def write(self, data: memoryview, /) -> int:
+        n = int(self._rng.integers(1, len(data) + 1))
+        self.data += data[:n]
+        return n
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_way_gives_the_same_bytes(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    width, k = int(rng.choice([1, 2, 3, 4, 9, 40])), int(rng.choice([1, 2, 3, 8]))
+    n = int(rng.integers(1, 40)) * width + int(rng.integers(0, width))  # the last line may be cut short
+    pool = np.array([5, 5.2, 10, 20, np.nan, -1, np.inf, 0, 1e9], np.float32)
+    shots = np.repeat(rng.choice(pool, n, p=[0.3, 0.3, 0.1, 0.1, 0.1, 0.03, 0.02, 0.03, 0.02]), 4)[:n]
+    source = tmp_path / "in.bin"
+    shots.tofile(source)
+    environment = "forest" if seed % 4 == 3 else "urban"
+    options = {
+        "prc": {"lines_per_block": k, "surfaces": {"area": 3.0}},
+        "input": {"points_per_line": width, "partial_line": "pad"},
+    }
+    config = load_config(preset=environment, options=options)
+    outputs = []
+    for threads in (1, 2, 8):
+        output = tmp_path / f"{threads}.npy"
+        classify(source, output, config, threads=threads)
+        outputs.append(output.read_bytes())
+    assert len(set(outputs)) == 1
+    whole = np.load(output).ravel()[:n]
+    sink = SlowSink(rng)
+    stream(Dribble(shots.tobytes(), rng), sink, config)
+    np.testing.assert_array_equal(np.frombuffer(bytes(sink.data), np.uint8), whole)
+
+
+INFO = StreamInfo("d.npy", "array", 8, 640, 80)
+
+
+class Bar:
+    """As a bar of tqdm."""
+
+    def __init__(self) -> None:
+        self.n = 0
+        self.total: int | None = None
+
+    def update(self, n: int) -> None:
+        self.n += n
+
+
+def block(first: int, n_lines: int = 20) -> ScanBlock:
+    return ScanBlock(first, np.zeros((n_lines, 8), np.float32))
+
+
+def test_the_end_follows_from_the_share() -> None:
+    bar = Bar()
+    listener = LineBar(bar)
+    for first in (0, 20, 40, 60):
+        advance(listener, block(first), INFO)
+        assert bar.total == 80
+    assert bar.n == 80
+    # a second pass: the end is not known
+    advance(listener, block(0), INFO)
+    assert bar.total is None
+    assert bar.n == 100
+
+
+def test_listeners_that_count_lines_alone() -> None:
+    heard: list[int] = []
+    advance(heard.append, block(0), INFO)
+    advance(None, block(0), INFO)
+    assert heard == [20]
+
+
+@pytest.mark.parametrize(
+    ("window", "share"),
+    [(Window("", True, 10, 50), 0.75), (Window("", True, 10), None), (Window("", False, 1.0, 2.0), None)],
+)
+def test_the_share_of_a_window(window: Window, share: float | None) -> None:
+    assert share_done(block(20), INFO, window) == share
+
+
+def test_what_is_not_known() -> None:
+    assert share_done(block(20), StreamInfo("d.csv", "text", 8, None, None)) is None
+    empty = ScanBlock(0, np.zeros((1, 8), np.float32), np.full((1, 8), -1))
+    assert share_done(empty, INFO) is None
