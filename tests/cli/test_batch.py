@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main
-from prc_cli.cli.batch_report import Final, Teller, print_status, status_dict
+from prc_cli.cli.batch_report import print_status
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from prc_cli.evaluation.confusion import ConfusionMatrix
@@ -26,7 +26,6 @@ from prc_cli.jobs.batch.lock import Holder, Owner
 from prc_cli.jobs.batch.plan import Plan
 from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary, Compared
 from prc_cli.jobs.batch.run import (
-    Again,
     Listener,
     Noted,
     Ready,
@@ -41,9 +40,7 @@ from prc_cli.jobs.batch.types import (
     InputPrint,
     LeftOut,
     Problem,
-    Progress,
     ReferenceSettings,
-    Started,
 )
 from prc_cli.jobs.batch.types import Run as JournalRun
 from tests import patience
@@ -350,18 +347,6 @@ def test_exit_codes(prc: Run, play: Callable[..., None], events: list[Any], code
     assert (last["event"], last["exit_code"]) == ("run_end", code)
 
 
-def test_a_failure_that_passes_is_no_failure_in_the_log(prc: Run, play: Callable[..., None]) -> None:
-    killed = failed("a.laz", "killed")
-    play(Started("a.laz", "1"), killed, Again("a.laz", killed.problem), Started("a.laz", "2"), done("a.laz"))
-    found = prc("a", "o", "--log-json", "log")
-    assert found.code == 0
-    assert "failed" not in found.err
-    assert "again a.laz: tried once more (killed: is cut short)" in found.err
-    events = [json.loads(line)["event"] for line in Path("log").read_bytes().splitlines()]
-    assert events == ["run_start", "plan", "file_start", "file_again", "file_start", "file_done", "run_end"]
-    assert prc("a", "o", "-q").err == ""
-
-
 def test_quiet_says_what_is_wrong_and_nothing_else(prc: Run, play: Callable[..., None]) -> None:
     play(Noted("took over a lock"), done("a.laz"), failed("b.laz"), ALARM, failed("c.laz"))
     lines = prc("a", "o", "--quiet").err.splitlines()
@@ -384,21 +369,6 @@ def test_doubts_are_told_quiet_or_not(prc: Run, play: Callable[..., None], optio
     events = [json.loads(line) for line in Path("log").read_bytes().splitlines()]
     assert [event["check"] for event in events if event["event"] == "doubt"] == ["units"]
     assert events[-1]["doubted"] == 1
-
-
-def test_status_shows_doubts(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    odd = replace(done("a.laz"), notices=("doubt units: odd",))
-    entries = [
-        Entry(found.name, "done", "", "0", "r", 1, "2026-01-01", "2026-01-01", "here", found)
-        for found in (odd, done("b.laz"))
-    ]
-    print_status(tmp_path, entries, [], [])
-    text = capsys.readouterr().out
-    assert "2 files: 2 done, 1 doubted" in text
-    assert "warning a.laz: units: odd" in text
-    table = status_dict(entries, [], [])
-    assert table["doubted"] == [{"name": "a.laz", "check": "units", "sentence": "units: odd"}]
-    assert table["counts"] == {"done": 2}
 
 
 def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]) -> None:
@@ -504,26 +474,6 @@ def test_long_lists_are_cut_and_the_worst_files_are_shown(prc: Run, play: Callab
     assert found.err.count("left out x") == 20
     assert found.err.count("and 10 more, see summary.json") == 2
     assert "recall.noise: found undefined, demanded 0.5000: failed" in found.err
-
-
-def test_a_bar_shows_the_archive_and_a_file_in_work(capsys: pytest.CaptureFixture[str]) -> None:
-    teller = Teller(quiet=False, verbose=False, stamps=False, bar=True)
-    final = Final(teller)
-    final(Ready(Plan((), refused=(failed("r.laz"), failed("s.laz"))), 1, 1))
-    for event in (Started("a[red]\x1b.laz", "1"), Progress("a[red]\x1b.laz", 70), Progress("unknown", 1)):
-        final(event)
-    for event in (done("a[red]\x1b.laz"), failed("r.laz"), Noted("by the way"), ALARM):
-        final(event)
-    final.close()
-    teller._bar.refresh()
-    teller.close()
-    text = capsys.readouterr().err
-    assert "\x1b.laz" not in text
-    assert "failed r.laz: is cut short" in text
-    assert "note: by the way" in text
-    assert "alarm b.laz" in text
-    assert "done a" not in text
-    assert "2/2 files, 1 failed" in text
 
 
 def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple[Path, Path], tmp_path: Path) -> None:

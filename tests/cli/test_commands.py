@@ -154,33 +154,6 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     assert "holds files already" in result.err
 
 
-def test_a_terminal_gets_a_progress_bar_and_a_pipe_none(tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.npy")]
-    piped = patience.run(command, capture_output=True, text=True, check=True)
-    assert "lines/s" not in piped.stderr
-    assert "\r" not in piped.stderr
-    if os.name != "posix":
-        return
-    import pty
-
-    master, slave = pty.openpty()
-    patience.run([*command, "--overwrite"], stderr=slave, check=True)
-    os.close(slave)
-    shown = b""
-    while chunk := _read(master):
-        shown += chunk
-    assert b"drive.npz" in shown
-    assert b"lines" in shown
-
-
-def _read(handle: int) -> bytes:
-    try:
-        return os.read(handle, 65536)
-    except OSError:  # Linux ends a pseudo terminal this way
-        return b""
-
-
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
     import signal
@@ -362,19 +335,6 @@ def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: s
         json.dumps(told.as_dict())
 
 
-def test_a_table_and_json(prc: Prc, folder: Path) -> None:
-    result = prc("explain", folder / "street.npz", "--at", "100,300", "--preset", "urban")
-    assert result.code == 0, result.err
-    assert "decided by" in result.out
-    assert "supported in its line from zeta_p [m]" in result.out
-    found = json.loads(prc("explain", folder / "street.npz", "--at", "100,300", "--json").out)
-    assert found["method"] == "fused"
-    assert found["chosen"]["preset"] == "fused"
-    assert found["record"] == 100 * 720 + 300
-    assert found["limits"]
-    assert found["measures"]["near neighbours, of 28"] <= 28
-
-
 @pytest.mark.parametrize(
     ("place", "code", "said"),
     [
@@ -390,12 +350,6 @@ def test_places_that_are_not_there(prc: Prc, folder: Path, place: str, code: int
     assert said in result.err
 
 
-def test_scanners_have_lines_of_their_own(prc: Prc, folder: Path) -> None:
-    result = prc("explain", folder / "street.npz", "--at", "3,5", "--preset", "urban", "--station", "4")
-    assert result.code == 1
-    assert "found scanners 0, expected 4" in result.err
-
-
 URBAN = ("--preset", "urban")
 
 
@@ -403,18 +357,6 @@ def run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
     return int(stop.value.code or 0)
-
-
-def test_a_profile_is_printed_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    assert (
-        run("classify", source, tmp_path / "a.npy", "-M", POINTS_PER_LINE, "-q", "--profile", "--threads", 1, *URBAN)
-        == 0
-    )
-    out, told = capsys.readouterr()
-    assert out == ""
-    for word in ("support", "background", "components", "reading", "writing", "fingerprint", "all else", "on 1 thread"):
-        assert word in told
 
 
 def test_a_profile_is_part_of_the_json_and_not_of_the_record(

@@ -122,10 +122,6 @@ def test_render_draws_it(prc: Prc, folder: Path) -> None:
     assert (refused.code, "no step of prc" in refused.err) == (2, True)
 
 
-def test_info_lists_it(prc: Prc, folder: Path) -> None:
-    assert "confidence" in prc("info", classified(prc, folder, ".laz")).out
-
-
 def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:
     for preset in ("urban", "street-scan"):
         options = ("--preset", preset, *SET[2:])

@@ -6,7 +6,6 @@ import errno
 import importlib.metadata as metadata
 import json
 import os
-import sqlite3
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,9 +15,7 @@ import pytest
 
 from prc_cli.cli import main
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.errors import OutputError
 from prc_cli.core.types import F32
-from prc_cli.formats.las.read import classes_by_laspy
 from prc_cli.jobs import doctor
 from prc_cli.jobs.classify import ClassifiedRanges
 from prc_cli.jobs.doctor import Check, examine, file_system
@@ -120,22 +117,6 @@ def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.Mo
     assert "temporary files" in found
 
 
-def test_a_temporary_folder_that_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TMPDIR", "/none/such")
-    found = checks()["temporary files"]
-    assert (found.status, "mkdir -p /none/such" in found.hint) == ("warn", True)
-
-
-def test_a_full_disk_is_no_fault_of_the_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def full(trial: Path) -> Check:
-        raise sqlite3.OperationalError("database or disk is full")
-
-    monkeypatch.setattr(doctor, "_sqlite", full)
-    found = checks(tmp_path)["output folder"]
-    assert (found.status, found.found) == ("bad", "database or disk is full")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_no_folder_for_compiled_loops_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     from prc_cli.kernels import compiling
     from prc_cli.kernels.compiling import CacheState
@@ -143,14 +124,6 @@ def test_no_folder_for_compiled_loops_is_a_warning(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(compiling, "cache_state", lambda: CacheState(None, 0, 0, 18))
     found = checks()["compiled loops"]
     assert (found.status, "NUMBA_CACHE_DIR" in found.hint) == ("warn", True)
-
-
-def test_little_memory_and_little_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(doctor, "_free_memory", lambda: 100 << 20)
-    monkeypatch.setattr(doctor, "DISK_BYTES", 1 << 62)
-    found = checks(tmp_path)
-    assert found["memory"].status == "bad"
-    assert found["output disk"].status == "warn"
 
 
 @pytest.mark.parametrize(("load", "status"), [(16.0, "ok"), (16.1, "warn"), (None, "ok")])
@@ -176,14 +149,6 @@ def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
         assert checks(tmp_path)[f"output folder {tmp_path}"].status == "bad"
     finally:
         tmp_path.chmod(0o700)
-
-
-def test_a_file_in_the_place_of_the_folder_is_bad(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "a\x1b[31m").write_bytes(b"")
-    code, out, _ = run(capsys, "--no-run", "-q", "--out", str(tmp_path / "a\x1b[31m"))
-    assert code == 1
-    assert "is no folder" in out
-    assert "\x1b" not in out
 
 
 def test_a_network_file_system_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,13 +189,6 @@ def test_the_file_system_of_a_folder(tmp_path: Path) -> None:
     assert file_system(tmp_path, tmp_path / "none") == ""
 
 
-def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.formats.las.read.classes_by_laspy", lambda path: {2: 1})
-    (found,) = doctor._end_to_end()
-    assert found.status == "bad"
-    assert found.found.endswith("laspy reads other classes than were written")
-
-
 def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong(range_m: F32, *_: object, engine: str = "compiled", **__: object) -> ClassifiedRanges:
         return ClassifiedRanges(np.full(range_m.shape, engine == "compiled", np.uint8), ClassCodes())
@@ -249,9 +207,3 @@ def test_without_numba_the_other_engine_is_named(monkeypatch: pytest.MonkeyPatch
     found = checks()[name]
     assert (found.status, found.found.partition(" (")[0]) == ("bad", "numba: cannot be loaded")
     assert "prc classify --engine reference" in found.hint
-
-
-def test_what_laspy_refuses_is_an_error_of_ours(tmp_path: Path) -> None:
-    (tmp_path / "a.las").write_bytes(b"LASF" + bytes(400))
-    with pytest.raises(OutputError, match="laspy does not read it"):
-        classes_by_laspy(tmp_path / "a.las")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import laspy
@@ -13,7 +12,6 @@ from tests.cli.test_commands import Prc, prc
 from tests.jobs.test_transfer import (
     Drive,
     N,
-    codes_of,
     write_las,
     write_raw,
 )
@@ -26,24 +24,6 @@ def inputs(tmp_path: Path) -> tuple[Drive, Path, Path, Path]:
     drive = Drive()
     raw = write_raw(tmp_path / "drive.csv", drive)
     return drive, raw.with_suffix(".npy"), raw, write_las(tmp_path / "registered.las", drive, drive.registered())
-
-
-def test_summary_on_stderr_and_json_on_stdout(prc: Prc, inputs: tuple[Drive, Path, Path, Path], tmp_path: Path) -> None:
-    drive, labels, raw, registered = inputs
-    result = prc("transfer", labels, registered, tmp_path / "out.las", "--points", raw, "--verbose")
-    n = len(drive.registered())
-    assert (result.code, result.out) == (0, "")
-    assert f"points matched: {n:,} of {n:,} (100.0%)" in result.err
-    assert f"labels matched: {n:,} of {N:,}" in result.err
-    assert "transfer.tolerance_s" in result.err
-    assert "million points a second" in result.err
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[drive.registered()])
-    result = prc("transfer", labels, registered, tmp_path / "out.las", "--points", raw, "--quiet", "--json")
-    assert (result.code, result.err.count("\n")) == (2, 1)
-    assert "--overwrite" in result.err
-    result = prc("transfer", labels, registered, tmp_path / "out.las", "--points", raw, "-q", "--json", "--overwrite")
-    assert (result.code, result.err) == (0, "")
-    assert json.loads(result.out)["transfer"]["counts"]["n_matched"] == n
 
 
 def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
@@ -95,8 +75,3 @@ def test_a_layout_and_wrong_usage(prc: Prc, inputs: tuple[Drive, Path, Path, Pat
         assert result.err.startswith("error: ")
         assert text in result.err
     assert not list(tmp_path.glob("*no.las*"))
-
-
-def test_help_shows_an_example(prc: Prc) -> None:
-    result = prc("transfer", "--help")
-    assert "prc transfer labels.npy registered.laz out.laz --points drive.csv" in result.out

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from prc_cli.config import load_config
-from prc_cli.core.window import parse_window
 from prc_cli.jobs.classify import open_stream
 from tests.cli.test_commands import Prc
 from tests.simulated import drive_arrays
@@ -152,16 +151,6 @@ def test_commands_that_take_files_whole_refuse(prc: Prc, folder: Path, command: 
     assert "found --first 2s, but prc" in result.err
 
 
-def test_no_line_in_the_window(prc: Prc, folder: Path) -> None:
-    result = prc("classify", folder / "d.laz", folder / "n.npy", "--only-lines", "500:600", *URBAN)
-    assert result.code == 1
-    assert "found scan lines from 0 to 59, expected some in --only-lines 500:600" in result.err
-    result = prc("classify", folder / "d.laz", folder / "n.npy", "--only-time", "7:9", *URBAN)
-    assert result.code == 1
-    assert "expected some in --only-time 7:9; choose times that it has, or +A:+B" in result.err
-    assert prc("classify", folder / "d.laz", folder / "n.npy", "--only-lines", "7:3").code == 2
-
-
 def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
     assert prc("classify", folder / "d.laz", folder / "e.laz", *URBAN).code == 0
     source = laspy.read(folder / "d.laz")
@@ -184,15 +173,3 @@ def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
     np.save(labels, np.full(N_LINES * M, 2, np.uint8))
     assert prc("evaluate", labels, labels, "--first", "2s").code == 2
     assert json.loads(prc("evaluate", labels, labels, "-M", M, "--first", "5lines", "--json").out)["n_scored"] == 5 * M
-
-
-@pytest.mark.parametrize("text", ["", "5", "9:3", "a:b", "-3:", "1.5:2"])
-def test_lines_that_make_no_sense(text: str) -> None:
-    with pytest.raises(ValueError, match="A:B, lines A to B - 1"):
-        parse_window(text, None, None)
-
-
-@pytest.mark.parametrize("text", ["30", "0s", "-3s", "1.5lines", "30 parsecs"])
-def test_lengths_that_make_no_sense(text: str) -> None:
-    with pytest.raises(ValueError, match="a length with its unit"):
-        parse_window(None, None, text)

@@ -114,12 +114,6 @@ def test_indices_do_not_depend_on_the_integer_type(dtype: type[np.integer[Any]])
     assert mapping.class_indices(codes, "reference").tolist() == expected
 
 
-def test_ignore_reference_leaves_the_predicted_side_alone() -> None:
-    mapping = made(ignore_reference=[1], predicted={"ground": [2], "unclassified": [1]})
-    assert mapping.class_indices(np.array([1]), "predicted").tolist() == [1]
-    assert mapping.class_indices(np.array([1]), "reference").tolist() == [-1]
-
-
 def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
     with pytest.raises(InputError) as caught:
         made().class_indices(np.array([2, 9, 9, 5]), "reference")
@@ -184,12 +178,6 @@ def test_mappings_that_make_no_sense(table: dict[str, Any], expected: str) -> No
     assert str(caught.value).startswith("classes.toml: ")
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_mapping_file_of_the_user(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text('unlisted = "other"\n[predicted]\nground = [2]\n[reference]\nground = ["40-49"]\n')
-    assert load_mapping(str(path)).class_indices(np.array([45, 3]), "reference").tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("unlisted", ["error", "other", "ignore"])

@@ -10,17 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from prc_cli.core.errors import ConfigError, GateError, InputError
+from prc_cli.core.errors import ConfigError, GateError
 from prc_cli.evaluation.confusion import (
-    UNKNOWN,
     ConfusionMatrix,
     GroupedCounts,
     accumulate,
     cells_of,
-    check_edges,
-    range_bounds,
-    range_groups,
-    refuse_poor_match,
 )
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.scores import (
@@ -63,17 +58,6 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
     assert found.accuracy == pytest.approx(metrics.accuracy_score(reference, predicted))
     assert found.balanced_accuracy == pytest.approx(metrics.balanced_accuracy_score(reference, predicted))
     assert found.kappa == pytest.approx(metrics.cohen_kappa_score(reference, predicted))
-
-
-def test_kappa_with_classes_of_one_side_only() -> None:
-    metrics = pytest.importorskip("sklearn.metrics")
-    mapping = ClassMapping(predicted={"a": (0,), "b": (1,), "p": (2,)}, reference={"b": (1,), "a": (0,), "r": (3,)})
-    rng = np.random.default_rng(9)
-    predicted, reference = rng.choice([0, 1, 2], 500), rng.choice([0, 1, 3], 500)
-    found = scores(accumulate(ConfusionMatrix.empty(mapping), predicted, reference, mapping))
-    assert found.kappa == pytest.approx(metrics.cohen_kappa_score(reference, predicted))
-    assert found.accuracy == pytest.approx(metrics.accuracy_score(reference, predicted))
-    assert [item.name for item in found.classes] == ["b", "a", "r", "p"]
 
 
 def test_undefined_is_nan_and_zero_is_zero() -> None:
@@ -148,28 +132,10 @@ def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -
     assert whole.n_scored + whole.n_ignored == len(pairs)
 
 
-def test_different_lengths_are_refused_with_both_counts() -> None:
-    with pytest.raises(InputError, match="3 records, but reference holds 2; matched by order needs equal counts"):
-        accumulate(ConfusionMatrix.empty(MAPPING), np.array([2, 2, 2]), np.array([2, 2]), MAPPING)
-    with pytest.raises(InputError, match=r"a\.npy: 5 records, but b\.las holds 4;"):
-        refuse_poor_match(5, 4, "a.npy", "b.las")
-    refuse_poor_match(4, 4)
-
-
 def test_shares_of_empty_rows_and_columns_are_undefined() -> None:
     matrix = ConfusionMatrix(("a", "b"), ("a", "b", "c"), np.array([[3, 1, 0], [0, 0, 0]]))
     assert np.array_equal(matrix.row_shares(), [[0.75, 0.25, 0.0], [np.nan] * 3], equal_nan=True)
     assert np.array_equal(matrix.column_shares(), [[1.0, 1.0, np.nan], [0.0, 0.0, np.nan]], equal_nan=True)
-
-
-def test_trimmed_keeps_a_class_that_one_side_uses() -> None:
-    counts = np.array([[4, 0, 0, 0], [2, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
-    matrix = ConfusionMatrix(("ground", "building", "stem", "other"), ("ground", "building", "stem", "lost"), counts, 3)
-    shown = matrix.trimmed()
-    assert shown.reference_names == ("ground", "building")
-    assert shown.predicted_names == ("ground", "building")
-    assert shown.counts.tolist() == [[4, 0], [2, 0]]
-    assert shown.n_ignored == 3
 
 
 def test_passed_and_failed() -> None:
@@ -280,17 +246,6 @@ def test_bounds_and_undefined_scores() -> None:
     assert block_intervals(perfect, NAMES)["accuracy"].low == 1.0
 
 
-def test_counts_beyond_32_bits() -> None:
-    blocks = blocks_of(10) * 10**9
-    found, small = (block_intervals(b, NAMES)["kappa"] for b in (blocks, blocks_of(10)))
-    assert (found.low, found.high) == pytest.approx((small.low, small.high))
-
-
-def test_what_cannot_be_done() -> None:
-    with pytest.raises(InputError, match="at least 2 blocks with scored pairs, found 1"):
-        block_intervals(blocks_of(1), NAMES)
-
-
 MAPPING_SPLITS = ClassMapping(
     ignore=[0], predicted={"ground": [2], "building": [6]}, reference={"ground": [2], "building": [6], "car": [65]}
 )
@@ -321,24 +276,3 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     empty.add(np.empty(0, np.int64), np.empty(0, np.int64))
     counts.merge(empty)
     assert empty.scored().shape == (0, 3, 2)
-
-
-def test_blocks_without_scored_pairs_do_not_count() -> None:
-    counts = GroupedCounts(MAPPING_SPLITS, "test")
-    counts.add(np.array([0, 1]), cells_of(MAPPING_SPLITS, np.array([0, 2]), np.array([0, 0])))
-    assert counts.groups == (0, 1)
-    assert len(counts.scored()) == 1
-
-
-def test_ranges() -> None:
-    edges = check_edges((0.0, 10.0, 20.0))
-    groups = range_groups(np.array([0.0, 9.99, 10.0, 20.0, 1e9, np.nan]), edges)
-    assert groups.tolist() == [1, 1, 2, 3, 3, UNKNOWN]
-    assert range_bounds(1, edges) == ("0-10 m", 0.0, 10.0)
-    assert range_bounds(3, edges) == ("from 20 m", 20.0, math.inf)
-
-
-@pytest.mark.parametrize("edges", [(1.0, 1.0), (2.0, 1.0), (-1.0,), (math.nan,), (math.inf,)])
-def test_bad_edges(edges: tuple[float, ...]) -> None:
-    with pytest.raises(ConfigError, match="expected ascending ranges"):
-        check_edges(edges)

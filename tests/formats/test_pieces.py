@@ -12,13 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import OutputError
-from prc_cli.core.types import I64
 from prc_cli.formats.las import laz
 from prc_cli.formats.las.header import find_points_per_line, open_source, read_header
 from prc_cli.formats.las.laz import LazRecords
 from prc_cli.formats.organised import ptx
-from prc_cli.formats.writing.base import StagedWriter
 
 
 def lines_of(data: bytes) -> list[bytes]:
@@ -55,34 +52,6 @@ def test_points_per_line_of_the_own_record(value: object, expected: int | None) 
         ]
     )
     assert find_points_per_line(header) == expected
-
-
-@pytest.mark.parametrize(
-    ("values", "problem"),
-    [
-        ([0, 255], None),
-        ([0, 256], "segment 256 does not fit uint8 (0 to 255)"),
-        ([-1, 300], "segment -1 does not fit uint8"),
-        ([], None),
-    ],
-)
-def test_values_that_do_not_fit_their_type(values: list[int], problem: str | None) -> None:
-    array: I64 = np.array(values, np.int64)
-    column: Any = SimpleNamespace(
-        dtype=np.dtype(np.uint8), what="segment", option="segments", fill=9, of_shots=lambda _: array
-    )
-    writer: Any = SimpleNamespace(path=Path("labels.csv"))
-    if problem is None:
-        found = StagedWriter._cells(writer, column, None)  # type: ignore[arg-type]
-        assert found.dtype == np.uint8
-        assert found.tolist() == values
-    else:
-        with pytest.raises(OutputError) as refused:
-            StagedWriter._cells(writer, column, None)  # type: ignore[arg-type]
-        assert problem in str(refused.value)
-        assert str(refused.value).endswith("set [output] segments = false")
-    column.of_shots = lambda _: None
-    assert StagedWriter._cells(writer, column, SimpleNamespace(labels=np.zeros((2, 2)))).tolist() == [[9, 9], [9, 9]]  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

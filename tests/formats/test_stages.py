@@ -7,11 +7,10 @@ from pathlib import Path
 
 import laspy
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from prc_cli.core.classes import Label, Surface
-from prc_cli.core.stream import ExtraReturns, LabelledBlock, StageLabels
+from prc_cli.core.stream import LabelledBlock, StageLabels
 from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import (
     URBAN,
@@ -78,14 +77,6 @@ def drive(
     return Drive(blocks, labels != Label.MISSING, surface, dense, height, trigger, interval, test)
 
 
-def few(surface: np.ndarray, car_surface: np.ndarray, height: np.ndarray) -> StageLabels:
-    """Stages of a few shots, all of them the car in interval 300, where the line triggered."""
-    trigger, interval, test = (
-        np.full(surface.shape, value, kind) for value, kind in ((2, "u1"), (300, "u2"), (6, "u1"))
-    )
-    return StageLabels(surface, car_surface, height, trigger, interval, test)
-
-
 def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
     return np.array_equal(np.asarray(found, np.float32).view("u4"), np.asarray(expected, np.float32).view("u4"))
 
@@ -141,37 +132,6 @@ def test_all_optional_columns_together(tmp_path: Path, form: int) -> None:
         "the input has range already; it was kept as it is",
         *(f"the input has {name} already; its values were replaced" for name in NAMES),
     ]
-
-
-@pytest.mark.parametrize("suffix", [".las", ".csv", ".parquet"])
-def test_further_returns_and_records_in_no_line_have_none(tmp_path: Path, suffix: str) -> None:
-    extra = ExtraReturns(
-        np.array([0], np.int32), np.array([1], np.int32), np.array([12], np.float32), np.array([2], np.int64)
-    )
-    stages = few(np.full((1, 3), 2, np.uint8), np.ones((1, 3), np.uint8), np.full((1, 3), -2, np.float32))
-    block = labelled(
-        np.full((1, 3), Label.GROUND, np.uint8),
-        record=np.array([[0, 1, 3]]),
-        extra=extra,
-        extra_labels=np.array([Label.NOISE], np.uint8),
-        stages=stages,
-    )
-    source = tmp_path / "in.las"
-    make_las(source, 6, n=5)
-    write(tmp_path / f"a{suffix}", source, [block], options=STAGES, n_records=5)
-    if suffix == ".las":
-        las = laspy.read(tmp_path / "a.las")
-        found = [las[name].tolist() for name in NAMES]
-    elif suffix == ".parquet":
-        table = pq.read_table(tmp_path / "a.parquet")
-        found = [table[name].to_numpy().tolist() for name in NAMES]
-    else:
-        rows = (tmp_path / "a.csv").read_text().splitlines()[1:]
-        found = [[float(row.split(",")[number]) for row in rows] for number in range(3, 9)]
-    assert found[0] == [2, 2, 0, 2, 0]
-    assert found[1] == [1, 1, 0, 1, 0]
-    np.testing.assert_array_equal(found[2], [-2, -2, np.nan, -2, np.nan])
-    assert found[3:] == [[2, 2, 0, 2, 0], [300, 300, 0, 300, 0], [6, 6, 0, 6, 0]]
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet", ".npy"])

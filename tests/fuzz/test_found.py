@@ -19,11 +19,6 @@ from prc_cli.config import load_config
 from prc_cli.core.config import MAX_TOML_BYTES, read_toml
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised.ptx import PtxStream
-from prc_cli.formats.text import lines as text_lines
-from prc_cli.formats.text.dialect import to_number
-from prc_cli.formats.text.read import TextSource
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.plan import outcome_of_record
 from prc_cli.jobs.batch.types import InputPrint, Task
@@ -70,15 +65,6 @@ def test_toml_that_its_parser_cannot_take(tmp_path: Path, text: str, message: st
     assert time.process_time() - start < 60
 
 
-@pytest.mark.parametrize("name", ["a\\u0000b", "~no-such-user-here/track.csv"])
-def test_a_trajectory_that_no_file_can_be(tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
-    source = put(tmp_path / "a.las", seed("pf6.las"))
-    config = put(tmp_path / "a.toml", f'[input]\nrange = "trajectory:{name}"\n')
-    code, printed = run(capfd, "info", source, "--config", config)
-    assert code == 2
-    assert printed.startswith("error: ")
-
-
 NAMES = [
     "e\x1b[31mvil\x1b]0;x\x07",
     "two\nlines",
@@ -110,14 +96,6 @@ def test_names_of_files_command_no_terminal(tmp_path: Path, capfd: pytest.Captur
         code, printed = run(capfd, *command)
         assert code == ("not there" in str(command[-1])), printed
         assert not unprintable(printed)
-
-
-def test_names_in_files_command_no_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    source = put(tmp_path / "a.csv", seed("a.csv").replace(b",class\n", b",\x1b]0;x\x07\xc2\x9b\n", 1))
-    code, printed = run(capfd, "info", source, "-v", "--trust-order")
-    assert code == 0
-    assert "\\x1b]0;x\\x07\\x9b" in printed
-    assert not unprintable(printed)
 
 
 def test_too_little_memory_is_said_in_a_line(
@@ -155,27 +133,6 @@ def test_laz_that_is_copied_is_checked_first(
         assert code == 1
         assert message in printed
         assert list(tmp_path.iterdir()) == [source]
-
-
-def test_a_cell_of_a_million_digits_is_judged_in_one_pass(tmp_path: Path) -> None:
-    start = time.process_time()
-    assert to_number("1" * 1_000_000 + "x") is None
-    assert to_number("1" * 1_000_000) == float("inf")
-    assert to_number("." + "1" * 500_000 + "e5.") is None
-    text = seed("a.ptx").replace(b"\n0.0000 0.0000 0.0000 0.5000\n", b"\n" + b"1" * 900_000 + b"x 0 0 0\n", 1)
-    with pytest.raises(InputError, match="expected a number"):
-        list(PtxStream(put(tmp_path / "a.ptx", text), InputConfig(order="trust")).blocks())
-    assert time.process_time() - start < 60
-
-
-def test_text_that_unpacks_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import gzip
-
-    path = put(tmp_path / "a.csv.gz", gzip.compress(b"range\n" + b"1.0\n" * 1_000_000, mtime=0))
-    assert sum(chunk.n for chunk in TextSource(path).chunks(("range",))) == 1_000_000
-    monkeypatch.setattr(text_lines, "LEAST_BYTES", 1 << 20)
-    with pytest.raises(InputError, match="unpacks to more than"):
-        list(TextSource(path).chunks(("range",)))
 
 
 def test_an_archive_whose_names_are_not_what_they_say(tmp_path: Path) -> None:
@@ -243,19 +200,6 @@ def test_items_of_another_point_format_are_refused(
     code, printed = run(capfd, "convert", put(tmp_path / "a.laz", bytes(data)), tmp_path / "o.las")
     assert (code, printed.count("\n")) == (1, 1)
     assert f"items (type, bytes) ({kind}, " in printed
-
-
-@pytest.mark.parametrize("match", ["nearest", "order"])
-def test_coordinates_without_end_have_no_neighbours(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], match: str
-) -> None:
-    """Their squares are not finite: the search for the nearest raised."""
-    rows = "".join(f"{x},{x},0,2\n" for x in ("1.7e308", "-1.7e308", "1", "2"))
-    path = put(tmp_path / "a.csv", "x,y,z,class\n" + rows)
-    code, printed = run(capfd, "evaluate", path, path, "--match", match, "--mapping", "prc")
-    assert "Traceback" not in printed
-    assert code in (0, 1), printed
-    assert not code or printed.count("\n") == 1
 
 
 NUMBERS = ("seconds", "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records", "size", "mtime_ns")

@@ -7,13 +7,11 @@ import pytest
 
 from prc_cli.core.types import F64
 from prc_cli.imaging.cloud import (
-    USUAL_DEG,
     DepthBuffer,
     FromAbove,
     Perspective,
     Sample,
     bounds,
-    fullest_azimuth,
 )
 
 
@@ -32,15 +30,6 @@ def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks() -> None:
     assert 50 <= len(whole.rows()) <= 100
     assert len(np.unique(np.diff(whole.rows()[:, 0]))) == 1
     assert Sample(3).rows().shape == (0, 3)
-
-
-def test_from_above_north_is_up_and_the_scale_is_the_same_both_ways() -> None:
-    view = FromAbove.around(box(), 800, 600)
-    right, down, depth = view.project(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]]))
-    assert right[1] - right[0] == pytest.approx(1 / view.metres)
-    assert down[0] - down[2] == pytest.approx(1 / view.metres)
-    assert depth[3] < depth[0]  # what is higher is nearer to the eye
-    assert max(view.size[0] / 800, view.size[1] / 600) == pytest.approx(1, abs=0.01)
 
 
 @pytest.mark.parametrize("azimuth", [0, 90, 215, -30])
@@ -98,29 +87,6 @@ def test_the_picture_is_that_of_a_loop_over_points() -> None:
     assert np.array_equal(buffer.picture(close=0, shade=False), expected)
 
 
-def test_points_without_coordinates_and_outside_are_left_out() -> None:
-    buffer = DepthBuffer(FromAbove(0.0, 10.0, 20.0, 1.0, (10, 10)))
-    buffer.add(np.array([[np.nan, 1, 1], [50, 5, 5], [5, 5, 5]]), np.zeros((3, 3), np.uint8))
-    assert buffer.n_inside == 1
-
-
-def test_gaps_in_a_near_surface_are_closed_and_edges_are_darker() -> None:
-    view = FromAbove(0.0, 30.0, 20.0, 1.0, (30, 30))
-    x, y = np.meshgrid(np.arange(30) + 0.5, np.arange(30) + 0.5)
-    low = np.stack([x.ravel(), y.ravel(), np.zeros(900)], axis=1)
-    high = low[(x.ravel() > 10) & (x.ravel() < 20) & (y.ravel() > 10) & (y.ravel() < 20)] + [0, 0, 10]
-    high = np.delete(high, 40, axis=0)
-    buffer = DepthBuffer(view)
-    buffer.add(low, np.full((900, 3), 100, np.uint8))
-    buffer.add(high, np.full((len(high), 3), 200, np.uint8))
-    assert (buffer.picture(close=0, shade=False) == 200).all(axis=2).sum() == len(high)
-    assert (buffer.picture(close=1, shade=False) == 200).all(axis=2).sum() == len(high) + 1
-    shaded = buffer.picture()[..., 0]
-    assert shaded[9, 15] < 100  # beside the block, below it
-    assert shaded[2, 2] == 100
-    assert shaded[15, 15] == 200
-
-
 def test_a_view_holds_even_points_whole_and_leaves_stray_ones_out() -> None:
     points = box(20_000)
     whole = np.array([points.min(axis=0), points.max(axis=0)])
@@ -129,20 +95,3 @@ def test_a_view_holds_even_points_whole_and_leaves_stray_ones_out() -> None:
     low, high = bounds(stray)
     assert (low[:2] > (-13, -7)).all()
     assert (high[:2] < (13, 7)).all()
-
-
-def test_the_side_that_is_taken_fills_the_picture() -> None:
-    rng = np.random.default_rng(3)
-    street = np.column_stack([rng.uniform(-50, 50, 20_000), rng.uniform(-8, 8, 20_000), rng.uniform(0, 1, 20_000)])
-    turn = math.radians(USUAL_DEG)
-    # seen end on from the usual side
-    street = street @ np.array([[math.sin(turn), math.cos(turn), 0], [-math.cos(turn), math.sin(turn), 0], [0, 0, 1]])
-
-    def filled(azimuth: float) -> int:
-        buffer = DepthBuffer(Perspective.around(street, azimuth, 30.0, 300, 200))
-        buffer.add(street, np.zeros((len(street), 3), np.uint8))
-        return int((buffer.picture(close=0) == 0).all(axis=2).sum())
-
-    best = fullest_azimuth(street, 30.0, 300, 200)
-    assert filled(best) > 1.1 * filled(USUAL_DEG)
-    assert fullest_azimuth(rng.normal(0, 5, (4000, 3)), 30.0, 800, 600) == USUAL_DEG

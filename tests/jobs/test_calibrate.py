@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -14,14 +13,13 @@ from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.calibrate import SearchOptions, _measure, calibrate
 from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply, thresholds
 from prc_cli.jobs.calibrate.reports import (
     as_json,
-    as_svg,
     as_toml,
 )
 from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES, ZETA_P, ZETA_S, Axis, Searcher, _neighbours, with_values
@@ -103,31 +101,6 @@ def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: 
         assert found.noise_at(range_m) == pytest.approx(np.hypot(sigma_m, per_m * range_m), rel=0.2)
 
 
-def test_the_figure_marks_what_was_chosen_and_stays_in_its_frame(tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "street.npz", street())
-    for zeta_p, told in ((1.0, "zeta_p = 1 m<"), (500.0, "zeta_p = 500 m<")):
-        found = calibrate(source, load_config(options={"prc": {"support": {"zeta_p": zeta_p}}}))
-        root = ElementTree.fromstring(as_svg(found))
-        lines = [e for e in root.iter() if e.get("class") == "chosen"]
-        at = [float(e.attrib["x1"]) for e in lines]
-        assert [e.attrib["x1"] for e in lines] == [e.attrib["x2"] for e in lines]
-        assert len(at) == 3
-        assert at[2] < at[1] <= at[0], "d_c = 0.06 m, zeta_s = 1 m, zeta_p"
-        assert told in as_svg(found)
-        frame = max(float(e.attrib["x2"]) for e in root.iter() if e.get("stroke") == "#ddd")
-        assert max(at) <= frame + 0.1
-        # a digit of 13 px is some 8 px wide
-        ticks = [e for e in root.iter() if e.get("y") == "370"]
-        ends = [
-            float(e.attrib["x"]) + (4 * len(e.text or "") if e.get("text-anchor") == "middle" else 0) for e in ticks
-        ]
-        assert [e.text for e in ticks][-1] == "100"
-        assert max(ends) <= frame + 0.1
-        points = " ".join(e.attrib["points"] for e in root.iter() if e.tag.endswith("polyline")).split()
-        assert max(float(point.split(",")[0]) for point in points) <= frame + 0.1
-        assert max(float(e.attrib["y"]) for e in root.iter() if e.tag.endswith("text")) <= 440, "the legend, too"
-
-
 def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
     """A street and, as its reference, what the classifier says with parameters that are not the preset's."""
     source = write_npz(folder / "street.npz", street(n_lines))
@@ -156,17 +129,6 @@ def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
     other = calibrate(source, BLOCKS, SearchOptions(reference, budget=2, objective="recall.ground", seed=4))
     assert other.search is not None
     assert other.search.n_trials == 2
-
-
-def test_kept_keys_take_what_the_sensor_implies(tmp_path: Path) -> None:
-    source, reference = labelled(tmp_path)
-    keep = ("prc.support.zeta_p", "prc.support.zeta_s", "prc.surfaces.gamma")
-    found = calibrate(source, BLOCKS, SearchOptions(reference, budget=20, keep=keep))
-    assert found.search is not None
-    assert set(found.search.values) == {"prc.background.d_c", "prc.surfaces.area"}
-    implied = {item.key: item.value for item in calibrate(source, BLOCKS).advice}
-    assert found.config.config.prc.support.zeta_p == implied["prc.support.zeta_p"]
-    assert found.config.config.prc.surfaces.gamma == 2
 
 
 def test_written_configuration_is_read_and_says_why(tmp_path: Path) -> None:
@@ -301,17 +263,6 @@ def test_the_threshold_of_adjacent_lines_is_never_the_lower_one() -> None:
     assert found["prc.support.zeta_s"].reason.startswith("raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B)")
 
 
-def test_thresholds_are_six_times_the_noise() -> None:
-    noisy = replace(SENSOR, sigma_m=0.1)
-    assert advised(noisy, zeta=0.61)["prc.support.zeta_s"].value == 0.61
-    assert advised(noisy, zeta=0.59)["prc.support.zeta_s"].value == pytest.approx(0.64)
-
-
-def test_a_plateau_is_a_fifth_of_the_returns() -> None:
-    assert advised(low=0.5, plateau=0.21)["prc.support.zeta_s"].value == 1.0
-    assert advised(low=0.5, plateau=0.19)["prc.support.zeta_s"].value == 0.1
-
-
 @pytest.mark.parametrize(
     ("known", "value", "reason"),
     [
@@ -413,38 +364,6 @@ def flat(found: SensorEstimate) -> list[bool]:
     return [item.flat for item in found.noise]
 
 
-def test_a_bin_gives_its_range_deviation_and_number() -> None:
-    found = levels((2.2, 0.005), (9.0, 0.02))
-    assert [item.n_stretches for item in found.noise] == [N, N]
-    assert [item.range_m for item in found.noise] == pytest.approx([2.2, 9.0], rel=0.1)
-    assert [item.sigma_m for item in found.noise] == pytest.approx([0.005, 0.02], rel=0.06)
-    assert levels((2.2, 0.005), n=50).sigma_m is not None
-    assert levels((2.2, 0.005), n=49).noise == ()
-
-
-def test_deviations_of_a_decimetre_are_foliage() -> None:
-    assert flat(levels((20.0, 0.09))) == [True]
-    assert flat(levels((20.0, 0.115))) == [False]
-    assert flat(levels((10.0, 0.06), (20.0, 0.09))) == [True, True]
-    assert flat(levels((10.0, 0.06), (20.0, 0.12))) == [True, False]
-
-
-def test_noise_may_grow_with_the_range_and_twice_as_much() -> None:
-    assert flat(levels((2.2, 0.005), (4.4, 0.018))) == [True, True]
-    assert flat(levels((2.2, 0.005), (4.4, 0.022))) == [True, False]
-    # towards the scanner noise does not fall
-    assert flat(levels((2.2, 0.009), (4.4, 0.005))) == [True, True]
-    assert flat(levels((2.2, 0.011), (4.4, 0.005))) == [False, True]
-    # what is no flat surface is no measure for what lies behind it
-    assert flat(levels((2.2, 0.005), (4.4, 0.05), (8.8, 0.036))) == [True, False, True]
-    assert flat(levels((2.2, 0.005), (4.4, 0.05), (8.8, 0.045))) == [True, False, False]
-
-
-def test_rare_ranges_are_no_measure() -> None:
-    assert flat(levels((2.2, 0.01), (4.4, 0.001), n=(1000, 99))) == [True, True]
-    assert flat(levels((2.2, 0.01), (4.4, 0.001), n=(1000, 101))) == [False, True]
-
-
 def test_noise_is_fitted_to_the_flat_bins() -> None:
     found = levels(*((range_m, float(np.hypot(0.004, 0.001 * range_m))) for range_m in (2.2, 5.2, 12.4)))
     assert found.sigma_m == pytest.approx(0.004, rel=0.15)
@@ -453,40 +372,9 @@ def test_noise_is_fitted_to_the_flat_bins() -> None:
     assert (one.sigma_m, one.sigma_per_m) == (one.noise[0].sigma_m, 0.0)
 
 
-def test_grazing_stretches_are_left_out() -> None:
-    for ratio, n in ((1.28, 1), (1.32, 0)):
-        # a plane, under a steep angle
-        slanted = (1.0 + 1e-3 * (np.arange(9) % 2)) / np.linspace(1.0, 1 / ratio, 9)
-        assert len(measured(np.tile(slanted, (N, 1)).astype(np.float32)).noise) == n
-
-
 @pytest.mark.parametrize("power", [-4, -3, -2, -1, 0])
 @pytest.mark.parametrize("factor", [1, 2, 2.5, 5])
 def test_every_usual_rounding_is_found(factor: float, power: int) -> None:
     unit = factor * 10.0**power
     image = np.random.default_rng(7).uniform(3.0, 12.0, (40, 200))
     assert measured((np.round(image / unit) * unit).astype(np.float32)).rounding_m == pytest.approx(unit)
-
-
-@pytest.mark.parametrize(("n_wrong", "expected"), [(9, 0.01), (11, None)])
-def test_one_range_in_a_hundred_may_be_no_multiple(n_wrong: int, expected: float | None) -> None:
-    """Every 37th shot of a block is tested."""
-    image = np.random.default_rng(7).uniform(2.0, 12.0, (50, 740))
-    flat = (np.round(image / 0.01) * 0.01).ravel()
-    flat[: 37 * n_wrong : 37] += 0.00437
-    assert measured(flat.reshape(image.shape).astype(np.float32)).rounding_m == expected
-
-
-def test_differences_of_neighbours_are_their_median() -> None:
-    steps = np.where(np.arange(200) % 10 < 6, 0.1, 1.0)
-    along = 5.0 + np.cumsum(np.concatenate([[0.0], steps]))
-    image: F64 = np.tile(along, (101, 1)) + np.cumsum(np.where(np.arange(101) % 10 < 6, 0.03, 0.3))[:, None]
-    found = measured(image.astype(np.float32))
-    assert found.in_line_m == pytest.approx(0.1, rel=0.02)
-    assert found.across_lines_m == pytest.approx(0.03, rel=0.02)
-
-
-def test_quantiles_of_the_ranges() -> None:
-    image = np.linspace(10.0, 110.0, 20_000).reshape(100, 200)
-    found = measured(image.astype(np.float32)).range_quantiles_m
-    assert found == pytest.approx({"5%": 15.0, "25%": 35.0, "50%": 60.0, "75%": 85.0, "95%": 105.0}, rel=0.02)

@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import prc_cli
 from prc_cli import kernels
 from prc_cli.cli import main
 from prc_cli.config import load_config
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F32
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.classify import classify, classify_ranges
+from prc_cli.jobs.classify import classify
 from tests import patience
-from tests.street import angles, street, write_csv, write_npz, write_raw
+from tests.street import street, write_csv, write_npz, write_raw
 
 LINES = slice(50, 90)
 SIMULATED = {
@@ -90,26 +88,6 @@ def every_format(folder: Path) -> dict[str, Path]:
         made[suffix] = folder / f"made.{suffix}"
         assert prc("convert", made["npz"], made[suffix], "-q") == 0
     return made
-
-
-def test_fused_is_refused_before_anything_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = write_npz(tmp_path / "drive.npz", piece())
-    capsys.readouterr()
-    assert prc("classify", source, tmp_path / "out.npy", "--preset", "fused", "--engine", "reference") == 2
-    told = capsys.readouterr().err
-    assert told.startswith("error: engine: found reference, but fused is written as compiled loops alone")
-    assert "--preset urban, forest or street-scan" in told
-    assert told.count("\n") == 1
-    assert list(tmp_path.iterdir()) == [source]
-    with pytest.raises(ConfigError, match="fused"):
-        classify_ranges(piece(), load_config(preset="fused"), beam_rad=angles(), engine="reference")
-
-
-def test_an_unknown_engine_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="found 'quick', expected compiled or reference"):
-        classify_ranges(piece(), engine="quick")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="found 'quick'"):
-        prc_cli.classify(tmp_path / "a.npz", tmp_path / "b.npy", engine="quick")
 
 
 def test_without_numba_the_reference_classifies(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.batch.report import drift
-from prc_cli.jobs.calibrate import sensor
 from prc_cli.jobs.thin import _check_lines
 
 
@@ -77,52 +76,3 @@ def test_cells_that_would_move(given: dict[str, Any] | None, said: str | None) -
     else:
         with pytest.raises(ConfigError, match=f"the cells of shots follow from {said}, so that leaving"):
             _check_lines(Path("a.las"), opened)
-
-
-def test_noise_is_fitted_as_a_constant_and_a_part_that_grows() -> None:
-    def item(range_m: float, sigma_m: float, n: int, flat: bool = True) -> Any:
-        return sensor.NoiseBin(range_m, sigma_m, n, flat=flat)
-
-    a, b = 0.003, 0.0002
-    exact = tuple(item(r, math.hypot(a, b * r), n) for r, n in ((2.0, 5), (10.0, 90), (40.0, 7)))
-    assert sensor._fit_noise((*exact, item(5.0, 9.0, 999, flat=False))) == pytest.approx((a, b))
-    assert sensor._fit_noise(()) == sensor._fit_noise((item(5.0, 9.0, 9, flat=False),)) == (None, None)
-    assert sensor._fit_noise((item(5.0, 0.01, 9),)) == (0.01, 0.0)
-    # weighted by the root of the number of stretches, relative errors
-    one, other = item(3.0, 0.01, 400), item(3.0, 0.02, 100)
-    square = np.array([1e-4, 4e-4])
-    weight = np.array([20.0, 10.0]) / square
-    found = sensor._fit_noise((one, other))
-    assert found[0] is not None
-    assert found[1] is not None
-    assert found[0] ** 2 + 9 * found[1] ** 2 == pytest.approx((weight**2 * square).sum() / (weight**2).sum())
-
-
-def noise_counts(bins: dict[int, tuple[float, int]]) -> np.ndarray:
-    """Return counts by range bin: so many deviations of one size."""
-    counts = np.zeros((len(sensor._RANGE_EDGES) - 1, len(sensor._NOISE_EDGES) - 1), np.int64)
-    for place, (sigma_m, n) in bins.items():
-        counts[place, int(np.searchsorted(sensor._NOISE_EDGES, sigma_m)) - 1] = n
-    return counts
-
-
-@pytest.mark.parametrize(
-    ("bins", "flat"),
-    [
-        ({5: (0.005, 50)}, [True]), ({5: (0.005, 49)}, []), ({5: (0.09, 50)}, [True]), ({5: (0.12, 50)}, [False]),
-        ({}, []),
-        # from the flattest outwards, while noise grows at most twice as much as the range
-        ({5: (0.009, 500), 6: (0.005, 500), 7: (0.011, 500)}, [True, True, True]),
-        ({6: (0.005, 500), 7: (0.0135, 500), 8: (0.005, 500)}, [True, False, True]),
-        ({4: (0.0125, 500), 6: (0.005, 500)}, [False, True]),
-        # the flattest counts where it has a tenth of the most
-        ({5: (0.001, 50), 6: (0.02, 500)}, [True, False]), ({5: (0.001, 50), 6: (0.02, 501)}, [True, True]),
-    ],
-)  # fmt: skip
-def test_flat_bins_of_noise(bins: dict[int, tuple[float, int]], flat: list[bool]) -> None:
-    found = sensor._noise_bins(noise_counts(bins))
-    assert [one.flat for one in found] == flat
-    for one, (place, (sigma_m, n)) in zip(found, bins.items(), strict=False):
-        assert one.range_m == pytest.approx(math.sqrt(sensor._RANGE_EDGES[place] * sensor._RANGE_EDGES[place + 1]))
-        assert one.sigma_m == pytest.approx(sigma_m, rel=0.06)
-        assert one.n_stretches == n

@@ -11,16 +11,16 @@ from PIL import Image
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
-from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
 from prc_cli.jobs.render.colours import LABEL_TABLE, Vocabulary
 from prc_cli.jobs.render.options import FIGURE_1, choose_steps
-from prc_cli.jobs.render.scan import choose_part, draw_scan
+from prc_cli.jobs.render.scan import draw_scan
 from tests.simulated import static_arrays
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
 
 
 @pytest.fixture(scope="module")
@@ -95,51 +95,6 @@ def test_a_block_is_what_the_whole_run_made_of_it(drive: Path, tmp_path: Path) -
     assert np.array_equal(lines.strips[0][0].picture, classes.picture)
 
 
-def test_figure_1_is_the_papers_sequence(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
-    drawing = draw_scan(drive, urban, RenderOptions(figure1=True), tmp_path)
-    assert drawing.steps == (
-        *("range", "support", "background", "components", "segments", "surfaces", "segmentation", "classes"),
-    )
-    assert (drawing.part.first, drawing.part.stop) == (99, N_LINES)
-    support, background, components, segments, surfaces, segmentation, classes = (
-        panel.picture for panel in drawing.strips[0][1:]
-    )
-    noise = (classes == LABEL_COLOURS[Label.NOISE]).all(axis=2) | (classes == 255).all(axis=2)
-    assert np.array_equal((support == 0).all(axis=2), noise)  # what is not supported is noise or missing
-    assert not (background.any(axis=2) & ~support.any(axis=2)).any()
-    assert np.array_equal(components.any(axis=2), support.any(axis=2) & ~background.any(axis=2))  # before filling
-    assert (segments.any(axis=2) & background.any(axis=2)).any()  # holes are filled
-    assert surfaces.any()
-    assert np.array_equal(segmentation.any(axis=2), support.any(axis=2))  # H and V together are all of S
-
-
-def test_long_drives_are_folded_then_thinned_then_put_on_pages(urban: LoadedConfig, tmp_path: Path) -> None:
-    source = write_raw(tmp_path / "drive.bin", np.tile(street(), (12, 1)))
-    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
-    n = 12 * N_LINES
-    folded = draw_scan(source, config, RenderOptions(width=500), tmp_path)
-    assert (len(folded.strips), folded.thinned_by, folded.strips_per_page) == (4, (1, 1), 11)
-    starts = [strip[0].x.first for strip in folded.strips]
-    assert starts == [0, 411, 822, 1233]
-    joined = np.concatenate([strip[1].picture for strip in folded.strips], axis=1)
-    colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
-    labels = labels_of(source, config)
-    assert np.array_equal(joined.swapaxes(0, 1), colours[labels])
-    thinned = draw_scan(source, config, RenderOptions(width=300, height=700), tmp_path)
-    step = thinned.thinned_by[0]
-    assert step == -(-n // 300)
-    joined = np.concatenate([strip[1].picture for strip in thinned.strips], axis=1)
-    assert np.array_equal(joined.swapaxes(0, 1), colours[labels[::step]])
-    assert thinned.counts == folded.counts  # all lines are counted, thinned out or not
-    result = render(source, tmp_path / "pages.png", config, RenderOptions(width=300, height=700, pages=3))
-    assert [path.name for path in result.files] == ["pages.png", "pages_2.png", "pages_3.png"]
-    assert all(path.exists() for path in result.files)
-    with pytest.raises(OutputExistsError, match=r"pages_2\.png: exists already"):
-        (tmp_path / "pages.png").unlink()
-        render(source, tmp_path / "pages.png", config, RenderOptions(width=300, height=700, pages=3))
-    assert not (tmp_path / "pages.png").exists()
-
-
 def test_existing_labels_are_drawn_without_a_classifier(
     drive: Path, urban: LoadedConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,35 +131,6 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive: Path, urban
         assert any(text.startswith("not scored") for text, _ in panel.key)
     assert [text for text, _ in classes.key] == ["building 100.0 %"]
     assert not any("%" in text for text, _ in difference.key if not text.startswith("no return"))
-
-
-@pytest.mark.parametrize(
-    ("method", "options", "expected"),
-    [
-        ("prc", {"steps": ("coarse",)}, "--steps: found 'coarse', which is no step of prc; possible here: range, int"),
-        ("sequential-angle", {"steps": ("support",)}, "'support', which is no step of sequential-angle; possible here"),
-        ("prc", {"steps": ("supprot",)}, "found 'supprot', which is no step; possible here: range, intensity, support"),
-        ("prc", {"steps": ("difference",)}, "'difference' needs a reference, expected --reference FILE"),
-        ("prc", {"steps": ()}, "--steps: found none, expected at least one"),
-    ],
-)
-def test_unknown_steps(method: str, options: dict[str, tuple[str, ...]], expected: str) -> None:
-    with pytest.raises(ConfigError, match=expected):
-        choose_steps(method, RenderOptions(**options))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({"block": 2}, "--block: found 2, expected 0 to 1: 137 lines in blocks of 99"),
-        ({"block": -1}, "--block: found -1, expected 0 to 1"),
-        ({"lines": (137, 140)}, "--only-lines: found 137:140, expected A:B within 0:137 and A below B"),
-        ({"lines": (9, 9)}, "--only-lines: found 9:9"),
-    ],
-)
-def test_parts_that_are_not_there(drive: Path, options: dict[str, object], expected: str, urban: LoadedConfig) -> None:
-    with pytest.raises(ConfigError, match=expected):
-        choose_part(RenderOptions(**options), urban, open_stream(drive, urban))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -267,16 +193,6 @@ def write_cloud(path: Path, codes: U8) -> Path:
     las.classification, las.intensity = codes, rng.integers(0, 1000, n)
     las.write(path)
     return path
-
-
-@pytest.mark.parametrize("suffix", ["npz", "csv", "bin"])
-def test_no_cloud_without_coordinates(tmp_path: Path, suffix: str) -> None:
-    source = tmp_path / f"drive.{suffix}"
-    {"npz": write_npz, "csv": write_csv, "bin": write_raw}[suffix](source, street())
-    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
-    with pytest.raises(InputError, match="no coordinates for a cloud: .*; draw the scan .leave --view out.") as caught:
-        render(source, tmp_path / "a.png", config, RenderOptions(view="top"))
-    assert "sensor-xyz" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])

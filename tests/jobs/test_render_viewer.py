@@ -12,7 +12,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.coordinates import SPEED_M_S
 from prc_cli.jobs.render import RenderOptions
-from prc_cli.jobs.render.viewer import _steps, render_viewer
+from prc_cli.jobs.render.viewer import render_viewer
 from tests.browser import chromium
 from tests.imaging.test_viewer import decoded
 from tests.jobs.test_render import drive as drive
@@ -89,30 +89,6 @@ def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(static: tup
     assert np.array_equal(again["class"], planes["class"], equal_nan=True)
     assert np.allclose(again["height_above_ground"], planes["height_above_ground"], atol=0.002, equal_nan=True)
     assert np.array_equal(again["surface"], planes["surface"], equal_nan=True)
-
-
-def test_long_scans_are_thinned_and_the_page_says_so(drive: Path, tmp_path: Path) -> None:
-    result = render_viewer(drive, tmp_path / "a.html", load_config(preset="urban"), RenderOptions(shots=5_000))
-    about, planes = decoded(read(tmp_path / "a.html"))
-    lines, columns = result.thinned_by
-    assert planes["class"].size <= 5_000
-    assert (about["lines"]["step"], about["columns"]["step"]) == (lines, columns) != (1, 1)
-    assert f"{planes['class'].size:,} of {N_LINES * POINTS_PER_LINE:,} shots" in result.notes[-1]
-    assert np.allclose(planes["range"], street()[::lines, ::columns], atol=0.001, equal_nan=True)
-    assert result.notes[-1] in read(tmp_path / "a.html")
-    for n, m, most in ((1, 1, 1000), (3, 700_000, 1000), (700_000, 3, 1000), (100_000, 2154, 1_500_000)):
-        step = _steps(n, m, most)
-        assert -(-n // step[0]) * -(-m // step[1]) <= most
-
-
-def test_the_command_that_tells_why_reads_the_input_as_the_page_did(tmp_path: Path) -> None:
-    source = tmp_path / "drive.bin"
-    street().tofile(source)
-    given = {"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"support": {"zeta_p": 0.1}}}
-    render_viewer(source, tmp_path / "a.html", load_config(preset="urban", options=given))
-    why = decoded(read(tmp_path / "a.html"))[0]["why"]
-    told = f"--set prc.support.zeta_p=0.1 --set input.points_per_line={POINTS_PER_LINE}"
-    assert why == f"prc explain drive.bin --preset urban {told} --at"
 
 
 def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) -> None:

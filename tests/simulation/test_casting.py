@@ -85,13 +85,6 @@ def test_moving_body_is_where_it_is_when_the_shot_is_fired() -> None:
     assert np.isfinite(still.t).any()
 
 
-def test_of_two_surfaces_at_one_place_the_first_body_is_met() -> None:
-    wall = (Shape.BOX, [10, 0, 0, 1, 3, 3, 0])
-    bodies = world(wall, FLOOR, wall, FLOOR)
-    hits = cast(bodies, *profile(3))
-    assert set(np.unique(hits.body)) <= {-1, 0, 1}
-
-
 @pytest.mark.parametrize("slant_rad", [0.0, 0.6])
 @pytest.mark.parametrize("roll_rad", [0.0, 0.03, -0.03])
 def test_no_shot_leaves_a_closed_room(slant_rad: float, roll_rad: float) -> None:

@@ -77,18 +77,6 @@ def test_noise_grows_with_range_incidence_and_darkness(t: float, facing: float, 
     assert abs(found.mean()) < 4 * expected / np.sqrt(found.size)
 
 
-def test_half_of_the_shots_on_white_are_answered_at_the_half_range() -> None:
-    scanner = CW.changed(half_range_m=100.0)
-    for material, facing in ((Material.SIGN, 1.0), (Material.WALL, 0.5), (Material.TYRE, 0.7)):
-        half = 100.0 * np.sqrt(PROPERTIES[material].reflectance * facing / 0.9)
-        share = [
-            np.isfinite(scan(hits(t, facing=facing), world(material), scanner, 0, SEED).range_m).mean()
-            for t in (0.5 * half, half, 1.5 * half)
-        ]
-        expected = [s**4 / (s**4 + 1) for s in (4.0, 1.0, 1 / 2.25)]
-        assert share == pytest.approx(expected, abs=0.01)
-
-
 def step(scanner: Scanner, far: float = 30.0) -> Measured:
     """Between a post at 20 m in columns 40 to 59, and a wall."""
     column = np.arange(100)
@@ -157,16 +145,6 @@ def test_ranges_beyond_the_ambiguity_interval_come_back_wrapped() -> None:
     assert (found.label == Label.NOISE).all()
 
 
-def test_ranges_are_multiples_of_the_resolution_within_the_limits() -> None:
-    scanner = SCANNERS["sick-push-broom"].changed(points_per_line=100, min_range_m=2.0, max_range_m=4.0)
-    t = np.linspace(1.0, 5.0, 100)
-    found = scan(hits(t), world(Material.WALL), scanner, 0, SEED)
-    given = found.range_m[np.isfinite(found.range_m)].astype(np.float64)
-    np.testing.assert_allclose(given * 100, np.rint(given * 100), atol=1e-4)
-    assert 2.0 - 1e-6 <= given.min() < 2.05
-    assert 3.95 < given.max() <= 4.0 + 1e-6
-
-
 def behind_of(seen: Hits, bodies: Bodies, scanner: Scanner, t: float, body: int) -> tuple[Hits, Any]:
     asked = goes_behind(seen, bodies, scanner, 0, SEED)
     return Hits(np.where(asked, t, np.inf), np.where(asked, body, -1).astype(np.int32), seen.facing), asked
@@ -187,17 +165,6 @@ def test_glass_answers_mirrors_or_lets_through() -> None:
     without = scan(seen, bodies, scanner, 0, SEED)
     assert np.isnan(without.range_m[asked]).all()
     np.testing.assert_array_equal(without.range_m[~asked], found.range_m[~asked])
-
-
-def test_beams_pass_by_leaves_where_there_are_several_returns() -> None:
-    bodies, seen = world(Material.LEAVES, Material.WALL), hits(10.0)
-    behind, asked = behind_of(seen, bodies, PULSED, 12.0, 1)
-    found = scan(seen, bodies, PULSED, 0, SEED, behind)
-    assert asked.mean() == pytest.approx(PULSED.leaves_share, abs=0.01)
-    assert len(found.extra_line) == asked.sum()
-    np.testing.assert_allclose(found.extra_range_m, 12.0, atol=0.05)
-    assert (found.label == Label.VEGETATION).all()
-    assert not goes_behind(seen, bodies, PULSED.changed(max_returns=1), 0, SEED).any()
 
 
 def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits, Bodies]:

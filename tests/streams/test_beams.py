@@ -108,21 +108,6 @@ def test_angles_that_do_not_turn_one_way_are_refused() -> None:
         from_angles(np.deg2rad(np.arange(0.0, 800.0, 2.0)), 0.0)
 
 
-def test_heights_of_a_plane_that_leans_over_are_true() -> None:
-    true, lean = GEOMETRIES["half circle"], np.deg2rad(45.0)
-    block = lines(true, noise_m=0.0, tilt_deg=45.0)
-    assert block.xyz_m is not None
-    registered = replace(block, xyz_m=block.xyz_m + np.array([400.0, 90.0, 250.0], np.float32), angle_rad=true + 1.0)
-    found = with_beams(stream(registered), AUTO)
-    assert "the scan plane leans over by 45.0 deg" in found.info.assumptions[-1].value
-    (placed,) = found.blocks()
-    assert placed.xyz_m is not None
-    length = np.linalg.norm(placed.xyz_m.astype(np.float64), axis=-1)
-    np.testing.assert_allclose(length, block.range_m, rtol=1e-6)
-    np.testing.assert_allclose(placed.xyz_m[..., 2], block.range_m * -np.cos(true) * np.cos(lean), atol=2e-3)
-    np.testing.assert_allclose(placed.xyz_m[..., 2], block.xyz_m[..., 2], atol=2e-3)
-
-
 def test_horizontal_lines_are_refused() -> None:
     angle = np.deg2rad(np.arange(360.0))
     flat = 9.0 * np.stack([np.cos(angle), np.sin(angle), 0.1 * np.sin(angle)], axis=-1)
@@ -247,15 +232,6 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
     assert [a.key for a in found.info.assumptions if "nadir" in a.key] == [
         "input.nadir of point_source_id 3", "input.nadir of point_source_id 8",
     ]  # fmt: skip
-
-
-def test_sensor_coordinates_of_records() -> None:
-    _, records = scene()
-    del records["range"], records["angle"]
-    found = with_beams(open_records(records, range="sensor-xyz", points_per_line=M), AUTO)
-    for block in found.blocks():
-        assert block.beam_rad is not None
-        assert worst_deg(block.beam_rad, np.arange(M) * 2 * np.pi / M) < 1e-3
 
 
 def hostile(rng: np.random.Generator) -> ScanBlock:

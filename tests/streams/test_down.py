@@ -16,7 +16,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
-from prc_cli.jobs.classify import classify, classify_ranges, open_stream
+from prc_cli.jobs.classify import classify, classify_ranges
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.directions import fit_beams
 from prc_cli.streams.down import (
@@ -295,14 +295,6 @@ def test_two_planes_that_are_as_good_are_no_guess() -> None:
     assert "--set input.nadir=90" in refused.value.hint
 
 
-def test_what_tells_nothing_gives_nothing() -> None:
-    rng = np.random.default_rng(1)
-    ranges, _ = street_lines(20)
-    assert guess_down(BEAM, ranges[:2]) is None
-    assert guess_down(BEAM, np.full_like(ranges, np.nan)) is None
-    assert guess_down(BEAM, rng.uniform(1, 60, (1, len(BEAM))).repeat(20, axis=0).astype(np.float32)) is None
-
-
 @dataclass(frozen=True)
 class Lines:
     """A stream of one block."""
@@ -331,13 +323,6 @@ def test_beams_come_from_the_ground_where_nothing_else_tells() -> None:
     assert "guessed from level ground" in said[0].value
     (note,) = directed.info.facts.notes
     assert note.startswith("straight down is taken to be at scan angle 5")
-
-
-@pytest.mark.parametrize("preset", ["fused", "fused-forest"])
-def test_the_refusal_asks_for_what_is_enough(tmp_path: Path, preset: str) -> None:
-    np.save(tmp_path / "drive.npy", np.random.default_rng(1).uniform(1, 60, (20, 500)).astype(np.float32))
-    with pytest.raises(InputError, match=r"give scan angles \(.*and input\.nadir if known"):
-        open_stream(tmp_path / "drive.npy", load_config(preset=preset))
 
 
 def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:
@@ -455,14 +440,3 @@ def test_the_guess_equals_one_by_one(seed: int, few: int) -> None:
     for one in ("down_rad", "depth_m", "ratio", "rival_rad"):
         value = getattr(expected, one)
         assert getattr(found, one) == (value if value is None else pytest.approx(value, abs=1e-8)), one
-
-
-@pytest.mark.parametrize("distance_m", [0.17, 8.0, 39.9, 40.3])
-def test_planes_up_to_40_m_away_count(distance_m: float) -> None:
-    beam = np.deg2rad(np.arange(-30.0, 30.0, 0.5))
-    found = guess_down(beam, np.tile(distance_m / np.cos(beam), (5, 1)).astype(np.float32))
-    if distance_m > 40:
-        assert found is None or found.depth_m > 40.5 or abs(found.down_rad) > 0.05
-    else:
-        assert found is not None
-        assert found.depth_m == pytest.approx(distance_m, rel=1e-3)

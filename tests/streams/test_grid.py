@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
-from prc_cli.streams import grid, lines, rules, setup
+from prc_cli.streams import grid, lines
 from prc_cli.streams.grid import open_grid
 from tests.streams.record_lists import (
     LINE_HZ,
@@ -304,16 +303,6 @@ def test_the_first_defect_is_the_reason_however_the_input_is_chunked() -> None:
             read(open_records(gap_first, chunk_records, points_per_line=1000))
 
 
-def test_a_recorded_m_is_believed_within_reason() -> None:
-    for options in ({}, {"scanner": "user_data"}):
-        source = MemorySource({**dict.fromkeys(("range", "scan_line", "column", "user_data"), np.ones(4))})
-        source.facts = SourceFacts(points_per_line=1_004_001)
-        with pytest.raises(InputError, match="lines of 1004001 columns for 4 records, expected at most 1004000; .*-M"):
-            open_grid(source, InputConfig(**options))
-        source.facts = SourceFacts(points_per_line=1_004_000)
-        assert open_grid(source, InputConfig(**options)).info.points_per_line == 1_004_000
-
-
 SEVERAL = "scanner_channel"
 
 
@@ -352,25 +341,6 @@ def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_rec
     )
     shown = {item.key: item.value for item in stream.info.assumptions}["input.points_per_line"]
     assert shown == "scanner 1: 13, scanner 2: 10, scanner 3: 8"
-
-
-def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(setup, "PROBE_RECORDS", 50)
-    up = np.tile(np.arange(10) / 10, 20)
-    angle = np.concatenate([up, -up])
-    records = {"range": np.ones(400), "angle": angle, "point_source_id": np.repeat([1, 2], 200)}
-    stream = open_records(records, 30, lines="angle-wrap", columns="angle", scanner="point_source_id")
-    for scanner in (1, 2):
-        assert read(stream, scanner).range_m.shape == (20, 10)
-        assert not np.isnan(read(stream, scanner).range_m).any()
-
-
-def test_lines_are_found_by_the_sweeps_of_the_scan_angle_where_nothing_else_tells() -> None:
-    _, records = scene()
-    found = open_records(only(records, "range", "angle"))
-    told = open_records(only(records, "range", "angle"), lines="angle-wrap")
-    assert found.info.n_lines == told.info.n_lines
-    assert next(item.value for item in found.info.assumptions if item.key == "input.lines") == "angle-wrap"
 
 
 @pytest.mark.parametrize("names", [("range", "angle"), ("range", "angle", "scan_line"), ("range", "angle", "time")])
@@ -420,34 +390,6 @@ def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
     sorted_ = read(open_records(records, 999, order="sort-time", **options))
     assert sorted_.range_m.shape == (6000, 20)  # 120 s
     assert np.isnan(sorted_.range_m).sum() == 6000 * 20 - 2 * n
-
-
-@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
-def test_records_swapped_at_the_border_of_lines_are_not_lost(chunk_records: int) -> None:
-    image, records = scene()
-    order = np.arange(len(records["range"]))
-    border = np.flatnonzero(np.diff(records["scan_line"]))[5]
-    order[[border, border + 1]] = border + 1, border
-    swapped = {name: value[order] for name, value in records.items()}
-    by_time: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}", "order": "trust"}
-    for names, options in ((("range", "scan_line", "column"), {}), (("range", "time"), by_time)):
-        whole = read(open_records(only(swapped, *names), chunk_records, **options))
-        assert np.array_equal(whole.range_m, image, equal_nan=True)
-        assert whole.tally.n_unplaced == 0
-
-
-@pytest.mark.parametrize("split", [False, True])
-def test_the_first_records_do_not_depend_on_chunks(split: bool) -> None:
-    records = {"range": np.ones(90), "angle": np.arange(90.0), "user_data": np.arange(90) % 3}
-    config = InputConfig(points_per_line=9, scanner="user_data" if split else "none")
-    found = []
-    for chunk_records in (1, 7, 50, 1000):
-        source = MemorySource(records, chunk_records)
-        resolved = rules.resolve_rules(source, config)
-        parts = lines.first_records(source, resolved.scanner, ("angle", *resolved.names), 40, to_end=False)
-        found.append({scanner: table["angle"].tolist() for scanner, table in parts.items()})
-        assert sum(len(angles) for angles in found[-1].values()) == 40
-    assert all(one == found[0] for one in found)
 
 
 def test_sorting_by_time_restores_the_scene() -> None:
@@ -509,83 +451,3 @@ def test_decimal_times_begin_their_lines(rule: str, decimals: int, sparse: bool)
         whole = read(stream)
         assert whole.range_m.shape == (240, 120)
         assert np.array_equal(whole.record[line, column], np.arange(len(line)))
-
-
-@pytest.mark.parametrize("fill", [1.0, 0.3])
-@pytest.mark.parametrize("options", [{}, {"points_per_line": 120}])
-def test_columns_place_their_lines_even_if_the_first_is_missing(fill: float, options: dict[str, Any]) -> None:
-    """Times rounded to a millisecond, six shots; columns that fill a part of the period only."""
-    line, column = np.divmod(np.arange(240 * 120), 120)
-    keep = np.random.default_rng(1).random(len(line)) < 0.5
-    keep[:77] = False
-    line, column = line[keep], column[keep]
-    time_s = np.round(100 + line / 48 + fill * column / (48 * 120), 3)
-    records = {"range": np.ones(len(line)), "time": time_s, "column": column}
-    whole = read(open_records(records, lines="time:48", **options))
-    assert whole.range_m.shape == (240, 120)
-    assert np.array_equal(whole.record[line, column], np.arange(len(line)))
-
-
-@pytest.mark.data
-class TestRealScans:
-    """What is measured on the real files; see the README of the data folder."""
-
-    def test_profiler_cells_from_quantised_times(self, real_data: Path) -> None:
-        from prc_cli.formats.las.read import LasSource
-
-        with np.load(real_data / "profiler/jakarto_0.02s_recovered.npz") as recovered:
-            line, column = recovered["line"].astype(int), recovered["column"].astype(int)
-        m, period = 5099, 5.0161e-3
-        source = LasSource(real_data / "profiler/jakarto_0.02s.las")
-        first = next(iter(source.chunks(("time",)))).values["time"][0]
-        config = InputConfig(
-            lines=f"time:{1 / period!r}",
-            columns=f"time:{m / period!r}",
-            range="sensor-xyz",
-            time_origin=float(first + 2 * period / m),
-        )
-        whole = read(open_grid(source, config))
-        assert whole.range_m.shape == (4, m)
-        assert whole.tally.n_collisions == 0
-        assert whole.tally.n_unplaced <= 4
-        cells = np.argwhere(whole.record >= 0)
-        record = whole.record[whole.record >= 0]
-        away = (cells[:, 0] - line[record]) * m + cells[:, 1] - column[record]
-        assert np.mean(cells[:, 0] == line[record]) > 0.999
-        assert np.mean(away == 0) > 0.93
-        assert np.mean(np.abs(away) <= 1) > 0.95
-        assert np.mean(np.abs(away) <= 5) > 0.98
-
-    def test_airborne_lines_follow_the_clock_of_the_mirror(self, real_data: Path) -> None:
-        from prc_cli.formats.las.read import LasSource
-
-        source = LasSource(real_data / "las/als_strip_labelled.laz")
-        # three pieces of the flight, one after the other but not in the order of time
-        config = InputConfig(lines="angle-wrap", range="origin:0,0,3000", order="trust")
-        stream = open_grid(source, config)
-        begins: list[float] = []
-        for block in stream.blocks():
-            assert block.time_s is not None
-            begins.extend(block.time_s[:, 0].tolist())
-        # 150 lines a second from record 661 on, where the last piece of the flight begins
-        assert stream.info.n_lines == 911
-        steps = np.diff(begins[4:]) * 150
-        assert np.mean(np.abs(steps - 1) < 0.1) > 0.99
-
-    @pytest.mark.parametrize("number", [1, 2, 3])
-    def test_push_broom_by_every_rule(self, real_data: Path, number: int) -> None:
-        from prc_cli.formats.text.read import TextSource
-
-        source = TextSource(real_data / f"oakland/oakland_{number}.csv.gz")
-        named = read(open_grid(source, InputConfig()))
-        for options in ({"columns": "angle"}, {"lines": "angle-wrap", "columns": "angle"}, {"columns": "order"}):
-            other = read(open_grid(source, InputConfig(**options)))
-            assert np.array_equal(named.range_m, other.range_m, equal_nan=True)
-            assert np.array_equal(named.record, other.record)
-
-
-@pytest.mark.parametrize("names", [("range", "angle"), ("range", "angle", "time"), ("range", "scan_line", "angle")])
-def test_rules_read_the_first_shots_once_for_all_questions(names: tuple[str, ...]) -> None:
-    source = MemorySource(only(scene()[1], *names))
-    assert rules.resolve_rules(source, InputConfig(order="trust")).columns == "angle"
-    assert len(source.reads) == 1

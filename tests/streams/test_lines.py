@@ -9,13 +9,10 @@ import pytest
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.streams.angles import WrapState, column_angles, find_angle_grid, find_sweep, lines_by_wrap
+from prc_cli.streams.angles import WrapState, find_angle_grid, find_sweep, lines_by_wrap
 from prc_cli.streams.columns import (
-    NO_COLUMN,
-    AngleGrid,
     StampState,
     columns_by_angle,
-    columns_by_dimension,
     columns_by_time,
     spread_stamps,
 )
@@ -96,12 +93,6 @@ def test_time_of_a_line_that_rounding_puts_just_before_it() -> None:
         assert np.array_equal(lines_by_time(times, 48.0, half_shot, start, LineState())[0], line)
 
 
-def test_time_of_absurd_size_is_a_gap() -> None:
-    line, known, state = lines_by_time(np.array([0.0, 1e300]), 50.0, 0.0, None, LineState())
-    with pytest.raises(InputError, match="lines are missing before record 1, expected at most 5; .*max_gap_lines"):
-        admit_lines(line, known, np.arange(2), state, RULE)
-
-
 def test_lines_may_go_back_by_the_slack_alone() -> None:
     assert admit([0, 1, 0, 2, 1, 7, 6]) == [True] * 7
     with pytest.raises(OrderError) as caught:
@@ -115,12 +106,6 @@ def test_lines_may_go_back_by_the_slack_alone() -> None:
         admit([4], state=LineState(top=9))
 
 
-def test_trusted_lines_that_come_late_are_left_out() -> None:
-    trusted = LineRules(WHERE, max_gap_lines=5, refuse_back=False, slack=1)
-    assert admit([0, 1, 2, 0, 3, -1, 2], trusted) == [True, True, True, False, True, False, True]
-    assert admit([0, -1], trusted) == [True, False]
-
-
 NAN_COLUMNS, INF = np.nan, np.inf
 
 
@@ -130,19 +115,6 @@ def scanner(n_lines: int, m: int, start: float, step: float, missing: float, see
     line, column = np.divmod(np.arange(n_lines * m), m)
     keep = rng.random(len(line)) >= missing
     return (start + step * column)[keep], line[keep], column[keep]
-
-
-def test_dimension_takes_whole_numbers_from_zero() -> None:
-    given = np.array([0, 3, 2.5, NAN_COLUMNS, INF, -INF, -1, 1e300, 9_999_999, 1e7])
-    n = NO_COLUMN
-    assert columns_by_dimension(given).tolist() == [0, 3, n, n, n, n, n, n, 9_999_999, n]
-    assert columns_by_dimension(np.array([65_535], np.uint16)).tolist() == [65_535]
-
-
-def test_angles_are_equal_modulo_a_turn() -> None:
-    grid = AngleGrid(math.radians(-90), math.radians(1), 360, whole_turn=True)
-    degrees = np.array([-90, 270, -450, -90.4, 269.4, 0, 180, NAN_COLUMNS, INF])
-    assert columns_by_angle(np.deg2rad(degrees), grid).tolist() == [0, 0, 0, 0, 359, 90, 270, NO_COLUMN, NO_COLUMN]
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 1000])
@@ -186,12 +158,6 @@ def test_stamps_of_their_own_may_collide() -> None:
     assert columns_by_time(spread, stamp, ordinal, np.zeros(4, np.int64), 10.0, np.zeros(4)).tolist() == [0, 1, 5, 5]
 
 
-def test_a_time_that_goes_back_is_not_pushed_ahead() -> None:
-    stamp = np.array([0.5, 0.5, 0.2, 0.2])
-    spread, ordinal, _ = spread_stamps(stamp, 10.0, StampState())
-    assert columns_by_time(spread, stamp, ordinal, np.zeros(4, np.int64), 10.0, np.zeros(4)).tolist() == [5, 6, 2, 3]
-
-
 @pytest.mark.parametrize("missing", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize(
     ("m", "start", "step"),
@@ -205,16 +171,6 @@ def test_estimated_angles(m: int, start: float, step: float, missing: float) -> 
     assert grid.n_columns == m
     assert np.array_equal(columns_by_angle(angle, grid), column)
     np.testing.assert_allclose(grid.angles(m), math.radians(start) + math.radians(step) * np.arange(m), atol=1e-6)
-
-
-def test_column_angles() -> None:
-    angle, _, column = scanner(9, 90, math.radians(170), math.radians(4), 0.5)
-    wrapped = np.remainder(angle + math.pi, 2 * math.pi) - math.pi
-    unseen = ~np.isin(column, [0, 1, 40, 89])
-    found = column_angles(wrapped[unseen], column[unseen], 90)
-    assert found is not None
-    np.testing.assert_allclose(np.diff(found), math.radians(4))
-    assert math.cos(found[0] - math.radians(170)) == pytest.approx(1.0)
 
 
 HZ, M = 48.0, 120

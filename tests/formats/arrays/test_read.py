@@ -102,21 +102,6 @@ def test_rows_that_are_rings_are_exchanged(tmp_path: Path, chunk: int, given: st
         np.testing.assert_array_equal(block.xyz_m, arrays["xyz"].transpose(1, 0, 2).astype(np.float32))
 
 
-@pytest.mark.parametrize("chunk", [1, 6, 1 << 19])
-@pytest.mark.parametrize("n", [12, 13, 2])
-def test_ranges_in_a_row(tmp_path: Path, chunk: int, n: int) -> None:
-    given = np.arange(1, n + 1, dtype=np.float32)
-    stream = ArrayStream(save(tmp_path, given), config(points_per_line=4, partial_line="pad"), chunk)
-    n_lines = -(-n // 4)
-    assert (stream.info.n_lines, stream.info.n_records) == (n_lines, n)
-    block = whole(stream)
-    np.testing.assert_array_equal(block.range_m.ravel()[:n], given)
-    assert np.isnan(block.range_m.ravel()[n:]).all()
-    padding = [-1] * (4 * n_lines - n)
-    np.testing.assert_array_equal(block.records().ravel(), [*range(n), *padding])
-    assert [a.key for a in stream.info.assumptions].count("input.partial_line") == bool(padding)
-
-
 @pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize("chunk", [1, 11, 1 << 19])
 @pytest.mark.parametrize("angles", ["angle_deg", "zenith_deg"])
@@ -147,24 +132,6 @@ def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk:
     np.testing.assert_array_equal(block.xyz_m, np.where(gone, np.nan, xyz.clip(-9, 9)).astype(np.float32))
     assert block.intensity is not None
     np.testing.assert_array_equal(block.intensity, intensity.astype(np.float32))
-
-
-def test_angles_from_the_configuration(tmp_path: Path) -> None:
-    path = save_npz(tmp_path, range_m=image(), angle_deg=np.zeros(5))
-    stream = ArrayStream(path, config(angle_start=10, angle_step=-2))
-    assert stream.info.angle_rad is not None
-    np.testing.assert_allclose(np.rad2deg(stream.info.angle_rad), [10, 8, 6, 4, 2])
-    assert any(a.value == "not read: angle_deg" for a in stream.info.assumptions)
-    with pytest.raises(ConfigError, match="input.angle_start: not given, expected angle_start and angle_step together"):
-        ArrayStream(path, config(angle_step=1))
-
-
-@pytest.mark.parametrize("times", [[1e300, -1.7e308, 1.7e308], [0.0, 5e-324, 1e-323], [-1.7e308, 1.7e308, 1e300]])
-def test_times_as_large_or_close_as_floats_can_be(tmp_path: Path, times: list[float]) -> None:
-    path = save_npz(tmp_path, range_m=image(3), time_s=np.array(times))
-    stream = ArrayStream(path, config(order="trust"))
-    assert stream.info.line_hz is None or 0 < stream.info.line_hz < np.inf
-    np.testing.assert_array_equal(whole(stream).time_s[:, 0], times)  # type: ignore[index]
 
 
 @pytest.mark.parametrize(
@@ -302,15 +269,6 @@ def test_an_archive_whose_member_does_not_hold_what_its_header_says(tmp_path: Pa
         with zipfile.ZipFile(tmp_path / "scan.npz", "w") as archive:
             archive.writestr("range_m.npy", change)
         assert found in refused(tmp_path / "scan.npz")
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_compression_that_numpy_does_not_write(tmp_path: Path, method: int) -> None:
-    content = io.BytesIO()
-    np.save(content, image())
-    with zipfile.ZipFile(tmp_path / "scan.npz", "w", method) as archive:
-        archive.writestr("range_m.npy", content.getvalue())
-    assert "range_m: found compression method" in refused(tmp_path / "scan.npz")
 
 
 @pytest.mark.data

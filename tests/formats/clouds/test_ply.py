@@ -169,28 +169,6 @@ def test_the_profiler_of_ign(real_data: Path, number: int) -> None:
     assert block.tally.n_collisions < 0.003 * n_shots
 
 
-@pytest.mark.data
-def test_a_frame_in_raw_column_order(real_data: Path) -> None:
-    """64 shots a column, beams turned against each other: lines of one azimuth, all returns in a cell of their own."""
-    plyfile = pytest.importorskip("plyfile")
-    path = real_data / "ouster" / "rellis_frame000104.ply"
-    row = plyfile.PlyData.read(str(path))["vertex"].data
-    block = join(list(open_input(path, InputConfig()).blocks()))
-    assert block.range_m.shape == (2048, 64)
-    record = np.asarray(block.record)
-    there = record >= 0
-    assert block.tally.n_collisions == block.tally.n_unplaced == 0
-    assert there.sum() == np.count_nonzero(row["range"]) == 77_708
-    np.testing.assert_allclose(block.range_m[there], row["range"][record[there]] / 1000, atol=2e-3)
-    # every column is one ring, from the lowest
-    for column in range(0, 64, 9):
-        rings = row["ring"][record[:, column][there[:, column]]]
-        assert len(np.unique(rings)) <= 1
-    azimuth = np.arctan2(row["y"], row["x"])[record]
-    width = np.array([np.ptp(np.unwrap(np.sort(azimuth[k][there[k]]))) for k in range(2, 2046) if there[k].sum() > 4])
-    assert np.median(width) < np.deg2rad(0.5)
-
-
 DATA = ("ascii", "binary", "binary_compressed")
 N_LINES, M = 13, 40
 
@@ -300,21 +278,6 @@ def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suff
     np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), np.load(drive / "s.npy").ravel())
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_classes_of_another_format(drive: Path, tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"c.{suffix}"
-    assert run(["classify", str(drive / "s.npz"), str(path), "--preset", "urban", "-q"]) in (0, 4)
-    source = open_source(path)
-    assert source is not None
-    (chunk,) = source.chunks(("class", "scan_line", "column", "range"))
-    labels = np.load(drive / "s.npy").reshape(40, -1)
-    image = join(list(open_input(drive / "s.npz", InputConfig()).blocks())).range_m
-    line, column = chunk.values["scan_line"].astype(int), chunk.values["column"].astype(int)
-    np.testing.assert_array_equal(chunk.values["class"], labels[line, column])
-    np.testing.assert_array_equal(chunk.values["range"], image[line, column])
-    assert chunk.n == np.isfinite(image).sum()
-
-
 @pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_cloud_keeps_its_properties(drive: Path, tmp_path: Path, form: str, suffix: str) -> None:
@@ -340,17 +303,3 @@ def test_a_cloud_keeps_its_properties(drive: Path, tmp_path: Path, form: str, su
     assert run(["classify", str(out), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (0, 4)
     np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), vertex["vertex"]["class"])
     assert n_lines == 40
-
-
-@pytest.mark.data
-def test_the_labels_of_a_profiler_and_a_frame(real_data: Path, tmp_path: Path) -> None:
-    """Every row has its class, copies of returns too; the file written is classified as the first one was."""
-    for name in ("riegl/sample_riegl_18_02.ply", "ouster/rellis_frame000104.ply"):
-        out, again = tmp_path / "o.ply", tmp_path / "a.pcd"
-        for source, target in ((real_data / name, out), (out, again)):
-            told = ["classify", str(source), str(target), "--preset", "urban", "-q", "--overwrite"]
-            assert run(told) in (0, 4)
-        (first,), (second,) = (open_source(one).chunks(("class", "scan_line")) for one in (out, again))  # type: ignore[union-attr]
-        np.testing.assert_array_equal(first.values["class"], second.values["class"])
-        np.testing.assert_array_equal(first.values["scan_line"], second.values["scan_line"])
-        assert np.mean(first.values["class"] > 0) > 0.55

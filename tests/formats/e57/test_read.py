@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +25,8 @@ from tests.formats.organised_files import (
     e57_fields,
     grid_points,
     reordered,
-    replace_xml,
     turn_x,
-    with_checksums,
     write_e57,
-    xml_section,
 )
 from tests.formats.test_ptx import equal, expected, scans_of
 
@@ -126,21 +122,6 @@ def test_several_scans_with_their_own_sizes_poses_and_offsets(tmp_path: Path) ->
     assert stream.info.points_per_line == 11
 
 
-def test_bounds_of_the_header_add_missing_cells_if_they_fit(tmp_path: Path) -> None:
-    points = grid_points(5, 4, missing=0)
-    ranges = expected(points)[0]
-    path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(points, 2, 1), bounds=(0, 7, 0, 6))])
-    (block,) = scans_of(E57Stream(path, AUTO))
-    assert block.range_m.shape == (7, 8)
-    assert equal(block.range_m[1:6, 2:6], ranges)
-    assert np.isfinite(block.range_m).sum() == 20
-    for wrong in ((0, 3, 0, 4), (0, 2**60, 0, 7), (0, 9_000_000, 0, 9_000_000), (9, 3, 9, 2)):
-        stream = E57Stream(write_e57(tmp_path / "b.e57", [Scan(e57_fields(points, 2, 1), bounds=wrong)]), AUTO)
-        (block,) = scans_of(stream)
-        assert equal(block.range_m, ranges)
-        assert "index bounds do not fit" in stream.info.facts.notes[0]
-
-
 def test_points_marked_invalid_at_the_origin_or_not_finite_are_missing(tmp_path: Path) -> None:
     points = grid_points(2, 5, missing=0)
     fields = e57_fields(points)
@@ -156,24 +137,6 @@ def test_points_marked_invalid_at_the_origin_or_not_finite_are_missing(tmp_path:
     assert np.isnan(block.xyz_m.reshape(-1, 3)[1:7]).all()
     assert block.records().ravel().tolist() == list(range(10))
     assert block.tally.n_not_finite == 2
-
-
-def test_spherical_points(tmp_path: Path) -> None:
-    points = grid_points(6, 5)
-    fields = e57_fields(points)
-    x, y, z = (fields.pop(name) for name in ("cartesianX", "cartesianY", "cartesianZ"))
-    fields["sphericalRange"] = np.sqrt(x**2 + y**2 + z**2)
-    fields["sphericalAzimuth"] = np.arctan2(y, x)
-    fields["sphericalElevation"] = np.arctan2(z, np.hypot(x, y))
-    fields["sphericalInvalidState"] = (np.arange(len(x)) == 2).astype(int)
-    fields["sphericalAzimuth"][4] = np.nan
-    (block,) = scans_of(E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), AUTO))
-    ranges, xyz = expected(points)
-    for lost in (2, 4):
-        ranges[fields["columnIndex"][lost], fields["rowIndex"][lost]] = np.nan
-    assert equal(block.range_m, ranges)
-    xyz[np.isnan(ranges)] = np.nan
-    np.testing.assert_allclose(block.xyz_m, xyz, atol=1e-5)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("rule", "chosen"), [("first", 1), ("last", 2), ("strongest", 0)])
@@ -229,61 +192,6 @@ def test_scans_that_are_no_images_are_refused(tmp_path: Path, scan: Scan, parts:
     message = refused(write_e57(tmp_path / "a.e57", [scan]))
     for part in parts:
         assert part in message
-
-
-@pytest.fixture(scope="module")
-def raw(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """A file of two scans, one in order and one not."""
-    first, second = e57_fields(grid_points(9, 7)), e57_fields(grid_points(20, 15, 2), 5, 7)
-    first["cartesianInvalidState"] = np.zeros(len(first["rowIndex"]), int)
-    mixed = np.random.default_rng(0).permutation(len(second["rowIndex"]))
-    scans = [
-        Scan(first, rotation=(1, 0, 0, 0), bounds=(0, 6, 0, 8), limits=(0.0, 1.0)),
-        Scan(reordered(second, mixed), scaled={"cartesianX": 1e-4}),
-    ]
-    return write_e57(tmp_path_factory.mktemp("e57") / "a.e57", scans).read_bytes()
-
-
-def put(folder: Path, data: bytes) -> Path:
-    path = folder / "a.e57"
-    path.write_bytes(data)
-    return path
-
-
-def test_frames_that_are_damaged(tmp_path: Path, raw: bytes) -> None:
-    start, length = xml_section(raw)
-    header = bytearray(raw)
-
-    def changed(form: str, at: int, *values: int) -> bytes:
-        made = bytearray(header)
-        struct.pack_into(form, made, at, *values)
-        return with_checksums(bytes(made))
-
-    cases = {
-        b"LASF" + raw[4:]: "expected the signature b'ASTM-E57'",
-        raw[:20]: "20 bytes, its header says",
-        raw[:3000]: "3000 bytes, its header says",
-        raw + b"\0" * 1024: "its header says",
-        changed("<I", 8, 2): "incompatible file version",
-        changed("<Q", 40, 2048): "damaged",
-        changed("<Q", 24, 2**63): "damaged",
-        changed("<Q", 24, 0): "XML not well formed",
-        changed("<Q", 32, 2**62): "damaged",
-        changed("<Q", 32, 0): "XML not well formed",
-        changed("<Q", 32, length - 9): "XML not well formed",
-        raw[: start + 5] + b"\0" + raw[start + 6 :]: "damaged",
-        raw[:100] + b"\xff" + raw[101:]: "checksum mismatch",
-        replace_xml(raw, b'recordCount="', b'recordCount="1'): "found",
-        replace_xml(raw, b'recordCount="', b'recordCount="100000000'): "expected a bit a point",
-        replace_xml(raw, b"data3D", b"data4D"): "found no scans",
-        replace_xml(raw, b"points", b"pointz"): "scan 0: the E57 structure is damaged",
-        # neither entities nor files of others are looked up
-        replace_xml(raw, b"<e57Root", b"<!DOCTYPE a [<!ENTITY b 'c'>]><e57Root"): "XML not well formed",
-        replace_xml(raw, b"<e57Root", b"<!DOCTYPE a SYSTEM 'file:///etc/hosts'><e57Root"): "XML not well formed",
-        replace_xml(raw, b"</data3D>", b"<a>" * 70 + b"</a>" * 70 + b"</data3D>"): "not encoded in XML correctly",
-    }
-    for data, part in cases.items():
-        assert part in refused(put(tmp_path, data))
 
 
 def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> None:

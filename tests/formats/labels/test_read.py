@@ -15,17 +15,14 @@ import pytest
 from pyarrow import parquet
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ConfigError, InputError, OutputError, PrcError
-from prc_cli.core.stream import ExtraReturns
+from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.writing import base as base_module
 from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import (
     URBAN,
-    labelled,
     random_labels,
     record_blocks,
-    run_record,
     write,
 )
 
@@ -121,13 +118,6 @@ def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, found: str) -> No
     assert refused(path).startswith(f"codes.npy: {found}")
 
 
-def test_the_record_of_a_wrong_code_is_counted_over_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.formats.labels.CODES_AT_ONCE", 4)
-    path = tmp_path / "codes.npy"
-    np.save(path, np.array([1, 2, 3, 4, 5, 6, 7.5, 8.5]))
-    assert "record 6: found the class code 7.5" in refused(path)
-
-
 @pytest.mark.data
 def test_real_labels(real_data: Path) -> None:
     codes = read(real_data / "oakland" / "oakland_1.csv.gz")
@@ -142,20 +132,6 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
     path.write_text("record,class,name\n0,2,ground\n2,7,noise\n1,6,building\n")
     with pytest.raises(InputError, match="row 1 holds record 2, expected 1: rows were moved or left out"):
         list(open_codes(path).chunks())
-
-
-def test_semantic_kitti_labels(tmp_path: Path) -> None:
-    path = tmp_path / "000000.label"
-    labels = np.array([40, 252 | 7 << 16, 0, 65_535 << 16 | 99], "<u4")
-    labels.tofile(path)
-    assert open_codes(path).n == 4
-    # the high bits number the objects
-    assert read(path) == [40, 252, 0, 99]
-    assert "no dimension 'class' in a .label file" in refused(path, "class")
-    path.write_bytes(labels.tobytes()[:-1])
-    assert refused(path) == "000000.label: found 15 bytes, expected 4 a record; copy it from the archive again"
-    path.write_bytes(b"")
-    assert "found 0 bytes" in refused(path)
 
 
 SOURCE = Path("drive.bin")
@@ -207,29 +183,6 @@ def test_names_and_segments(tmp_path: Path) -> None:
     table = pq.read_table(tmp_path / "a.parquet").to_pydict()
     assert table["name"] == ["ground", "stem", "missing", "noise"]
     assert table["segment"] == [8, 9, 0, 4_000_000_000]
-
-
-def test_extra_returns_get_their_own_label(tmp_path: Path) -> None:
-    extra = ExtraReturns(
-        np.array([0], np.int32), np.array([1], np.int32), np.array([12], np.float32), np.array([2], np.int64)
-    )
-    record = np.array([[0, 1, 3, -1]])
-    labels = np.array([[3, 4, 5, 0]], np.uint8)
-    write(
-        tmp_path / "a.npy",
-        SOURCE,
-        [labelled(labels, record=record, extra=extra, extra_labels=np.array([2], np.uint8))],
-    )
-    assert np.load(tmp_path / "a.npy").tolist() == [2, 6, 7, 5]
-
-
-def test_more_labels_than_records(tmp_path: Path) -> None:
-    block = labelled(np.full((1, 8), 3, np.uint8))
-    with pytest.raises(OutputError, match="found labels for 8 records, expected 5"):
-        write(tmp_path / "a.npy", SOURCE, [block], run_record(n_records=5))
-    with pytest.raises(OutputError, match="found a label for record 7, expected records below 5"):
-        write(tmp_path / "a.npy", SOURCE, [block], n_records=5)
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock
 from prc_cli.formats.las import laz as codec_module
 from prc_cli.formats.writing.columns import OutputConfig
@@ -134,34 +131,3 @@ def test_bytes_do_not_depend_on_blocks_or_batches(tmp_path: Path, suffix: str, m
     monkeypatch.setattr(codec_module, "_BATCH_RECORDS", M)
     write(tmp_path / f"b{suffix}", SOURCE, [labelled(labels, range_m=ranges)])
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("ranges", "fields", "told"),
-    [
-        (np.full((1, 4), 3e6, np.float32), {}, r"scan line 2, column 0: found coordinates \[3000000.0, 0.0, 0.2\] m"),
-        (
-            np.full((1, 4), 3, np.float32),
-            {"xyz_m": np.full((1, 4, 3), np.nan, np.float32)},
-            r"\[nan, nan, nan\] m, exp",
-        ),
-        (np.full((1, 4), 3, np.float32), {"scanner": 70_000}, "scanner 70000 does not fit, LAS holds 0 to 65535"),
-    ],
-)
-def test_what_las_cannot_hold_is_refused(tmp_path: Path, ranges: np.ndarray, fields: dict[str, Any], told: str) -> None:
-    block = labelled(np.full((1, 4), 3, np.uint8), range_m=ranges, first_line=2, **fields)
-    with pytest.raises(OutputError, match=told):
-        write(tmp_path / "a.las", SOURCE, [block])
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_laspy_is_loaded_for_las_files_alone() -> None:
-    """It takes 20 MiB and a tenth of a second."""
-    code = (
-        "import sys\n"
-        "import prc_cli.formats.las.rewrite, prc_cli.formats.las.build\n"
-        "import prc_cli.formats.las.read, prc_cli.jobs.transfer, prc_cli.jobs.thin, prc_cli.jobs.convert\n"
-        "assert 'laspy' not in sys.modules\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr

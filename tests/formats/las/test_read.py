@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 import time
@@ -21,7 +20,6 @@ from prc_cli.formats.las.laz import read_records
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.streams.order import OrderWatch
-from tests.formats.las.lasbytes import make_las
 
 VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
 ANGLE = {True: ("scan_angle", 0.006), False: ("scan_angle_rank", 1.0)}
@@ -198,19 +196,6 @@ def test_crs_from_wkt_and_from_geotiff_keys(tmp_path: Path) -> None:
         assert LasSource(tmp_path / "a.las").crs_wkt == crs
 
 
-def test_points_per_line_from_our_provenance(tmp_path: Path) -> None:
-    for content, m in [
-        (json.dumps({"stream": {"points_per_line": 2154}}).encode(), 2154),
-        (b'{"stream": {"points_per_line": "many"}}', None),
-        (b'{"stream": {"points_per_line": true}}', None),
-        (b"not json", None),
-        (b"[1]", None),
-        (b"\xff\xfe", None),
-    ]:
-        make(tmp_path / "a.las", 1, vlrs=[laspy.VLR("prc-cli", 1, "", content)])
-        assert LasSource(tmp_path / "a.las").facts.points_per_line == m
-
-
 # --- damaged and hostile files: each is refused in one line
 
 
@@ -284,22 +269,6 @@ def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
     assert refused(path).startswith("byte 247: the header says 0 records")
 
 
-def test_the_legacy_count_is_not_taken_for_formats_that_have_none(tmp_path: Path) -> None:
-    make(tmp_path / "a.las", 6)
-    patch(tmp_path / "a.las", 107, "<I", 200)
-    patch(tmp_path / "a.las", 247, "<Q", 0)
-    assert refused(tmp_path / "a.las").startswith("byte 247: the header says 0 records")
-
-
-def test_the_legacy_count_is_copied_where_it_may_be(tmp_path: Path) -> None:
-    path = tmp_path / "a.las"
-    make(path, 1, version="1.4")
-    patch(path, 107, "<I", 200)
-    patch(path, 247, "<Q", 0)
-    copy_las(read_las(path), tmp_path / "b.las", tmp_path / "b.las")
-    assert (tmp_path / "b.las").read_bytes() == path.read_bytes()
-
-
 @pytest.mark.parametrize("point_format", [1, 6])
 def test_large_chunks_are_copied_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point_format: int) -> None:
     path, output, again = tmp_path / "a.laz", tmp_path / "b.las", tmp_path / "c.laz"
@@ -314,16 +283,6 @@ def test_large_chunks_are_copied_in_pieces(tmp_path: Path, monkeypatch: pytest.M
     )
     copy_las(read_las(path), again, again)
     assert again.read_bytes() == raw
-
-
-@pytest.mark.parametrize("suffix", ["las", "laz"])
-def test_coordinates_that_cannot_be_read_are_copied(tmp_path: Path, suffix: str) -> None:
-    path, output = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
-    make(path, 1)
-    patch(path, 131, "<d", math.nan)
-    assert refused(path).startswith("byte 131: x scale factor nan")
-    copy_las(read_las(path), output, output)
-    assert output.read_bytes() == path.read_bytes()
 
 
 def with_evlr(path: Path, n_bytes: int = 40) -> laspy.LasData:
@@ -528,29 +487,6 @@ def test_real_files(real_data: Path, name: str, n_records: int, back: int, chron
     assert watch.evidence().is_chronological is chronological
 
 
-@pytest.mark.data
-def test_the_mobile_file_out_of_order_is_refused_with_its_evidence(real_data: Path) -> None:
-    path = real_data / "las" / "mls_not_in_time_order.las"
-    watch = OrderWatch("mls.las", "require")
-    (chunk,) = LasSource(path).chunks(("time",))
-    with pytest.raises(InputError) as caught:
-        watch.see(chunk.values["time"], chunk.record)
-        watch.finish()
-    assert caught.value.problem == (
-        "gps_time decreases in 93.1 % of 10,682 steps, first at record 1: 552885.16 s after 552885.32 s; "
-        "expected shots in the order they were fired"
-    )
-
-
-@pytest.mark.data
-def test_als_strip_has_two_extra_bytes_vlrs_and_a_crs(real_data: Path) -> None:
-    source = LasSource(real_data / "las" / "als_strip_labelled.laz")
-    assert source.dimensions[-2:] == ("Deviation", "confidence")
-    assert source.crs_wkt is not None
-    assert source.crs_wkt.startswith('PROJCRS["RGF93 / Lambert-93"')
-    assert LasSource(real_data / "las" / "three_strips_edge_flags.laz").crs_wkt == "EPSG:3005"
-
-
 def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Batches that end inside a chunk are joined: reading goes on while earlier records still wait."""
     path = tmp_path / "a.laz"
@@ -564,24 +500,3 @@ def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pyte
             time.sleep(0.01)  # lets the thread that reads ahead go as far as it can
             found.append(rows.tobytes())
     assert b"".join(found) == expected
-
-
-@pytest.mark.parametrize("left", [1.0 / 2, 0.99, 0.999])
-def test_it_is_refused_in_one_line(tmp_path: Path, left: float) -> None:
-    path = tmp_path / "drive.laz"
-    make_las(path, 6, n=3000, raw_points=True)
-    source = LasSource(path)
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * left)])
-    with pytest.raises(InputError, match=r"drive\.laz"):
-        for _ in source.chunks(("x",)):
-            pass
-
-
-def test_the_table_itself_is_cut(tmp_path: Path) -> None:
-    path = tmp_path / "drive.laz"
-    make_las(path, 6, n=3000, raw_points=True)
-    whole, source = path.read_bytes(), LasSource(path)
-    for n_bytes in range(len(whole) - 20, len(whole)):
-        path.write_bytes(whole[:n_bytes])
-        with pytest.raises(InputError, match=r"drive\.laz"):
-            list(source.chunks(("x",)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import struct
 from pathlib import Path
@@ -16,7 +15,6 @@ from laspy.vlrs.known import ClassificationLookupVlr
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
-from prc_cli.formats.las import laz as las_codec
 from prc_cli.formats.las.header import standard_bytes
 from prc_cli.formats.las.points import set_classes
 from prc_cli.formats.las.vlrs import names_of_file
@@ -146,22 +144,6 @@ def test_upgrade_derives_wkt_from_geotiff_keys(tmp_path: Path) -> None:
     assert vlr_bytes(b"LASF_Projection", 34735, keys) in parse(output).vlrs
 
 
-@pytest.mark.parametrize(
-    ("keys", "told"),
-    [
-        (struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, 32767), "the GeoTIFF keys name no EPSG code"),
-        (struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, 9), "EPSG:9"),
-        (b"\1\0\1", "the GeoTIFF keys name no EPSG code"),
-    ],
-)
-def test_upgrade_tells_when_no_wkt_can_be_derived(tmp_path: Path, keys: bytes, told: str) -> None:
-    pytest.importorskip("pyproj")
-    source = tmp_path / "in.las"
-    make_las(source, 1, vlrs=[vlr_bytes(b"LASF_Projection", 34735, keys)])
-    record = write(tmp_path / "out.las", source, record_blocks(random_labels(300, FOREST)))
-    assert any(told in text and "GeoTIFF keys were kept" in text for text in record.notices)
-
-
 def test_upgrade_of_internal_waveforms_counts_their_evlr(tmp_path: Path) -> None:
     source, output = tmp_path / "in.las", tmp_path / "out.las"
     old = make_las(source, 4, gap=EVLRS[1])
@@ -194,26 +176,6 @@ def test_bytes_that_no_vlr_describes_are_kept_in_front(tmp_path: Path) -> None:
     )
     assert np.array_equal(laspy.read(output)["segment_id"], np.arange(300))
     assert np.all(parse(output).records[:, 30:33] == 9)
-
-
-@pytest.mark.parametrize("more", [0, 1])
-def test_records_grow_to_65535_bytes_and_no_further(tmp_path: Path, more: int) -> None:
-    source, output = tmp_path / "in.las", tmp_path / "out.las"
-    plain = make_las(source, 6, n=4, extra=False)
-    length = 65_531 + more
-    data = bytearray(plain.header)
-    data[105:107] = struct.pack("<H", length)
-    filled = np.full((4, length - plain.records.shape[1]), 9, np.uint8)
-    source.write_bytes(bytes(data) + np.concatenate([plain.records, filled], axis=1).tobytes())
-    blocks = record_blocks(random_labels(4), segments=np.arange(4))
-    if more:
-        with pytest.raises(OutputError, match="records would take 65536 bytes, LAS allows 65535"):
-            write(output, source, blocks, options=OutputConfig(segment_ids=True))
-    else:
-        write(output, source, blocks, options=OutputConfig(segment_ids=True))
-        records = parse(output).records
-        assert records.shape == (4, 65_535)
-        assert records[:, -4:].copy().view("<u4").ravel().tolist() == [0, 1, 2, 3]
 
 
 def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
@@ -271,18 +233,6 @@ def test_waveforms_of_several_channels_are_not_spoilt(tmp_path: Path, after: str
     assert list(tmp_path.iterdir()) == [source]
 
 
-@pytest.mark.parametrize("form", [4, 5])
-def test_waveform_items_have_the_version_that_laszip_reads(tmp_path: Path, form: int) -> None:
-    """LASzip 3.5 refuses the number 2 that lazrs gives them; the bytes are the same."""
-    source = tmp_path / "in.las"
-    make_las(source, form)
-    new, _ = rewrite(source, tmp_path / "out.laz")
-    laszip = next(vlr[54:] for vlr in new.vlrs if vlr[2:].startswith(b"laszip"))
-    n_items = struct.unpack_from("<H", laszip, 32)[0]
-    items = [struct.unpack_from("<HHH", laszip, 34 + 6 * item) for item in range(n_items)]
-    assert (9, 29, 1) in items
-
-
 def test_a_changed_input_is_noticed(tmp_path: Path) -> None:
     source = tmp_path / "in.las"
     make_las(source, 6)
@@ -323,46 +273,6 @@ def test_a_real_file_with_its_own_classes_comes_back_whole(real_data: Path, tmp_
     new = parse(tmp_path / "out.laz")
     start, new_start = field(old.data, 96, "I"), field(new.data, 96, "I")
     assert new.data[new_start + 8 :] == old.data[start + 8 :]
-
-
-class _Pieces(io.BytesIO):
-    """Notes where every piece begins and how long it is."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.begun: list[tuple[int, int]] = []
-
-    def write(self, data: Any) -> int:
-        self.begun.append((self.tell(), len(data)))
-        return super().write(data)
-
-
-def test_large_pieces_begin_where_pages_do() -> None:
-    """Pages that are written in two halves cost half as much time again."""
-    rng = np.random.default_rng(2)
-    handle = _Pieces()
-    target = las_codec.Target(handle)
-    written = [rng.bytes(n) for n in (375, 200_000, 200_001, 3)]
-    for piece in written:
-        target.write(np.frombuffer(piece, np.uint8).data)
-    assert handle.getvalue() == b"".join(written)
-    whole = [start for start, n in handle.begun if n == 65_536]
-    assert len(whole) >= 4
-    assert all(start % 65_536 == 0 for start in whole)
-
-
-def test_the_disk_begins_with_every_byte_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    spans: list[tuple[int, int]] = []
-    monkeypatch.setattr(las_codec, "begin_flush", lambda _, first, stop: spans.append((first, stop)))
-    monkeypatch.setattr(las_codec, "_FLUSH_BYTES", 1000)
-    with (tmp_path / "a").open("w+b") as handle:
-        target = las_codec.Target(handle)
-        for n in (10, 999, 2500, 400, 600, 5):
-            target.write(bytes(n))
-        target.write(bytes(994))
-        target.seek(0)
-        target.write(bytes(375))
-    assert spans == [(0, 1009), (1009, 3509), (3509, 4509), (0, 375)]
 
 
 @pytest.mark.parametrize("form", range(6))

@@ -19,7 +19,7 @@ from prc_cli.formats.las import rewrite as las_rewrite
 from prc_cli.formats.las import splice as las_splice
 from prc_cli.formats.las.header import open_source, read_header
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.las.splice import LazContexts, Splice, contexts_of, find_chunks, records_of
+from prc_cli.formats.las.splice import LazContexts, Splice, contexts_of, find_chunks
 from tests.formats.common import (
     URBAN,
     random_labels,
@@ -184,30 +184,6 @@ def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, s
         os.utime(source, ns=(0, 1_700_000_000_000_000_000))
         opened.finish(run_record())
     assert list(tmp_path.glob(f"*out{suffix}*")) == []
-
-
-def test_every_return_byte_and_channel_comes_back() -> None:
-    records = np.zeros((1024, 30), np.uint8)
-    records[:, 14] = np.arange(1024) % 256
-    records[:, 15] = np.arange(1024) // 256 << 4 | 0x8F
-    contexts = contexts_of(records)
-    number, count = records[:, 14] & 15, records[:, 14] >> 4
-    assert np.array_equal(contexts >= 4, (number == 1) & (number >= count))
-    assert np.array_equal(contexts & 3, np.arange(1024) // 256)
-    assert np.array_equal(contexts_of(records_of(contexts)), contexts)
-
-
-@pytest.mark.parametrize("n", [1, 7, 100, 1000])
-def test_pieces_may_be_cut_anywhere(n: int) -> None:
-    rng = np.random.default_rng(n)
-    parts = [rng.integers(0, 8, size).astype(np.uint8) for size in (5, 1, 44, 0, 101)]
-    parts.insert(2, np.full(33, 4, np.uint8))
-    kept = LazContexts()
-    for part in parts:
-        kept.see(kept.n_seen, part)
-    taken = list(kept.take(n))
-    assert np.array_equal(np.concatenate(taken), np.concatenate(parts))
-    assert all(len(piece) == n for piece in taken[:-1])
 
 
 def random_laz(path: Path, rng: np.random.Generator) -> None:

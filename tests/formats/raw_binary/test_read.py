@@ -66,17 +66,6 @@ def test_every_field_of_a_layout_in_chunks_of_any_size(tmp_path: Path, chunk: in
     np.testing.assert_array_equal(values["flags"], records["flags"])
 
 
-def test_ranges_alone_stay_float32_and_can_be_read_again(tmp_path: Path) -> None:
-    path = tmp_path / "ranges.bin"
-    ranges = np.array([1.5, np.nan, -1.0, np.inf, 0.0], np.float32)
-    ranges.tofile(path)
-    source = RawBinarySource(path, RANGES_ONLY)
-    for _ in range(2):
-        values = read(source, "range")["range"]
-        assert values.dtype == np.float32
-        np.testing.assert_array_equal(values, ranges)
-
-
 def test_fat_records_make_short_chunks(tmp_path: Path) -> None:
     path = tmp_path / "fat.raw"
     path.write_bytes(b"\0" * (3 << 20))

@@ -91,16 +91,6 @@ def test_names_in_the_header(tmp_path: Path, header: str, dimensions: tuple[str,
     assert TextSource(write(tmp_path, f"{header}\n{row}\n")).dimensions == dimensions
 
 
-@pytest.mark.parametrize(
-    ("name", "expected", "note"), [("angle", math.pi, True), ("ANGLE_DEG", math.pi, False), ("angle_rad", 180.0, False)]
-)
-def test_angles_become_radians(tmp_path: Path, name: str, expected: float, note: bool) -> None:
-    path = write(tmp_path, f"range,{name}\n1,180\n")
-    source = TextSource(path)
-    np.testing.assert_array_equal(read(source, "angle")["angle"], [expected])
-    assert ("angles are taken as degrees" in source.notes) is note
-
-
 def test_columns_without_names_have_numbers_and_a_single_one_is_the_range(tmp_path: Path) -> None:
     source = TextSource(write(tmp_path, "1,2,3\n4,5,6\n"))
     assert source.dimensions == ("0", "1", "2")
@@ -112,12 +102,6 @@ def test_columns_without_names_have_numbers_and_a_single_one_is_the_range(tmp_pa
 
 
 # --- cells, lines, compressions
-
-
-def test_missing_cells_and_numbers_of_every_form(tmp_path: Path) -> None:
-    content = 'range,x\n1.5,1\n,2\nnan,3\nNaN,4\n+3,5\n .5 ,6\n-inf,7\n1E2,8\n"7",9\n"",10\n  ,11\n1e400,12\n'
-    expected = [1.5, NAN, NAN, NAN, 3, 0.5, -math.inf, 100, 7, NAN, NAN, math.inf]
-    np.testing.assert_array_equal(values(tmp_path, content), expected)
 
 
 @pytest.mark.parametrize("ending", ["\n", "\r\n", "\r\r\n"])
@@ -250,22 +234,6 @@ def test_files_that_hold_no_rows_or_no_text(tmp_path: Path, content: bytes, foun
     assert found.removesuffix(", expected") in problem(tmp_path, content)
 
 
-@pytest.mark.parametrize("suffix", [".gz", ".zst"])
-@pytest.mark.parametrize("damage", ["cut", "garbage behind", "not compressed"])
-def test_damaged_compression(tmp_path: Path, suffix: str, damage: str) -> None:
-    rng = np.random.default_rng(3)
-    content = b"range,x\n" + b"".join(b"%f,1\n" % value for value in rng.uniform(1, 90, 20_000))
-    packed = compress(content, suffix)
-    broken = {"cut": packed[:-9], "garbage behind": packed + b"garbage", "not compressed": content}[damage]
-    path = write(tmp_path, broken, f"drive.csv{suffix}")
-    kind = {".gz": "gzip", ".zst": "zstd"}[suffix]
-    with pytest.raises(
-        InputError, match=f"the {kind} stream is cut short or damaged in or after line [0-9]+"
-    ) as caught:
-        read(TextSource(path, block_bytes=1 << 14), "range")
-    assert "\n" not in str(caught.value)
-
-
 def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text_lines, "MAX_LINE_BYTES", 1000)
     path = write(tmp_path, b"range\n1\n" + b"2" * 100_000)
@@ -274,28 +242,6 @@ def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeyp
     packed = write(tmp_path, gzip.compress(b"range\n" + b"1" * 100_000, mtime=0), "drive.csv.gz")
     with pytest.raises(InputError, match="line 2: more than 1000 bytes"):
         TextSource(packed)
-
-
-@pytest.mark.parametrize(
-    ("field", "content", "found"),
-    [
-        (
-            {"name": "range", "source": "dist"},
-            "line,range\n1,2\n",
-            "line 1: no column 'dist' for field 'range', it has: line, range; name the column",
-        ),
-        ({"name": "time"}, "line,range\n1,2\n", "line 1: no column 'time' for field 'time', it has: line, range"),
-        ({"name": "range", "source": 2}, "1,2\n", "no column 2 for field 'range', expected 0 to 1; the file has 2 co"),
-        ({"name": "range", "source": 1}, "1;2\n", "no column 1 for field 'range', expected 0 to 0; the file has 1 co"),
-        ({"name": "range", "source": "dist"}, "1,2\n", "no header row, so no column 'dist' for field 'range'"),
-        ({"name": "range", "source": "a"}, "a,a\n1,2\n", "line 1: the name 'a' stands in columns 0 and 1"),
-    ],
-)  # fmt: skip
-def test_columns_that_a_layout_asks_for_in_vain(
-    tmp_path: Path, field: dict[str, Any], content: str, found: str
-) -> None:
-    layout = Layout(fields=(LayoutField(**field),), header=False if ";" in content else None)
-    assert found in problem(tmp_path, content, layout)
 
 
 @settings(deadline=None, max_examples=300)

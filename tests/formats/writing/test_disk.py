@@ -21,14 +21,6 @@ def read(column: DiskColumn, n: int = 1000) -> np.ndarray:
     return np.concatenate(parts) if parts else np.empty(0)
 
 
-@pytest.mark.parametrize(("record", "told"), [(-1, "record -1 outside 0..4"), (4, "record 4 outside 0..4")])
-def test_records_out_of_bounds(tmp_path: Path, record: int, told: str) -> None:
-    column = DiskColumn(tmp_path / "s", np.uint8, 1, n_records=4)
-    with pytest.raises(IndexError, match=told):
-        column.put(np.array([record]), np.array([1], np.uint8))
-    column.close()
-
-
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.lists(st.tuples(st.integers(0, 200), st.integers(0, 2**32 - 1)), max_size=40), max_size=6))
 def test_equals_an_array_in_memory(
@@ -62,14 +54,6 @@ def test_memory_stays_at_the_buffer(tmp_path: Path) -> None:
     tracemalloc.stop()
     assert first.tolist() == [1, 1, 1, 1, 1, 3, 1, 1, 1, 1]
     assert peak < 5_000_000
-    column.close()
-
-
-def test_runs_and_single_records_stand_in_the_order_they_came(tmp_path: Path) -> None:
-    column = DiskColumn(tmp_path / "s", np.uint8, 0, n_records=12)
-    for record in ([0, 1, 2, 3], [7, 2], [2, 3, 4], [5], [9, 3, 4, 12 - 1], [11]):
-        column.put(np.array(record), np.full(len(record), 10 * record[0] + len(record), np.uint8))
-    assert read(column).tolist() == [4, 4, 23, 94, 94, 51, 0, 72, 0, 94, 0, 111]
     column.close()
 
 
@@ -120,17 +104,3 @@ def test_json_is_sorted_and_the_same_every_time() -> None:
 def test_folders_are_left_out(value: object, kept: str) -> None:
     found = json.loads(run_record(config={"input": {"range": [value]}}).to_json())
     assert found["config"]["input"]["range"] == [kept]
-
-
-def test_short_form_is_json_and_names_what_it_left_out() -> None:
-    record = run_record(config={"a": "x" * 1000}, notices=("y" * 1000,))
-    assert record.to_json_within(10_000) == record.to_json()
-    short = json.loads(record.to_json_within(2200))
-    assert "config" not in short
-    assert len(short["config_sha256"]) == 64
-    assert short["complete"] is False
-    assert short["notices"] == ["y" * 1000]
-    shortest = json.loads(record.to_json_within(1400))
-    assert "notices" not in shortest
-    with pytest.raises(ValueError, match="even in short form, limit 10"):
-        record.to_json_within(10)

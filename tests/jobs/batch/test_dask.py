@@ -27,7 +27,6 @@ from prc_cli.jobs.batch import dask_engine
 from prc_cli.jobs.batch.dask_engine import (
     DaskEngine,
     Order,
-    examine_worker,
 )
 from prc_cli.jobs.batch.types import (
     Done,
@@ -139,19 +138,6 @@ def test_files(cluster: Any, tmp_path: Path) -> None:
     assert len(left_in(tmp_path / "out")) == 18
 
 
-def test_trajectory_named_from_here(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers start relative names of a configuration where the run was started."""
-    monkeypatch.chdir(tmp_path)
-    points = "".join(f"{i / 1000},{3 + i % 7},4,0,{i // 20}\n" for i in range(400))
-    (tmp_path / "a.csv").write_text("time,x,y,z,scan_line\n" + points)
-    (tmp_path / "drive.csv").write_text("time,x,y,z\n" + "".join(f"{i},0,0,0\n" for i in range(-1, 3)))
-    loaded = load_config(options={"input": {"range": "trajectory:drive.csv", "points_per_line": 20}})
-    task = Task("a.csv", Path("a.csv"), Path("out/a.npy"), loaded, "c0ffee")
-    Path("out").mkdir()
-    assert isinstance(outcomes(run(DaskEngine(cluster.scheduler_address), [task]))["a.csv"], Done)
-    check_bytes([task], tmp_path)
-
-
 def test_closing_stops_what_is_at_work(cluster: Any, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     names = [f"{i}.npy" for i in range(3)]
@@ -226,17 +212,6 @@ def test_workers_that_do_not_see_the_archive(cluster: Any, tmp_path: Path, monke
     with pytest.raises(ConfigError, match=r"on elsewhere: does not see .*shared-.*mount them there"):
         run(DaskEngine(cluster.scheduler_address), tasks)
     assert left_in(tmp_path / "out") == []
-
-
-def test_worker_looks_for_files_for_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A network file system may keep an old listing for seconds."""
-    late = tmp_path / "late"
-    clock = SimpleNamespace(monotonic=time.monotonic, sleep=lambda seconds: late.touch())
-    monkeypatch.setattr(dask_engine, "time", clock)
-    monkeypatch.setattr(dask_engine, "SHARE_S", HANGS_S)
-    assert examine_worker((str(tmp_path), str(late))).unseen == ()
-    monkeypatch.setattr(dask_engine, "SHARE_S", 0.0)
-    assert examine_worker((str(tmp_path), str(tmp_path / "never"))).unseen == (str(tmp_path / "never"),)
 
 
 @pytest.mark.parametrize("who", ["scheduler", "worker"])

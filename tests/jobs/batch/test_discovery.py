@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -19,9 +19,8 @@ from prc_cli.jobs.batch.discovery import (
     Patterns,
     discover,
     output_name,
-    parse_since,
 )
-from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, Shard
+from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings
 from tests.patience import HANGS_S
 
 
@@ -158,14 +157,6 @@ def test_a_folder_without_permission_is_told(archive: Path) -> None:
         (archive / "a").chmod(0o755)
 
 
-def test_shards_share_the_archive(tmp_path: Path) -> None:
-    for i in range(60):
-        put(tmp_path / "in" / f"{i}.laz")
-    parts = [names(tmp_path / "in", shard=Shard(i, 4)) for i in range(1, 5)]
-    assert sorted(name for part in parts for name in part) == sorted(names(tmp_path / "in"))
-    assert all(5 < len(part) < 30 for part in parts)
-
-
 def test_since(archive: Path) -> None:
     now = time.time()
     for name, age in (("b.laz", 10), ("a/2.las", 90_000), ("z.npz", 900_000)):
@@ -178,16 +169,6 @@ def test_since(archive: Path) -> None:
     assert names(archive, since=day.isoformat(), exclude=old) == ["a/2.las", "b.laz"]
     found = discover(BatchSettings(archive, archive.parent / "out", since="1h", exclude=old))
     assert found.n_not_selected == 3
-
-
-def test_parse_since() -> None:
-    now = datetime(2026, 3, 1, tzinfo=UTC)
-    assert parse_since("7d", lambda: now) == int(datetime(2026, 2, 22, tzinfo=UTC).timestamp()) * 10**9
-    assert parse_since("90 min", lambda: now) == int(now.timestamp() - 5400) * 10**9
-    assert parse_since("999999999w", lambda: now) == 0
-    for wrong in ("", "soon", "7", "7y", "-1d", "a\0b"):
-        with pytest.raises(ConfigError, match="--since"):
-            parse_since(wrong)
 
 
 def test_a_file_system_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

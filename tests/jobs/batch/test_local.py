@@ -16,7 +16,7 @@ import pytest
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import PrcError
 from prc_cli.jobs.batch import local, worker
-from prc_cli.jobs.batch.local import LocalEngine, share_cores
+from prc_cli.jobs.batch.local import LocalEngine
 from prc_cli.jobs.batch.types import (
     Done,
     EngineSettings,
@@ -216,35 +216,6 @@ def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: 
     assert isinstance(found["small"], Done)
 
 
-def test_a_worker_that_cannot_be_killed_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As one that waits for a file server that is gone, in the system, where no signal comes through."""
-    source = write_npz(tmp_path / "a.npz", street(80))
-    clock = Clock(monkeypatch)
-    clock.turn_on_when_given(monkeypatch, "hangs")
-    count_pauses_as_silence(monkeypatch)
-    stopped: list[int] = []
-    real_kill = subprocess.Popen.kill
-    # it is told to end, does not, and is given up
-    monkeypatch.setattr(subprocess.Popen, "kill", lambda process: clock.turn_on())
-    try:
-        found: list[Event] = []
-        tasks = [task(tmp_path, name, source) for name in ("hangs", "b")]
-        for event in LocalEngine().run(tasks, EngineSettings(jobs=1, stall_s=STALL_S)):
-            found.append(event)
-            if isinstance(event, Started) and event.name == "hangs":
-                stopped.append(process_of(event))
-                os.kill(stopped[0], signal.SIGSTOP)
-    finally:
-        monkeypatch.setattr(subprocess.Popen, "kill", real_kill)
-        for process in stopped:
-            os.kill(process, signal.SIGKILL)
-            wait_until(lambda n=process: not Path(f"/proc/{n}").exists())
-    ended = outcomes(found)
-    assert isinstance(ended["hangs"], Failed)
-    assert ended["hangs"].problem.kind == "timeout"
-    assert isinstance(ended["b"], Done), ended["b"]
-
-
 def test_workers_that_cannot_start_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho no libraries here >&2\nexit 3\n")
@@ -252,15 +223,6 @@ def test_workers_that_cannot_start_end_the_run(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(local.sys, "executable", str(broken))
     with pytest.raises(PrcError, match=r"ended with exit code 3.*no libraries here.*prc doctor"):
         list(LocalEngine().run([task(tmp_path, "a", tmp_path / "a.npz")], EngineSettings(jobs=1)))
-
-
-def test_share_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local, "default_threads", lambda: 8)
-    assert share_cores(None, None, 100) == (8, 1)
-    assert share_cores(None, None, 2) == (2, 4)
-    assert share_cores(3, None, 100) == (3, 2)
-    assert share_cores(16, None, 100) == (16, 1)
-    assert share_cores(None, None, 0) == (1, 8)
 
 
 def test_a_dropped_interrupt_is_raised_again(tmp_path: Path) -> None:

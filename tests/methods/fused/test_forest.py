@@ -129,23 +129,6 @@ def test_noise_is_alone_or_below_the_ground() -> None:
     assert labels_of(ranges)[4, sky] == Label.VEGETATION
 
 
-def test_blocks_are_labelled_by_themselves() -> None:
-    rng = np.random.default_rng(2)
-    ranges = image(ground(), stem(5.0), leaves(rng, 3.0, 1.5, 0.3))
-    halves = [labels_of(np.ascontiguousarray(ranges[i : i + 8])) for i in (0, 8)]
-    inner = np.r_[0:6, 10:12]
-    np.testing.assert_array_equal(labels_of(ranges)[inner], np.concatenate(halves)[inner])
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (3, 1), (1, 2), (5, 40)])
-def test_small_and_empty_blocks(shape: tuple[int, int]) -> None:
-    plane = Plane.of(np.linspace(-1.0, 1.0, shape[1]))
-    nothing = np.full(shape, np.nan, dtype=np.float32)
-    assert (forest(nothing, plane, 0.0, FOREST) == Label.MISSING).all()
-    labels = forest(np.full(shape, 5.0, dtype=np.float32), plane, 0.0, FOREST)
-    assert (labels != Label.MISSING).all()
-
-
 @cache
 def walk() -> tuple[F32, F64, U8]:
     """A second in a simulated forest, every second column."""
@@ -166,24 +149,6 @@ def test_stems_and_ground_of_a_simulated_walk() -> None:
         assert both > recall * np.count_nonzero(reference == label), label.name
         assert both > precision * np.count_nonzero(labels == label), label.name
     np.testing.assert_array_equal(labels == Label.MISSING, np.isnan(ranges))
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_the_preset_labels_a_stream_block_by_block(threads: int) -> None:
-    ranges, angle, _ = walk()
-    config = load_config(preset="fused-forest", options={"fused": {"lines_per_block": 40}})
-    found = classify_ranges(ranges, config, beam_rad=angle, threads=threads).labels
-    parts = [np.ascontiguousarray(ranges[i : i + 40]) for i in range(0, len(ranges), 40)]
-    plane = Plane.of(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
-    np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, 0.0, FOREST) for part in parts]))
-
-
-def test_sides_may_be_exchanged() -> None:
-    """Mirrored beams are the same forest."""
-    ranges, angle, _ = walk()
-    labels = forest(ranges, Plane.of(angle), 0.0, FOREST)
-    mirrored = forest(ranges, Plane.of(-angle), 0.0, FOREST)
-    assert (labels == mirrored).mean() > 0.999
 
 
 @pytest.mark.parametrize("noise_m", [0.005, 0.01, 0.03])

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import InputError
-from prc_cli.core.stream import ExtraReturns, ScanBlock
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import LABELS_ALONE, OneByOne
@@ -141,14 +140,6 @@ def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]
     assert (without[window] == Label.BUILDING).mean() < 0.5
 
 
-def test_labels_do_not_depend_on_threads(street: tuple[F32, U8]) -> None:
-    ranges, params = street[0], FusedParams(lines_per_block=16)
-    for threads in (1, 3):
-        found = run_blocks(iter([ScanBlock(0, ranges, beam_rad=BEAM)]), Fused(params), threads=threads)
-        labels = np.concatenate([item.labels for item in found])
-        np.testing.assert_array_equal(labels, classified(ranges, params))
-
-
 def test_the_ground_is_found_again_behind_a_long_car() -> None:
     """The road beside the car is not seen for a while: it is where it was."""
     ranges, kind = street_lines(60)
@@ -169,28 +160,6 @@ def test_the_ground_is_found_again_after_more_lines_without_it_than_are_remember
     assert (labels[kind[138:, left] == GROUND] == Label.GROUND).mean() > 0.98
 
 
-def test_any_lines_are_labelled() -> None:
-    rng = np.random.default_rng(3)
-    for shape in ((1, 1), (1, 7), (3, 2), (5, 40)):
-        beam = np.deg2rad(np.linspace(-80, 80, shape[1]))
-        for share in (0.0, 0.5, 1.0):
-            ranges = rng.uniform(0.5, 80, shape).astype(np.float32)
-            ranges[rng.random(shape) < share] = np.nan
-            scanner = FusedScanner.of(beam)
-            labels, _ = classify_block(ranges, None, initial_state(scanner), FusedParams(), scanner)
-            assert labels.shape == shape
-            assert ((labels == Label.MISSING) == np.isnan(ranges)).all()
-
-
-def test_blocks_that_cannot_be_are_refused() -> None:
-    state, params = initial_state(SCANNER), FusedParams(lines_per_block=4)
-    for shape in ((0, len(BEAM)), (5, len(BEAM)), (2, 7)):
-        with pytest.raises(InputError, match="block of ranges"):
-            classify_block(np.ones(shape, np.float32), None, state, params)
-    with pytest.raises(InputError, match="block of ranges"):
-        classify_block(np.ones((2, len(BEAM)), np.float32), np.ones((1, 3), np.float32), state, params)
-
-
 @pytest.mark.parametrize("step", ["_measure", "see", "_follow", "_decide"])
 def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """Before, in, between and after the steps that hand on: nobody waits for a turn that never comes."""
@@ -207,19 +176,6 @@ def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch,
     block = ScanBlock(0, np.ones((24, len(BEAM)), np.float32), beam_rad=BEAM)
     with pytest.raises(MemoryError, match=step):
         list(run_blocks(iter([block]), Fused(FusedParams(lines_per_block=4)), threads=2))
-
-
-def test_a_further_return_of_a_leaf_that_is_on_its_own_is_a_leaf(street: tuple[F32, U8]) -> None:
-    ranges = street[0]
-    cells = [np.argwhere(classified(ranges) == label)[::50] for label in (Label.VEGETATION, Label.GROUND)]
-    line, column = np.concatenate(cells).astype(np.int32).T
-    far = np.full(len(line), 500.0, np.float32)
-    extra = ExtraReturns(line, column, far, np.arange(len(line), dtype=np.int64))
-    block = ScanBlock(0, ranges, beam_rad=BEAM, extra=extra, is_last=True)
-    found = [item.extra_labels for item in label_blocks(iter([block]), FusedParams(lines_per_block=60))]
-    leaves = len(cells[0])
-    assert (found[0][:leaves] == Label.VEGETATION).all()
-    assert (found[0][leaves:] == Label.NOISE).all()
 
 
 def test_labels_do_not_depend_on_how_the_stream_is_cut(street: tuple[F32, U8]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 from math import comb
 
 import numpy as np
@@ -14,11 +13,9 @@ from hypothesis import strategies as st
 from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
-from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import ScanBlock
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F32
-from prc_cli.methods.base import LABELS_ALONE, OneByOne
-from prc_cli.methods.prc.pipeline import Prc, PrcParams, initial_state
+from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import (
     SupportParams,
     critical_zetas,
@@ -29,7 +26,7 @@ from prc_cli.methods.prc.support import (
 )
 from prc_cli.methods.prc.surfaces import SurfacesParams, area_threshold
 from prc_cli.methods.prc.urban import ForestParams, is_dense
-from tests.methods.prc.streams import random_params, random_stream, run_blocks, run_stream, to_settings, trace_block
+from tests.methods.prc.streams import random_params, random_stream, run_blocks, run_stream, to_settings
 from tests.oracles import prc_method as oracle_prc
 
 
@@ -98,73 +95,6 @@ def test_support_and_background_do_not_depend_on_block_length(seed: int) -> None
         traces = [trace for trace, _ in run_blocks(stream, params.model_copy(update={"lines_per_block": k}))]
         np.testing.assert_array_equal(np.concatenate([t.supported for t in traces]), expected_s)
         np.testing.assert_array_equal(np.concatenate([t.background for t in traces]), expected_g)
-
-
-def test_state_can_be_stored_and_taken_up_again() -> None:
-    stream = np.tile(np.linspace(5, 6, 40, dtype=np.float32), (30, 1))
-    params = PrcParams(lines_per_block=10)
-    state = initial_state(40)
-    parts = []
-    for first in (0, 10, 20):
-        trace, state = trace_block(stream[first : first + 10], stream[first + 10 : first + 12], state, params)
-        state = pickle.loads(pickle.dumps(state))
-        parts.append(trace.labels)
-    np.testing.assert_array_equal(np.concatenate(parts), run_stream(stream, params)[0])
-
-
-def test_every_shot_is_labelled_once_and_segments_go_with_it() -> None:
-    for seed in range(40):
-        rng = np.random.default_rng(7000 + seed)
-        stream, params = random_stream(rng), random_params(rng)
-        labels, segments = run_stream(stream, params)
-        np.testing.assert_array_equal(labels == Label.MISSING, np.isnan(stream))
-        in_segment = np.isin(labels, [Label.BUILDING, Label.VEGETATION, Label.STEM])
-        assert (segments[in_segment] > 0).all()
-        assert (segments[(labels == Label.NOISE) | (labels == Label.MISSING)] == 0).all()
-
-
-def test_trace_shows_the_images_on_the_way() -> None:
-    image = np.full((9, 40), 20.0, dtype=np.float32)
-    image[:, 20:] = 8.0
-    image[4, 5] = 3.0
-    trace, _ = trace_block(image, None, initial_state(40), PrcParams())
-    assert not trace.supported[4, 5]
-    assert trace.background[:, 19:21].all()
-    assert not (trace.background & ~trace.supported).any()
-    h = trace.components.to_segments()
-    assert h[0, 0] != h[0, 30]
-    assert (trace.surfaces.to_patches() == 0).all()
-    np.testing.assert_array_equal(trace.segments, h)
-
-
-@pytest.mark.parametrize("filling", [np.nan, 5.0])
-@pytest.mark.parametrize("width", [1, 2, 3, 5])
-def test_narrow_streams_of_one_kind(width: int, filling: float) -> None:
-    stream = np.full((7, width), filling, dtype=np.float32)
-    params = build(PrcParams, {"lines_per_block": 3, "surfaces": {"area": "auto"}}, "test")
-    labels, _ = run_stream(stream, params)
-    if np.isnan(filling):
-        assert (labels == Label.MISSING).all()
-    else:
-        assert (labels[2:-2] == Label.GROUND).all()
-
-
-@pytest.mark.parametrize(
-    ("range_shape", "next_shape", "message"),
-    [
-        ((0, 5), (0, 5), "found 0 lines, expected 1 to 99"),
-        ((100, 5), (0, 5), "found 100 lines, expected 1 to 99; cut the stream into blocks of prc.lines_per_block"),
-        ((3, 4), (0, 5), r"found an array of shape \(3, 4\), expected \(lines, 5\) as the stream began"),
-        ((3, 5), (1, 4), r"found an array of shape \(1, 4\), expected \(lines, 5\)"),
-        ((5,), (0, 5), r"found an array of shape \(5,\)"),
-    ],
-)
-def test_blocks_that_do_not_fit_are_refused(
-    range_shape: tuple[int, ...], next_shape: tuple[int, ...], message: str
-) -> None:
-    block = ScanBlock(0, np.ones(range_shape, np.float32), next_m=np.ones(next_shape, np.float32))
-    with pytest.raises(InputError, match=message):
-        Prc(PrcParams()).label(block, 5, OneByOne(initial_state(5)), LABELS_ALONE)
 
 
 @pytest.mark.parametrize(

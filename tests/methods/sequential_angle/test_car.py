@@ -75,58 +75,11 @@ def test_nothing_is_marked_behind_a_high_vertical() -> None:
     assert not marked[0, found.where("car")].any()
 
 
-def test_high_verticals_are_sought_in_the_layer_of_vegetation_and_surfaces() -> None:
-    """A sign over the road that the car layer takes for dense vegetation hides what stands behind it all the same."""
-    found = see([[*road(), *car(8), Piece("sign", (5.0, 2.0), (5.0, 8.0))]], np.random.default_rng(3), scanner_m=2.5)
-    layer = found.surface.copy()
-    layer[0, found.where("sign")] = DENSE
-    signed, behind = signed_angles(found.lines), found.where("car")
-    for surface, hidden in ((found.surface, True), (layer, False)):
-        marked = cars(found.lines, surface, layer, signed, found.z_g, CarThresholds().at_noise(NOISE_M)).car
-        assert marked[0, behind].any() != hidden
-
-
-def test_sidewalk_behind_a_car_is_no_car() -> None:
-    found = see([[*road(), *car(6), *curb(8.0), *wall(12.0, 0.15)]], np.random.default_rng(3), scanner_m=5.0)
-    sidewalk = found.where("pavement")
-    assert len(sidewalk) > 5
-    assert find(found, made(CarThresholds, ground_layer_m=0))[0, sidewalk].any()
-    assert not find(found)[0, sidewalk].any()
-    assert find(found)[0, found.where("car")].mean() > 0.9
-
-
 def test_without_ground_there_are_no_cars() -> None:
     found = see([[*road(), *car(6)]], np.random.default_rng(1))
     unknown = Seen(found.lines, found.surface, found.names, np.array([np.nan], np.float32))
     assert find(found).any()
     assert not find(unknown).any()
-
-
-def test_lines_that_hold_nothing() -> None:
-    found = see([[*road(), *car(6)]], np.random.default_rng(1))
-    found.lines.range_m[:] = np.nan
-    found.lines.xyz_m[:] = np.nan
-    found.lines.horizontal_m[:] = np.nan
-    found.surface[:] = 0
-    assert not find(found).any()
-
-
-def test_rows_do_not_know_each_other() -> None:
-    rng = np.random.default_rng(11)
-    scenes = [[*road(), *car(float(at)), *wall(20)] for at in rng.uniform(4, 12, 6)]
-    found = see(scenes, rng)
-    whole = find(found)
-    for row in range(len(scenes)):
-        lines = found.lines
-        one = type(lines)(
-            lines.range_m[row : row + 1],
-            lines.xyz_m[row : row + 1],
-            lines.horizontal_m[row : row + 1],
-            lines.n_beams[row : row + 1],
-            lines.beam_rad,
-        )
-        alone = find(Seen(one, found.surface[row : row + 1], found.names[row : row + 1], found.z_g[row : row + 1]))
-        np.testing.assert_array_equal(alone[0], whole[row])
 
 
 PLAIN = {
@@ -169,8 +122,6 @@ def share_of_lines(pieces: list[Piece], params: DividerThresholds, at_m: float, 
 
 ALL_SUDDEN = plain(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=100)
 """Every change is sudden, so that TestUnder alone decides."""
-ALL_OBSTACLES = plain(under_m=100, vertical_extent_m=100)
-"""Nothing is under anything, so that the angle of the change alone decides."""
 
 
 @pytest.mark.parametrize("distance", [4.0, 7.0, 12.0])
@@ -180,18 +131,6 @@ def test_something_is_under_the_side_of_a_car_but_not_under_walls_and_curbs(dist
     assert share_of_lines([*road(), *car(distance)], ALL_SUDDEN, distance, **how) == 1
     assert share_of_lines([*road(), *wall(distance)], ALL_SUDDEN, distance, **how) == 0
     assert share_of_lines([*road(), *curb(distance)], ALL_SUDDEN, distance, **how) == 0
-
-
-def test_walls_are_sudden_and_tyres_gradual() -> None:
-    literal = ALL_OBSTACLES._replace(change_chord_m=0.0, change_chord_sigmas=0.0)
-    walls = {
-        name: [1 - share_of_lines([*road(), *wall(at)], params, at, high_deg=85.0) for at in (5.0, 8.0, 12.0)]
-        for name, params in (("chord", ALL_OBSTACLES), ("literal", literal))
-    }
-    tyres = [1 - share_of_lines([*road(), *car(at, tyre=True)], ALL_OBSTACLES, at) for at in (5.0, 8.0, 12.0)]
-    assert min(walls["chord"]) > 0.8
-    assert max(walls["literal"]) < 0.8
-    assert max(tyres) < 0.05
 
 
 def test_walls_curbs_and_poles_give_no_interval() -> None:
@@ -233,63 +172,6 @@ def side(at_m: float, top_m: float = 0.95) -> list[tuple[str, float, float]]:
 def spans(steps: list[tuple[str, float, float]], params: DividerThresholds = PARAMS) -> list[tuple[int, int]]:
     found, _ = profile(steps)
     return [(int(first), int(last)) for _, first, last in find_of_dividers(found, params)]
-
-
-def test_jump_ahead_divides_and_jump_back_does_not() -> None:
-    start = [*ground(2, 6.5), *side(6)]
-    n = len(start)
-    begin = len(ground(2, 6.5))
-    assert spans([*start, *side(9.9)]) == [(begin, n + 7)]
-    assert spans([*start, *side(10.5)]) == [(begin, n - 1), (n, n + 7)]
-    assert spans([*start, *side(10.5), *side(6.2)]) == [(begin, n - 1), (n, n + 15)], "back towards the scanner"
-    assert spans([*start, *side(10.5)], plain(separation_m=5)) == [(begin, n + 7)]
-
-
-def test_the_largest_slope_of_ground_is_an_angle() -> None:
-    """Ground that rises by 1.4 m a metre, 54.5 degrees, beside limits on either side; 1.4 rad are 80 degrees."""
-    first = [*ground(2, 6.5), *side(6)]
-    steep = [("H", h, 1.4 * (h - 7)) for _, h, _ in ground(7, 11)]
-    begin, n = len(ground(2, 6.5)), len(first)
-    for slope_deg, is_ground in ((55.0, True), (54.0, False)):
-        params = plain(flat_slope=float(np.tan(np.deg2rad(slope_deg))), height_m=100)
-        assert spans([*first, *steep], params) == [(begin, n if is_ground else n + len(steep) - 1)]
-
-
-@pytest.mark.parametrize(("noise_m", "chord_m", "under_m"), [(0.0, 0.1, 0.01), (0.005, 0.1, 0.03), (0.05, 0.4, 0.3)])
-def test_limits_are_the_larger_of_a_length_and_a_multiple_of_the_noise(
-    noise_m: float, chord_m: float, under_m: float
-) -> None:
-    thresholds = PARAMS.at_noise(noise_m)
-    assert (thresholds.change_chord_m, thresholds.under_m) == (pytest.approx(chord_m), pytest.approx(under_m))
-
-
-def test_long_vertical_runs_are_cut_out_of_the_middle() -> None:
-    start, trunk = [*ground(2, 6.5), *side(6)], [("V", 7.0, float(z)) for z in np.arange(0.5, 1.9, 0.1)]
-    hood = [("H", float(h), 0.95) for h in (6.2, 6.4, 6.6)]
-    begin, n = len(ground(2, 6.5)), len(start) + len(hood)
-    after = [("H", float(h), 1.9) for h in (7.2, 7.4)]
-    steps = [*start, *hood, *trunk, *after]
-    assert spans(steps) == [(begin, n - 1), (n + len(trunk), len(steps) - 1)]
-    assert spans(steps, plain(vertical_extent_m=1.5)) == [(begin, len(steps) - 1)]
-
-
-def test_hostile_row_takes_no_more_than_a_moment() -> None:
-    """Alternating labels on points closer than any chord, and a rough run of thousands of points."""
-    n = 20_000
-    beam = np.linspace(0.5, 1.2, n)
-    found = make_lines(np.full((4, n), 0.05), beam)
-    codes = np.tile(np.array([H, V], np.uint8), (4, n // 2))
-    codes[1, :] = H
-    codes[1, 1] = V
-    codes[2:, ::7] = 0
-    z_g = np.full(4, -1.8, np.float32)
-    signed = np.full((4, n), 50, np.float32)
-    params = plain(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
-    intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params.at_noise(NOISE_M)).pieces
-    assert intervals[:, 0].max() <= 3
-    limits = params.at_noise(NOISE_M)._replace(vertical_extent_m=1.0, vertical_break_m=0.0)
-    left = kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, z_g, limits)
-    assert left.shape[1] == 3
 
 
 def columns(shapes: list[tuple[float, float, float, int]], codes: str) -> tuple[Any, Any, Any]:

@@ -22,19 +22,10 @@ from prc_cli.methods.sequential_angle.thresholds import (
     SurfaceThresholds,
 )
 from tests.methods.sequential_angle.made import made
-from tests.methods.sequential_angle.scenes import lines_of, lines_through, street_lines
+from tests.methods.sequential_angle.scenes import lines_through, street_lines
 from tests.methods.sequential_angle.test_markov import SCRIPT, SLOW
 
 M, T, H, V, U = (int(surface) for surface in Surface)
-PUBLISHED_TILT = made(
-    SurfaceThresholds,
-    threshold_vertical_deg=20,
-    drift_horizontal_deg=30,
-    threshold_horizontal_deg=15,
-    fold=False,
-    backdate=False,
-    start_horizontal=True,
-)
 
 
 @pytest.fixture
@@ -122,69 +113,6 @@ def test_changes_are_dated_back() -> None:
     assert labels(tilts, made(SurfaceThresholds, backdate=False)) == [H] * 8 + [V] * 6 + [H] * 4
 
 
-def test_folding_and_signs() -> None:
-    down = [90.0] * 6 + [175.0] * 6 + [-90.0] * 6 + [-3.0] * 6
-    assert labels(down, SurfaceThresholds()) == [H] * 6 + [V] * 6 + [H] * 6 + [V] * 6
-    assert labels(down, made(SurfaceThresholds, fold=False)) == [H] * 18 + [V] * 6
-
-
-def test_runs_begin_with_their_first_five_angles() -> None:
-    assert labels([0, 90, 0, 90, 0] + [60] * 5, SurfaceThresholds())[0] == V
-    assert labels([0, 90, 0, 90, 90] + [60] * 5, made(SurfaceThresholds, threshold_vertical_deg=1000)) == [H] * 10
-    assert labels([10.0], SurfaceThresholds()) == [V]
-    assert labels([10.0, 80.0], made(SurfaceThresholds, threshold_vertical_deg=90)) == [H, H], "half way is horizontal"
-    assert labels([10.0] * 3, made(SurfaceThresholds, start_horizontal=True, backdate=False)) == [V] * 3
-    assert labels([30.0] * 4, made(SurfaceThresholds, start_horizontal=True, backdate=False)) == [H, H, V, V]
-
-
-def test_every_run_is_judged_by_itself() -> None:
-    vegetation = np.zeros(30, bool)
-    vegetation[12:20] = True
-    found = labels([0.0] * 20 + [50.0] * 10, SurfaceThresholds(), vegetation)
-    assert found == [V] * 12 + [T] * 8 + [H] * 10
-    assert labels([0.0] * 20 + [45.0] * 10, SurfaceThresholds()) == [V] * 30
-
-
-def test_published_reading_of_horizontal_and_vertical() -> None:
-    tilts = [10.0] * 2 + [90.0] * 5 + [30.0] * 4 + [80.0] * 5
-    assert labels(tilts, PUBLISHED_TILT) == [V] * 2 + [H] * 6 + [V] * 3 + [H] * 5
-    assert labels(tilts, SurfaceThresholds()) == [V] * 2 + [H] * 5 + [V] * 4 + [H] * 5
-
-
-def test_shots_without_an_angle_go_with_the_one_before() -> None:
-    nan = float("nan")
-    assert labels([nan, nan, 0, 0, nan, 90, 90, nan], SurfaceThresholds()) == [V] * 5 + [H] * 3
-    vegetation = np.array([False, False, True, True, True])
-    assert labels([90, 90, 0, nan, nan], SurfaceThresholds(), vegetation) == [H, H, T, T, T]
-    assert labels([nan] * 4, SurfaceThresholds()) == [U] * 4
-
-
-def test_lines_without_returns_with_one_and_with_all_at_one_place(rng: Generator) -> None:
-    nothing = np.full((9, 2), np.nan)
-    one = nothing.copy()
-    one[4] = (5, 1)
-    same = np.tile((5.0, 1.0), (9, 1))
-    found = classified(lines_through([nothing, one, same]), 0.005, 4, CoarseThresholds())
-    assert found.tolist() == [[M] * 9, [M] * 4 + [U] + [M] * 4, [U] * 9]
-    lines, _ = street_lines(rng, 2)
-    short = np.array([700, 0], np.int32)
-    cut = VerticalLines(lines.range_m, lines.xyz_m, lines.horizontal_m, short, lines.beam_rad)
-    found = classified(cut, 0.005, 4, CoarseThresholds())
-    alone = lines_of(lines.beam_rad[0, :700], lines.range_m[0, :700])
-    np.testing.assert_array_equal(found[0, :700], classified(alone, 0.005, 4, CoarseThresholds())[0])
-    assert (found[0, 700:] == M).all()
-    assert (found[1] == M).all()
-
-
-def test_rows_are_independent(rng: Generator) -> None:
-    lines, _ = street_lines(rng, 5)
-    for params in (CoarseThresholds(), made(CoarseThresholds, vegetation=SCRIPT, surfaces=PUBLISHED_TILT)):
-        found = classified(lines, 0.005, 4, params)
-        for row in range(5):
-            alone = lines_of(lines.beam_rad[0], lines.range_m[row])
-            np.testing.assert_array_equal(classified(alone, 0.005, 4, params)[0], found[row])
-
-
 def plain(**values: int) -> FourierThresholds:
     """Without the readings that are ours, so that every rule is tested by itself."""
     return made(FourierThresholds, **{"longest": 0, **values}).at_noise()
@@ -234,12 +162,6 @@ def test_windows_tell_long_foliage_too() -> None:
     assert fourier(leaves, whole(leaves), PARAMS).mean() < 0.1
     # a window on the side alone has a small mean: half of the windows may fail
     assert 0.85 < fourier(bodies, whole(bodies), PARAMS).mean() < 1
-
-
-def test_cost_of_a_long_interval_is_bounded() -> None:
-    rows = foliage(np.random.default_rng(1), 1, 40_000)
-    assert not fourier(rows, whole(rows), plain(window=64))[0]
-    assert fourier(rows, whole(rows), WHOLE)[0]
 
 
 PARAMS_VEGETATION = SequentialAngleThresholds().dense_vegetation

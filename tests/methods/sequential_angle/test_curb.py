@@ -59,12 +59,6 @@ def test_curbs_are_found_and_walls_are_not(n_sides: int) -> None:
     np.testing.assert_array_equal(find(scene), riser(scene))
 
 
-def test_a_wall_without_a_curb_is_none() -> None:
-    scene = scan([street(curb_m=0.0)] * 12, n=800)
-    assert (possible(scene) >= 0).all()
-    assert not find(scene).any()
-
-
 def test_sides_of_cars_have_something_under_them() -> None:
     scene = scan([street(car=True)] * 12, n=800)
     side = (scene.surface == V) & (np.abs(scene.lines.horizontal_m - 3.0) < 0.05)
@@ -93,21 +87,6 @@ def test_search_ends_two_metres_above_the_ground() -> None:
     scene = scan([floating] * 4, n=600)
     assert (possible(scene) == -1).all()
     assert (possible(scene, plain(search_height_m=5.0)) >= 0).all()
-
-
-@pytest.mark.parametrize(("n_lines", "straight", "expected"), [(3, False, True), (2, True, True), (2, False, False)])
-def test_few_lines_must_be_straight(n_lines: int, straight: bool, expected: bool) -> None:
-    scene = scan([street(curb_m=0.0, wall=False)] * 3 + [street(wall=False)] * n_lines, n=800)
-    if not straight:
-        scene.signed[:, ::2] = 80.0
-        scene.signed[:, 1::2] = 10.0
-    assert find(scene).any() == expected
-
-
-def test_a_single_point_is_not_shown_to_be_straight() -> None:
-    rows = drawn(["#"], 0.1)
-    assert not label(*rows, [0]).any()
-    assert label(*rows, [0], plain(min_lines=1)).any()
 
 
 def drawn(picture: Sequence[str], step: float = 0.1) -> tuple[VerticalLines, U8, F32]:
@@ -204,16 +183,6 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
             np.testing.assert_array_equal(np.concatenate([*parts, found]), whole)
             assert state.n_waiting == 0
     assert shown > 0
-
-
-def test_missing_rows_are_final_at_once() -> None:
-    scene = scan([street()] * 5, n=100)
-    scene.surface[:] = 0
-    none = np.full(5, -1, np.int32)
-    curb, state = curbs(scene.lines, scene.surface, scene.signed, none, CurbState.start(1, 100, PARAMS), PARAMS, last=False)  # fmt: skip  # noqa: E501
-    assert curb.shape == (5, 100)
-    assert not curb.any()
-    assert state.n_waiting == 0
 
 
 def test_a_wall_holds_no_line_back_and_costs_little() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -88,31 +86,6 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
     assert climbed(growth_height_m=0.5)  # potential ground ends at the jump, and growth takes it
 
 
-def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
-    scene = scan([street()] * 30, n=300)
-    nothing = initial_ground(np.full(4, np.nan), PARAMS)
-    assert np.isnan(nothing.z_g)
-    assert nothing.n_in_histogram_ahead == 4
-    scene.surface[:4] = 0
-    found, z_g, state = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS)
-    assert np.isnan(z_g[: 4 + 9]).all()  # known from the tenth height on
-    assert not found[: 4 + 9].any()
-    assert found[4 + 9 :].any(axis=1).all()
-    assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
-    assert state.n_in_histogram_ahead == 0
-    few, first = np.full(40, np.nan), np.array([-0.4, -0.3])
-    few[[7, 20]] = first
-    assert np.isnan(initial_ground(few, PARAMS).z_g)
-    assert initial_ground(few, limits(least_heights=1)).z_g < 0
-    found, z_g, _ = follow(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, initial_ground(few, PARAMS)._replace(
-        n_in_histogram_ahead=0), PARAMS,
-    )  # fmt: skip
-    assert np.flatnonzero(np.isnan(z_g)).tolist() == list(range(4 + 7))
-    assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
-    assert found[4 + 7 :].any(axis=1).all()
-
-
 def plane(slope_deg: float, turned_deg: float = 0.0) -> Scene:
     """Half-lines all around on a slope, from 1 m to 15 m."""
     rise = np.tan(np.deg2rad(slope_deg)) * np.cos(np.deg2rad(np.arange(0, 360, 4) + turned_deg))
@@ -173,25 +146,6 @@ def test_a_wrong_first_estimate_is_left_behind(memory: int) -> None:
     assert not find(scene, limits(renew_every=False))[1][60:].any()
 
 
-def noisy(scene: Scene, at: list[int]) -> Scene:
-    """Shots of the road that the coarse layer takes for a wall or a leaf."""
-    surface, phihat = scene.surface.copy(), scene.phihat.copy()
-    for number, k in enumerate(at):
-        surface[:, k] = V if number % 2 else 1
-        phihat[:, k] = np.nan
-    return replace(scene, surface=surface, phihat=phihat)
-
-
-def test_noisy_shots_do_not_end_the_road() -> None:
-    scene = noisy(scan([street()] * 20, n=1000), [5, 60, 61, 130, 131, 132, 133, 300])
-    _, found, _, _ = find(scene)
-    assert found[road(scene)].mean() > 0.97
-    assert not found[:, [5, 60, 61, 130, 131, 132, 133, 300]].any()
-    assert find(scene, limits(bridge=0))[1][road(scene)].mean() < 0.4
-    scene = noisy(scan([street()] * 20, n=1000), [130, 131, 132, 133, 134])
-    assert find(scene)[1][road(scene)].mean() < 0.6
-
-
 @pytest.mark.parametrize("curb_m", [0.08, 0.12, 0.15])
 @pytest.mark.parametrize("n", [300, 1000])
 def test_ground_ends_at_a_curb_however_few_shots_meet_it(curb_m: float, n: int) -> None:
@@ -223,33 +177,3 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         np.testing.assert_array_equal(state.histogram, last.histogram)
         np.testing.assert_array_equal(state.recent, last.recent)
         assert state.z_g == last.z_g
-
-
-@pytest.mark.parametrize("kind", ["one", "uniform", "alternating", "outlier"])
-def test_long_rows_take_no_more_than_their_share(kind: str) -> None:
-    """No exact timing on a shared machine: four times the beams must not take sixteen times as long."""
-
-    def seconds(n: int) -> float:
-        rng = np.random.default_rng(1)
-        x = np.linspace(1, 200, n)
-        xyz = np.stack([x, 0 * x, rng.normal(-1.8, 0.005, n)], axis=-1).astype(np.float32)[None]
-        scene = scan([street()], n=n)
-        horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
-        lines = replace(scene.lines, xyz_m=xyz, horizontal_m=horizontal, range_m=np.linalg.norm(xyz, axis=-1))
-        angle = {
-            "one": 90 + rng.normal(0, 1, n),
-            "uniform": rng.uniform(0, 300, n),
-            "alternating": 90 + np.arange(n) % 2 * 30.0,
-            "outlier": np.where(np.arange(n) == 5, 200, 90 + rng.normal(0, 4, n)),
-        }[kind]
-        ahead = np.append(np.arange(1, n), -1).astype(np.int32)[None]
-        surface = np.full((1, n), H, np.uint8)
-        best = np.inf
-        for _ in range(3):
-            begin = time.process_time()
-            potential_ground(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS)
-            best = min(best, time.process_time() - begin)
-        return best
-
-    # four times as much to do takes sixteen times as long if it grows with the square, and that every time
-    assert any(seconds(20_000) < 10 * seconds(5_000) + 0.002 for _ in range(5))

@@ -139,29 +139,6 @@ def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
     assert quick[-1] < alarms[-1]
 
 
-def test_extreme_values_and_long_sequences_stay_finite(rng: Generator) -> None:
-    """Densities vanish with narrow states; likelihoods would long have vanished without their common scale."""
-    values = rng.choice([-90.0, 15.0, 90.0], (2, 20_000)).astype(np.float32)
-    values[1] = 50.0
-    for params in (SCRIPT, MarkovThresholds()):
-        found = hmm_cusum(values, params)
-        assert found[0].mean() > 0.9
-        assert not found[1].any()
-    values[0] = rng.choice([-360.0, -180.0, 0.0, 180.0, 360.0], 20_000)
-    locked = made(MarkovThresholds, sigmas_deg=(0.01, 0.01, 0.01), h1=((1, 0, 0), (0, 1, 0), (0, 0, 1)), h0=SLOW)
-    assert hmm_cusum(values, locked).shape == values.shape
-    # no state but the first, and values far from it: neither model can explain them
-    nowhere = made(
-        MarkovThresholds,
-        sigmas_deg=(0.01, 0.01, 0.01),
-        h0=((1, 0, 0),) * 3,
-        h1=((1, 0, 0),) * 3,
-        initial_h0=(1, 0, 0),
-        initial_h1=(1, 0, 0),
-    )
-    assert not hmm_cusum(values, nowhere).any()
-
-
 def test_false_alarms_are_rarer_than_the_bound(rng: Generator) -> None:
     """Wald: under model 0 itself at least exp(h) samples pass between two alarms on the mean."""
     params = made(MarkovThresholds, threshold=4, backdate=False)
@@ -230,26 +207,6 @@ def test_grid_decides_on_one_mode_as_literal_mean_shift_does() -> None:
     assert sizes / 600 >= 0.85
 
 
-def test_a_gaussian_has_one_mode_from_a_bandwidth_of_its_deviation_on() -> None:
-    rng = np.random.default_rng(4)
-
-    def share(b: float, n: int) -> float:
-        return float(np.mean([len(modes_of(rng.normal(0, 1, n), b)) == 1 for _ in range(200)]))
-
-    assert 0.3 < share(0.5, 9) < 0.7
-    for n in (9, 50, 200):
-        assert share(1.0, n) >= 0.98
-        assert share(2.0, n) == 1.0
-
-
-def test_order_of_samples_changes_nothing() -> None:
-    rng = np.random.default_rng(5)
-    values = rng.normal(0, 3, 200)
-    found = modes_of(values, 0.7)
-    assert found == modes_of(rng.permutation(values), 0.7)
-    assert sum(count for _, count in found) == 200
-
-
 CODES = {"M": 0, "T": 1, "H": 2, "V": 3, "U": 4}
 PARAMS = made(SuspiciousThresholds, enabled=True)
 
@@ -279,12 +236,6 @@ def trigger(states: str, params: SuspiciousThresholds = PARAMS) -> int:
 )
 def test_what_fires(start: str, states: str, beam: int) -> None:
     assert trigger(start + states) == (beam if beam < 0 else beam + len(start))
-
-
-@pytest.mark.parametrize("end", ["T", "U"])
-def test_dense_vegetation_and_points_without_an_angle_end_it(end: str) -> None:
-    assert trigger("HH" + end + "VHVHMM") == -1
-    assert trigger("HVH" + end) == 2
 
 
 def test_sky_fires() -> None:

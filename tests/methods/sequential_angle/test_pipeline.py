@@ -12,14 +12,12 @@ from prc_cli import kernels
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import cut
 from prc_cli.core.classes import CarTest, Label, TriggerSide
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
-from prc_cli.core.types import F32, F64, U8
-from prc_cli.jobs.classify import classify_ranges, label_blocks
+from prc_cli.core.types import U8
+from prc_cli.jobs.classify import label_blocks
 from prc_cli.kernels import KERNELS
-from prc_cli.methods.base import LABELS_ALONE, OneByOne, Wanted
+from prc_cli.methods.base import OneByOne, Wanted
 from prc_cli.methods.run import run_blocks
-from prc_cli.methods.sequential_angle import pipeline
 from prc_cli.methods.sequential_angle.pipeline import (
     Beams,
     SequentialAngle,
@@ -32,7 +30,7 @@ from prc_cli.methods.sequential_angle.pipeline import (
     stages_in_columns,
     within_lines,
 )
-from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, GroundThresholds, SequentialAngleThresholds
+from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, SequentialAngleThresholds
 from tests.kernels.twins import twin
 from tests.simulated import static_arrays
 
@@ -143,22 +141,6 @@ def test_static_street_scans_are_classified() -> None:
         assert np.mean(reference[labels == label] == label) > precision, label.name
 
 
-def test_memory_is_bounded_by_the_curbs() -> None:
-    block, _ = scan(elevation_step=1.0, azimuth_step=0.5)
-    n_start = 50
-    ground = GroundThresholds(start_heights=n_start)
-    params = PARAMS._replace(curb=CurbThresholds(max_lines=20), ground=ground)
-    _, most = run(cuts(block, lines=10), params, block.n_lines)
-    assert most <= n_start + 10 + 20
-
-
-def wall(n_lines: int, n_beams: int = 40) -> tuple[F32, F64]:
-    """A scanner before a wall, no ground in sight."""
-    beam = np.pi / 2 + np.deg2rad(np.linspace(-5, 60, n_beams))
-    ranges = (5.0 / np.sin(beam)).astype(np.float32)
-    return np.tile(ranges, (n_lines, 1)), beam
-
-
 def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
     block, _ = scan()
     assert block.beam_rad is not None
@@ -172,14 +154,6 @@ def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
             known_at = n_heights
             break
     assert known_at == PARAMS.ground.start_heights
-
-
-def test_what_lies_beyond_the_reach_is_missing() -> None:
-    ranges, beam = wall(3)
-    ranges[:, 20] = 301.0
-    (labels, *_), _ = run(iter([ScanBlock(0, ranges, beam_rad=beam)]), PARAMS, 3)
-    assert (labels[:, 20] == Label.MISSING).all()
-    assert (np.delete(labels, 20, axis=1) == Label.VERTICAL).all()
 
 
 def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
@@ -211,27 +185,6 @@ def config() -> RunConfig:
     return load_config(preset="street-scan").config
 
 
-def test_several_scanners_at_once_and_one_after_the_other() -> None:
-    block, _ = scan()
-    expected, _ = run(iter([block]), PARAMS, block.n_lines)
-    other = replace(block, scanner=1)
-    mixed = [each for pair in zip(cuts(block, lines=30), cuts(other, lines=30), strict=True) for each in pair]
-    after = [replace(block, is_last=True), other]
-    for blocks in (mixed, after):
-        found: dict[int, list[U8]] = {0: [], 1: []}
-        lines: dict[int, int] = {0: 0, 1: 0}
-        items = list(label_blocks(iter(blocks), config().classifier))
-        for item in items:
-            scanner = item.block.scanner
-            assert item.block.first_line == lines[scanner]
-            lines[scanner] += item.block.n_lines
-            found[scanner].append(item.labels)
-        for labels in found.values():
-            np.testing.assert_array_equal(np.concatenate(labels), expected[0])
-    scanners = [item.block.scanner for item in items]
-    assert scanners == sorted(scanners), "the first scan must be out before the second one begins"
-
-
 def test_further_returns_are_labelled_from_their_own_line() -> None:
     block, _ = scan()
     # the scanner counts millimetres: neighbours of one range would have a right to each other's class
@@ -247,32 +200,6 @@ def test_further_returns_are_labelled_from_their_own_line() -> None:
         found = np.concatenate([item.extra_labels for item in items])
         expected = np.full(1, Label.UNCLASSIFIED) if lone else labels[line, column]
         np.testing.assert_array_equal(found, expected)
-
-
-def test_an_image_in_memory_needs_its_beams() -> None:
-    block, _ = scan()
-    labels = classify_ranges(block.range_m, config(), beam_rad=block.beam_rad, xyz_m=block.xyz_m).labels
-    expected, _ = run(iter([block]), PARAMS, block.n_lines)
-    np.testing.assert_array_equal(labels, expected[0])
-    with pytest.raises(InputError, match="range_m: no vertical direction known"):
-        classify_ranges(block.range_m[:, :100], config())  # too few columns to measure their angles
-    assert block.beam_rad is not None
-    turned = np.remainder(block.beam_rad, 2 * np.pi)
-    np.testing.assert_array_equal(
-        classify_ranges(block.range_m, config(), beam_rad=turned, xyz_m=block.xyz_m).labels, labels
-    )
-    wrong = [
-        (np.zeros(3), r"found an array of shape \(3,\)"),
-        (np.full(block.points_per_line, np.nan), "not finite"),
-        (np.rad2deg(block.beam_rad), "expected radians"),
-        (np.random.default_rng(1).permutation(block.beam_rad), "turn back"),
-    ]
-    for beams, words in wrong:
-        with pytest.raises(InputError, match=f"beam_rad: .*{words}"):
-            classify_ranges(block.range_m, config(), beam_rad=beams)
-    assert block.xyz_m is not None
-    with pytest.raises(InputError, match="xyz_m: found points .* relative to the scanner"):
-        classify_ranges(block.range_m, config(), beam_rad=block.beam_rad, xyz_m=block.xyz_m + np.float32(1000))
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -312,37 +239,3 @@ def test_the_search_for_cars_can_be_followed() -> None:
             assert (labels[line, places[[0, -1]]] != Label.MISSING).all()
     (plain,) = run_blocks(iter([replace(block, is_last=True)]), SequentialAngle(PARAMS))
     np.testing.assert_array_equal(plain.labels, labels)
-
-
-@pytest.mark.parametrize("step", ["within_lines", "follow_ground", "find_cars", "decide_curbs", "in_columns"])
-def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    block, _ = scan()
-    plain = getattr(pipeline, step)
-    calls: list[None] = []
-
-    def fails(*arguments: object, **named: object) -> object:
-        calls.append(None)
-        if len(calls) == 3:
-            raise MemoryError(step)
-        return plain(*arguments, **named)
-
-    monkeypatch.setattr(pipeline, step, fails)
-    with pytest.raises(MemoryError, match=step):
-        list(run_blocks(iter([block]), SequentialAngle(PARAMS), threads=3, shots_at_once=2000))
-
-
-def test_the_state_holds_nothing_hidden() -> None:
-    """A run can go on from a copied state."""
-    block, _ = scan()
-    first, second = cut(block, 0, 120), cut(block, 120, block.n_lines)
-    assert block.beam_rad is not None
-    method, beams = SequentialAngle(PARAMS), Beams.of(block.beam_rad)
-    begun = OneByOne(method.initial_state(beams))
-    method.label(first, beams, begun, LABELS_ALONE)
-    again = [
-        method.label(replace(second, is_last=True), beams, OneByOne(state), LABELS_ALONE)
-        for state in (begun.state, replace(begun.state))
-    ]
-    for one, other in zip(*again, strict=True):
-        np.testing.assert_array_equal(one.labels, other.labels)
-    assert {each.name for each in fields(begun.state)} == set(SequentialAngleState.__slots__)

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.stream import ReadTally, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import AngleStep
 from prc_cli.streams.down import DownGuess
@@ -20,24 +20,20 @@ from prc_cli.streams.evidence import geometry, lines
 from prc_cli.streams.evidence.checks import (
     check_collisions,
     check_missing_code,
-    check_ranges,
     check_returns,
     check_rounding,
     check_unplaced,
 )
-from prc_cli.streams.evidence.figures import Figures, LineSample, Seen, Turned, Window, figures_of
+from prc_cli.streams.evidence.figures import Figures, Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
-    check_columns_along,
     check_dropouts,
     check_line_length,
     check_line_order,
     check_noise,
     check_shot_order,
-    is_shifted,
 )
 from prc_cli.streams.evidence.periods import PeriodEstimate
-from tests.street import street
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
 USUAL = Figures(
@@ -110,42 +106,6 @@ def test_lines_that_are_alike(folds: dict[int, float], line: float, ratio: str, 
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("step", "word"), [(2, "2nd"), (3, "3rd"), (4, "4th")])
-def test_lines_of_several_scanners(step: int, word: str) -> None:
-    line = [0.4, 0.4, 0.4, 0.4]
-    line[step - 1] = 0.19
-    expected = (
-        AGAINST,
-        f"line-length: a line is like the {word} line after it, not the next, expected lines of M = 100 shots that are "
-        f"alike; give -M {100 * step} if lines are longer, or split several scanners with --scanner",
-        f"-M {100 * step}",
-    )
-    assert told(check_line_length(seen(), replace(USUAL, line=tuple(line), reversed_line=0.381), None)) == expected
-    zigzag = told(check_line_length(seen(), replace(USUAL, line=tuple(line), reversed_line=0.38), None))
-    if step == 2:
-        expected = (
-            AGAINST,
-            "line-length: every second line runs the other way, expected lines scanned the same way; reverse every "
-            "second line",
-            "",
-        )
-    assert zigzag == expected
-
-
-@pytest.mark.parametrize("m", [180 * times for times in (2, 3, 4, 5, 7, 9, 10, 34)] + [541, 90, 60, 36, 20])
-def test_a_multiple_or_a_part_of_the_line_length(m: int) -> None:
-    """M is 180; the last multiple leaves four lines, which are too few for every other check."""
-    flat = street().ravel()
-    n_lines = len(flat) // m
-    sample = LineSample(m)
-    sample.add(ScanBlock(0, flat[: n_lines * m].reshape(n_lines, m)))
-    one = Seen(StreamInfo("a.npy", "array", m, None, None), 0, sample.windows(), n_lines=n_lines)
-    found = check_line_length(one, figures_of(one.windows), None)
-    assert found is not None
-    assert found.verdict is AGAINST
-    assert found.option == "-M 180"
-
-
 @pytest.mark.parametrize(
     ("here", "there", "verdict"),
     [
@@ -204,34 +164,6 @@ def test_the_ranges_tell_another_length(
     assert asked == [5 * M]
     if is_told:
         assert told(check_line_length(replace(one, windows=()), replace(USUAL, line=(line,) * 4), None)) != found
-
-
-@pytest.mark.parametrize(
-    ("share", "gain", "distance", "n_places", "expected"),
-    [
-        (0.3, 0.64, 60, 1, True), (-0.3, 0.45, 60, 1, True), (0.3, 0.44, 60, 1, True), (0.3, 0.65, 60, 1, False),
-        (0.3, 0.1, 60, 2, False),
-        # a wrong M by up to 4 would shift as much, within 12 of 1000 shots
-        (0.3, 0.1, 300, 1, False), (0.3, 0.1, 150, 1, False), (0.3, 0.1, 100, 1, False), (0.3, 0.1, 75, 1, False),
-        (0.3, 0.1, 288, 1, False), (0.3, 0.1, 287, 1, True), (0.3, 0.1, 312, 1, False), (0.3, 0.1, 313, 1, True),
-    ],
-)  # fmt: skip
-def test_a_shift_at_a_single_place(share: float, gain: float, distance: int, n_places: int, expected: bool) -> None:
-    turned = Turned(480, share, gain, distance, n_places)
-    assert is_shifted(turned, 1000) is expected
-    found = told(check_columns_along(seen(m=1000), turned))
-    if expected:
-        said = (
-            f"columns-along: before line 480 all columns shift by 300 shots ({gain:.2g} times the difference), "
-            "expected at least 0.65 times; shots were lost or added there: split the file, or restore them"
-        )
-    else:
-        said = (
-            "columns-along: no single shift of all columns makes places along the stream differ less than "
-            f"{gain:.2g} times, expected at least 0.65 times"
-        )
-    verdict = FINE if not expected else AGAINST if gain < 0.45 else DOUBTFUL
-    assert found == (verdict, said, "")
 
 
 ORDER = "lines far apart differ {} times as much as neighbouring lines, expected at least 1.6"
@@ -377,25 +309,6 @@ def test_rounded_ranges(step_m: float, said: str, verdict: Verdict) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("median_m", "verdict"),
-    [
-        (0.0199, AGAINST), (0.0201, FINE), (150.0, FINE), (150.1, DOUBTFUL), (5000.0, DOUBTFUL), (5000.1, AGAINST),
-    ],
-)  # fmt: skip
-def test_median_range(median_m: float, verdict: Verdict) -> None:
-    unit = ""
-    if not 0.15 <= median_m <= 150.0:
-        name, scale = ("millimetres", "0.001") if median_m > 1.0 else ("kilometres", "1000")
-        unit = f"if they are {name}: --set input.range_scale={scale}; else "
-    assert told_of_cells(check_ranges(seen_of_cells(np.full(100, median_m)))) == (
-        verdict,
-        f"ranges: the median range is {np.float32(median_m):.4g} m, and 0.00% of the ranges lie beyond 20 km, expected "
-        f"0.02 to 150 m, and at most 1% that far; {unit}check the layout (byte order, types, scale, header bytes), and "
-        "--range with its coordinate system",
-    )
-
-
 BEAM: F64 = np.deg2rad(np.arange(-90.0, 90.0, 1.0))
 STREET: F32 = np.where(np.abs(BEAM) < 1.2, 2.0 / np.cos(BEAM), np.nan).astype(np.float32)
 
@@ -468,22 +381,6 @@ def test_scan_angles_may_run_the_other_way(guesses: list[DownGuess | None]) -> N
     assert told_of_geometry_limits(check_down(seen_of_geometry_limits(angle_rad=-BEAM)))[1].endswith(
         "--set input.nadir=-30"
     )
-
-
-@pytest.mark.parametrize(
-    ("n_windows", "n_off", "is_told"),
-    [(4, 2, True), (4, 1, False), (3, 3, False), (11, 2, True), (12, 2, False), (12, 3, True)],
-)
-def test_windows_that_look_elsewhere(
-    guesses: list[DownGuess | None], n_windows: int, n_off: int, is_told: bool
-) -> None:
-    guesses.extend([deg(1.0), *[deg(-41.0)] * n_off, *[deg(39.0), None, deg(90.0, 0.0, 1.4), *[deg(0.0)] * 12]])
-    verdict, said = told_of_geometry_limits(check_down(seen_of_geometry_limits(n_windows)))
-    assert verdict is (DOUBTFUL if is_told else FINE)
-    assert (said == (
-        f"down: level ground is elsewhere in {n_off} of {n_windows} samples along the drive, expected within 11 deg of "
-        "the direction in use; check whether the scanner was moved, or parts of the file are of another scanner"
-    )) is is_told  # fmt: skip
 
 
 @pytest.mark.parametrize(

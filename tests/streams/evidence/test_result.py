@@ -379,39 +379,6 @@ def flat(n_lines: int = 32, m: int = 32, label: int = G) -> tuple[F32, U8, F64]:
     return np.full((n_lines, m), 5.0, np.float32), np.full((n_lines, m), label, np.uint8), np.linspace(-1, 1, m)
 
 
-@pytest.mark.parametrize(("n_lines", "n_gone", "is_told"), [(32, 24, True), (32, 25, False), (31, 0, False)])
-def test_so_much_is_needed_to_tell(n_lines: int, n_gone: int, is_told: bool) -> None:
-    range_m, labels, beam = flat(n_lines, 33 if n_lines == 31 else 32)
-    labels[0, :n_gone] = 0
-    assert (
-        bool(asked_of_result_limits(sample(range_m, labels, None)))
-        is bool(asked_of_result_limits(sample(range_m, labels, beam)))
-        is is_told
-    )
-
-
-@pytest.mark.parametrize(
-    ("n_noise", "n_without", "verdict", "said"),
-    [
-        (256, 256, FINE, "25 % of the returns are noise, expected at most 25 %"),
-        (257, 257, DOUBTFUL, "25 % of the returns are noise, expected at most 25 %"),
-        (256, 257, DOUBTFUL, "25 % of the returns have no class, expected at most 25 %"),
-        (512, 0, DOUBTFUL, "50 % of the returns are noise, expected at most 25 %"),
-        (513, 0, AGAINST, "50 % of the returns are noise, expected at most 25 %"),
-        (0, 0, FINE, "0 % of the returns are noise, expected at most 25 %"),
-        (102, 0, FINE, "10 % of the returns are noise, expected at most 25 %"),
-        (100, 0, FINE, "9.8 % of the returns are noise, expected at most 25 %"),
-    ],
-)
-def test_noise_and_no_class(n_noise: int, n_without: int, verdict: Verdict, said: str) -> None:
-    range_m, labels, _ = flat()
-    labels.flat[:n_noise] = N
-    labels.flat[n_noise : n_noise + n_without] = U
-    assert asked_of_result_limits(sample(range_m, labels, None))["noise-share"] == (
-        verdict, f"noise-share: {said}; look at the order of the shots, M and the unit of the ranges: prc info",
-    )  # fmt: skip
-
-
 WHERE = "; look where down is: prc info, or give it with --set input.nadir=DEG"
 
 
@@ -437,43 +404,3 @@ def test_ground_below(n_other: int, verdict: Verdict) -> None:
         ][0]
         is FINE
     )
-
-
-@pytest.mark.parametrize(("lean_deg", "verdict"), [(4.9, FINE), (5.04, DOUBTFUL), (-5.1, DOUBTFUL)])
-def test_lean(lean_deg: float, verdict: Verdict) -> None:
-    range_m, labels, beam = flat()
-    range_m[:] = 4.0 / np.cos(beam - np.deg2rad(lean_deg))
-    said = f"ground-lean: the ground leans by {abs(lean_deg):.2f} deg across the lines, expected at most 5 deg"
-    one = sample(range_m, labels, beam, np.linspace(0, 2, 32))
-    nadir = np.rad2deg(np.linspace(0, 2, 32)[np.argmin(np.abs(beam - np.deg2rad(lean_deg)))])
-    expected = verdict, f"{said}; it would be level with --set input.nadir={nadir:.1f}; look where down is: prc info"
-    assert asked_of_result_limits(one)["ground-lean"] == expected
-    assert asked_of_result_limits(replace(one, angle_rad=None))["ground-lean"] == (verdict, said + WHERE)
-
-
-@pytest.mark.parametrize(
-    ("below_m", "range_m", "n_ground", "said"),
-    [
-        (1.01, 5.0, 3, "62 %"),
-        (0.99, 5.0, 3, "0 %"),
-        (1.01, 5.0, 2, None),
-        (15.01, 19.99, 3, "62 %"),
-        (15.01, 20.0, 3, None),
-    ],
-)
-def test_what_lies_below_the_ground(below_m: float, range_m: float, n_ground: int, said: str | None) -> None:
-    """Straight down on one side: ground at a depth, and things below it."""
-    depths, labels, _ = flat(250, 8, B)
-    depths[:] = range_m
-    depths[:, 5:] = range_m - below_m
-    labels[:, 8 - n_ground :] = G
-    found = asked_of_result_limits(sample(depths, labels, np.full(8, 0.001))).get("below-ground")
-    if said is None:
-        assert found is None
-    else:
-        assert found is not None
-        assert found[1].startswith(
-            f"below-ground: {said} of the returns within 20 m and 60 deg of down lie more than 1 m"
-        )
-        assert found[0] is (FINE if said == "0 %" else DOUBTFUL)
-    assert "below-ground" not in asked_of_result_limits(sample(depths[:124], labels[:124], np.full(8, 0.001)))

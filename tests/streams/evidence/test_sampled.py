@@ -12,35 +12,17 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence import periods as estimates
-from prc_cli.streams.evidence.figures import LineSample, Window, figures_of, fold, lines_of_window, most_turned, pieces
+from prc_cli.streams.evidence.figures import LineSample, Window, figures_of, fold, pieces
 from prc_cli.streams.evidence.lines import LineRepeats, check_repeats, digests
 from prc_cli.streams.evidence.periods import (
     RangeCorrelation,
 )
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
-
-
-@pytest.mark.parametrize(
-    ("m", "n_lines"),
-    [
-        (1, 4096),
-        (32, 4096),
-        (33, 3971),
-        (4096, 32),
-        (100_000, 32),
-        (131_072, 32),
-        (131_073, 31),
-        (1 << 22, 1),
-        (1 << 23, 1),
-    ],
-)
-def test_lines_of_a_window(m: int, n_lines: int) -> None:
-    assert lines_of_window(m) == n_lines
 
 
 @pytest.mark.parametrize("chunk", [1, 31, 32, 33, 300])
@@ -103,35 +85,6 @@ def test_repeated_lines_are_told(n: int, verdict: Verdict, said: str) -> None:
         "leave out the part that is there twice",
     )  # fmt: skip
     assert LineRepeats().n_repeated == 0
-
-
-def test_counts_of_all_scanners_and_lines_of_four() -> None:
-    """Evidence of many scanners: the lines of four are looked at, the counts hold all."""
-
-    class Many:
-        info = StreamInfo("a.npz", "array", 40, None, None, angle_rad=np.arange(40.0))
-
-        def blocks(self):  # type: ignore[no-untyped-def]
-            for scanner in (5, 3, 9, 1, 7, 8):
-                image = lines(30, 40, scanner)
-                image[: scanner + 1, 0] = np.nan
-                beam = np.full(40, float(scanner))
-                yield ScanBlock(0, image, scanner=scanner, beam_rad=beam, tally=ReadTally(n_unplaced=scanner))
-
-    stream = EvidenceStream(Many(), refuses=False, most_noise_m=0.5)
-    assert stream.findings() == ()
-    for _ in range(2):
-        assert len(list(stream.blocks())) == 6
-    seen = stream.seen()
-    assert [one.scanner for one in seen] == [1, 3, 5, 7]
-    for one in seen:
-        assert (one.n_lines, one.n_shots, one.n_missing) == (30, 6 * 30 * 40, 33 + 6)
-        assert one.tally.n_unplaced == 33
-        assert one.beam_rad is not None
-        assert one.beam_rad[0] == one.scanner
-        assert one.angle_rad is Many.info.angle_rad
-        assert one.most_noise_m == 0.5
-        assert sum(len(window.range_m) for window in one.windows) == (0 if one.scanner == 7 else 30)
 
 
 def test_the_worst_finding_of_a_live_stream_stays_and_is_told_once() -> None:
@@ -305,28 +258,3 @@ def test_fold_equals_plain_loops(m: int, off: int) -> None:
     assert len(profiles) == 9
     expected = np.median([slow_off(a, b) for i, a in enumerate(profiles) for b in profiles[i + 1 :]])
     assert fold(windows, length) == pytest.approx(expected, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("m", "lost", "expected"),
-    [(200, 50, 0.25), (200, -50, -0.25), (1024, 256, 0.25), (200, 100, 0.5), (201, 99, 99 / 201)],
-)
-def test_the_place_where_all_columns_shift(m: int, lost: int, expected: float) -> None:
-    line = rough(1, m, 8, gone=0.0)
-    image = np.tile(line, (400, 1))
-    image[200:] = np.roll(image[200:], -lost, axis=1)
-    # the other pieces do not differ at all without some noise, and then nothing helps
-    image *= np.random.default_rng(1).normal(1.0, 0.01, image.shape).astype(np.float32)
-    windows = tuple(Window(50 * k, image[50 * k : 50 * k + 20]) for k in range(8))
-    found = most_turned(windows)
-    assert found is not None
-    places = [piece.first_line for piece in pieces(windows)]
-    at = next(i for i, line in enumerate(places) if line >= 200)
-    assert (found.line, found.distance, found.n_places) == (places[at], places[at] - places[at - 1], 1)
-    assert found.share == pytest.approx(-expected)
-    first, second = (
-        slow_profile(image[place : place + 8, :: max(m // 256, 1)]) for place in (places[at - 1], places[at])
-    )
-    # all columns are known: missing ones do not shift
-    offs = [slow_off(first, np.roll(second, shift)) for shift in range(len(first))]
-    assert found.gain == pytest.approx(min(offs) / offs[0], rel=1e-5)
