@@ -17,6 +17,17 @@ os.environ.pop("COLUMNS", None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the loops once, on all cores, before workers start; else each would compile them for itself."""
+    if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
+        from prc_cli.kernels import KERNELS, load_compiler
+
+        load_compiler()
+        from prc_cli.kernels.compiling import compile_missing
+
+        compile_missing(sorted(set(KERNELS.values())))
+
+
 def data_folder() -> Path:
     """Folder of the real scans: ``$PRC_DATA``, else ``../shared/data`` beside the checkout."""
     given = os.environ.get("PRC_DATA")

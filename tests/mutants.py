@@ -1,11 +1,12 @@
 """Put single faults into the program and see which of them no test notices.
 
-``python -m tests.mutants --count 200 --seed 14 --coverage /tmp/mutants.sqlite`` measures once which test runs which
-line (a file kept from an earlier run is taken as it is), then takes seeded places in the rooms named by ``--rooms``,
-changes one operator or number at a time, and runs the tests that reach its statement. It prints every survivor and the
-share that was killed. ``--list`` shows the places alone, ``--skip`` and ``--only`` run a part of them. A change
-elsewhere leaves the draw as it is. No file is changed: the fault is in the code that a forked process imports. Compiled
-loops are left out, as their twins hold them bit for bit; so are the constants named by ``SIZES``.
+``python -m tests.mutants --count 200 --seed 14 --coverage /tmp/mutants.sqlite`` measures once which test and which
+golden case runs which line (files kept from an earlier run are taken as they are), then takes seeded places in the
+rooms named by ``--rooms``, changes one operator or number at a time, and runs the tests, then the golden cases, that
+reach its statement. It prints every survivor and the share that was killed, by room. ``--list`` shows the places alone,
+``--skip`` and ``--only`` run a part of them. A change elsewhere leaves the draw as it is. No file is changed: the fault
+is in the code that a forked process imports. Compiled loops are left out, as their twins hold them bit for bit; so are
+the constants named by ``SIZES``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ import argparse
 import ast
 import hashlib
 import importlib
+import itertools
 import json
+import multiprocessing
 import os
 import re
 import runpy
@@ -22,9 +25,11 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from importlib.machinery import SourceFileLoader
@@ -34,7 +39,10 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("methods", "formats", "streams", "matching", "jobs")
+ROOMS = (
+    "methods", "formats", "streams", "matching", "jobs", "cli", "evaluation", "imaging", "simulation", "core",
+    "reference",
+)  # fmt: skip
 LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz", "tests/kernels")
 """Tests that take long, or that run no line of the rooms in their own process."""
 SIZES = re.compile(
@@ -47,6 +55,8 @@ SIZES = re.compile(
 """Names of constants that only say how much is read, kept or worked on at a time, or how long is waited."""
 TIMEOUT_S = 240.0
 """A mutant that runs so long hangs, which is noticed."""
+GOLDEN = "golden::"
+"""Begins the names of golden cases among those of tests."""
 FIRST = 60
 """So many tests, the nearest ones, are run before the others are looked at."""
 BUDGET_S = 60.0
@@ -200,7 +210,7 @@ def pytest_sessionfinish() -> None:
 
 
 def measure(data: Path) -> None:
-    """Run the suite once and keep which test runs which line, and how long each takes."""
+    """Run the suite and the golden cases once; keep which runs which line, and how long each takes."""
     setup = data.with_suffix(".ini")
     setup.write_text("[run]\nsource = prc_cli\nsigterm = true\n", encoding="utf-8")
     command = [
@@ -210,6 +220,33 @@ def measure(data: Path) -> None:
     ]  # fmt: skip
     environment = {**os.environ, "PRC_MUTANTS_SECONDS": str(data.with_suffix(".json"))}
     subprocess.run(command, cwd=ROOT, check=True, stdin=subprocess.DEVNULL, env=environment)
+    golden = [*command[: command.index("-m", 3)], "--append", "-m", "tests.mutants", "--golden", str(data)]
+    subprocess.run(golden, cwd=ROOT, check=True, stdin=subprocess.DEVNULL)
+
+
+def measure_golden(data: Path) -> None:
+    """Run the golden cases in this process and keep their folders, which cases read of each other."""
+    from tests.golden import run as golden
+    from tests.golden.cases import all_cases
+
+    cases, place = all_cases(), data.with_suffix(".golden")
+    place.mkdir()
+    _lay(place)
+    depth, seconds = golden.needed(cases, list(cases)), json.loads(data.with_suffix(".json").read_text("utf-8"))
+    for name in sorted(depth, key=depth.__getitem__):
+        _context(f"{GOLDEN}{name}")
+        seconds[f"{GOLDEN}{name}"] = golden.run_case(name, cases[name], str(place))[2]
+    _context("")
+    data.with_suffix(".json").write_text(json.dumps(seconds), encoding="utf-8")
+
+
+def _lay(place: Path) -> None:
+    """Prepare a folder and this process as :mod:`tests.golden.run` does."""
+    from tests.conftest import data_folder
+
+    os.environ.update({"COLUMNS": "120", "TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"})
+    for name, target in (("data", data_folder()), ("repo", ROOT)):
+        (place / name).symlink_to(target.resolve(), target_is_directory=True)
 
 
 class Reached:
@@ -225,14 +262,23 @@ class Reached:
             if names[context]:
                 self._lines.setdefault(paths[file], []).append((names[context], bits))
 
-    def tests(self, mutant: Mutant) -> list[str]:
-        """Return the tests, or files of tests, that run a statement: the nearest first, of these the quickest first."""
+    def _found(self, mutant: Mutant) -> set[str]:
         first, last = mutant.reach
-        found = {
+        return {
             name
             for name, bits in self._lines.get(str(ROOT / mutant.file), [])
             if any(line // 8 < len(bits) and bits[line // 8] >> line % 8 & 1 for line in range(first, last + 1))
         }
+
+    def cases(self, mutant: Mutant) -> list[str]:
+        """Return the golden cases that run a statement, the quickest first, as many as the budget allows."""
+        found = sorted((name for name in self._found(mutant) if name.startswith(GOLDEN)), key=self._took)
+        total = itertools.accumulate(map(self._took, found))
+        return [name.removeprefix(GOLDEN) for name, spent in zip(found, total, strict=True) if spent < BUDGET_S]
+
+    def tests(self, mutant: Mutant) -> list[str]:
+        """Return the tests, or files of tests, that run a statement: the nearest first, of these the quickest first."""
+        found = {name for name in self._found(mutant) if not name.startswith(GOLDEN)}
         found = {name for name in found if "::" not in name or name.partition("::")[0] not in found}
         spent = 0.0
         taken: list[str] = []
@@ -262,8 +308,8 @@ def _distance(file: str, test: str) -> int:
 # -- one fault at a time ----------------------------------------------------------------------------------------------
 
 
-def judge(mutant: Mutant, tests: list[str]) -> str:
-    """Return whether the tests, or else the check of the generated pages, notice a fault."""
+def judge(mutant: Mutant, tests: list[str], cases: list[str], golden: Path) -> str:
+    """Return whether the check of the generated pages, the tests or the golden cases notice a fault."""
     begun = time.monotonic()
     if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
         return "not run: the file was changed meanwhile"
@@ -282,7 +328,31 @@ def judge(mutant: Mutant, tests: list[str]) -> str:
             return f"killed (hangs, {time.monotonic() - begun:.0f} s)"
         if code != 0:
             return f"not run: pytest ends with {code}"
-    return f"survived ({len(tests)} tests, {time.monotonic() - begun:.0f} s)" if tests else "reached by no test"
+    if cases and _fork(mutant, partial(_check_golden, cases, golden)) != 0:
+        return f"killed (golden, {time.monotonic() - begun:.0f} s)"
+    if not tests and not cases:
+        return "reached by no test"
+    return f"survived ({len(tests)} tests, {len(cases)} cases, {time.monotonic() - begun:.0f} s)"
+
+
+def _check_golden(cases: list[str], kept: Path) -> int:
+    """Run cases beside the kept folders of the others until one gives something else."""
+    from tests.golden import run as golden
+    from tests.golden.cases import all_cases
+
+    expected = json.loads(golden.GOLDEN.read_text(encoding="utf-8"))
+    for name in cases:
+        with tempfile.TemporaryDirectory(prefix="prc-golden-") as folder:
+            place = Path(folder)
+            _lay(place)
+            for other in kept.iterdir():
+                if other.is_dir() and not other.is_symlink() and other.name != name:
+                    (place / other.name).symlink_to(other, target_is_directory=True)
+            found = golden.run_case(name, all_cases()[name], folder)[1]
+            os.chdir(ROOT)
+        if golden.differences(expected, {name: found}):
+            return 1
+    return 0
 
 
 def _check_pages() -> int:
@@ -329,19 +399,11 @@ def _put_in(mutant: Mutant) -> None:
     SourceFileLoader.get_code = get_code  # type: ignore[assignment, method-assign]
 
 
-def load_kernels() -> None:
-    """Import once, for all forked processes, what takes long and has no fault."""
+def load_kernels() -> set[str]:
+    """Import once, for all forked processes, what takes long; return the files of all that was."""
     for path in sorted([*(ROOT / "prc_cli" / "kernels").glob("*.py"), *(ROOT / "prc_cli").rglob("*_loops.py")]):
         importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
-    begins, sound = tuple(f"prc_cli.{room}" for room in ROOMS), ("_loops", ".thresholds")
-    loaded = [
-        name
-        for name, module in sys.modules.items()
-        if name.startswith(begins) and not (name.endswith(sound) or hasattr(module, "__path__"))
-    ]
-    if loaded:
-        message = f"kernels import {', '.join(loaded)}: faults there would not be seen"
-        raise RuntimeError(message)
+    return {getattr(module, "__file__", None) or "" for module in sys.modules.values()}
 
 
 def drawn(places: list[Mutant], seed: int) -> list[Mutant]:
@@ -364,10 +426,15 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="print the places with their lines, and run nothing")
     parser.add_argument("--seed", type=int, default=14)
     parser.add_argument("--rooms", nargs="*", default=ROOMS)
+    parser.add_argument("--golden", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--coverage", type=Path, default=Path("mutants.sqlite"), help="measured if it does not exist")
     chosen = parser.parse_args()
     os.chdir(ROOT)
+    if chosen.golden:
+        measure_golden(chosen.golden)
+        return
     files = [path for room in chosen.rooms for path in sorted((ROOT / "prc_cli" / room).rglob("*.py"))]
+    files = [path for path in files if not path.name.endswith("_loops.py")]
     places = drawn([mutant for path in files for mutant in mutants_of(path)], chosen.seed)
     numbered = [
         (number, mutant)
@@ -382,14 +449,31 @@ def main() -> None:
         return
     if not chosen.coverage.exists():
         measure(chosen.coverage)
-    load_kernels()
-    reached = Reached(chosen.coverage)
-    killed = tried = 0
+    reached, golden = Reached(chosen.coverage), chosen.coverage.with_suffix(".golden").absolute()
+    tried: Counter[str] = Counter()
+    killed: Counter[str] = Counter()
+    # what the loops import themselves is judged before they are loaded
+    first = {name for name in _fork_result(load_kernels) if "_loops" not in name}
+    numbered.sort(key=lambda item: str(ROOT / item[1].file) not in first)
+    is_loaded = False
     for number, mutant in numbered:
-        verdict = judge(mutant, reached.tests(mutant))
-        tried, killed = tried + 1, killed + verdict.startswith("killed")
+        if not is_loaded and str(ROOT / mutant.file) not in first:
+            is_loaded = bool(load_kernels())
+        verdict = judge(mutant, reached.tests(mutant), reached.cases(mutant), golden)
+        room = Path(mutant.file).parts[1]
+        tried[room] += 1
+        killed[room] += verdict.startswith("killed")
         print(f"{number:4} {verdict:28} {mutant}", flush=True)
-    print(f"{tried} mutants of {len(places)}, {killed} killed: {100 * killed / max(tried, 1):.1f} %")
+    for room in sorted(tried):
+        print(f"{room}: {killed[room]} of {tried[room]} killed")
+    total = sum(tried.values())
+    print(f"{total} mutants of {len(places)}, {killed.total()} killed: {100 * killed.total() / max(total, 1):.1f} %")
+
+
+def _fork_result(function: Callable[[], set[str]]) -> set[str]:
+    """Return what a function gives in a child process, so that this one stays as it is."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
+        return pool.submit(function).result()
 
 
 if __name__ == "__main__":

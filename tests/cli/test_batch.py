@@ -485,3 +485,9 @@ def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple
     assert found.returncode == 0
     assert (tmp_path / "out" / "drive.npz.labels.npy").exists()
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["done"] == 1
+
+
+def test_drift_is_looked_at_unless_told_otherwise(prc: Run, play: Callable[..., None]) -> None:
+    play()
+    assert prc("a", "o").code == 0
+    assert made_up.settings.drift is True  # type: ignore[attr-defined]

@@ -564,3 +564,13 @@ def frame_xyz() -> np.ndarray:
     )
     flat = distance * np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)])
+
+
+def test_the_exit_code_of_info_is_that_of_the_worst_file(prc: Prc, tmp_path: Path) -> None:
+    image = write_npz(tmp_path / "drive.npz", street())
+    np.savez(tmp_path / "layout.npz", range_m=street())
+    layout = tmp_path / "layout.toml"
+    layout.write_text("[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n")
+    # a layout for a format that has none is wrong usage, 2; a file that is not there is 1
+    for files in ((image, tmp_path / "none.bin"), (tmp_path / "none.bin", image)):
+        assert prc("info", *files, "--layout", layout).code == 2

@@ -276,3 +276,11 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     empty.add(np.empty(0, np.int64), np.empty(0, np.int64))
     counts.merge(empty)
     assert empty.scored().shape == (0, 3, 2)
+
+
+def test_kappa_may_lie_below_that_of_chance() -> None:
+    """Two classes that are mistaken for each other."""
+    blocks = np.array([[[k, 30], [30, k]] for k in range(6)])
+    found = block_intervals(blocks, (("a", "b"), ("a", "b")))
+    assert -1.0 <= found["kappa"].low < found["kappa"].high < 0.0
+    assert found["accuracy"].low >= 0.0

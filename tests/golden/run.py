@@ -197,11 +197,11 @@ def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
 
 
 def run(
-    only: Collection[str] = ("",), jobs: int = 2, folder: Path | None = None
+    only: Collection[str] = ("",), jobs: int = 2, folder: Path | None = None, *, exact: bool = False
 ) -> tuple[dict[str, Result], list[str]]:
-    """Run the cases whose names hold one of ``only``; return their results, and the names of those without data."""
+    """Run the cases whose names are in ``only``, or hold one of them; return results, and the names without data."""
     cases = all_cases()
-    chosen = [name for name in cases if any(part in name for part in only)]
+    chosen = [name for name in cases if (name in only if exact else any(part in name for part in only))]
     skipped = [name for name in chosen if "$DATA" in cases[name] and not data_folder().is_dir()]
     depth = needed(cases, [name for name in chosen if name not in skipped])
     place = folder or Path(tempfile.mkdtemp(prefix="prc-golden-"))

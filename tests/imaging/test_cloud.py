@@ -7,6 +7,7 @@ import pytest
 
 from prc_cli.core.types import F64
 from prc_cli.imaging.cloud import (
+    NARROWEST,
     DepthBuffer,
     FromAbove,
     Perspective,
@@ -95,3 +96,14 @@ def test_a_view_holds_even_points_whole_and_leaves_stray_ones_out() -> None:
     low, high = bounds(stray)
     assert (low[:2] > (-13, -7)).all()
     assert (high[:2] < (13, 7)).all()
+
+
+@pytest.mark.parametrize("along", [0, 1])
+def test_a_row_of_points_from_above_has_room_beside_it(along: int) -> None:
+    """A picture of a straight drive is not one pixel wide."""
+    points = np.zeros((100, 3))
+    points[:, along] = np.linspace(0, 100, 100)
+    width, height = FromAbove.around(points, 400, 400).size
+    long, short = (width, height) if along == 0 else (height, width)
+    assert long == 400
+    assert short == pytest.approx(NARROWEST * 400, rel=0.05)

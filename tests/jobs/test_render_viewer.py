@@ -12,7 +12,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.coordinates import SPEED_M_S
 from prc_cli.jobs.render import RenderOptions
-from prc_cli.jobs.render.viewer import render_viewer
+from prc_cli.jobs.render.viewer import _Kept, render_viewer
 from tests.browser import chromium
 from tests.imaging.test_viewer import decoded
 from tests.jobs.test_render import drive as drive
@@ -134,3 +134,12 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
         )
         assert browser.run(empty) > 0.98
         assert browser.errors() == []
+
+
+def test_what_only_some_blocks_have_is_not_shown() -> None:
+    kept = _Kept.__new__(_Kept)
+    kept.parts = {"range": [np.ones(3), np.ones(2)], "time": [np.ones(3)], "class": [np.ones(3), np.zeros(2)]}
+    assert kept.take("time") is None
+    found = kept.take("class")
+    assert found is not None
+    assert found.tolist() == [1, 1, 1, 0, 0]

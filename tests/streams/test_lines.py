@@ -9,6 +9,7 @@ import pytest
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import F64, I64, Mask
+from prc_cli.formats.options import InputConfig
 from prc_cli.streams.angles import WrapState, find_angle_grid, find_sweep, lines_by_wrap
 from prc_cli.streams.columns import (
     StampState,
@@ -23,6 +24,7 @@ from prc_cli.streams.lines import (
     lines_by_dimension,
     lines_by_time,
 )
+from prc_cli.streams.rules import _said
 from prc_cli.streams.setup import UNKNOWN, find_timing
 
 NAN = np.nan
@@ -197,3 +199,10 @@ def test_shots_tell_their_step() -> None:
     assert find_timing(TIME, None, HZ, 60).shot_s == 1 / (HZ * 60)
     for nothing in (np.empty(0), np.full(3, np.nan), np.full(3, 7.0), np.array([0.0, 1.0])):
         assert find_timing(nothing, None, HZ, None) == UNKNOWN
+
+
+@pytest.mark.parametrize(("origin", "is_told"), [(None, True), (0.5, False)])
+def test_the_first_record_begins_the_lines_by_time_unless_told(origin: float | None, is_told: bool) -> None:
+    config = InputConfig(lines="time:10", columns="time:100", points_per_line=10, time_origin=origin)
+    told = {one.key for one in _said(config, "time:10", "time:100", ())}
+    assert ("input.time_origin" in told) == is_told

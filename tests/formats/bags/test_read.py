@@ -19,11 +19,13 @@ from prc_cli.core import process
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
-from prc_cli.formats.bags.containers import Bag
-from prc_cli.formats.bags.read import BagStream
+from prc_cli.formats.bags.containers import Bag, Message, Topic
+from prc_cli.formats.bags.messages import VELODYNE
+from prc_cli.formats.bags.read import BagStream, _TopicReader
 from prc_cli.formats.options import InputConfig
 from tests.formats.bags import recordings as made
 from tests.formats.bags.test_cloud import drive, messages
+from tests.formats.packets.captures import vlp16
 from tests.fuzz.crafted import endless_rows
 from tests.runner import runner
 
@@ -341,3 +343,16 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
 
 def _two(packet: bytes, at: int, order: Any, step: int) -> list[int]:
     return [struct.unpack_from("<H", packet, at + step * laser)[0] for laser in order]
+
+
+def test_packets_of_a_message_have_records_of_their_own(tmp_path: Path) -> None:
+    topic = Topic("/packets", VELODYNE, is_cdr=False)
+    reader = _TopicReader(tmp_path / "a.bag", topic, {}, InputConfig())
+    packets, record, blocks = vlp16(6), 0, []
+    for first in (0, 3):
+        body = b"".join(struct.pack("<II", 9, n) + packets[first + n] for n in range(3))
+        data = struct.pack("<IIII", 0, 9, 0, 3) + b"vlp" + struct.pack("<I", 3) + body
+        blocks += reader.add(Message(topic, 0, data, 0), record)
+        record += reader.n_taken
+    records = join([*blocks, *reader.finish()]).records().ravel()
+    np.testing.assert_array_equal(np.sort(records), np.arange(6 * 384))

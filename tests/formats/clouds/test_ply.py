@@ -303,3 +303,12 @@ def test_a_cloud_keeps_its_properties(drive: Path, tmp_path: Path, form: str, su
     assert run(["classify", str(out), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (0, 4)
     np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), vertex["vertex"]["class"])
     assert n_lines == 40
+
+
+@pytest.mark.parametrize("has_faces", [False, True])
+def test_bytes_behind_the_points_are_told_unless_the_header_names_them(tmp_path: Path, has_faces: bool) -> None:
+    faces = "element face 1\nproperty list uchar int vertex_indices\n" if has_faces else ""
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float range\n{faces}end_header\n"
+    (tmp_path / "a.ply").write_bytes(head.encode() + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0")
+    told = "5 bytes behind the last point were left out: the header does not name them"
+    assert (told in opened(tmp_path / "a.ply").facts.notes) != has_faces

@@ -500,3 +500,14 @@ def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pyte
             time.sleep(0.01)  # lets the thread that reads ahead go as far as it can
             found.append(rows.tobytes())
     assert b"".join(found) == expected
+
+
+@pytest.mark.parametrize(("name", "read_as", "factor"), [("range_mm", "range", 0.001), ("level", "level", 1.0)])
+def test_extra_bytes_with_an_offset_alone_have_it_in_their_unit(
+    tmp_path: Path, name: str, read_as: str, factor: float
+) -> None:
+    path = tmp_path / "a.las"
+    las = make(path, 6, n=5, extra=[laspy.ExtraBytesParams(name, "i4", scales=[1.0], offsets=[500.0])])
+    patch(path, path.read_bytes().index(name.encode() + b"\0") - 1, "<B", 0x10)  # options: no scale
+    stored = las.points.array[name].astype(np.float64)
+    np.testing.assert_allclose(read(LasSource(path), read_as), (stored + 500.0) * factor)

@@ -443,3 +443,13 @@ def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
     assert "interrupted" in text
     assert "Traceback" not in text
     assert not [name for name in left_in(tmp_path / "out") if name.endswith(".part")]
+
+
+def test_lines_are_reported_once_whatever_attempt_comes_to_them(tmp_path: Path) -> None:
+    (task,) = tasks_in(tmp_path, {"a.npy": 3})
+    client: Any = SimpleNamespace(subscribe_topic=lambda *_: None)
+    watch = dask_engine._Run(client, "tcp://x", EngineSettings(), lambda _: None)
+    watch._pending["k"] = dask_engine._Job(task, None)
+    reports = [("first", 5), ("first", 8), ("second", 3), ("second", 9)]
+    found = [event for worker, n in reports for event in watch._on_event(dask_engine.LINES, "k", worker, n)]
+    assert found == [Progress("a.npy", 5), Progress("a.npy", 3), Progress("a.npy", 1)]

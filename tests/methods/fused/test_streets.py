@@ -12,7 +12,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import label_blocks
-from prc_cli.methods.base import LABELS_ALONE, OneByOne
+from prc_cli.methods.base import LABELS_ALONE, OneByOne, Wanted
 from prc_cli.methods.fused import pipeline
 from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, FusedState, initial_state
 from prc_cli.methods.fused.plane import ScanPlane
@@ -194,3 +194,34 @@ def test_absurd_ranges_are_labelled(street: tuple[F32, U8], absurd: float) -> No
     ranges[:] = absurd
     labels = classified(ranges)
     assert (labels != Label.MISSING).all()
+
+
+def test_every_line_has_the_noise_measured_up_to_it() -> None:
+    """Of a drive that begins beneath trees."""
+    ranges = np.tile(street_lines(64)[0], (4, 1))
+    ranges[:128] += np.random.default_rng(8).exponential(0.1, ranges[:128].shape).astype(np.float32)
+    turn, found = OneByOne(initial_state(SCANNER)), []
+    for first in range(0, len(ranges), 64):
+        block = ScanBlock(first, ranges[first : first + 64], next_m=ranges[first + 64 : first + 64 + 47])
+        (labelled,) = Fused(PARAMS).label(block, SCANNER, turn, Wanted(measures=True))
+        found += labelled.measures["range noise [m]"][:, 0].tolist()
+    assert found == noise_along(ranges, SensorParams(), 64)
+    assert len(set(found)) > 4
+
+
+def test_cars_are_sought_at_the_heights_of_their_own_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def find_cars(shots: Any, n_lines: int, plane: Any, before: Any, thresholds: Any) -> tuple[U8, Any]:
+        seen.append(shots)
+        return shots[0], before
+
+    monkeypatch.setattr(pipeline, "are_wanted", lambda plane, limits: True)
+    monkeypatch.setattr(pipeline, "find_cars", find_cars)
+    ranges = street_lines(40)[0]
+    ranges[::3, ::2] = np.nan  # every line is known by what it lacks
+    classify_block(ranges, None, initial_state(SCANNER), PARAMS)
+    ((_, range_m, above_m, _),) = seen
+    # heights are not known everywhere, but nowhere without a range
+    assert np.isfinite(above_m).mean() > 0.3
+    assert not np.isfinite(above_m[np.isnan(range_m)]).any()

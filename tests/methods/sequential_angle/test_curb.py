@@ -12,7 +12,7 @@ import pytest
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
+from prc_cli.methods.sequential_angle.curb import CurbState, _tail, curbs, possible_curbs
 from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, GroundThresholds
@@ -205,3 +205,10 @@ def test_a_wall_holds_no_line_back_and_costs_little() -> None:
 
     # four times as much to do takes sixteen times as long if it grows with the square, and that every time
     assert any(seconds(1000) < 10 * seconds(250) + 0.005 for _ in range(5))
+
+
+@pytest.mark.parametrize("n", [0, 1, 3])
+@pytest.mark.parametrize("n_new", [0, 1, 2, 3, 4, 9])
+def test_the_last_rows_stay(n: int, n_new: int) -> None:
+    before, new = np.arange(n, dtype=np.float32), 10 + np.arange(n_new, dtype=np.float32)
+    assert _tail(before, new).tolist() == np.concatenate([before, new])[len(before) + n_new - n :].tolist()
