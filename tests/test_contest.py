@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
-
 import numpy as np
 import pytest
 
 from benchmarks.contest_data import TEST_FORESTS, TEST_STREETS, TRAIN, TRAIN_FOREST, Scan, Simulated, save, simulated
-from benchmarks.contest_files import ScanFile, write
-from benchmarks.contest_judge import MAPPINGS, judge, mapping_of, pooled
+from benchmarks.contest_judge import MAPPINGS, judge, mapping_of
 from benchmarks.contest_methods import PAPERS, label, label_scan
 from benchmarks.contest_peers import Points, run
 from benchmarks.contest_runs import DataSet, Store
-from prc_cli.config import load_config
-from prc_cli.jobs.classify import open_stream
 
 
 def scan_of(codes: list[list[int]], mapping: str = "street") -> Scan:
@@ -23,24 +18,12 @@ def scan_of(codes: list[list[int]], mapping: str = "street") -> Scan:
     return Scan("toy", ranges, np.linspace(-1.0, 1.0, ranges.shape[1]), reference, mapping)
 
 
-def none() -> np.ndarray:
-    return np.empty(0, np.uint8)
-
-
 def test_seeds_for_tuning_are_never_reported() -> None:
     tuned = {spec.seed for spec in (*TRAIN, *TRAIN_FOREST)}
     reported = {spec.seed for spec in (*TEST_STREETS, *TEST_FORESTS)}
     assert not tuned & reported
     assert len(tuned) == len(TRAIN) + len(TRAIN_FOREST)
     assert len(reported) == len(TEST_STREETS) + len(TEST_FORESTS)
-
-
-def test_macro_is_over_the_classes_that_exist() -> None:
-    found = judge(scan_of([[2, 2, 6, 6]]), np.array([[2, 2, 6, 7]]), none())
-    assert found.present == ("ground", "building")
-    assert found.macro == pytest.approx((1.0 + 2 / 3) / 2)
-    assert found.worst == "building"
-    assert pooled([found, found]).counts.sum() == 8
 
 
 @pytest.mark.parametrize("name", MAPPINGS)
@@ -67,26 +50,6 @@ def test_a_simulated_scan_is_read_back_as_it_is_judged(tmp_path) -> None:
         np.testing.assert_array_equal(arrays["class"], scan.codes)
     found = label_scan(scan, PAPERS[2])
     assert judge(scan, found.codes, found.extra_codes).score("f1.ground") > 0.5
-
-
-def test_a_scan_with_further_returns_is_the_same_as_a_file(tmp_path) -> None:
-    scan = simulated(Simulated("toy", 9052, 1.0, "residential", "profiler-1mhz", noise=0.05))
-    assert len(scan.extra)
-    file = write(scan, tmp_path)
-    assert file.record is not None
-    assert len(file.extra_record) == len(scan.extra)
-    blocks = list(open_stream(file.path, load_config(options=_table(file, scan))).blocks())
-    ranges = np.concatenate([block.range_m for block in blocks])
-    np.testing.assert_array_equal(ranges, scan.range_m)
-    method = PAPERS[0]
-    in_file, in_memory = label_scan(scan, method), label(scan, method.config(scan))
-    np.testing.assert_array_equal(in_file.codes, in_memory.codes)
-    np.testing.assert_array_equal(in_file.extra_codes, in_memory.extra_codes)
-
-
-def _table(file: ScanFile, scan: Scan) -> dict[str, object]:
-    layout = tomllib.loads(file.path.with_suffix(".layout.toml").read_text(encoding="utf-8"))
-    return {"layout": layout, "input": {"points_per_line": scan.range_m.shape[1]}}
 
 
 def test_what_is_refused_is_told_where_down_is() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +18,6 @@ import prc_cli
 from prc_cli.cli import main, report
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
-from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.explain import explain
 from prc_cli.methods.reasons import rule_of
@@ -225,44 +223,6 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     assert (result.code, "100.00% of the ranges lie beyond 20 km" in result.err) == (1, True)
 
 
-def test_info_fits_one_screen(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The verdict, what to type, facts, and how many checks are fine; nothing says two lengths of a line."""
-    monkeypatch.setenv("COLUMNS", "100")
-    assert prc("simulate", "street", "-o", tmp_path / "drive.laz", "--lines", 60, "-q").code == 0
-    said = prc("info", tmp_path / "drive.laz").out.splitlines()
-    assert said[0] == f"{tmp_path / 'drive.laz'}: yes, fused can classify it as it is"
-    assert said[1].startswith("type: prc classify ")
-    assert said[-1].startswith("checks ")
-    assert said[-1].endswith(" fine (--checks lists them)")
-    assert len(said) <= 24
-    assert max(map(len, said[2:])) <= 100
-    assert not any("M estimated" in line for line in said)
-    listed = prc("info", tmp_path / "drive.laz", "--checks").out
-    assert re.findall(r"^check: (\S+)", listed, re.MULTILINE) == list(CHECK_NAMES)
-    assert len(re.findall(r"^check: \S+ +fine: ", listed, re.MULTILINE)) == int(said[-1].split()[1])
-    assert "asked of the labels, by prc classify. Doubtful above" in " ".join(listed.split())
-
-
-def test_info_says_doubts_behind_the_command(prc: Prc, tmp_path: Path) -> None:
-    np.savez(tmp_path / "drive.npz", range_m=street() / 0.3048, angle_deg=np.rad2deg(angles()))
-    said = prc("info", tmp_path / "drive.npz").out.splitlines()
-    doubts = json.loads(prc("info", tmp_path / "drive.npz", "--json").out)["doubts"]
-    assert doubts
-    assert said[0].endswith(f"can classify it, but look at {', '.join(doubts)}")
-    assert said[1].startswith("type: ")
-    assert [line.split(":")[0] for line in said[2 : 2 + len(doubts)]] == [f"look at {name}" for name in doubts]
-
-
-def test_a_dump_is_read_by_the_configuration_beside_it(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    assert prc("convert", source, tmp_path / "drive.bin", "-q").code == 0
-    out = tmp_path / "again.npz"
-    assert prc("convert", tmp_path / "drive.bin", out, "-q", "--config", tmp_path / "drive.bin.toml").code == 0
-    with np.load(source) as left, np.load(out) as right:
-        assert np.array_equal(left["range_m"], right["range_m"], equal_nan=True)
-        assert np.allclose(left["angle_deg"], right["angle_deg"], rtol=0, atol=1e-9)
-
-
 def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_path: Path) -> None:
     shuffled = np.random.default_rng(3).permuted(street(), axis=1)
     source = write_npz(tmp_path / "shuffled.npz", shuffled)
@@ -335,21 +295,6 @@ def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: s
         json.dumps(told.as_dict())
 
 
-@pytest.mark.parametrize(
-    ("place", "code", "said"),
-    [
-        ("900,3", 1, "found lines 0 to 159, expected line 900"),
-        ("3,900", 1, "found column 900, expected 0 to 719"),
-        ("3", 2, "found '3', expected LINE,COLUMN"),
-        ("-3,5", 2, "found '-3,5', expected LINE,COLUMN"),
-    ],
-)
-def test_places_that_are_not_there(prc: Prc, folder: Path, place: str, code: int, said: str) -> None:
-    result = prc("explain", folder / "street.npz", "--at", place, "--preset", "urban")
-    assert result.code == code
-    assert said in result.err
-
-
 URBAN = ("--preset", "urban")
 
 
@@ -387,24 +332,6 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
 
 
 __all__ = ["prc"]
-
-
-def test_parameters_of_a_doubted_stream_are_told(prc: Prc, tmp_path: Path) -> None:
-    thin = np.full((137, 18_000), np.nan, np.float32)
-    thin[:, :180] = street()
-    np.save(tmp_path / "thin.npy", thin)
-    result = prc("calibrate", tmp_path / "thin.npy", "-o", tmp_path / "thin.toml", "-q")
-    assert (result.code, result.err.count("\n")) == (4, 1)
-    assert result.err.startswith("warning: returns: ")
-    text = (tmp_path / "thin.toml").read_text(encoding="utf-8")
-    assert "\n# doubt: returns: " in text
-    result = prc("calibrate", tmp_path / "thin.npy", "--json", "-q")
-    assert [doubt["check"] for doubt in json.loads(result.out)["doubts"]] == ["returns"]
-    assert prc("calibrate", tmp_path / "thin.npy", "-q", "--accept-doubt", "returns").code == 0
-    np.save(tmp_path / "shuffled.npy", np.random.default_rng(3).permuted(street(), axis=1))
-    result = prc("calibrate", tmp_path / "shuffled.npy", "-o", tmp_path / "shuffled.toml")
-    assert (result.code, "insist with --accept-doubt" in result.err) == (1, True)
-    assert not (tmp_path / "shuffled.toml").exists()
 
 
 def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
@@ -484,20 +411,6 @@ def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Pa
     assert "input.range_scale" in found.err
     dump = write_raw(tmp_path / "drive.bin", street())
     assert "not used" not in prc("classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE).err
-
-
-def test_lines_of_the_files_come_before_a_line_length(prc: Prc, tmp_path: Path) -> None:
-    """M would cut lines that do not exist."""
-    reference = tmp_path / "reference.csv"
-    rows = [f"{line},{column},2" for line in range(6) for column in range(10)]
-    reference.write_text("line,column,label\n" + "\n".join(rows) + "\n")
-    np.save(tmp_path / "labels.npy", np.full(60, 2, np.uint8))
-    found = prc("evaluate", tmp_path / "labels.npy", reference, "--by-lines", 3, "-M", 4, "--format", "json")
-    assert found.code == 0
-    assert "lines 0-2" in found.out
-    assert "lines 3-5" in found.out
-    assert "lines 6-8" not in found.out
-    assert "a column of the files; -M 4 is not used" in found.out + found.err
 
 
 def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -62,19 +60,6 @@ def test_the_default_is_a_preset_and_says_so(
     found = json.loads(prc("info", scans / name, *given, "--json").out)
     assert found["method"] == method
     assert f"--preset {preset}" in found["command"]
-
-
-def test_measured_angles_that_are_uncertain_are_a_doubt(prc: Prc, scans: Path) -> None:
-    """Ranges that wave by 6 mm a metre leave the step to 3.5 %; what is labelled is said, and what to type."""
-    ranges = street_lines(140)[0]
-    wave = np.sin(np.arange(M) / 40 + 0.05 * np.arange(140)[:, None])
-    (ranges * (1 + 0.006 * wave)).astype(np.float32).tofile(scans / "waves.bin")
-    result = prc("classify", scans / "waves.bin", scans / "o.npy", "-M", M)
-    assert result.code == 4, result.err
-    assert "angle-step: the angles were measured from the ranges to ± 3.5%" in result.err
-    assert "--set input.angle_start=0 --set input.angle_step=DEG" in result.err
-    accepted = ("--accept-doubt", "angle-step", "--overwrite")
-    assert prc("classify", scans / "waves.bin", scans / "o.npy", "-M", M, *accepted).code == 0
 
 
 def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
@@ -174,14 +159,6 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
     assert "car" in matrix.reference_names, "the mapping of fused"
     for each in (run, matrix, run.record, load_config(), load_config(preset="forest").config, found):
         assert (repr(each).count("\n"), len(repr(each)) < 300) == (0, True)
-
-
-def test_completion_knows_the_public_names_and_loads_nothing() -> None:
-    code = "import sys, prc_cli; print(dir(prc_cli)); print('numpy' in sys.modules)"
-    names, loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout.split("\n")[:2]
-    assert ("'classify_ranges'" in names, loaded) == (True, "False")
 
 
 @pytest.mark.data

@@ -18,7 +18,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.types import F32
 from prc_cli.jobs import doctor
 from prc_cli.jobs.classify import ClassifiedRanges
-from prc_cli.jobs.doctor import Check, examine, file_system
+from prc_cli.jobs.doctor import Check, examine
 from tests import patience
 
 
@@ -117,31 +117,6 @@ def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.Mo
     assert "temporary files" in found
 
 
-def test_no_folder_for_compiled_loops_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    from prc_cli.kernels import compiling
-    from prc_cli.kernels.compiling import CacheState
-
-    monkeypatch.setattr(compiling, "cache_state", lambda: CacheState(None, 0, 0, 18))
-    found = checks()["compiled loops"]
-    assert (found.status, "NUMBA_CACHE_DIR" in found.hint) == ("warn", True)
-
-
-@pytest.mark.parametrize(("load", "status"), [(16.0, "ok"), (16.1, "warn"), (None, "ok")])
-def test_more_than_two_processes_for_a_core_are_a_warning(
-    monkeypatch: pytest.MonkeyPatch, load: float | None, status: str
-) -> None:
-    def average() -> tuple[float, float, float]:
-        if load is None:
-            raise OSError
-        return load, 0.0, 99.0
-
-    monkeypatch.setattr(os, "cpu_count", lambda: 8)
-    monkeypatch.setattr(os, "getloadavg", average)
-    (found,) = doctor._processor()
-    assert found.status == status
-    assert ("; 16 processes want them" in found.found) is (status == "warn")
-
-
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
@@ -149,13 +124,6 @@ def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
         assert checks(tmp_path)[f"output folder {tmp_path}"].status == "bad"
     finally:
         tmp_path.chmod(0o700)
-
-
-def test_a_network_file_system_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "file_system", lambda folder: "nfs4")
-    found = checks(tmp_path)["journal in it"]
-    assert found.status == "warn"
-    assert "--shard" in found.hint
 
 
 def test_earlier_runs_are_told_with_their_versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,20 +141,6 @@ def test_earlier_runs_are_told_with_their_versions(tmp_path: Path, monkeypatch: 
     path.write_bytes(path.read_bytes()[:5000] + b"x" * 5000)
     found = checks(tmp_path)["output folder"]
     assert (found.status, "--adopt" in found.hint) == ("bad", True)
-
-
-def test_the_file_system_of_a_folder(tmp_path: Path) -> None:
-    mounts = tmp_path / "mounts"
-    inner = tmp_path / "with blank"
-    inner.mkdir()
-    place = str(tmp_path).replace(" ", "\\040")
-    mounts.write_text(
-        f"/dev/a / ext4 rw 0 0\n/dev/b {place} xfs rw 0 0\nserver:/x {place}/with\\040blank nfs4 rw 0 0\n"
-    )
-    assert file_system(inner, mounts) == "nfs4"
-    assert file_system(tmp_path, mounts) == "xfs"
-    assert file_system(Path("/"), mounts) == "ext4"
-    assert file_system(tmp_path, tmp_path / "none") == ""
 
 
 def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:

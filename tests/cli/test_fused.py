@@ -10,10 +10,7 @@ import pytest
 
 from prc_cli import classify_ranges, load_config
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.stream import ScanBlock
-from prc_cli.core.types import F32, F64, U8
-from prc_cli.jobs.classify import label_blocks
-from prc_cli.methods.fused.pipeline import FusedParams
+from prc_cli.core.types import F32
 from tests import patience
 from tests.cli.test_commands import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -58,23 +55,6 @@ def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: P
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_scanners_do_not_disturb_each_other(ranges: F32, preset: str) -> None:
-    params = load_config(preset=preset).config.fused.model_copy(update={"lines_per_block": 16})
-    other = np.ascontiguousarray(ranges[:, ::3])
-    expected = {0: labels(ranges, BEAM, params), 1: labels(other, BEAM[::3], params)}
-    blocks = (
-        ScanBlock(a, image[a : a + 10], scanner=scanner, beam_rad=beam, is_last=a + 10 >= len(ranges))
-        for a in range(0, len(ranges), 10)
-        for scanner, image, beam in ((0, ranges, BEAM), (1, other, BEAM[::3]))
-    )
-    found: dict[int, list[U8]] = {0: [], 1: []}
-    for item in label_blocks(blocks, params, threads=2):
-        found[item.block.scanner].append(item.labels)
-    for scanner, whole in expected.items():
-        np.testing.assert_array_equal(np.concatenate(found[scanner]), whole)
-
-
-@pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("shape", [(1, 61), (40, 1), (40, 2), (3, 61)])
 @pytest.mark.parametrize("value", [np.nan, 5.0])
 def test_small_and_dull_images_are_labelled(preset: str, shape: tuple[int, int], value: float) -> None:
@@ -82,20 +62,6 @@ def test_small_and_dull_images_are_labelled(preset: str, shape: tuple[int, int],
     found = classify_ranges(np.full(shape, value), load_config(preset=preset), beam_rad=beam).labels
     assert found.shape == shape
     assert ((found == 0) == np.isnan(value)).all()
-
-
-def test_a_circle_may_begin_anywhere_and_turn_either_way(ranges: F32) -> None:
-    beam = np.deg2rad(np.arange(-180, 180, 0.2))
-    circle = np.full((len(ranges), len(beam)), np.nan, np.float32)
-    first = int(np.argmin(np.abs(beam - BEAM[0])))
-    circle[:, first : first + M] = ranges
-    config = load_config(preset="fused")
-    whole = classify_ranges(circle, config, beam_rad=beam).labels
-    np.testing.assert_array_equal(classify_ranges(circle[:, ::-1], config, beam_rad=beam[::-1]).labels[:, ::-1], whole)
-    half = len(beam) // 2
-    turned = classify_ranges(np.roll(circle, half, axis=1), config, beam_rad=np.roll(beam, half) % (2 * np.pi)).labels
-    # at the seam shots have fewer neighbours
-    assert (np.roll(turned, -half, axis=1) == whole).mean() > 0.999
 
 
 @pytest.mark.data
@@ -108,12 +74,6 @@ def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> Non
     assert result.code == 0, result.out + result.err
     # the mappings of the papers fold the codes back
     assert prc("evaluate", out, source, "--mapping", "oakland").code == 0
-
-
-def labels(image: F32, beam: F64, params: FusedParams) -> U8:
-    """Label one scanner alone."""
-    block = ScanBlock(0, image, beam_rad=beam, is_last=True)
-    return np.concatenate([item.labels for item in label_blocks(iter([block]), params)])
 
 
 @pytest.mark.data

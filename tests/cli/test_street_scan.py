@@ -138,18 +138,6 @@ def test_one_clear_line_and_nothing_left(
     assert sorted(os.listdir(tmp_path)) == before
 
 
-def test_lines_of_fewer_than_two_shots_stay_unclassified(prc: Prc, tmp_path: Path) -> None:
-    source = tmp_path / "scan.npz"
-    ranges = np.full((60, 30), np.nan, np.float32)
-    ranges[np.arange(60), np.arange(60) % 30] = 7.0
-    np.savez(source, range_m=ranges, zenith_deg=np.linspace(120, 40, 30))
-    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
-    assert result.code == 0, result.err
-    assert "no ground was found" in result.err
-    labels = np.load(tmp_path / "labels.npy").reshape(60, 30)
-    np.testing.assert_array_equal(labels, np.where(np.isnan(ranges), 0, 1))
-
-
 def two_scans(folder: Path, second: Array) -> Path:
     return write_text(folder / "two.ptx", ptx_scan(points()[0]) + ptx_scan(second))
 
@@ -169,18 +157,6 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(prc: Prc, tmp_path: Path, 
     result = prc("info", source, "--preset", "street-scan")
     assert result.code == 0, result.err
     assert "scan 1: no" in " ".join(result.out.split())
-
-
-def test_its_own_laz_is_read_again(prc: Prc, tmp_path: Path) -> None:
-    source = ptx(tmp_path)
-    prc("classify", source, tmp_path / "scan.laz", "--preset", "street-scan")
-    prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
-    result = prc("classify", tmp_path / "scan.laz", tmp_path / "again.npy", "--preset", "street-scan")
-    assert result.code == 0, result.err
-    there = points()[0][..., :3].any(axis=2).ravel()
-    assert np.mean(np.load(tmp_path / "again.npy") == np.load(tmp_path / "labels.npy")[there]) > 0.98
-    result = prc("info", tmp_path / "scan.laz", "--preset", "street-scan")
-    assert "relative to the scanner" in " ".join(result.out.split())
 
 
 @pytest.mark.parametrize(

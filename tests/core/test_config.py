@@ -64,27 +64,6 @@ def test_wrong_keys_and_values_name_themselves(table: dict[str, object], message
     assert caught.value.exit_code == 2
 
 
-def test_a_file_that_is_not_toml_names_line_and_column(tmp_path: Path) -> None:
-    path = tmp_path / "run.toml"
-    path.write_text("[prc\n")
-    with pytest.raises(ConfigError, match="line 1, column 5"):
-        load_config(path)
-    path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match="byte 0 is not UTF-8"):
-        load_config(path)
-    with pytest.raises(ConfigError, match=r"none.toml: cannot be read \(No such file or directory\); check the name"):
-        load_config(tmp_path / "none.toml")
-
-
-def test_unknown_preset_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="expected one of: urban, forest"):
-        load_config(preset="town")
-    path = tmp_path / "run.toml"
-    path.write_text("preset = 3\n")
-    with pytest.raises(ConfigError, match="found 3"):
-        load_config(path)
-
-
 @pytest.mark.parametrize("preset", [None, *PRESETS])
 @pytest.mark.parametrize("comments", [True, False])
 def test_what_is_shown_can_be_read_back(preset: str | None, comments: bool, tmp_path: Path) -> None:

@@ -6,14 +6,13 @@ import platform
 import sys
 import threading
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from prc_cli import kernels
 from prc_cli.core.interrupts import held, raise_or_hold
-from prc_cli.core.profile import peak_memory, profiling, stage, timed, timed_items
+from prc_cli.core.profile import peak_memory, profiling, stage, timed
 from tests import patience
 from tests.patience import HANGS_S
 
@@ -102,46 +101,6 @@ def test_threads_add_up() -> None:
     (found,) = profile.stages()
     assert found.calls == 3
     assert 0.06 <= found.cpu_s <= profile.cpu_s
-
-
-def test_nothing_is_kept_while_nobody_asks() -> None:
-    with profiling() as profile:
-        pass
-    with timed("later"):
-        pass
-    assert profile.stages() == ()
-    assert timed("one") is timed("other")
-
-
-def test_a_stage_that_fails_is_timed_and_the_next_one_too() -> None:
-    with profiling() as profile:
-        with pytest.raises(ValueError, match="broken"), timed("failing"):
-            raise ValueError("broken")
-        with timed("after"):
-            pass
-    assert [each.name for each in profile.stages()] == ["failing", "after"]
-
-
-def test_making_items_is_timed_and_using_them_is_not() -> None:
-    closed = []
-
-    def items() -> Iterator[int]:
-        try:
-            for n in range(3):
-                burn(0.01)
-                yield n
-        finally:
-            closed.append(True)
-
-    with profiling() as profile:
-        source = timed_items(items(), "reading")
-        for _ in source:
-            burn(0.03)
-            break
-        source.close()
-    (found,) = profile.stages()
-    assert 0.01 <= found.cpu_s <= profile.cpu_s - 0.03
-    assert closed
 
 
 def test_the_peak_of_memory_is_that_of_a_process_with_an_interpreter() -> None:

@@ -74,12 +74,6 @@ def test_undefined_is_nan_and_zero_is_zero() -> None:
     assert scores(ConfusionMatrix(names, names, counts)).balanced_accuracy == pytest.approx((a.recall + c.recall) / 2)
 
 
-def test_nothing_scored_is_undefined_everywhere() -> None:
-    found = scores(ConfusionMatrix(("a",), ("a",), np.zeros((1, 1), np.int64)))
-    values = (found.accuracy, found.balanced_accuracy, found.kappa, found.classes[0].accuracy)
-    assert all(math.isnan(value) for value in values)
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
@@ -104,18 +98,6 @@ MAPPING = ClassMapping(
 )
 
 
-def test_counts_by_hand() -> None:
-    predicted = np.array([2, 2, 7, 1, 2, 0, 2, 7])
-    reference = np.array([2, 66, 2, 2, 65, 0, 0, 7])
-    matrix = accumulate(ConfusionMatrix.empty(MAPPING), predicted, reference, MAPPING)
-    assert matrix.reference_names == ("ground", "noise", "other")
-    assert matrix.predicted_names == ("noise", "ground", "unclassified")
-    assert matrix.counts.tolist() == [[1, 2, 1], [1, 0, 0], [0, 1, 0]]
-    assert matrix.n_ignored == 2
-    assert matrix.counts.dtype == np.int64
-    assert matrix.scored_names == ("ground", "noise")
-
-
 @settings(deadline=None, max_examples=60)
 @given(
     pairs=st.lists(st.tuples(st.sampled_from([0, 1, 2, 7]), st.sampled_from([0, 2, 7, 65, 66])), max_size=60),
@@ -130,12 +112,6 @@ def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -
     assert np.array_equal(whole.counts, state.counts)
     assert whole.n_ignored == state.n_ignored
     assert whole.n_scored + whole.n_ignored == len(pairs)
-
-
-def test_shares_of_empty_rows_and_columns_are_undefined() -> None:
-    matrix = ConfusionMatrix(("a", "b"), ("a", "b", "c"), np.array([[3, 1, 0], [0, 0, 0]]))
-    assert np.array_equal(matrix.row_shares(), [[0.75, 0.25, 0.0], [np.nan] * 3], equal_nan=True)
-    assert np.array_equal(matrix.column_shares(), [[1.0, 1.0, np.nan], [0.0, 0.0, np.nan]], equal_nan=True)
 
 
 def test_passed_and_failed() -> None:
@@ -202,14 +178,6 @@ def test_all_scores_are_those_of_one_matrix_at_a_time() -> None:
         expected = scores(ConfusionMatrix(*NAMES, counts))
         for name, values in found.items():
             np.testing.assert_allclose(values[k], gate_value(expected, name), rtol=1e-12, err_msg=f"{name} {k}")
-
-
-def test_jackknife_of_a_mean_is_the_textbook_interval() -> None:
-    blocks = blocks_of(25)
-    per_block = all_scores(blocks, *NAMES)["accuracy"]  # of blocks of one size: their mean is the score
-    half = stats.t.ppf(0.975, 24) * per_block.std(ddof=1) / np.sqrt(25)
-    found = block_intervals(blocks, NAMES)["accuracy"]
-    assert (found.low, found.high) == pytest.approx((per_block.mean() - half, per_block.mean() + half))
 
 
 @pytest.mark.parametrize("name", ["recall.stem", "iou.ground", "kappa", "balanced_accuracy"])

@@ -30,17 +30,6 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
     return Layout(fields=tuple(LayoutField(**field) for field in fields), **keys)
 
 
-def test_fields_follow_each_other_without_gaps_in_the_byte_order_asked_for() -> None:
-    fields = ({"name": "flag", "type": "u1"}, {"name": "range", "type": "f4"}, {"name": "time", "type": "f8"})
-    dtype = record_dtype(layout(*fields, endian="big"))
-    assert dtype.itemsize == 13
-    assert [(name, dtype[name].str, dtype.fields[name][1]) for name in dtype.names] == [  # type: ignore[index, union-attr]
-        ("flag", "|u1", 0),
-        ("range", ">f4", 1),
-        ("time", ">f8", 5),
-    ]
-
-
 @pytest.mark.parametrize(
     ("given", "found"),
     [
@@ -64,24 +53,6 @@ def test_layouts_that_contradict_themselves(given: Layout, found: str) -> None:
         record_dtype(given)
     assert found in str(caught.value)
     assert caught.value.exit_code == 2
-
-
-def test_a_missing_value_is_compared_as_stored() -> None:
-    stored = np.array([32.7, 32.699997, 5.0], np.float32)
-    values = decode(stored, LayoutField(name="range", missing=32.7))
-    np.testing.assert_array_equal(np.isnan(values), [True, False, False])
-    scaled = decode(
-        np.array([0, 100], np.uint16), LayoutField(name="range", type="u2", scale=0.01, offset=2, missing=0)
-    )
-    np.testing.assert_array_equal(scaled, [np.nan, 3.0])
-
-
-def test_angles_become_radians_after_scale_and_offset() -> None:
-    stored = np.array([0, 9000], np.int32)
-    degrees = decode(stored, LayoutField(name="angle", type="i4", scale=0.01, offset=90))
-    np.testing.assert_allclose(degrees, [math.pi / 2, math.pi])
-    radians = decode(stored, LayoutField(name="angle", type="i4", scale=0.01, offset=90, unit="rad"))
-    np.testing.assert_array_equal(radians, [90, 180])
 
 
 @settings(deadline=None, max_examples=100)
@@ -136,18 +107,6 @@ def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
 def test_every_sample_layout_is_tried_above() -> None:
     tried = test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads.pytestmark[0].args[1]  # type: ignore[attr-defined]
     assert {path.stem for path in SAMPLES.glob("*.toml")} == {case[0] for case in tried}
-
-
-def test_keeps_good_ranges_as_they_are_and_leaves_its_input_alone() -> None:
-    given = np.asfortranarray(np.array([[1.5, np.nan], [-2.0, 7.25]], np.float32))
-    before = given.copy()
-    ranges, tally = clean_ranges(given)
-    assert ranges.dtype == np.float32
-    assert ranges.flags.c_contiguous
-    assert not np.shares_memory(ranges, given)
-    np.testing.assert_array_equal(given, before)
-    np.testing.assert_array_equal(ranges, np.array([[1.5, np.nan], [np.nan, 7.25]], np.float32))
-    assert tally == ReadTally(n_not_positive=1)
 
 
 def test_every_reason_is_counted_once() -> None:

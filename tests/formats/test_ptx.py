@@ -87,17 +87,6 @@ def test_columns_are_lines_and_zeros_are_missing(tmp_path: Path) -> None:
     assert block.tally.n_not_positive == 0
 
 
-def test_the_pose_turns_z_up_and_leaves_the_scanner_at_the_origin(tmp_path: Path) -> None:
-    points, turn = grid_points(6, 5), turn_x(75)
-    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points, rotation=turn, shift=(4e5, 5e6, 90))), AUTO)
-    (block,) = scans_of(stream)
-    ranges, xyz = expected(points)
-    np.testing.assert_allclose(block.range_m, ranges, rtol=1e-6)
-    np.testing.assert_allclose(block.xyz_m, xyz @ turn.T, atol=1e-4)
-    assert stream.info.facts.notes == ()
-    assert any("turned by" in item.why for item in stream.info.assumptions)
-
-
 def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
     points = grid_points(8, 6)
     plain = ptx_scan(points) + ptx_scan(points)
@@ -136,16 +125,6 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
         assert equal(block.record, one.record)  # type: ignore[arg-type]
         assert block.tally == one.tally
-
-
-def test_bounds_and_odd_coordinates_are_missing(tmp_path: Path) -> None:
-    rows = "1 0 0 1\nnan 1 1 1\ninf 0 0 1\n1e300 0 0 1\n0 0 90 1\n0 0 1e-30 1\n"
-    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_header(1, 6) + rows), InputConfig(max_range=80.0))
-    (block,) = scans_of(stream)
-    assert equal(block.range_m, np.array([[1, np.nan, np.nan, np.nan, np.nan, 1e-30]], np.float32))
-    assert block.xyz_m is not None
-    assert np.isnan(block.xyz_m[0, 1:5]).all()
-    assert (block.tally.n_not_finite, block.tally.n_beyond) == (2, 1)
 
 
 def test_a_last_column_cut_short_is_padded_if_told(tmp_path: Path) -> None:
@@ -247,18 +226,6 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path, monkeypatch: pytest.
     assert peaks[2] < 1.3 * peaks[1] + 50_000
 
 
-RULES: dict[str, Any] = {"points_per_line": 2, "range": "sensor-xyz"}
-
-
-def test_centimetres_with_y_up_become_metres_with_z_up(tmp_path: Path) -> None:
-    path = tmp_path / "scan000.3d"
-    path.write_text("100 200 300\n0 3.1e-5 50\n-1 -2 -3\n0 0 3270\n")
-    block = join(list(open_input(path, InputConfig(**RULES, max_range=32.0)).blocks()))
-    assert block.xyz_m is not None
-    np.testing.assert_allclose(block.xyz_m[0, 0], [1, 3, 2])
-    np.testing.assert_allclose(block.range_m, [[np.sqrt(14), 0.5], [np.sqrt(14) / 100, np.nan]], rtol=1e-6)
-
-
 @pytest.mark.data
 def test_the_sample_of_3dtk(real_data: Path) -> None:
     rules = InputConfig(points_per_line=360, range="sensor-xyz", max_range=32.7)
@@ -270,19 +237,6 @@ def test_the_sample_of_3dtk(real_data: Path) -> None:
 
 
 ECHOES = "echo-float32-range.bin"
-
-
-def test_every_pulse_is_a_shot(tmp_path: Path) -> None:
-    path = pulse_folder(tmp_path / "p")
-    count = np.fromfile(path, np.uint8)
-    block = join(list(open_input(path, InputConfig.model_validate({"return": "last"})).blocks()))
-    assert block.range_m.shape == (12, 60)
-    np.testing.assert_array_equal(np.isfinite(block.range_m).ravel(), count > 0)
-    ranges = np.fromfile(tmp_path / "p" / "echo-float32-range.bin", "<f4")
-    last = np.cumsum(count, dtype=int)[count > 0] - 1
-    np.testing.assert_array_equal(block.range_m[np.isfinite(block.range_m)], ranges[last])
-    np.testing.assert_allclose(np.asarray(block.time_s).ravel(), 100 + 1e-5 * np.arange(720))
-    assert len(block.extra) == count.sum() - np.count_nonzero(count)
 
 
 def test_the_folder_names_the_file_to_give(tmp_path: Path) -> None:

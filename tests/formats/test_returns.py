@@ -102,24 +102,3 @@ def test_one_return_a_shot_in_the_image(rule: str, standing: list[list[int]], co
         assert (line, column) == (records["scan_line"][record], records["column"][record])
         assert range_m == records["range"][record]
     assert whole.tally == ReadTally(n_extra_returns=4)
-
-
-def test_fixed_lines_count_shots_of_several_returns_once() -> None:
-    records = forest()
-    del records["scan_line"]
-    whole = read(open_records(records, 3, points_per_line=3, return_="first"))
-    assert whole.record.tolist() == [[0, 1, 4], [6, 8, 9]]
-
-
-def test_a_shot_that_meets_another_takes_its_returns_along() -> None:
-    records = {
-        "range": np.array([1.0, 2.0, 3.0, 4.0]),
-        "scan_line": np.zeros(4),
-        "column": np.zeros(4),
-        "time": np.array([0.0, 0.0, 1.0, 1.0]),
-        "number_of_returns": np.full(4, 2),
-        "return_number": np.array([1, 2, 1, 2]),
-    }
-    whole = read(open_records(records, return_="last"))
-    assert whole.record.tolist() == [[1]]
-    assert whole.tally == ReadTally(n_collisions=1, n_extra_returns=2)

@@ -98,18 +98,6 @@ def test_names_of_files_command_no_terminal(tmp_path: Path, capfd: pytest.Captur
         assert not unprintable(printed)
 
 
-def test_too_little_memory_is_said_in_a_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr("prc_cli.cli.info.inspect", fail)
-    code, printed = run(capfd, "info", put(tmp_path / "a.npz", seed("a.npz")))
-    assert (code, printed.count("\n")) == (1, 1)
-    assert printed.startswith("error: not enough memory")
-
-
 @pytest.mark.parametrize("name", ["pf3.laz", "pf6.laz"])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_laz_that_is_copied_is_checked_first(

@@ -7,14 +7,12 @@ import hashlib
 import json
 import re
 import zlib
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from prc_cli.core.types import F64
-from prc_cli.imaging.viewer import ClassEntry, Shots, Values, pack, viewer_page
+from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 
 TITLE = "a <b>&\"'</script>.laz"
 
@@ -75,24 +73,6 @@ def test_the_data_of_the_page_are_the_shots() -> None:
     assert about["order"][0] == 8
     assert about["mirrored"] is True
     assert len(about["ramp"]) == 256
-
-
-@pytest.mark.parametrize("n_bytes", [1, 2, 3, 4])
-def test_planes_hold_every_integer(n_bytes: int) -> None:
-    rng = np.random.default_rng(n_bytes)
-    whole = rng.integers(0, 256**n_bytes, 1000, dtype=np.uint64).astype(np.uint32)
-    whole[:3] = 0, 256**n_bytes - 1, 0
-    assert np.array_equal(unpack(pack(whole, n_bytes), n_bytes), whole)
-
-
-def test_what_does_not_fit_is_rounded_coarser() -> None:
-    given = shots()
-    wide = Values("height", np.linspace(0, 1000, 63).reshape(7, 9), 0.001, 2)
-    about, planes = decoded(page_of(replace(given, xyz_m=None, more={"height": wide})))
-    scale = about["planes"]["height"]["scale"]
-    assert 0.001 < scale < 0.02
-    assert np.allclose(planes["height"], wide.values, atol=0.51 * scale)
-    assert "x" not in planes
 
 
 def test_the_page_is_escaped_and_runs_nothing_but_its_own_script() -> None:

@@ -16,13 +16,12 @@ from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import gate_value, scores
-from prc_cli.jobs.calibrate import SearchOptions, _measure, calibrate
+from prc_cli.jobs.calibrate import SearchOptions, calibrate
 from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply, thresholds
 from prc_cli.jobs.calibrate.reports import (
     as_json,
-    as_toml,
 )
-from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES, ZETA_P, ZETA_S, Axis, Searcher, _neighbours, with_values
+from prc_cli.jobs.calibrate.search import PRC_AXES, ZETA_P, ZETA_S, Searcher, with_values
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import classify
 from prc_cli.methods.prc.pipeline import PrcParams
@@ -34,7 +33,6 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
-from tests.streams.beam_lines import stream
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz
 
 
@@ -129,18 +127,6 @@ def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
     other = calibrate(source, BLOCKS, SearchOptions(reference, budget=2, objective="recall.ground", seed=4))
     assert other.search is not None
     assert other.search.n_trials == 2
-
-
-def test_written_configuration_is_read_and_says_why(tmp_path: Path) -> None:
-    source, reference = labelled(tmp_path)
-    found = calibrate(source, BLOCKS, SearchOptions(reference, budget=10))
-    text = as_toml(found)
-    (tmp_path / "street.toml").write_text(text, encoding="utf-8")
-    read = load_config(tmp_path / "street.toml")
-    assert read.config == found.config.config
-    assert text.count("# calibrated: ") == len(found.advice)
-    assert "held-out" in text
-    classify(source, tmp_path / "labels.npy", read)
 
 
 def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:
@@ -249,20 +235,6 @@ def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment: 
     assert raised.reason.endswith(f"reaches {share:.0%} of that and 6 times the noise of 1 mm")
 
 
-def test_the_threshold_of_adjacent_lines_is_never_the_lower_one() -> None:
-    """The paper advises zeta_s >= zeta_p; 0.1 m supports too little for zeta_p alone, so zeta_s follows."""
-    grid = thresholds(0.1)
-    reached = np.where(grid[:, None] < 1.0, 0.5, 1.0) * np.ones(len(grid))
-    lengths = np.geomspace(0.001, 100.0, 51)
-    flat = np.full(len(lengths), 1000, np.int64)
-    n = 100_000
-    curves = Curves(grid, grid, np.round(0.9 * n * reached).astype(np.int64), lengths, flat, n, n, n)
-    params = PrcParams.model_validate({"support": {"zeta_s": 0.1, "zeta_p": 0.1}})
-    found = {item.key: item for item in imply(SENSOR, curves, params, 0.02)}
-    assert (found["prc.support.zeta_p"].value, found["prc.support.zeta_s"].value) == (1.0, 1.0)
-    assert found["prc.support.zeta_s"].reason.startswith("raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B)")
-
-
 @pytest.mark.parametrize(
     ("known", "value", "reason"),
     [
@@ -280,23 +252,6 @@ def test_the_length_is_the_largest_that_is_asked_for(known: dict[str, float], va
     assert found.value == pytest.approx(value)
     assert found.reason.startswith(reason)
     assert "; marks 1.0% of the returns" in found.reason
-
-
-@pytest.mark.parametrize(
-    ("lines", "m", "value"), [(99, 2154, 30.0), (99, 1077, 15.0), (99, 870, 12.1), (99, 850, 12.0)]
-)
-def test_the_area_is_the_published_share_of_a_block_and_twelve_at_least(lines: int, m: int, value: float) -> None:
-    found = advised(replace(SENSOR, points_per_line=m), lines_per_block=lines)["prc.surfaces.area"]
-    assert found.value == value
-    assert ("three lines of four shots" in found.reason) is (m == 850)
-
-
-@pytest.mark.parametrize("axis", [*PRC_AXES, *ANGLE_AXES], ids=lambda axis: axis.key)
-def test_every_value_of_an_axis_is_a_configuration(axis: Axis) -> None:
-    assert list(axis.grid) == sorted(set(axis.grid))
-    assert axis.bounds[0] <= axis.grid[0] < axis.grid[-1] <= axis.bounds[1]
-    for value in (*axis.bounds, *axis.grid):
-        with_values(RunConfig(), {axis.key: int(value) if axis.whole else value})
 
 
 @pytest.mark.parametrize(
@@ -319,62 +274,3 @@ def test_a_threshold_takes_the_other_along(
     values = {name: value for name, value in zip((ZETA_S, ZETA_P), given, strict=True) if value is not None}
     found = searcher._advisable(values, key)
     assert (found.get(ZETA_S), found.get(ZETA_P)) == expected
-
-
-def test_refinement_goes_down_to_one_pixel_and_not_out_of_bounds() -> None:
-    area = next(axis for axis in PRC_AXES if axis.key == "prc.surfaces.area")
-    assert _neighbours(area, 2.0, 2.0) == (1.0, 4.0)
-    assert _neighbours(area, 1.0, 2.0) == (2.0,)
-    gamma = next(axis for axis in PRC_AXES if axis.whole)
-    assert _neighbours(gamma, 0.0, 2.0) == (1.0,)
-    assert _neighbours(gamma, 3.0, 2.0) == (2.0, 4.0)
-    zeta = next(axis for axis in PRC_AXES if axis.key == "prc.support.zeta_p")
-    assert _neighbours(zeta, 0.01, 1.5) == (0.015,)
-    assert _neighbours(zeta, 10.0, 1.5) == (6.67,)
-
-
-@pytest.mark.parametrize(("n_lines", "is_enough"), [((2, 3), True), ((3, 2), True), ((2, 2), False), ((2, 0), False)])
-def test_one_scanner_with_three_lines_is_enough(n_lines: tuple[int, int], is_enough: bool) -> None:
-    parts = [ScanBlock(0, np.full((n, 50), 5.0, np.float32), scanner=scanner) for scanner, n in enumerate(n_lines) if n]
-    if is_enough:
-        assert _measure(stream(*parts), RunConfig(), None)[2] == dict(enumerate(n_lines))
-    else:
-        with pytest.raises(InputError, match=f"found {sum(n_lines)} scan lines, expected 3 or more"):
-            _measure(stream(*parts), RunConfig(), None)
-
-
-N = 60
-"""Stretches of a level; 50 make a range bin usable."""
-
-
-def levels(*of: tuple[float, float], n: int | tuple[int, ...] = N) -> SensorEstimate:
-    """Measure stretches of nine shots at some ranges [m] with exactly the standard deviations given beside them [m]."""
-    place = np.arange(9) - 4
-    pattern = np.where(place % 2, 1.0, -1.0)
-    pattern -= np.polyval(np.polyfit(place, pattern, 2), place)
-    pattern *= np.sqrt(6 / (pattern**2).sum())
-    counts = (n,) * len(of) if isinstance(n, int) else n
-    rows = [
-        np.tile(range_m + sigma_m * pattern, (count, 1)) for (range_m, sigma_m), count in zip(of, counts, strict=True)
-    ]
-    return measured(np.concatenate(rows).astype(np.float32))
-
-
-def flat(found: SensorEstimate) -> list[bool]:
-    return [item.flat for item in found.noise]
-
-
-def test_noise_is_fitted_to_the_flat_bins() -> None:
-    found = levels(*((range_m, float(np.hypot(0.004, 0.001 * range_m))) for range_m in (2.2, 5.2, 12.4)))
-    assert found.sigma_m == pytest.approx(0.004, rel=0.15)
-    assert found.sigma_per_m == pytest.approx(0.001, rel=0.15)
-    one = levels((2.2, 0.01), (4.4, 0.5))
-    assert (one.sigma_m, one.sigma_per_m) == (one.noise[0].sigma_m, 0.0)
-
-
-@pytest.mark.parametrize("power", [-4, -3, -2, -1, 0])
-@pytest.mark.parametrize("factor", [1, 2, 2.5, 5])
-def test_every_usual_rounding_is_found(factor: float, power: int) -> None:
-    unit = factor * 10.0**power
-    image = np.random.default_rng(7).uniform(3.0, 12.0, (40, 200))
-    assert measured((np.round(image / unit) * unit).astype(np.float32)).rounding_m == pytest.approx(unit)

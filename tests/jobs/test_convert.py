@@ -9,8 +9,6 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
@@ -19,10 +17,6 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.formats import open_source
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.convert import convert
-from tests.formats.organised_files import (
-    ptx_scan,
-    write_text,
-)
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
 
 CELLS = (".csv", ".csv.gz", ".csv.zst", ".npz", ".bin")
@@ -191,33 +185,6 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
     assert told == (suffix == ".laz")
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".las"])
-def test_the_scans_of_a_ptx_stay_apart(tmp_path: Path, suffix: str) -> None:
-    rng = np.random.default_rng(4)
-    text = ""
-    for n_lines, m in ((5, 7), (4, 9)):
-        points = rng.uniform(1.0, 30.0, (n_lines, m, 3))
-        points[1, 2:4] = 0.0  # shots without return
-        text += ptx_scan(points)
-    source, out = write_text(tmp_path / "a.ptx", text), tmp_path / f"out{suffix}"
-    convert(source, out)
-    before, after = scans(source, config()), scans(out, config(scanner="point_source_id"))
-    assert [block.range_m.shape for block in before.values()] == [(5, 7), (4, 9)]
-    for left, right in zip(before.values(), after.values(), strict=True):
-        assert same_bits(left.range_m, right.range_m)
-    with pytest.raises(OutputError, match="a range image holds one scanner"):
-        convert(source, tmp_path / "out.npz")
-
-
-def test_las_and_laz_become_each_other_byte_for_byte(tmp_path: Path) -> None:
-    source = two_scanners(tmp_path / "two.las")
-    summary = convert(source, tmp_path / "two.laz")
-    assert summary.losses == ()
-    convert(tmp_path / "two.laz", tmp_path / "back.las")
-    assert (tmp_path / "back.las").read_bytes() == source.read_bytes()
-    assert len(laspy.read(tmp_path / "two.laz")) == summary.n_shots
-
-
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "inputs"),
@@ -245,16 +212,6 @@ def test_real_scans_give_the_same_ranges_back(
             assert np.isnan(left.range_m[n:]).all()
             left = join([left]) if n == left.n_lines else left
         assert same_bits(np.ascontiguousarray(left.range_m[:n, :m]), right.range_m)
-
-
-@given(st.lists(st.integers(1, 0x7F7F_FFFF), min_size=2, max_size=40))
-def test_any_float32_range_survives_text(tmp_path_factory: pytest.TempPathFactory, bits: list[int]) -> None:
-    folder = tmp_path_factory.mktemp("bits")
-    image = np.array(bits, np.uint32).view(np.float32)[None, :]
-    np.save(folder / "a.npy", image)
-    convert(folder / "a.npy", folder / "a.csv")
-    (block,) = scans(folder / "a.csv", config()).values()
-    assert np.array_equal(block.range_m.view(np.uint32), image.view(np.uint32))
 
 
 def _several(tmp_path: Path) -> tuple[Path, LoadedConfig]:

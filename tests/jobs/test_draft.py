@@ -11,7 +11,7 @@ import pytest
 
 from prc_cli.cli import main
 from tests.golden.inputs import N_LINES, M, image
-from tests.streams.evidence.test_estimates import drive, las_of_times
+from tests.streams.evidence.test_estimates import drive
 
 
 def run(*words: Any) -> int:
@@ -64,32 +64,6 @@ def test_a_dump_of_ranges_alone(tmp_path: Path) -> None:
     found = drafted(path)
     assert [(field["name"], field["type"]) for field in found["layout"]["fields"]] == [("range", "f4")]
     np.testing.assert_array_equal(ranges_read(path), image())
-
-
-def test_text_without_names(tmp_path: Path) -> None:
-    """Seconds; centimetres, with 0 where nothing returned; a status."""
-    cells = np.round(np.nan_to_num(image()) * 1000).astype(int).ravel()
-    rows = [f"{i / (50 * M):.6f};{r};7".replace(".", ",") for i, r in enumerate(cells)]
-    path = tmp_path / "d.txt"
-    path.write_text("\n".join(rows) + "\n")
-    found = drafted(path)
-    layout = found["layout"]
-    assert (layout["delimiter"], layout["decimal"], layout["header"]) == (";", ",", False)
-    assert {field["name"]: field["source"] for field in layout["fields"]} == {"time": 0, "range": 1}
-    np.testing.assert_allclose(ranges_read(path), image(), atol=1e-3)
-
-
-def test_a_file_that_only_has_times(tmp_path: Path) -> None:
-    time, _, column = drive(54.0, 2154, 30)
-    path = tmp_path / "a.laz"
-    las_of_times(path, time, np.stack([time, column / 100, column / 200], axis=1))
-    assert drafted(path)["input"] == {}
-    assert '# range = "trajectory:FILE"' in (tmp_path / "draft.toml").read_text()
-    rows = np.column_stack([time, 3 + np.sin(column / 99)])
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,range", comments="", fmt="%.9f")
-    found = drafted(tmp_path / "a.csv", "--overwrite")["input"]
-    assert float(found["lines"].partition(":")[2]) == pytest.approx(54, rel=2e-5)
-    assert float(found["columns"].partition(":")[2]) == pytest.approx(116_316, rel=2e-6)
 
 
 def test_noise_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,10 +14,8 @@ from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
-from prc_cli.jobs.classify import classify, label_blocks, open_stream
+from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
-from prc_cli.jobs.render.colours import LABEL_TABLE, Vocabulary
-from prc_cli.jobs.render.options import FIGURE_1, choose_steps
 from prc_cli.jobs.render.scan import draw_scan
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
@@ -80,32 +78,6 @@ def test_the_whole_drive_shows_every_class_where_it_is(drive: Path, urban: Loade
     seen = labels[labels != Label.MISSING]
     assert shares["ground"] == f"ground {100 * (seen == Label.GROUND).mean():.1f} %"
     assert shares["no"].startswith("no return")
-
-
-def test_a_block_is_what_the_whole_run_made_of_it(drive: Path, tmp_path: Path) -> None:
-    config = load_config(preset="urban", options={"prc": {"lines_per_block": 40}})
-    drawing = draw_scan(drive, config, RenderOptions(block=2), tmp_path)
-    assert (drawing.part.first, drawing.part.stop) == (80, 120)
-    assert drawing.steps == FIGURE_1
-    colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
-    classes = drawing.strips[0][-1]
-    assert np.array_equal(classes.picture, colours[labels_of(drive, config)[80:120]])
-    assert (classes.y.first, classes.y.stop) == (80, 120)  # lines run down, as the paper prints them
-    lines = draw_scan(drive, config, RenderOptions(lines=(80, 120), steps=("classes",)), tmp_path)
-    assert np.array_equal(lines.strips[0][0].picture, classes.picture)
-
-
-def test_existing_labels_are_drawn_without_a_classifier(
-    drive: Path, urban: LoadedConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    classify(drive, tmp_path / "labels.npy", urban)
-    expected = draw_scan(drive, urban, RenderOptions(steps=("range", "classes")), tmp_path)
-    monkeypatch.setattr("prc_cli.jobs.render.scan.label_blocks", None)
-    drawing = draw_scan(drive, urban, RenderOptions(labels=tmp_path / "labels.npy"), tmp_path)
-    for one, other in zip(drawing.strips[0], expected.strips[0], strict=True):
-        assert np.array_equal(one.picture, other.picture)
-    with pytest.raises(ConfigError, match="found 'support', which a label file does not hold; possible here: range"):
-        choose_steps("prc", RenderOptions(labels=tmp_path / "labels.npy", steps=("support",)))
 
 
 def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
@@ -193,17 +165,6 @@ def write_cloud(path: Path, codes: U8) -> Path:
     las.classification, las.intensity = codes, rng.integers(0, 1000, n)
     las.write(path)
     return path
-
-
-@pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])
-def test_eight_codes_without_a_class_are_named(n: int, end: str) -> None:
-    words = Vocabulary(LABEL_TABLE, None, ClassCodes())
-    codes = np.repeat(np.arange(200, 200 + n), 3)
-    with pytest.raises(
-        InputError, match=f"found {3 * n} records with codes that are none of .classes.: 200, 201, "
-    ) as said:
-        words.turn(codes, "predicted")
-    assert said.value.problem.endswith(end)
 
 
 def test_noise_does_not_frame_a_cloud_and_can_be_hidden(urban: LoadedConfig, tmp_path: Path) -> None:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.jobs.classify import classify
-from prc_cli.jobs.coordinates import SPEED_M_S
 from prc_cli.jobs.render import RenderOptions
 from prc_cli.jobs.render.viewer import _Kept, render_viewer
 from tests.browser import chromium
@@ -43,30 +41,6 @@ def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
     given = RenderOptions(labels=tmp_path / "labels.npy")
     render_viewer(source, tmp_path / "b.html", config, given)
     assert np.array_equal(decoded(read(tmp_path / "b.html"))[1]["class"], planes["class"], equal_nan=True)
-
-
-def test_lines_stand_one_behind_the_other_without_coordinates(tmp_path: Path) -> None:
-    angles = np.linspace(-90, 90, 31)
-    lines = np.repeat((2.5 / np.maximum(np.cos(np.deg2rad(angles)), 0.05))[None], 40, axis=0)
-    np.savez(
-        tmp_path / "a.npz",
-        range_m=lines.astype(np.float32),
-        angle_deg=angles,
-        time_s=np.arange(1240.0).reshape(40, 31) / 1240,
-    )
-    config = load_config(preset="urban", options={"input": {"nadir": 0.0}})
-    result = render_viewer(tmp_path / "a.npz", tmp_path / "a.html", config, RenderOptions(lines=(10, 30)))
-    about, planes = decoded(read(tmp_path / "a.html"))
-    assert about["lines"]["first"] == 10
-    assert np.diff(planes["x"][:, 15]) == pytest.approx(np.full(19, SPEED_M_S / 40), rel=0.05)
-    assert np.nanmedian(planes["z"]) == pytest.approx(-2.5, abs=0.01)
-    assert result.notes == (
-        "The input has no trajectory: its lines are drawn one behind the other, 0.2 m apart (assumed: 8 m/s; "
-        "--line-spacing tells it).",
-    )
-    told = render_viewer(tmp_path / "a.npz", tmp_path / "b.html", config, RenderOptions(line_spacing_m=0.5))
-    assert told.notes[0].endswith("0.5 m apart.")
-    assert np.diff(decoded(read(tmp_path / "b.html"))[1]["x"][:, 15]) == pytest.approx(np.full(39, 0.5), abs=0.01)
 
 
 def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(static: tuple[Path, Path], tmp_path: Path) -> None:

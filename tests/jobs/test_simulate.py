@@ -11,7 +11,7 @@ import pytest
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.labels import open_codes
@@ -58,22 +58,6 @@ def drive() -> tuple[ScanBlock, Any]:
     return whole(list(open_simulation("street", small("street"), threads=1).scan.labelled_blocks()))
 
 
-def test_the_scan_has_what_a_street_has(drive: tuple[ScanBlock, Any]) -> None:
-    block, labels = drive
-    assert block.range_m.shape == labels.shape == (LINES, 240)
-    assert same(np.isnan(block.range_m), labels == Label.MISSING)
-    share = np.bincount(labels.ravel(), minlength=len(Label)) / labels.size
-    assert share[Label.GROUND] > 0.2
-    assert share[Label.BUILDING] > 0.02
-    assert 0.0 < share[Label.MISSING] < 0.7
-    assert block.is_last
-    assert block.intensity is not None
-    assert same(np.isnan(block.intensity), np.isnan(block.range_m))
-    assert same(np.nan_to_num(block.intensity) % 1, np.zeros(labels.shape))
-    assert block.time_s is not None
-    assert (np.diff(block.time_s.ravel()) > 0).all()
-
-
 @pytest.mark.parametrize("lines", [1, 7, 64, 1000])
 def test_neither_blocks_nor_threads_change_anything(drive: tuple[ScanBlock, Any], lines: int) -> None:
     scan = open_simulation("street", small("street"), threads=2).scan
@@ -86,16 +70,6 @@ def test_neither_blocks_nor_threads_change_anything(drive: tuple[ScanBlock, Any]
     assert [item.block.is_last for item in items] == [False] * (len(items) - 1) + [True]
     with pytest.raises(ConfigError, match="found 0, expected at least 1 line"):
         next(scan.blocks(0))
-
-
-def test_blocks_keep_the_further_returns_of_their_lines() -> None:
-    scan = open_simulation("street", several_returns(), threads=1).scan
-    one = join([item.block for item in scan.labelled_blocks()])
-    cut = join([item.block for item in scan.labelled_blocks(5)])
-    assert len(one.extra) > 20
-    for name in ("line", "column", "range_m"):
-        assert same(getattr(one.extra, name), getattr(cut.extra, name))
-    assert (one.extra.range_m > one.range_m[one.extra.line, one.extra.column]).all()
 
 
 @pytest.mark.parametrize("suffix", [".laz", ".csv", ".e57"])
@@ -162,18 +136,6 @@ def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffi
     assert horizontal[road].mean() > 0.8
 
 
-def test_the_tripod_has_room_and_stands_on_the_ground() -> None:
-    for seed in range(4):
-        settings = small("street-scan", seed=seed, station={"along_m": 20.0 * seed, "clearance_m": 2.5})
-        found = open_simulation("street-scan", settings)
-        block, labels = whole(list(found.scan.labelled_blocks()))
-        assert np.nanmin(block.range_m[labels != Label.NOISE]) > 1.5
-        assert block.xyz_m is not None
-        ground = labels == Label.GROUND
-        near = ground & (block.range_m < 4.0)
-        assert np.abs(np.median(block.xyz_m[near][:, 2]) + settings.scanner.height_m) < 0.25
-
-
 def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> None:
     settings = small("forest", sight_m=20.0)
     simulate("forest", tmp_path / "a.npz", settings, beside=Beside(stems=tmp_path / "stems.csv"))
@@ -189,21 +151,6 @@ def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> 
     rows = (tmp_path / "stems.csv").read_text().splitlines()
     assert rows[0].startswith("species,x_m,y_m,z_m,dbh_m")
     assert 100 < len(rows) == len(set(rows))
-
-
-def test_lengths_durations_and_speeds() -> None:
-    def lines(**options: Any) -> int:
-        table = {"scanner": {"points_per_line": 10, "line_hz": 40.0}, **options}
-        return open_simulation("street", load_settings("street", options=table)).scan.n_lines
-
-    even = {"stop_every_m": 0.0, "speed_variation": 0.0}
-    assert lines(length_m=50.0, trajectory={"speed_m_s": 5.0, **even}) == 400
-    assert lines(duration_s=3.0) == 120
-    assert lines(lines=17, duration_s=3.0) == 17
-    # at this speed stops have no room between them: they are moved apart, unless they were asked for
-    assert lines(length_m=20.0, trajectory={"speed_m_s": 20.0}) > 1
-    with pytest.raises(ConfigError, match="stop_every_m of at least"):
-        lines(trajectory={"speed_m_s": 20.0, "stop_every_m": 200.0})
 
 
 def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:

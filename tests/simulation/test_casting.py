@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -73,18 +71,6 @@ def test_shots_meet_simple_bodies_where_geometry_says(
     assert hits.body.item() == (-1 if np.isinf(t) else 0)
 
 
-def test_moving_body_is_where_it_is_when_the_shot_is_fired() -> None:
-    car = world((Shape.BOX, [-1000, 10, 0, 2, 1, 1, 0]), velocity=(10, 0))
-    assert np.isinf(one_shot(car, (0, 0, 0), (0, 1, 0), 99.7).t.item())
-    assert one_shot(car, (0, 0, 0), (0, 1, 0), 100.1).t.item() == pytest.approx(9.0)
-    # a scanner that drives beside it sees it as if both stood still
-    origin, direction, time = profile(5)
-    beside = cast(world((Shape.BOX, [0, 10, 0, 2, 1, 1, 0]), velocity=(10, 0)), origin, direction, time)
-    still = cast(world((Shape.BOX, [0, 10, 0, 2, 1, 1, 0])), origin * 0, direction, time)
-    np.testing.assert_allclose(beside.t, still.t)
-    assert np.isfinite(still.t).any()
-
-
 @pytest.mark.parametrize("slant_rad", [0.0, 0.6])
 @pytest.mark.parametrize("roll_rad", [0.0, 0.03, -0.03])
 def test_no_shot_leaves_a_closed_room(slant_rad: float, roll_rad: float) -> None:
@@ -115,37 +101,3 @@ def test_hits_do_not_depend_on_how_lines_are_cut_into_blocks() -> None:
         for name in ("t", "body", "facing"):
             np.testing.assert_array_equal(getattr(line, name), getattr(whole, name)[part])
     assert 0.2 < np.isfinite(whole.t).mean() < 0.9
-
-
-def test_leaves_of_a_body_do_not_depend_on_other_bodies() -> None:
-    crown = leafy()
-    far = world(*[(Shape.BOX, [500.0 + k, 0, 0, 0.4, 1, 1, 0]) for k in range(40)])
-    alone, among = cast(crown, *profile(3)), cast(Bodies.join([far, crown]), *profile(3))
-    np.testing.assert_array_equal(among.t, alone.t)
-    np.testing.assert_array_equal(among.body, np.where(alone.body < 0, -1, alone.body + 40))
-    again = cast(replace(crown, number=crown.number + 1), *profile(3))
-    assert not np.array_equal(again.t, alone.t)
-
-
-def through_leaves(depth_m: float, density: float, n: int = 200) -> Hits:
-    """Shots straight into a thick hedge, four of them through each of its cells."""
-    y, z = np.meshgrid(np.arange(n) * 0.125 + 0.06, np.arange(n) * 0.125 + 0.06)
-    origin = np.stack([0 * y - 5.0, y, z], axis=2)
-    hedge = world((Shape.BOX, [depth_m / 2, 0, 0, depth_m / 2, 99, 99, 0]), density=density)
-    return cast(hedge, origin, np.broadcast_to([1.0, 0, 0], origin.shape), np.zeros(n))
-
-
-def test_neighbouring_shots_share_gaps_and_clumps() -> None:
-    met = np.isfinite(through_leaves(0.5, density=4.0).t)
-    of_cell = met.reshape(100, 2, 100, 2).mean(axis=(1, 3))
-    by_chance = met.mean() * (1 - met.mean()) / 4
-    assert of_cell.var() > 1.5 * by_chance
-
-
-def test_further_return_in_leaves_lies_deeper() -> None:
-    bodies, (origin, direction, time) = leafy(), profile(2)
-    first = cast(bodies, origin, direction, time)
-    second = cast(bodies, origin, direction, time, t_min_m=first.t)
-    met = np.isfinite(second.t)
-    assert met.mean() > 0.05
-    assert (second.t[met] > first.t[met]).all()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from prc_cli.core.classes import Label
-from prc_cli.simulation.drive import SimulatedScan, ground_below, room_around
+from prc_cli.simulation.drive import SimulatedScan
 from prc_cli.simulation.scanners import Scanner
-from prc_cli.simulation.trajectory import MotionParams, Station, Trajectory
+from prc_cli.simulation.trajectory import MotionParams, Trajectory
 from prc_cli.simulation.world import Bodies, Material, Shape
 
 EXACT = Scanner(
@@ -76,28 +75,3 @@ def test_ranges_labels_and_places_are_those_of_the_street() -> None:
     assert np.abs(item.world_m[:, down, 2]).max() < 1e-5
     assert np.abs(block.xyz_m[:, down, 2] + 2.0).max() < 1e-5
     assert np.abs(block.xyz_m[:, wall, 0]).max() < 1e-5
-
-
-def test_a_tripod_turns_upright_lines_to_the_left() -> None:
-    static = EXACT.changed(is_static=True, field_deg=90.0, centre_deg=90.0, azimuth_step_deg=90.0, points_per_line=91)
-    scan = SimulatedScan("test", near, static, Station(3.0, 0.0, 2.0, 0.0), 1, 4, 100.0, with_xyz=True, with_world=True)
-    (item,) = scan.simulated()
-    block = item.labelled.block
-    assert block.xyz_m is not None
-    assert item.world_m is not None
-    middle = 45  # level
-    assert block.beam_rad is not None
-    assert block.beam_rad[middle] == pytest.approx(np.pi / 2)
-    assert block.range_m[1, middle] == pytest.approx(5.0)
-    assert block.xyz_m[1, middle] == pytest.approx([0.0, 5.0, 0.0], abs=1e-5)
-    assert item.world_m[1, middle] == pytest.approx([3.0, 5.0, 2.0], abs=1e-5)
-    assert np.isnan(block.range_m[[0, 2, 3], middle]).all()
-    # it is labelled as Stamos et al. classify, not by material
-    assert set(np.unique(item.labelled.labels)) == {Label.MISSING, Label.GROUND, Label.VERTICAL}
-
-
-def test_ground_and_room_of_a_place() -> None:
-    assert ground_below(near, 0.0, 0.0, 0.3) == pytest.approx(0.0)
-    assert ground_below(near, 0.0, 60.0, 0.3) == 0.3
-    assert room_around(near, 0.0, 1.0, 0.0) == pytest.approx(4.0)
-    assert room_around(lambda *_: Bodies.join([]), 0.0, 0.0, 0.0) == np.inf

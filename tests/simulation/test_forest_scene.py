@@ -15,7 +15,6 @@ from prc_cli.core.classes import Label
 from prc_cli.simulation.forest.params import PRESETS, ForestSceneParams
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
-from prc_cli.simulation.forest.terrain import Terrain
 from prc_cli.simulation.forest.trees import Species, Stems
 from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
 
@@ -113,44 +112,6 @@ def test_a_walker_sees_no_more_bodies_than_the_caster_can_bear(name: str) -> Non
     assert 3000 < len(ForestScene(PRESETS[name], seed=2).bodies_near(20.0, 30.0, 30.0)) < 10_000
 
 
-def test_what_is_asked_for_none_of_is_not_there() -> None:
-    bare = ForestSceneParams(
-        stems_per_ha=0,
-        mounds_per_ha=0,
-        shrubs_per_ha=0,
-        saplings_per_ha=0,
-        herbs_per_ha=0,
-        logs_per_ha=0,
-        stumps_per_ha=0,
-    )
-    scene = ForestScene(bare, seed=1)
-    assert set(scene.bodies_near(0, 0, 20).material) == {Material.SOIL}
-    assert len(scene.stems_near(0, 0, 20)) == 0
-
-
-@pytest.mark.parametrize("stems_per_ha", [300.0, 1200.0])
-def test_stems_are_as_dense_as_asked_for_and_keep_apart(stems_per_ha: float) -> None:
-    # one row far away from the place that is counted
-    scene = ForestScene(ForestSceneParams(stems_per_ha=stems_per_ha), seed=5)
-    stems = scene.stems_near(-150.0, 0.0, 80.0)
-    area_ha = np.pi * 0.8**2
-    assert len(stems) / area_ha == pytest.approx(stems_per_ha, rel=0.06)
-    xy = stems.base[:, :2]
-    apart = np.hypot(*np.moveaxis(xy[:, None] - xy, -1, 0)) + np.diag(np.full(len(xy), np.inf))
-    expected = np.sqrt(0.5 / (np.pi * stems_per_ha / 10_000))
-    assert expected <= apart.min() < 1.15 * expected
-
-
-def test_stems_taper_and_are_as_thick_at_breast_height_as_listed(scene: ForestScene, bodies: Bodies) -> None:
-    cones = bodies.numbers[bodies.material == Material.STEM]
-    assert len(cones) > 250
-    assert (cones[:, 6] >= cones[:, 7]).all()
-    stems = scene.stems_near(15.0, 25.0, 20.0)
-    for breast, dbh in zip(stems.breast, stems.dbh, strict=True):
-        ends_here = np.abs(cones[:, 3:6] - breast).max(axis=1) < 1e-9
-        assert cones[ends_here, 7] == pytest.approx([dbh / 2])
-
-
 def test_the_path_is_clear(scene: ForestScene) -> None:
     """Along 120 m, nothing solid or leafy stands where the walker and the scanner on his back pass."""
     s = np.arange(0.0, 120.0, 0.25)
@@ -171,40 +132,6 @@ def test_the_path_is_clear(scene: ForestScene) -> None:
         along = np.cos(yaw) * offset[:, 0] + np.sin(yaw) * offset[:, 1]
         across = np.cos(yaw) * offset[:, 1] - np.sin(yaw) * offset[:, 0]
         assert ((along / half[0]) ** 2 + (across / half[1]) ** 2 + (offset[:, 2] / half[2]) ** 2 > 1).all()
-
-
-def test_the_path_runs_in_rows_without_jumps(scene: ForestScene) -> None:
-    s = np.arange(-150.0, 400.0, 0.02)
-    path, heading = scene.path_point(s)
-    steps = np.diff(path[:, :2], axis=0)
-    assert np.hypot(*steps.T) == pytest.approx(0.02, rel=0.01)
-    assert np.abs(np.diff(path[:, 2])).max() < 0.02
-    assert np.abs(np.diff(heading)).max() < 0.02 / (scene.params.row_spacing_m / 2) * 1.5
-    towards = np.arctan2(steps[:, 1], steps[:, 0])
-    turned = (towards - (heading[1:] + heading[:-1]) / 2 + np.pi) % (2 * np.pi) - np.pi
-    assert np.abs(turned).max() < 0.005
-    rows, _ = scene.path_point(np.arange(6) * scene.rows.period_m)
-    assert rows[:, 0] == pytest.approx([0, 40, 0, 40, 0, 40], abs=1e-6)
-    assert rows[:, 1] == pytest.approx(np.arange(6) * 10.0)
-
-
-@pytest.mark.parametrize("step_m", [0.5, 1.5])
-def test_triangles_meet_without_cracks_and_follow_the_level(step_m: float) -> None:
-    terrain = Terrain(seed=3, slope_deg=8.0, incline_deg=5.0, step_m=step_m)
-    corners = np.concatenate([terrain.triangles(i, j) for i in (-1, 0) for j in (0, 1)])
-    assert len(corners) == 4 * 2 * terrain.squares**2
-    edges: dict[tuple[bytes, bytes], int] = {}
-    for triangle in corners:
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            first, second = sorted([triangle[a].tobytes(), triangle[b].tobytes()])
-            edges[first, second] = edges.get((first, second), 0) + 1
-    # every edge has two triangles, but those around the whole
-    assert sorted(edges.values()).count(1) == 4 * 2 * terrain.squares
-    assert max(edges.values()) == 2
-    middle = corners.mean(axis=1)
-    assert terrain.height(middle[:, 0], middle[:, 1]) == pytest.approx(middle[:, 2])
-    assert terrain.height(corners[:, 0, 0], corners[:, 0, 1]) == pytest.approx(corners[:, 0, 2])
-    assert np.abs(terrain.level(middle[:, 0], middle[:, 1]) - middle[:, 2]).max() < 0.06
 
 
 class _OneTree:

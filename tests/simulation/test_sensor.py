@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.types import F64, I32
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.sensor import Measured, goes_behind, scan
-from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
+from prc_cli.simulation.world import Bodies, Material, Shape
 
 SEED = 20
 LINES = 400
@@ -57,49 +56,12 @@ def hits(t: Any, body: Any = 0, facing: Any = 1.0, lines: int = LINES, columns: 
     return Hits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
 
 
-def errors(t: float, scanner: Scanner, material: Material = Material.WALL, facing: float = 1.0) -> F64:
-    """Range errors of many shots on a wall."""
-    found = scan(hits(t, facing=facing), world(material), scanner, 0, SEED)
-    assert (found.label == PROPERTIES[material].label).all()
-    return found.range_m.astype(np.float64) - t
-
-
-@pytest.mark.parametrize("facing", [1.0, 0.3, 0.05])
-@pytest.mark.parametrize("t", [5.0, 40.0])
-@pytest.mark.parametrize("material", [Material.ASPHALT, Material.SIGN])
-def test_noise_grows_with_range_incidence_and_darkness(t: float, facing: float, material: Material) -> None:
-    found = errors(t, CW, material, facing)
-    weakness = np.sqrt(0.9 / (PROPERTIES[material].reflectance * facing))
-    width = 0.0033 + 0.00016 * t
-    depth = width * np.sqrt(1.0 - facing**2) / facing
-    expected = CW.noise_m + CW.noise_per_m * t * weakness + CW.noise_spread * depth
-    assert found.std() == pytest.approx(expected, rel=0.02)
-    assert abs(found.mean()) < 4 * expected / np.sqrt(found.size)
-
-
 def step(scanner: Scanner, far: float = 30.0) -> Measured:
     """Between a post at 20 m in columns 40 to 59, and a wall."""
     column = np.arange(100)
     post = (column >= 40) & (column < 60)
     found = hits(np.where(post, 20.0, far), np.where(post, 1, 0), lines=20_000)
     return scan(found, world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED)
-
-
-def test_share_of_split_beams_is_their_width_over_their_distance() -> None:
-    found = step(CW)
-    width, apart = 0.0033 + 0.00016 * 20.0, CW.step_rad * 20.0
-    beside = np.abs(found.range_m - np.where(np.arange(100) < 40, 30.0, 20.0)) > CW.edge_m
-    assert not beside[:, :39].any(), "only neighbours of the edge are split"
-    # a mixture close to one of its surfaces is hardly seen as such
-    expected = 0.5 * width / apart
-    for column, true in ((39, 30.0), (40, 20.0), (59, 20.0), (60, 30.0)):
-        mixed = np.abs(found.range_m[:, column] - true) > 0.02
-        assert mixed.mean() == pytest.approx(expected, rel=0.1)
-        assert (found.range_m[mixed, column] > 20.0).all()
-        assert (found.range_m[mixed, column] < 30.0).all()
-        noise = found.label[:, column] == Label.NOISE
-        assert (noise <= mixed).all()
-        assert noise.sum() > 0.8 * mixed.sum()
 
 
 def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one() -> None:
@@ -119,52 +81,6 @@ def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one(
     mixed = narrow.label == Label.NOISE
     assert mixed.any()
     assert ((narrow.range_m[mixed] > 20.04) & (narrow.range_m[mixed] < 20.36)).all()
-
-
-def uniform_distance(values: F64, low: float, high: float) -> float:
-    """Largest distance of the distribution from the uniform one, times the root of n (Kolmogorov-Smirnov)."""
-    place = np.sort((values - low) / (high - low))
-    n = len(place)
-    steps = np.arange(n + 1) / n
-    return float(np.sqrt(n) * max((steps[1:] - place).max(), (place - steps[:-1]).max()))
-
-
-def test_background_light_is_uniform_over_the_ambiguity_interval() -> None:
-    scanner = CW.changed(background_share=0.2, max_range_m=76.0)
-    found = scan(hits(10.0), world(Material.WALL), scanner, 0, SEED)
-    stray = found.range_m[found.label == Label.NOISE].astype(np.float64)
-    # what lies beyond the largest range, or too near, is not given
-    assert len(stray) / found.range_m.size == pytest.approx(0.2 * (76.0 - 0.6) / 153.49, rel=0.03)
-    assert np.isnan(found.range_m).mean() == pytest.approx(0.2 * (1 - (76.0 - 0.6) / 153.49), rel=0.03)
-    assert uniform_distance(stray, 0.6, 76.0) < 1.95, "of 1000 uniform samples, one is so far"
-
-
-def test_ranges_beyond_the_ambiguity_interval_come_back_wrapped() -> None:
-    found = scan(hits(160.0), world(Material.SIGN), CW, 0, SEED)
-    np.testing.assert_allclose(found.range_m, 160.0 - 153.49, atol=0.2)
-    assert (found.label == Label.NOISE).all()
-
-
-def behind_of(seen: Hits, bodies: Bodies, scanner: Scanner, t: float, body: int) -> tuple[Hits, Any]:
-    asked = goes_behind(seen, bodies, scanner, 0, SEED)
-    return Hits(np.where(asked, t, np.inf), np.where(asked, body, -1).astype(np.int32), seen.facing), asked
-
-
-def test_glass_answers_mirrors_or_lets_through() -> None:
-    scanner, bodies = CW.changed(pane_share=0.3, ghost_share=0.1), world(Material.GLASS, Material.WALL)
-    seen = hits(10.0, facing=0.8)
-    behind, asked = behind_of(seen, bodies, scanner, 13.0, 1)
-    found = scan(seen, bodies, scanner, 0, SEED, behind)
-    assert asked.mean() == pytest.approx(0.6, abs=0.01)
-    np.testing.assert_allclose(found.range_m[asked], 13.0, atol=0.05)
-    ghost = found.label == Label.NOISE
-    assert ghost.mean() == pytest.approx(0.1, abs=0.01)
-    assert found.range_m[ghost].min() > 12.5
-    assert np.ptp(found.range_m[ghost]) < 0.1, "a pane mirrors one thing"
-    np.testing.assert_allclose(found.range_m[~asked & ~ghost], 10.0, atol=0.05)
-    without = scan(seen, bodies, scanner, 0, SEED)
-    assert np.isnan(without.range_m[asked]).all()
-    np.testing.assert_array_equal(without.range_m[~asked], found.range_m[~asked])
 
 
 def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits, Bodies]:
@@ -213,19 +129,6 @@ def test_ranges_labels_and_intensities_go_together(name: str) -> None:
     assert np.isfinite(found.extra_range_m).all()
     if scanner.max_returns == 1:
         assert len(found.extra_line) == 0
-
-
-def test_panes_mirror_by_their_number_whatever_else_is_in_sight() -> None:
-    bodies = world(Material.GLASS, Material.GLASS)
-    swapped = replace(bodies, number=bodies.number[::-1].copy())
-    scanner = CW.changed(pane_share=0.0, ghost_share=1.0)
-    one = scan(hits(10.0, 0, facing=0.8), bodies, scanner, 0, SEED)
-    other = scan(hits(10.0, 1, facing=0.8), swapped, scanner, 0, SEED)
-    np.testing.assert_array_equal(one.range_m, other.range_m)
-    assert (
-        abs(float(np.nanmean(one.range_m)) - float(np.nanmean(scan(hits(10.0, 1, 0.8), bodies, scanner, 0, 1).range_m)))
-        > 1
-    )
 
 
 def test_kernel_reads_the_labels_that_are_meant() -> None:

@@ -9,7 +9,7 @@ from prc_cli.simulation.casting import cast
 from prc_cli.simulation.street.movers import TIME_STEP_S
 from prc_cli.simulation.street.plan import CHARACTERS, ROAD_HALF_M, StreetSceneParams
 from prc_cli.simulation.street.scene import StreetScene
-from prc_cli.simulation.world import Bodies, Material, Shape
+from prc_cli.simulation.world import Bodies, Material
 
 GROUND = [Material.ASPHALT, Material.SIDEWALK, Material.CURB, Material.GRASS, Material.SOIL]
 
@@ -82,17 +82,6 @@ def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
     assert not np.array_equal(a.numbers, other.numbers)
 
 
-def test_nothing_is_missed_at_the_rim_of_the_circle() -> None:
-    scene = StreetScene(StreetSceneParams(curves=1.5), seed=2)
-    wide = around(scene, 900.0, 200.0)
-    x, y, _ = scene.path_point(np.array([900.0]))[0][0].tolist()
-    boxes = wide.shape >= Shape.ELLIPSOID
-    inside = boxes & (np.hypot(wide.numbers[:, 0] - x, wide.numbers[:, 1] - y) < 60.0)
-    near = scene.bodies_near(x, y, 60.0)
-    assert inside.sum() > 300
-    assert set(wide.number[inside]) <= set(near.number)
-
-
 @pytest.mark.parametrize("character", CHARACTERS)
 def test_the_lane_is_clear_and_follows_the_road(character: str) -> None:
     scene = StreetScene(StreetSceneParams(character=character, cars_per_km=0), seed=4)  # type: ignore[arg-type]
@@ -129,18 +118,6 @@ def test_the_ground_has_no_cracks(character: str, seed: int) -> None:
     assert np.mean(np.abs(above[:, walk] - curb) < 0.004) > 0.7
 
 
-def test_wheels_stand_on_the_ground() -> None:
-    scene = StreetScene(StreetSceneParams(character="suburb", parked=1.0), seed=6)
-    bodies = around(scene, 100.0, 60.0)
-    tyres = (bodies.material == Material.TYRE) & ~bodies.velocity.any(axis=1)
-    ground = part(bodies, np.isin(bodies.material, GROUND))
-    hub = bodies.numbers[tyres]
-    t, body = look_down(ground, np.ascontiguousarray(hub[None, :, :3]))
-    assert hub.shape[0] >= 40
-    assert np.all(body >= 0)
-    assert np.abs(t[0] - hub[:, 5]).max() < 0.01
-
-
 @pytest.mark.parametrize("character", CHARACTERS)
 def test_the_count_of_bodies_stays_moderate(character: str) -> None:
     scene = StreetScene(StreetSceneParams(character=character), seed=8)  # type: ignore[arg-type]
@@ -167,44 +144,3 @@ def test_oncoming_cars_drive_in_their_lane_at_any_time() -> None:
     way = [(track[-1][1] - track[0][1]) / (track[-1][0] - track[0][0]) for track in seen.values() if len(track) > 9]
     assert len(way) >= 4
     assert way == pytest.approx([-9.5] * len(way), abs=0.8)
-
-
-def varied(**only: float) -> StreetScene:
-    """A suburb with one of the things that streets have only where they are asked for."""
-    return StreetScene(StreetSceneParams.model_validate({"character": "suburb", "trees": 1.0, **only}), seed=2)
-
-
-def test_verges_are_raised_and_kerbs_lowered_where_asked_for() -> None:
-    s, d = np.arange(30.0, 100.0, 3.7), np.array([-ROAD_HALF_M - 0.7, -ROAD_HALF_M - 0.02, ROAD_HALF_M + 0.7])
-    for name, low, high in (("verges", 0.15, 0.24), ("lowered_kerbs", 0.0, 0.12)):
-        scene = varied(**{name: 1.0})
-        ground = part(around(scene, 65.0, 60.0), np.isin(around(scene, 65.0, 60.0).material, GROUND))
-        places = grid(scene, s, d, 1.0)
-        t, _ = look_down(ground, places)
-        kerb = scene.ground.road(np.repeat(s, 3), np.tile(d, len(s))).reshape(len(s), 3)
-        up = np.median(places[..., 2] - t - kerb, axis=0)
-        assert low < up[0] < high, name
-        assert low < up[2] < high, name
-
-
-def test_cars_stand_along_the_street_far_from_it_where_asked_for() -> None:
-    scene = varied(side_on=1.0, parked=0.0, cars_per_km=0.0)
-    tyres = (bodies := around(scene, 100.0, 60.0)).numbers[bodies.material == Material.TYRE]
-    away = np.array(
-        [np.min(np.hypot(*(scene.line.place(np.arange(0, 200.0), np.zeros(200)) - p[:2]).T)) for p in tyres]
-    )
-    assert np.count_nonzero((away > 9.0) & (away < 20.0)) >= 24
-
-
-def test_crowns_reach_over_the_road_where_asked_for() -> None:
-    reach = []
-    for share in (0.0, 1.0):
-        bodies = around(scene := varied(canopies=share), 100.0, 60.0)
-        leaves = bodies.numbers[bodies.material == Material.LEAVES]
-        lane = scene.path_point(np.arange(40.0, 160.0, 0.5))[0]
-        gap = np.min(
-            np.hypot(*(leaves[:, None, :2] - lane[None, :, :2]).transpose(2, 0, 1)) - leaves[:, None, 3], axis=1
-        )
-        up = leaves[:, 2] - np.median(lane[:, 2]) - 1.75
-        reach.append(np.count_nonzero((gap < 0.5) & (up > 2.0)))
-    assert reach[1] > reach[0] + 5

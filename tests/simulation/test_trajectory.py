@@ -49,40 +49,6 @@ def test_distance_speed_and_acceleration_are_derivatives_of_each_other() -> None
     assert np.abs(acceleration).max() < 1.2 * MOTIONS["car"].brake_m_s2
 
 
-def test_it_stops_once_in_every_stretch_and_for_the_mean_time() -> None:
-    trajectory = drive(stop_every_m=300.0, stop_s=8.0)
-    step_s = 0.02
-    time_s = np.arange(0, 3000, step_s)
-    distance, speed, _ = trajectory.progress(time_s)
-    stands = np.flatnonzero(speed < 1e-9)
-    starts = stands[np.r_[True, np.diff(stands) > 1]]
-    stretch = (distance[starts] // 300.0).astype(int)
-    assert len(starts) == len(set(stretch))
-    assert len(starts) >= 0.9 * (distance[-1] // 300.0), "hardly any is too short to be seen"
-    assert len(stands) * step_s / len(starts) == pytest.approx(8.0, rel=0.15)
-    assert np.ptp(distance[starts] % 300.0) > 60, "not at the same place in each"
-
-
-def test_platform_follows_slope_and_heading() -> None:
-    trajectory = Trajectory(winding, MotionParams(**EVEN), 2.5, seed=1)
-    pose = trajectory.pose(np.array([30.0, 60.0]))
-    ahead = pose.turn()[:, :, 0]
-    distance = trajectory.progress(np.array([30.0, 60.0]))[0]
-    np.testing.assert_allclose(np.arctan2(ahead[:, 1], ahead[:, 0]), 0.5 * np.sin(distance / 60.0), atol=1e-9)
-    np.testing.assert_allclose(ahead[:, 2], np.sin(np.arctan(1 / 20)), atol=1e-6)
-
-
-def test_braking_dips_the_nose_and_left_curves_lean_to_the_right() -> None:
-    braking = drive(stop_every_m=300.0, lean_deg=0.5)
-    time_s = np.arange(0, 60, 0.1)
-    acceleration, pitch = braking.progress(time_s)[2], braking.pose(time_s).pitch
-    hard = acceleration < -1.0
-    assert hard.any()
-    np.testing.assert_allclose(pitch[hard], np.deg2rad(-0.5 * acceleration[hard]))
-    curve = Trajectory(winding, MotionParams(**{**EVEN, "lean_deg": 0.5}), 2.5, seed=1).pose(np.array([1.0]))
-    assert curve.roll[0] > np.deg2rad(0.1), "left side up"
-
-
 @pytest.mark.parametrize("name", sorted(SCANNERS))
 def test_rays_do_not_depend_on_how_lines_were_cut_into_blocks(name: str) -> None:
     scanner = SCANNERS[name]

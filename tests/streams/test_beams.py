@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import InputError, PrcError
-from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
+from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify, open_stream
 from prc_cli.jobs.evaluate import evaluate
-from prc_cli.streams.beams import from_angles, with_beams
-from prc_cli.streams.down import NoDirectionError
+from prc_cli.streams.beams import with_beams
 from prc_cli.streams.open import open_input
 from tests.profiler import jakarto, jakarto_input, scanner_positions, write_trajectory
 from tests.streams.beam_lines import (
@@ -72,49 +71,6 @@ def test_every_scanner_has_beams_of_its_own_however_late_it_is_met() -> None:
             n_lines[block.scanner] += block.n_lines
         assert len(seen) == 3
         assert set(n_lines.values()) == {100}
-
-
-def with_angles(angle_deg: F64, n_lines: int = 3) -> ScanBlock:
-    return ScanBlock(0, np.full((n_lines, len(angle_deg)), 5.0, np.float32), angle_rad=np.deg2rad(angle_deg))
-
-
-def test_nadir_given_on_the_scale_of_the_scan_angles() -> None:
-    angle = np.arange(0.0, 360.0, 0.5)
-    found = with_beams(stream(with_angles(angle)), InputConfig(nadir=90.0))
-    assert found.info.assumptions[-1] == Assumption("input.nadir", "90 deg", "input.nadir is given")
-    (block,) = found.blocks()
-    assert block.beam_rad is not None
-    assert np.rad2deg(block.beam_rad[[0, 180, 540, 541]]).round(6).tolist() == [-90.0, 0.0, 180.0, -179.5]
-    # and it goes before what coordinates would say
-    coordinates = replace(lines(np.deg2rad(angle)), angle_rad=np.deg2rad(angle))
-    assert beams_of(stream(coordinates), InputConfig(nadir=10.0))[0] == pytest.approx(np.deg2rad(-10.0))
-
-
-@pytest.mark.parametrize("way", [1, -1])
-def test_rounded_angles_still_rise_strictly(way: int) -> None:
-    angle = way * np.round(np.linspace(-40.0, 70.0, 400))
-    beam = from_angles(np.deg2rad(angle), 0.1)
-    assert is_strictly_monotone(beam)
-    assert np.abs(np.rad2deg(beam + 0.1) - angle).max() < 1.1
-
-
-def test_angles_that_do_not_turn_one_way_are_refused() -> None:
-    angle = np.random.default_rng(0).uniform(-np.pi, np.pi, 100)
-    with pytest.raises(NoDirectionError):
-        from_angles(angle, 0.0)
-    with pytest.raises(InputError, match="scan angles: the directions do not turn with the column"):
-        with_beams(stream(with_angles(np.rad2deg(angle))), InputConfig(nadir=0.0))
-    with pytest.raises(NoDirectionError, match="turns in a line, expected one at most"):
-        from_angles(np.deg2rad(np.arange(0.0, 800.0, 2.0)), 0.0)
-
-
-def test_horizontal_lines_are_refused() -> None:
-    angle = np.deg2rad(np.arange(360.0))
-    flat = 9.0 * np.stack([np.cos(angle), np.sin(angle), 0.1 * np.sin(angle)], axis=-1)
-    xyz = np.repeat(flat[None], 70, axis=0).astype(np.float32)
-    block = ScanBlock(0, np.sqrt((xyz**2).sum(axis=-1)), xyz_m=xyz)
-    with pytest.raises(InputError, match="no vertical direction known: the lines do not rise"):
-        with_beams(stream(block), AUTO)
 
 
 def registered(with_angle: bool) -> ScanBlock:
@@ -356,12 +312,3 @@ def test_kitti_frame(real_data: Path, tmp_path: Path) -> None:
     assert np.all(labels > 0)
     matrix = evaluate(tmp_path / "labels.npy", real_data / "kitti" / "000000.label", "semantic_kitti")
     assert matrix.counts.sum() + matrix.n_ignored == 124_668
-
-
-def test_a_mirror_that_sweeps_while_the_head_turns(real_data: Path, tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "formats.md").read_text()
-    recipe = next(part for part in text.split("```toml\n") if 'lines = "elevation:20"' in part).split("```")[0]
-    (tmp_path / "recipe.toml").write_text(recipe)
-    stream = opened(real_data / "organised" / "car_cloud401.csv", load_config(tmp_path / "recipe.toml"))
-    assert stream.info.points_per_line == 253
-    beams_of_real_beams(stream)

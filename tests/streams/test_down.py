@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from prc_cli.config import load_config
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
@@ -21,7 +20,6 @@ from prc_cli.streams.beams import with_beams
 from prc_cli.streams.directions import fit_beams
 from prc_cli.streams.down import (
     DownGuess,
-    LevelLinesError,
     NoDirectionError,
     fit_heights,
     guess_down,
@@ -30,7 +28,6 @@ from prc_cli.streams.down import (
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.beam_lines import (
     GEOMETRIES,
-    gone,
     is_strictly_monotone,
     lines,
     worst_deg,
@@ -50,51 +47,6 @@ def test_beams_of_every_geometry_are_found(name: str, tilt_deg: float) -> None:
     assert found.is_straight is (name != "rings")
     # angles grow with the column, whichever way the scanner turns
     assert np.unwrap(found.beam_rad)[-1] > np.unwrap(found.beam_rad)[0]
-
-
-ROLLED = ["half circle", "low to high", "high to low", "through the zenith", "through the zenith, backwards"]
-
-
-@pytest.mark.parametrize("name", ROLLED)
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_column_0_may_lie_anywhere(name: str, share: float) -> None:
-    true = GEOMETRIES[name]
-    first = round(share * len(true))
-    block = lines(true, seed=len(name))
-    assert block.xyz_m is not None
-    found = fit_beams(np.roll(block.xyz_m, first, axis=1))
-    assert worst_deg(found.beam_rad, np.roll(true, first)) < 0.25
-    assert found.is_straight
-    assert is_strictly_monotone(found.beam_rad)
-    # columns beside the dead angle that are never seen continue the nearer side
-    hidden = np.roll(np.arange(len(true)) % 7 == 3, 2)
-    hidden[:3] = hidden[-3:] = True
-    block = gone(lines(true, seed=5), hidden)
-    assert block.xyz_m is not None
-    assert worst_deg(fit_beams(np.roll(block.xyz_m, first, axis=1)).beam_rad, np.roll(true, first)) < 2.5
-
-
-def test_shots_anywhere_and_a_line_or_two_of_nonsense_do_no_harm() -> None:
-    true = GEOMETRIES["whole circle"]
-    rng = np.random.default_rng(4)
-    xyz = lines(true, 64).xyz_m
-    assert xyz is not None
-    stray = rng.random(xyz.shape[:2]) < 0.05
-    xyz[stray] = rng.uniform(-20, 20, (int(stray.sum()), 3))
-    xyz[[10, 40]] = rng.uniform(-20, 20, (2, len(true), 3))
-    assert worst_deg(fit_beams(xyz).beam_rad, true) < 0.5
-
-
-def horizontal(tilt_deg: float) -> F64:
-    angle, tilt = np.deg2rad(np.arange(360.0)), np.deg2rad(tilt_deg)
-    ring = np.stack([np.cos(angle) * np.cos(tilt), np.sin(angle), np.cos(angle) * np.sin(tilt)], axis=-1)
-    return np.repeat(8.0 * ring[None], 20, axis=0)
-
-
-@pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 9.5])
-def test_horizontal_lines_are_refused(tilt_deg: float) -> None:
-    with pytest.raises(NoDirectionError, match=r"the lines do not rise: their planes are .* deg from horizontal"):
-        fit_beams(horizontal(tilt_deg))
 
 
 @pytest.mark.parametrize(
@@ -137,12 +89,6 @@ def test_another_origin_than_the_scanner_is_refused(offset_m: tuple[float, ...],
         fit_beams(room() + np.array(offset_m))
 
 
-@pytest.mark.parametrize("n_lines", [20, 90, 180])
-def test_rows_and_columns_exchanged_are_refused(n_lines: int) -> None:
-    with pytest.raises(LevelLinesError, match="the lines do not rise: most run sideways"):
-        fit_beams(room(n_lines).transpose(1, 0, 2))
-
-
 def shots(seed: int, nadir_deg: float, *, n_lines: int = 20, tilt_deg: float = 3.0) -> tuple[F64, F64, F64, I64]:
     """Return angle, range, height and line of a profiler that drives over hills."""
     rng = np.random.default_rng(seed)
@@ -169,17 +115,6 @@ def test_down_is_found_in_registered_heights(nadir_deg: float) -> None:
     assert abs(np.rad2deg(wrap(np.array([fit.down_rad - np.deg2rad(nadir_deg)]))[0])) < 0.05
 
 
-@pytest.mark.parametrize("lean_deg", [0.0, 20.0, 45.0, 70.0])
-def test_the_lean_of_the_scan_plane_is_found(lean_deg: float) -> None:
-    rng = np.random.default_rng(3)
-    angle, line = np.tile(np.linspace(-1.2, 1.2, 200), 10), np.repeat(np.arange(10), 200)
-    ranges = rng.uniform(2, 30, 2000)
-    cos_tilt = np.cos(np.deg2rad(lean_deg))
-    fit = fit_heights(angle, ranges, 100 - ranges * np.cos(angle) * cos_tilt + rng.normal(0, 0.01, 2000), line)
-    assert fit.cos_tilt == pytest.approx(cos_tilt, abs=0.001)
-    assert fit.cos_tilt <= 1
-
-
 def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
     angle, range_m, z, line = shots(3, 0.0)
     rng = np.random.default_rng(0)
@@ -195,24 +130,6 @@ def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
         fit_heights(angle, np.full(len(z), np.nan), z, line)
     with pytest.raises(NoDirectionError, match="span too little"):
         fit_heights(np.full(len(z), 0.2), range_m, 300 - range_m * np.cos(0.2), line)
-
-
-def falling(fall: float = 1.0, *, off_m: float = 0.0, n: int = 400, span: float = 2.4) -> tuple[F64, F64, F64, I64]:
-    """Return two lines whose heights fall by ``fall`` a metre of range straight down, half of them off by ``off_m``."""
-    angle = np.tile(np.linspace(-span / 2, span / 2, n // 2), 2)
-    range_m = np.random.default_rng(6).uniform(2, 30, n)
-    off = np.where(np.arange(n) % 2, off_m, -off_m)
-    return angle, range_m, 90 - fall * range_m * np.cos(angle) + off, np.repeat([4, 7], n // 2)
-
-
-@pytest.mark.parametrize(("fall", "is_taken"), [(0.170, False), (0.177, True), (1.04, True), (1.06, False)])
-def test_heights_fall_by_the_cosine_of_a_tilt(fall: float, is_taken: bool) -> None:
-    """A plane within ten degrees of the horizontal has a cosine below 0.1736; rounding leaves a little more than 1."""
-    if is_taken:
-        assert fit_heights(*falling(fall)).cos_tilt == pytest.approx(min(fall, 1.0))
-    else:
-        with pytest.raises(NoDirectionError, match=f"the heights fall {fall:.2f} m a metre of range"):
-            fit_heights(*falling(fall))
 
 
 @pytest.mark.filterwarnings("error")
@@ -245,54 +162,6 @@ def test_a_street_tells_where_down_is(turned_deg: float, way: int) -> None:
     assert found is not None
     assert found.is_sure
     assert off_deg(found.down_rad, math.radians(turned_deg)) < 1.5
-
-
-AROUND = np.deg2rad(np.arange(-180.0, 180.0, 0.5))
-
-
-def road(n_lines: int, van: slice, dead_deg: float, *, house_m: float = 9.0) -> F32:
-    """Lines of a road between a house and the open sky, with a van beside it for some lines; nothing seen below."""
-    rng = np.random.default_rng(1)
-    down, aside = np.cos(AROUND), np.sin(AROUND)
-    lines = np.full((n_lines, len(AROUND)), 100.0)
-    lines[:, down > 0] = (2.0 / np.maximum(down, 1e-3))[down > 0]
-    top = np.where(aside > 0, house_m / np.maximum(aside, 1e-3), np.inf)
-    lines = np.minimum(lines, np.where(-top * down < 8.0, top, np.inf))
-    flank = np.where(aside < 0, 1.8 / np.maximum(-aside, 1e-3), np.inf)
-    lines[van] = np.minimum(lines[van], np.where(-flank * down < 2.4, flank, np.inf))
-    lines += rng.normal(0.0, 0.005, lines.shape)
-    lines[(lines > 60.0) | (np.abs(AROUND) < np.deg2rad(dead_deg / 2))] = np.nan
-    found: F32 = lines.astype(np.float32)
-    return found
-
-
-def test_a_van_beside_a_scanner_that_does_not_see_below_is_not_the_ground() -> None:
-    beside = guess_down(AROUND, road(64, slice(None), 70.0))
-    assert beside is None or not beside.is_sure or off_deg(beside.down_rad) < 5
-    passed = guess_down(AROUND, road(640, slice(0, 250), 70.0))
-    assert passed is not None
-    assert passed.is_sure
-    assert off_deg(passed.down_rad) < 2
-    assert passed.depth_m == pytest.approx(2.0, abs=0.05)
-
-
-def test_two_planes_that_are_as_good_are_no_guess() -> None:
-    """A corner: nothing tells the ground from the wall."""
-    seen = np.deg2rad(np.arange(-60.0, 150.0, 0.5))
-    corner = np.minimum(4.0 / np.maximum(np.cos(seen), 1e-3), 4.0 / np.maximum(np.sin(seen), 1e-3))
-    found = guess_down(seen, np.tile(corner, (20, 1)).astype(np.float32))
-    assert found is not None
-    assert not found.is_sure
-    assert found.rival_rad is not None
-    assert sorted(round(math.degrees(one)) for one in (found.down_rad, found.rival_rad)) == [0, 90]
-    block = ScanBlock(0, np.tile(corner, (20, 1)).astype(np.float32), angle_rad=seen, is_last=True)
-    info = StreamInfo("corner.npz", "array", len(seen), None, 20, angle_rad=seen)
-    with pytest.raises(
-        InputError, match=r"level ground may be at (0|90) deg of the scan angle or at (0|90)"
-    ) as refused:
-        with_beams(Lines(info, block), InputConfig())
-    assert "--set input.nadir=0" in refused.value.hint
-    assert "--set input.nadir=90" in refused.value.hint
 
 
 @dataclass(frozen=True)

@@ -34,16 +34,6 @@ def whole(path: Path, **rules: Any) -> ScanBlock:
     return join(list(open_input(path, InputConfig(**{**RULES, **rules})).blocks()))
 
 
-def test_a_line_ends_where_the_elevation_drops(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", points([-30, 0, -15, 40, 15, -6, 60, 39.5, 18]))
-    stream = open_input(path, InputConfig(**RULES))
-    block = join(list(stream.blocks()))
-    assert [row[row >= 0].tolist() for row in block.records()] == [[0, 1, 2, 3], [4], [5, 6], [7], [8]]
-    assert stream.info.assumptions[0].value == "elevation:20"
-    falling = whole(write(tmp_path / "b.csv", points([40, 0, 15, -30, 15, -6])), lines="elevation:-25")
-    assert [row[row >= 0].tolist() for row in falling.records()] == [[0, 1, 2, 3], [4, 5]]
-
-
 @pytest.mark.parametrize("chunk", [1, 2, 7])
 def test_chunks_change_nothing_and_points_without_elevation_stay(chunk: int) -> None:
     rng = np.random.default_rng(3)

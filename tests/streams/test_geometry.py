@@ -12,7 +12,7 @@ from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.streams.down import wrap
-from prc_cli.streams.evidence.figures import LineSample, Seen, Window
+from prc_cli.streams.evidence.figures import LineSample, Seen
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from tests.methods.fused.street_lines import BEAM, street_lines
 
@@ -54,12 +54,6 @@ def test_down_that_is_given_wrong_is_noticed(street: tuple[F64, F32], off_deg: f
     assert abs(nadir) <= 2
 
 
-@pytest.mark.parametrize(("factor", "expected"), [(0.9, Verdict.DOUBTFUL), (0.5, Verdict.AGAINST)])
-def test_a_wrong_angle_step_is_noticed(street: tuple[F64, F32], factor: float, expected: Verdict) -> None:
-    angle, ranges = street
-    assert verdict(check_angle_step(seen(factor * angle, ranges))) == expected
-
-
 @pytest.mark.parametrize(
     ("factor", "expected"),
     [(100.0, Verdict.AGAINST), (0.001, Verdict.AGAINST), (3.2808, Verdict.DOUBTFUL), (2.0, None), (0.5, Verdict.FINE)],
@@ -72,33 +66,6 @@ def test_ranges_in_another_unit_are_noticed(street: tuple[F64, F32], factor: flo
     assert found.verdict == expected or (expected is None and found.verdict < Verdict.AGAINST)
     # whatever the unit, down is found
     assert verdict(check_down(seen(angle, ranges * np.float32(factor)))) == Verdict.FINE
-
-
-def test_a_cross_slope_and_a_crowned_road_are_no_doubt() -> None:
-    angle = np.deg2rad(np.arange(-90.0, 90.0, 0.5))
-    near = np.abs(angle) < np.deg2rad(75.0)
-    for slope in (0.0, 0.1):
-        # each half falls by 2.5 % to its side, on a road that is tilted as a whole
-        fall = slope * np.sign(angle) * 1.0 + 0.025
-        depth = 2.0 / (np.cos(angle) - fall * np.abs(np.sin(angle)))
-        ranges = np.where(near, depth, np.nan).astype(np.float32)
-        one = seen(angle, np.tile(ranges, (20, 1)))
-        for check in (check_down, check_angle_step, check_height):
-            assert verdict(check(one)) == Verdict.FINE
-
-
-def test_a_drive_that_contradicts_itself_is_doubtful() -> None:
-    angle = np.deg2rad(np.arange(-180.0, 180.0, 0.5))
-    down = np.cos(angle)
-    line = np.where(down > 0.3, 2.0 / np.maximum(down, 0.3), np.nan).astype(np.float32)
-    turned = np.roll(line, 180)
-    windows = tuple(Window(100 * k, np.tile(turned if k in (3, 6) else line, (30, 1))) for k in range(8))
-    found = check_down(replace(seen(angle, windows[0].range_m), windows=windows))
-    assert found is not None
-    assert found.verdict == Verdict.DOUBTFUL
-    assert "elsewhere in 2 of 8 samples" in found.found
-    same = check_down(replace(seen(angle, windows[0].range_m), windows=windows[:3]))
-    assert verdict(same) == Verdict.FINE
 
 
 @pytest.mark.filterwarnings("error")

@@ -77,34 +77,6 @@ def test_every_rule_finds_the_same_scene(rule: str, chunk_records: int) -> None:
     assert whole.tally == ReadTally()
 
 
-@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
-def test_a_wrap_finds_the_lines_that_have_shots(chunk_records: int) -> None:
-    image, records = scene()
-    stream = open_records(only(records, "range", "angle"), chunk_records, lines="angle-wrap", columns="angle")
-    # a line without a single return leaves no trace in the angles
-    assert np.array_equal(read(stream).range_m, np.delete(image, 9, axis=0), equal_nan=True)
-    assert stream.info.angle_rad is not None
-    np.testing.assert_allclose(np.diff(stream.info.angle_rad), 2 * np.pi / M)
-
-
-def test_dense_and_general_paths_agree() -> None:
-    _, records = scene(missing=0.0)
-    full = {name: value[records["scan_line"] != 9] for name, value in records.items()}
-    dense = read(open_records(only(full, "range", "time", "intensity"), points_per_line=M))
-    returns = {**only(full, "range", "time", "intensity"), "number_of_returns": np.ones(len(full["range"]), np.uint8)}
-    general = read(open_records(returns, points_per_line=M))
-    assert np.array_equal(dense.range_m, general.range_m)
-    assert np.array_equal(dense.record, general.record)
-    for one, other in zip(dense.blocks, general.blocks, strict=False):
-        assert one.time_s is not None
-        assert other.time_s is not None
-        n = min(one.n_lines, other.n_lines)
-        assert np.array_equal(one.time_s[:n], other.time_s[:n])
-        assert one.intensity is not None
-        assert other.intensity is not None
-        assert np.array_equal(one.intensity[:n], other.intensity[:n])
-
-
 def test_what_goes_along_stands_in_the_right_cells() -> None:
     _, records = scene()
     origin = np.array([552_000.125, 6_600_000.25, 31.5])
@@ -293,16 +265,6 @@ def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: t
     assert read(open_grid(kind(two, chunk_records), meant)).range_m.shape == (99_001, 100)
 
 
-def test_the_first_defect_is_the_reason_however_the_input_is_chunked() -> None:
-    records = {"range": np.ones(4), "scan_line": np.array([0, 99_000, 99_001, 500_000]), "column": np.zeros(4)}
-    gap_first = {**records, "scan_line": np.array([0, 200_000, 290_000, 380_000])}
-    for chunk_records in (1, 4):
-        with pytest.raises(InputError, match="2 shots lie in 99001 lines"):
-            read(open_records(records, chunk_records, points_per_line=1000))
-        with pytest.raises(InputError, match="199999 lines are missing before record 1"):
-            read(open_records(gap_first, chunk_records, points_per_line=1000))
-
-
 SEVERAL = "scanner_channel"
 
 
@@ -327,53 +289,12 @@ def test_scanners_are_split(rule: str, chunk_records: int) -> None:
         assert np.array_equal(mixed["range"][whole.record[there]], image[there])
 
 
-@pytest.mark.parametrize("chunk_records", [1, 3, 40, 1000])
-def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_records: int) -> None:
-    """The scanner with the shortest lines comes last, and ends its first line first."""
-    parts = [(1, 13, 2), (2, 10, 3), (3, 8, 4)]
-    scanner = np.concatenate([np.full(m * n, one) for one, m, n in parts])
-    line = np.concatenate([np.repeat(np.arange(n), m) for _, m, n in parts])
-    column = np.concatenate([np.tile(np.arange(m), n) for _, m, n in parts])
-    mixed = np.lexsort((scanner, column, line))
-    records = {"range": np.ones(len(line)), "scan_line": line, "column": column, "user_data": scanner}
-    stream = open_records(
-        {name: value[mixed] for name, value in records.items()}, chunk_records, scanner="user_data", columns="order"
-    )
-    shown = {item.key: item.value for item in stream.info.assumptions}["input.points_per_line"]
-    assert shown == "scanner 1: 13, scanner 2: 10, scanner 3: 8"
-
-
-@pytest.mark.parametrize("names", [("range", "angle"), ("range", "angle", "scan_line"), ("range", "angle", "time")])
-def test_angles_of_the_records_give_columns_without_being_told(names: tuple[str, ...]) -> None:
-    image, records = scene()
-    found = read(open_records(only(records, *names)))
-    # without line numbers, the line without a single return is not there
-    expected = image if "scan_line" in names else np.delete(image, 9, axis=0)
-    assert np.array_equal(found.range_m, expected, equal_nan=True)
-    told = read(open_records(only(records, *names), points_per_line=M))
-    assert np.array_equal(told.range_m, expected, equal_nan=True)
-
-
 def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named() -> None:
     with pytest.raises(InputError, match='left over.*input.partial_line="pad"'):
         open_grid(MemorySource({"range": np.ones(10)}), InputConfig(points_per_line=4))
     line = np.random.default_rng(5).uniform(2, 20, 50)
     with pytest.raises(InputError, match="repeat after 50 shots: give -M 50"):
         open_grid(MemorySource({"range": np.tile(line, 40)}), InputConfig(points_per_line=49))
-
-
-def test_times_out_of_order_are_the_first_reason() -> None:
-    _, records = scene()
-    shuffled = {name: np.random.default_rng(3).permutation(value) for name, value in records.items()}
-    for names, options in (
-        (("range", "time"), {}),
-        (("x", "y", "z", "time", "scan_line"), {}),
-        (("range", "time", "scan_line", "column"), {}),
-        (("range", "time"), {"lines": "time:50", "columns": "order", "max_gap_lines": 0}),
-        (("range", "time"), {"points_per_line": 1}),
-    ):
-        with pytest.raises(OrderError, match="time decreases in .* % of"):
-            read(open_records(only(shuffled, *names), **options))
 
 
 def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
@@ -422,32 +343,3 @@ def test_all_records_are_counted_placed_or_not(line: list[float], options: dict[
     records["user_data"] = np.array([1, 1, 1, 2, 1, 1, 3])
     blocks = list(open_records(records, chunk_records, **options).blocks())
     assert sum((block.tally for block in blocks), ReadTally()).n_records == n
-
-
-ROUNDED: dict[str, tuple[tuple[str, ...], dict[str, Any], bool]] = {
-    "column": (("column",), {}, True),
-    "column, M given": (("column",), {"points_per_line": 120}, True),
-    "angle": (("angle",), {"columns": "angle"}, True),
-    "angle, M given": (("angle",), {"columns": "angle", "points_per_line": 120}, True),
-    "order": ((), {"columns": "order"}, False),
-    "order, M given": ((), {"columns": "order", "points_per_line": 120}, False),
-}
-"""Dimensions, options, whether shots may be missing."""
-
-
-@pytest.mark.parametrize("rule", ROUNDED)
-@pytest.mark.parametrize("decimals", [5, 6])
-@pytest.mark.parametrize("sparse", [False, True])
-def test_decimal_times_begin_their_lines(rule: str, decimals: int, sparse: bool) -> None:
-    names, options, may_be_sparse = ROUNDED[rule]
-    line, column = np.divmod(np.arange(240 * 120), 120)
-    keep = np.random.default_rng(1).random(len(line)) < (0.3 if sparse and may_be_sparse else 1.0)
-    keep[0] = True
-    line, column = line[keep], column[keep]
-    time_s = np.round(100 + line / 48 + column / (48 * 120), decimals)
-    records = {"range": np.ones(len(line)), "time": time_s, "column": column, "angle": 2 * np.pi * column / 120}
-    for chunk_records in (997, 10_000):
-        stream = open_records(only(records, "range", "time", *names), chunk_records, lines="time:48", **options)
-        whole = read(stream)
-        assert whole.range_m.shape == (240, 120)
-        assert np.array_equal(whole.record[line, column], np.arange(len(line)))

@@ -69,27 +69,6 @@ def test_figures_equal_the_slow_count_for_any_chunk_size(values: list[float], ch
     assert evidence == watch_in_chunks(np.array(values, np.float64), 100).evidence()
 
 
-def test_refusal_names_file_evidence_and_remedy() -> None:
-    times = np.arange(20_000.0)[::-1] / 2 + 3 - 9999.5
-    with pytest.raises(OrderError) as caught:
-        watch_in_chunks(times, 20_000, "require").finish()
-    assert str(caught.value) == (
-        "drive.las: gps_time decreases in 100.0 % of 19,999 steps, first at record 1: 2.50 s after 3.00 s; "
-        "expected shots in the order they were fired; "
-        "sort with --sort-by-time if every record is there, or insist with --trust-order"
-    )
-
-
-@pytest.mark.parametrize(("n_back", "refused"), [(1, False), (2, True)])
-def test_share_of_swapped_pairs(n_back: int, refused: bool) -> None:
-    times = np.arange(12_001) / 1e3
-    for k in range(n_back):
-        times[[100 * k + 10, 100 * k + 11]] = times[[100 * k + 11, 100 * k + 10]]
-    watch = watch_in_chunks(times, 5000)
-    assert watch.evidence().n_back == n_back
-    assert watch.evidence().is_chronological is not refused
-
-
 def test_a_long_file_is_refused_on_the_way_and_for_any_chunk_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(order, "CHECK_RECORDS", 1000)
     times = np.arange(10_000.0)
@@ -184,18 +163,6 @@ def test_the_trajectory_is_asked_by_the_times_that_it_has(goes_on: bool, tmp_pat
         options["trajectory_max_gap"] = WEEK_S
     whole = read(open_records(only(records, "x", "y", "z", "time"), 50, **options))
     np.testing.assert_allclose(whole.range_m, image, rtol=1e-6)
-
-
-def test_scanners_that_change_week_a_little_later_stay_together() -> None:
-    times = np.array([604_799.0, np.nan, 0.1, 604_799.9, 0.2, np.inf, 604_799.95, 5.0, 90_000.0])
-    expected = np.where(times < 100_000, times + WEEK_S, times)
-    for size in (1, 2, 9):
-        state, found = WeekState(), []
-        for first in range(0, len(times), size):
-            unwrapped, added, state = unwrap_week(times[first : first + size], state)
-            assert np.array_equal(added, unwrapped != times[first : first + size]) or np.isnan(unwrapped).any()
-            found.append(unwrapped)
-        assert np.array_equal(np.concatenate(found), expected, equal_nan=True)
 
 
 @pytest.mark.parametrize("back_s", [1.0, 86_400.0, 0.98 * WEEK_S, 1.02 * WEEK_S, 1e300])

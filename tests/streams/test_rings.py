@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import I64
 from prc_cli.formats import open_source
 from prc_cli.formats.guessing import is_frame
-from prc_cli.formats.options import InputConfig, Layout, LayoutField
+from prc_cli.formats.options import InputConfig
 from prc_cli.streams import rings
-from prc_cli.streams import rings as ring_turns
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rings import open_rings
 from tests.streams.record_lists import MemorySource, Whole, read
@@ -83,38 +81,6 @@ def test_every_record_finds_its_cell(way: int, begin_deg: float, upwards: bool) 
     assert np.array_equal(np.isnan(whole.range_m), whole.record < 0)
 
 
-def test_rings_and_step_are_found_and_told() -> None:
-    records, *_ = frame(1)
-    stream = open_rings(MemorySource(records), InputConfig(lines="rings"))
-    told = {one.key: one for one in stream.info.assumptions}
-    assert told["input.points_per_line"].value == str(N_RINGS)
-    assert "anticlockwise" in told["input.lines"].value
-    assert told["input.range"].value == "sensor-xyz"
-    assert told["input.azimuth_step"].value.endswith(f"({stream.info.n_lines} lines)")
-    assert stream.info.n_lines == pytest.approx(N_LINES, abs=4)
-    assert stream.info.points_per_line == N_RINGS
-    whole = read(stream)
-    # as often as asked
-    assert np.array_equal(read(stream).record, whole.record)
-    assert np.array_equal(opened(records, 77).record, whole.record)
-    assert whole.tally.n_collisions < 5
-
-
-def test_uneven_rotation_keeps_neighbours_in_cells_of_their_own() -> None:
-    records, true_line, _ = frame(0, missing=0.0)
-    azimuth = np.arctan2(records["y"], records["x"])
-    # five long steps and a half one, as packets of six shots make them
-    uneven = np.deg2rad(np.array([0.0, 0.09, 0.18, 0.27, 0.36, 0.45]))[true_line % 6]
-    flat = np.hypot(records["x"], records["y"])
-    records["x"], records["y"] = flat * np.cos(azimuth + uneven), flat * np.sin(azimuth + uneven)
-    whole = opened(records, azimuth_step=1.0)
-    assert whole.tally.n_collisions < 0.002 * len(true_line)
-    # no gaps but those that were made
-    inside = (whole.record >= 0)[135:355]
-    assert np.mean(~inside) < 0.002
-    assert np.mean(~(whole.record >= 0)[105:125]) == 1.0
-
-
 def test_shots_out_of_order_take_a_free_cell_or_count_as_further_returns() -> None:
     records, true_line, _ = frame(2)
     at = np.flatnonzero((true_line > 200) & (true_line < 300))[::97]
@@ -128,20 +94,6 @@ def test_shots_out_of_order_take_a_free_cell_or_count_as_further_returns() -> No
     range_m = np.sqrt(records["x"] ** 2 + records["y"] ** 2 + records["z"] ** 2)
     for _, _, extra_range, record in whole.extras:
         assert extra_range == pytest.approx(range_m[record], rel=1e-6)
-
-
-def test_records_without_range_or_azimuth_stay_without_a_cell() -> None:
-    records, *_ = frame(4)
-    for name in ("x", "y"):
-        records[name][[5, 900, 2000]] = 0.0
-    records["z"][[900]] = 0.0
-    records["x"][[70]] = np.nan
-    whole = opened(records, max_range=50.0)
-    placed = np.count_nonzero(whole.record >= 0) + len(whole.extras)
-    assert whole.tally.n_unplaced == len(records["x"]) - placed
-    assert whole.tally.n_not_positive == 1
-    assert whole.tally.n_beyond > 0
-    assert not np.isin([5, 70, 900, 2000], whole.record).any()
 
 
 @pytest.mark.parametrize(
@@ -191,20 +143,6 @@ def test_frames_that_are_no_rings_are_refused(monkeypatch: pytest.MonkeyPatch) -
         opened(records)
 
 
-def test_through_the_readers(tmp_path: Path) -> None:
-    records, *_ = frame()
-    path = tmp_path / "frame.bin"
-    np.stack([records[name] for name in ("x", "y", "z")], axis=1).astype("<f4").tofile(path)
-    layout = Layout(fields=tuple(LayoutField(name=name) for name in ("x", "y", "z")), points_per_line=N_RINGS)
-    config = InputConfig(lines="rings")
-    stream = open_input(path, config, layout)
-    assert stream.info.points_per_line == N_RINGS
-    assert all(block.intensity is None for block in stream.blocks())
-    with pytest.raises(ConfigError, match="input.lines: found 'rings', expected auto or fixed: "):
-        np.save(tmp_path / "image.npy", np.ones((3, 4)))
-        open_input(tmp_path / "image.npy", config)
-
-
 @pytest.mark.filterwarnings("error")
 def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
     rng = np.random.default_rng(9)
@@ -236,28 +174,3 @@ def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Pa
     told = with_layout_beside(tmp_path / "frame.bin", load_config()).config
     with pytest.raises(InputError, match=r"turn 1\.0 times .*column after column, a frame needs the ring"):
         open_input(tmp_path / "frame.bin", told.input, told.layout)
-
-
-TURN = 2 * math.pi
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_cut_turns_equal_a_plain_loop(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    along = np.cumsum(rng.normal(0.05, 0.05, 500)) + rng.uniform(-9, 9)
-    highest, rings, within = -math.inf, [], []
-    for one in along.tolist():
-        highest = max(highest, math.floor(one / TURN))
-        rings.append(int(highest - math.floor(along[0] / TURN)))
-        within.append(one % TURN)
-    n = [rings.count(k) for k in range(max(rings) + 1)]
-    few = ring_turns.MIN_RING * float(np.median(n))
-    for k, ring in enumerate(rings):
-        if ring == len(n) - 1 and n[-1] < few:
-            rings[k], within[k] = ring - 1, math.nextafter(TURN, 0)
-    if n[0] < few:
-        within = [0.0 if ring == 0 else one for ring, one in zip(rings, within, strict=True)]
-        rings = [max(ring - 1, 0) for ring in rings]
-    found = ring_turns._cut_turns(along)
-    assert found[0].tolist() == rings
-    np.testing.assert_allclose(found[1], within)

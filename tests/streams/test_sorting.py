@@ -71,36 +71,6 @@ def test_equals_a_stable_argsort_for_any_run_and_merge_size(times: list[int], ch
     assert point.dtype == np.uint16
 
 
-@pytest.mark.parametrize("kind", ["random", "sorted", "reversed", "few times", "in blocks"])
-def test_larger_inputs(kind: str) -> None:
-    rng = np.random.default_rng(3)
-    n = 50_000
-    time_s = {
-        "random": rng.random(n),
-        "sorted": np.sort(rng.random(n)),
-        "reversed": -np.sort(rng.random(n)),
-        "few times": rng.integers(0, 3, n).astype(np.float64),
-        "in blocks": (np.arange(n) + 5000 * ((np.arange(n) // 5000) % 2 * 2 - 1)).astype(np.float64),
-    }[kind]
-    source = ArraySource({"time": time_s, "range": rng.random(n)}, 4096)
-    result = sorted_by_time(source, run_records=3000, merge_records=2000)
-    order = np.argsort(time_s, kind="stable")
-    for _ in range(2):  # as often as asked
-        range_m, record = collect(result.chunks(("range", "time")), "range")
-        np.testing.assert_array_equal(record, order)
-        np.testing.assert_array_equal(range_m, source.values["range"][order])
-
-
-def test_record_indices_of_the_source_are_kept() -> None:
-    class Renumbered(ArraySource):
-        def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-            for chunk in super().chunks(names):
-                yield RecordChunk(chunk.first_record, chunk.values, chunk.n, np.arange(chunk.n, dtype=np.int64) + 100)
-
-    _, record = collect(sorted_by_time(Renumbered({"time": np.array([2.0, 1.0])})).chunks(("time",)), "time")
-    assert record.tolist() == [101, 100]
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_time_that_is_no_number_is_named(bad: float) -> None:
     source = ArraySource({"time": np.array([1.0] * 9 + [bad])}, chunk=4)

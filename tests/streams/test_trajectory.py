@@ -39,14 +39,6 @@ def write_sbet(path: Path, rows: list[tuple[float, float, float, float]]) -> Pat
     return path
 
 
-def test_positions_lie_on_straight_lines_between_the_given_ones(tmp_path: Path) -> None:
-    path = write(tmp_path / "drive.csv", "time,x,y,z\n10,0,0,100\n11,10,-20,100\n13,10,0,104\n")
-    track = load(path)
-    expected = [[0, 0, 100], [5, -10, 100], [10, -20, 100], [10, -10, 102], [10, 0, 104]]
-    np.testing.assert_allclose(track.positions(np.array([10, 10.5, 11, 12, 13])), expected, atol=1e-12)
-    assert track.positions(np.empty(0)).shape == (0, 3)
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -88,16 +80,6 @@ def test_damaged_text_is_named(tmp_path: Path, text: str, message: str) -> None:
     assert "drive.csv" in caught.value.where
     assert caught.value.hint
     assert "\n" not in str(caught.value)
-
-
-def test_times_outside_name_both_spans() -> None:
-    track = Trajectory("drive.csv", np.array([100.0, 200.0]), np.zeros((2, 3)))
-    with pytest.raises(InputError) as caught:
-        track.positions(np.array([150.0, 200.5, 99.0]))
-    assert str(caught.value) == (
-        "drive.csv: 2 of 3 point times are outside the trajectory: points from 99.00 to 200.50 s, trajectory from "
-        "100.00 to 200.00 s; give the trajectory of this drive, or set trajectory_time_offset to what its times lack"
-    )
 
 
 @pytest.mark.parametrize(
@@ -156,17 +138,6 @@ def test_heights_of_another_kind_never_pass_in_silence(
 GAPPY = "time,x,y,z\n900,0,0,0\n901,1,0,0\n2000,2,0,0\n"
 
 
-def test_a_gap_is_not_crossed_in_a_straight_line(tmp_path: Path) -> None:
-    track = load(write(tmp_path / "drive.csv", GAPPY))
-    with pytest.raises(InputError) as caught:
-        track.positions(np.array([900.5, 1500.0, 1999.0, 2000.0]))
-    assert str(caught.value).removeprefix(f"{tmp_path}/") == (
-        "drive.csv: no position from 901.00 to 2000.00 s, a gap of 1099.00 s that holds the point time 1500.00 s; "
-        "expected gaps of at most 10.00 s (2 of 4 point times are in such gaps); "
-        "give the whole trajectory, or set trajectory_max_gap = 1099 to take straight lines across"
-    )
-
-
 @pytest.mark.parametrize(("max_gap", "refused"), [(None, True), (1098.9, True), (1099.0, False), (1e9, False)])
 def test_the_longest_gap_is_a_choice(tmp_path: Path, max_gap: float | None, refused: bool) -> None:
     track = load(write(tmp_path / "drive.csv", GAPPY), max_gap=max_gap)
@@ -175,22 +146,6 @@ def test_the_longest_gap_is_a_choice(tmp_path: Path, max_gap: float | None, refu
             track.positions(np.array([1450.5]))
     else:
         assert track.positions(np.array([1450.5]))[0, 0] == 1.5
-
-
-@pytest.mark.parametrize(("step", "limit"), [(0.005, 1.0), (0.1, 1.0), (0.5, 5.0), (30.0, 300.0)])
-def test_the_default_gap_follows_the_step(step: float, limit: float) -> None:
-    times = np.arange(50, dtype=np.float64) * step
-    times[25:] += limit - step
-    track = Trajectory("drive.csv", times, np.zeros((50, 3)))
-    assert track.gap_limit_s == pytest.approx(limit)
-    between = (times[24] + times[25]) / 2
-    late = times.copy()
-    late[25:] += 0.01 * step
-    longer = Trajectory("drive.csv", late, np.zeros((50, 3)))
-    with pytest.raises(InputError, match=r"\(1 of 1 point times are in such gaps\)"):
-        longer.positions(np.array([between]))
-    exact = Trajectory("drive.csv", times, np.zeros((50, 3)), max_gap_s=float(np.diff(times).max()))
-    assert exact.positions(np.array([between])).shape == (1, 3)
 
 
 SOUND = [(0.0, 1.0, 0.4, 3.0), (1.0, 1.0, 0.4, 3.0)]

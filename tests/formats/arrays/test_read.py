@@ -12,7 +12,7 @@ import pytest
 
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, InputError, PrcError
-from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
+from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats.arrays.read import ArrayStream
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.order import WatchedStream
@@ -57,24 +57,6 @@ def refused(path: Path, given: InputConfig = AUTO) -> str:
     message = str(caught.value)
     assert "\n" not in message
     return message.replace(f"{path.parent}/", "")
-
-
-@pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8", "f2", ">i2", "u1", "<u8"])
-def test_every_number_type(tmp_path: Path, dtype: str) -> None:
-    given = np.arange(12).reshape(4, 3).astype(dtype)
-    block = whole(ArrayStream(save(tmp_path, given), AUTO))
-    expected = given.astype(np.float32)
-    expected[0, 0] = np.nan
-    np.testing.assert_array_equal(block.range_m, expected)
-    assert block.tally == ReadTally(n_not_positive=1)
-
-
-@pytest.mark.parametrize("chunk", [1, 6, 1 << 19])
-def test_bad_ranges_are_counted_once_whatever_the_chunks(tmp_path: Path, chunk: int) -> None:
-    given = np.array([[1, -1, np.inf], [0, np.nan, 1e300], [200, 0.5, 3]])
-    block = whole(ArrayStream(save(tmp_path, given), config(min_range=1.0, max_range=100.0), chunk))
-    assert block.tally == ReadTally(n_not_finite=2, n_not_positive=2, n_beyond=3)
-    assert np.count_nonzero(~np.isnan(block.range_m)) == 1
 
 
 @pytest.mark.parametrize("chunk", [1, 200, 1 << 19])
@@ -169,15 +151,6 @@ def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) 
 )
 def test_arrays_that_do_not_fit_the_ranges(tmp_path: Path, beside: dict[str, Any], found: str) -> None:
     assert refused(save_npz(tmp_path, range_m=image(), **beside)).startswith(f"scan.npz: {found}")
-
-
-def test_an_archive_without_one_image(tmp_path: Path) -> None:
-    found = refused(save_npz(tmp_path, a=image(), b=image()))
-    assert "no array 'range_m' and not just one of two dimensions, the file has: a (7, 5), b (7, 5)" in found
-    found = refused(save_npz(tmp_path, a=image()), config(range="dimension:c"))
-    assert "no array 'c', the file has: a (7, 5)" in found
-    found = refused(save_npz(tmp_path, range_m=np.ones(6), line=np.ones(6)), config(points_per_line=3))
-    assert "6 records with the array 'line' beside them, expected an image of every shot" in found
 
 
 @pytest.mark.parametrize(

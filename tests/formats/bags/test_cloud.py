@@ -80,23 +80,6 @@ def test_columns_come_back_from_times(tmp_path: Path, kinds: str) -> None:
     assert np.array_equal(np.sort(records[records >= 0]), np.arange(np.isfinite(wanted).sum()))
 
 
-def test_rings_from_above_are_turned_and_staggered_columns_are_brought_together(tmp_path: Path) -> None:
-    shots = drive()
-    stagger = 3 * (shots["ring"] % 2)
-    shots["ring"] = 7 - shots["ring"]
-    turn = -stagger * 2 * np.pi / 200
-    x, y = shots["xyz"][:, 0].copy(), shots["xyz"][:, 1].copy()
-    shots["xyz"][:, 0] = x * np.cos(turn) - y * np.sin(turn)
-    shots["xyz"][:, 1] = x * np.sin(turn) + y * np.cos(turn)
-    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")])
-    block = read(made.write_db3(tmp_path / "a.db3", messages(shots, dtype)))
-    wanted = shots["range"].reshape(300, 8)
-    assert block.n_lines == 303
-    for ring in range(8):
-        shift = 3 * (ring % 2)
-        np.testing.assert_allclose(block.range_m[shift : shift + 300, ring], wanted[:, ring], rtol=1e-5)
-
-
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["velodyne_vlp16", "OS-1-128_v2.3.0_1024x10_lb_n3"])
 def test_a_cloud_has_the_cells_of_its_packets(real_data: Path, tmp_path: Path, name: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -181,31 +180,6 @@ def columns_of_pcd() -> dict[str, Array]:
         **{axis: xyz[:, at] for at, axis in enumerate("xyz")},
         "intensity": rng.integers(0, 900, len(xyz)).astype(np.uint16),
     }
-
-
-@pytest.mark.parametrize("data", DATA)
-def test_an_organised_cloud_keeps_its_empty_cells(tmp_path: Path, data: str) -> None:
-    path, made = tmp_path / "a.pcd", columns_of_pcd()
-    path.write_bytes(pcd(made, data, height=N_LINES))
-    stream = open_input(path, InputConfig())
-    assert stream.info.points_per_line == M
-    block = join(list(stream.blocks()))
-    xyz = np.stack([made[axis] for axis in "xyz"], axis=1).astype(float)
-    expected = np.sqrt((xyz**2).sum(axis=1)).reshape(N_LINES, M)
-    np.testing.assert_allclose(block.range_m, expected, rtol=1e-6)
-    np.testing.assert_array_equal(np.asarray(block.intensity).ravel(), made["intensity"])
-
-
-def test_fields_of_several_numbers_and_padding(tmp_path: Path) -> None:
-    path = tmp_path / "a.pcd"
-    head = "VERSION .7\nFIELDS range _ h\nSIZE 4 1 2\nTYPE F U I\nCOUNT 1 3 2\nWIDTH 2\nPOINTS 2\nDATA binary\n"
-    path.write_bytes(head.encode() + struct.pack("<f3xhhf3xhh", 1.5, 1, 2, 2.5, 3, 4))
-    source = open_source(path)
-    assert source is not None
-    assert source.dimensions == ("range", "h_0", "h_1")
-    (chunk,) = source.chunks(("h_1", "range"))
-    assert chunk.values["h_1"].tolist() == [2, 4]
-    assert chunk.values["range"].tolist() == [1.5, 2.5]
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,6 @@ from tests.formats.organised_files import (
     e57_fields,
     grid_points,
     reordered,
-    turn_x,
     write_e57,
 )
 from tests.formats.test_ptx import equal, expected, scans_of
@@ -99,44 +98,6 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
         assert equal(block.record, one.record)  # type: ignore[arg-type]
         assert block.tally == one.tally
-
-
-def test_several_scans_with_their_own_sizes_poses_and_offsets(tmp_path: Path) -> None:
-    first, second = grid_points(5, 4), grid_points(3, 11, 2)
-    half = np.deg2rad(75 / 2)
-    path = write_e57(
-        tmp_path / "a.e57",
-        [
-            Scan(e57_fields(first), rotation=(1, 0, 0, 0), translation=(5e5, 6e6, 80.0)),
-            Scan(e57_fields(second, 100, 3000), rotation=(np.cos(half), np.sin(half), 0, 0)),
-        ],
-    )
-    stream = E57Stream(path, AUTO)
-    one, two = scans_of(stream)
-    assert equal(one.xyz_m, expected(first)[1])  # type: ignore[arg-type]
-    assert equal(two.range_m, expected(second)[0])
-    np.testing.assert_allclose(two.xyz_m, expected(second)[1] @ turn_x(75).T, atol=1e-4)  # type: ignore[arg-type]
-    n_first = len(e57_fields(first)["rowIndex"])
-    assert two.records().max() == stream.info.n_records - 1  # type: ignore[operator]
-    assert two.records()[two.records() >= 0].min() == n_first
-    assert stream.info.points_per_line == 11
-
-
-def test_points_marked_invalid_at_the_origin_or_not_finite_are_missing(tmp_path: Path) -> None:
-    points = grid_points(2, 5, missing=0)
-    fields = e57_fields(points)
-    fields["cartesianInvalidState"] = np.array([0, 1, 2, 0, 0, 0, 0, 0, 0, 0])
-    for name in ("cartesianX", "cartesianY", "cartesianZ"):
-        fields[name][3] = 0.0
-    fields["cartesianX"][4:7] = (np.nan, np.inf, 1e300)
-    (block,) = scans_of(E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), InputConfig(min_range=0.5)))
-    ranges = expected(points)[0].ravel()
-    ranges[1:7] = np.nan
-    assert equal(block.range_m.ravel(), ranges)
-    assert block.xyz_m is not None
-    assert np.isnan(block.xyz_m.reshape(-1, 3)[1:7]).all()
-    assert block.records().ravel().tolist() == list(range(10))
-    assert block.tally.n_not_finite == 2
 
 
 @pytest.mark.parametrize(("rule", "chosen"), [("first", 1), ("last", 2), ("strongest", 0)])
@@ -275,16 +236,6 @@ def test_ranges_and_intensities_come_back_bit_for_bit(tmp_path: Path, further: b
     height = -before.range_m * np.cos(before.angle_rad).astype(np.float32)
     assert same(np.isnan(after.xyz_m[..., 2]), np.isnan(before.range_m))
     assert np.nanmax(np.abs(after.xyz_m[..., 2] - height)) < 1e-4
-
-
-def test_scanners_are_scans_and_their_numbers_a_loss(tmp_path: Path) -> None:
-    blocks = [block(0, 4, scanner=3), block(6, 4, scanner=3), block(0, 5, scanner=9)]
-    losses = write(tmp_path / "a.e57", blocks)
-    assert losses == ("the numbers of the scanners (3, 9): scans are counted from 0",)
-    after = list(open_stream(tmp_path / "a.e57").blocks())
-    assert [each.scanner for each in after] == [0, 1]
-    assert same(join(blocks[:2]).range_m, after[0].range_m)
-    assert same(blocks[2].range_m, after[1].range_m)
 
 
 def test_a_failed_run_leaves_nothing(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import gzip
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -15,10 +14,9 @@ import pytest
 from pyarrow import parquet
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ConfigError, InputError, PrcError
+from prc_cli.core.errors import InputError, PrcError
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.writing import base as base_module
-from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import (
     URBAN,
     random_labels,
@@ -82,21 +80,6 @@ def test_parquet(tmp_path: Path, kind: Any) -> None:
     assert read(path) == CODES
     gaps = write_parquet(tmp_path / "gaps.parquet", mine=pa.array([2, None, 7], kind))
     assert read(gaps) == [2, -1, 7]
-
-
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_las(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"codes{suffix}"
-    las = laspy.create(point_format=6, file_version="1.4")
-    las.x = np.arange(6.0)
-    las.classification = CODES
-    las.user_data = CODES[::-1]
-    las.write(path)
-    assert open_codes(path).n == 6
-    assert read(path) == CODES
-    assert read(path, "user_data") == CODES[::-1]
-    with pytest.raises(ConfigError, match="no dimension 'label' in the file; it has: "):
-        open_codes(path, "label")
 
 
 @pytest.mark.parametrize(
@@ -169,20 +152,6 @@ def test_one_entry_a_record_in_record_order(
     assert {item.code: item.count for item in record.classes} == dict(
         zip(*np.unique(found, return_counts=True), strict=True)
     )
-
-
-def test_names_and_segments(tmp_path: Path) -> None:
-    labels = np.array([3, 6, 0, 2], np.uint8)
-    options = OutputConfig(segment_ids=True)
-    blocks = record_blocks(labels, 4, segments=np.array([8, 9, 0, 4_000_000_000]))
-    for suffix in (".csv", ".parquet"):
-        write(tmp_path / f"a{suffix}", SOURCE, blocks, options=options, n_records=4)
-    assert (tmp_path / "a.csv").read_text() == (
-        "record,class,name,segment\n0,2,ground,8\n1,64,stem,9\n2,0,missing,0\n3,7,noise,4000000000\n"
-    )
-    table = pq.read_table(tmp_path / "a.parquet").to_pydict()
-    assert table["name"] == ["ground", "stem", "missing", "noise"]
-    assert table["segment"] == [8, 9, 0, 4_000_000_000]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

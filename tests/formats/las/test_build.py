@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +8,8 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.stream import ExtraReturns, LabelledBlock
+from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.las import laz as codec_module
-from prc_cli.formats.writing.columns import OutputConfig
 from prc_cli.formats.writing.coordinates import SPACING_M
 from tests.formats.common import (
     FOREST,
@@ -63,23 +61,6 @@ def test_a_record_for_every_return_in_order(tmp_path: Path, suffix: str) -> None
     assert any("r cos(angle)" in text for text in record.notices)
 
 
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_header_counts_bounds_and_record(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"a{suffix}"
-    blocks, ranges, _ = stream()
-    write(path, SOURCE, blocks)
-    las = laspy.read(path)
-    assert las.header.point_count == np.count_nonzero(~np.isnan(ranges)) == las.header.number_of_points_by_return[0]
-    for number in range(3):
-        assert las.header.mins[number] == pytest.approx(las.xyz[:, number].min(), abs=1e-9)
-        assert las.header.maxs[number] == pytest.approx(las.xyz[:, number].max(), abs=1e-9)
-    assert las.header.global_encoding.wkt
-    assert [(item.user_id, item.record_id) for item in las.evlrs] == [("prc-cli", 1)]
-    beside = json.loads((tmp_path / f"a{suffix}.prc.json").read_bytes())
-    assert beside.pop("output")["size"] == path.stat().st_size
-    assert json.loads(las.evlrs[0].record_data) == beside
-
-
 def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     xyz = rng.normal(0, 50, (LINES, M, 3)).astype(np.float32)
@@ -97,31 +78,6 @@ def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     n_first = np.count_nonzero(at[0] == 0)
     assert f"{n_first} records have no time; their gps_time is 0" in record.notices
     assert any("intensities lie outside 0 to 65535 and were clipped" in text for text in record.notices)
-
-
-def test_further_returns_stand_with_their_shot_by_range(tmp_path: Path) -> None:
-    ranges = np.array([[10, 20, np.nan], [30, np.nan, 40]], np.float32)
-    labels = np.where(np.isnan(ranges), 0, 3).astype(np.uint8)
-    extra = ExtraReturns(
-        np.array([1, 0, 0], np.int32),
-        np.array([0, 1, 1], np.int32),
-        np.array([35, 25, 5], np.float32),
-        np.array([9, 8, 7], np.int64),
-    )
-    xyz = np.zeros((2, 3, 3), np.float32)
-    xyz[..., 2] = -ranges
-    block = labelled(
-        labels, range_m=ranges, extra=extra, extra_labels=np.array([2, 4, 5], np.uint8), first_line=4, xyz_m=xyz
-    )
-    write(tmp_path / "a.las", SOURCE, [block], options=OutputConfig(segment_ids=True))
-    las = laspy.read(tmp_path / "a.las")
-    assert las["range"].tolist() == [10, 5, 20, 25, 30, 35, 40]
-    assert las["scan_line"].tolist() == [4, 4, 4, 4, 5, 5, 5]
-    assert np.asarray(las.return_number).tolist() == [1, 1, 2, 3, 1, 2, 1]
-    assert np.asarray(las.number_of_returns).tolist() == [1, 3, 3, 3, 2, 2, 1]
-    assert np.asarray(las.classification).tolist() == [2, 5, 2, 6, 2, 7, 2]
-    assert np.asarray(las.z).tolist() == [-10, -5, -20, -25, -30, -35, -40]
-    assert las.header.number_of_points_by_return[:3].tolist() == [4, 2, 1]
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats.las.header import open_source
-from prc_cli.formats.las.laz import read_records
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.streams.order import OrderWatch
 
 VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
@@ -92,20 +88,6 @@ def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int
     both = next(iter(source.chunks(("column", "x"))))
     assert set(both.values) == {"column", "x"}
     assert both.record is None
-
-
-@pytest.mark.parametrize(("suffix", "point_format"), [("las", 3), ("laz", 3), ("laz", 7)])
-def test_chunk_size_changes_nothing(tmp_path: Path, suffix: str, point_format: int) -> None:
-    path = tmp_path / f"drive.{suffix}"
-    las = make(path, point_format, n=120_001)  # three LAZ chunks, the last not full
-    for chunk_records in (1 << 20, 100_000, 50_000, 49_999, 120_001, 33_333):
-        chunks = [
-            (c.n, *map(np.array, c.values.values())) for c in LasSource(path, chunk_records).chunks(("time", "red"))
-        ]
-        sizes, time_s, red = zip(*chunks, strict=True)
-        np.testing.assert_array_equal(np.concatenate(time_s), las.gps_time, err_msg=str(chunk_records))
-        np.testing.assert_array_equal(np.concatenate(red), las.red)
-        assert max(sizes) <= chunk_records
 
 
 @pytest.mark.parametrize("first_pair", [0, 3, 60_000, 120_000, None])
@@ -183,19 +165,6 @@ def test_extra_bytes_of_usual_names(tmp_path: Path, name: str, description: str,
     assert (rule is not None) == name.startswith("zenith")
 
 
-WKT = 'PROJCS["WGS 84 / UTM zone 35N",GEOGCS["WGS 84"]]'
-
-
-def test_crs_from_wkt_and_from_geotiff_keys(tmp_path: Path) -> None:
-    keys = struct.pack("<16H", 1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32635, 2048, 0, 1, 4326)
-    geotiff = laspy.VLR("LASF_Projection", 34735, "", keys)
-    user_defined = laspy.VLR("LASF_Projection", 34735, "", keys.replace(b"\x7b\x7f", b"\xff\x7f"))
-    wkt = laspy.VLR("LASF_Projection", 2112, "", WKT.encode() + b"\0")
-    for vlrs, crs in [([], None), ([geotiff], "EPSG:32635"), ([user_defined], None), ([geotiff, wkt], WKT)]:
-        make(tmp_path / "a.las", 1, vlrs=vlrs)
-        assert LasSource(tmp_path / "a.las").crs_wkt == crs
-
-
 # --- damaged and hostile files: each is refused in one line
 
 
@@ -269,42 +238,6 @@ def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
     assert refused(path).startswith("byte 247: the header says 0 records")
 
 
-@pytest.mark.parametrize("point_format", [1, 6])
-def test_large_chunks_are_copied_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point_format: int) -> None:
-    path, output, again = tmp_path / "a.laz", tmp_path / "b.las", tmp_path / "c.laz"
-    raw, _, _ = laz(path, point_format)
-    monkeypatch.setattr("prc_cli.formats.las.laz._BATCH_RECORDS", 7_000)
-    monkeypatch.setattr("prc_cli.formats.las.laz.LARGE_CHUNK_BYTES", 1_000_000)
-    monkeypatch.setattr("prc_cli.formats.las.laz.lazrs.ParLasZipDecompressor", None)
-    copy_las(read_las(path), output, output)
-    assert (
-        laspy.read(output).points.array.tobytes()
-        == laspy.lib.read_las(path, laz_backend=laspy.LazBackend.Lazrs).points.array.tobytes()
-    )
-    copy_las(read_las(path), again, again)
-    assert again.read_bytes() == raw
-
-
-def with_evlr(path: Path, n_bytes: int = 40) -> laspy.LasData:
-    las = make(path, 6)
-    las.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("LASF_Projection", 2112, "", WKT.encode().ljust(n_bytes, b"\0"))])
-    las.write(path)
-    return las
-
-
-@pytest.mark.parametrize("suffix", ["las", "laz"])
-def test_extended_vlrs(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"a.{suffix}"
-    las = with_evlr(path)
-    source = LasSource(path)
-    np.testing.assert_array_equal(read(source, "z"), las.z)
-    assert source.notes == ()
-    assert source.crs_wkt == WKT
-    assert source.describe()["vlrs"][-1]["extended"]
-    with_evlr(path, 2 << 20)
-    assert LasSource(path).header.evlrs[-1].data is None  # long ones stay on the disk
-
-
 def test_extra_bytes_that_make_no_sense(tmp_path: Path) -> None:
     path = tmp_path / "a.las"
     make(path, 1, extra=[laspy.ExtraBytesParams("range", "u2", scales=[0.01], offsets=[0.0])])
@@ -348,38 +281,6 @@ def test_truncated_laz(tmp_path: Path, point_format: int) -> None:
         )
     path.write_bytes(raw[: start + 3])
     assert refused(path).startswith("the LAZ chunk table was never written (an unfinished file)")
-
-
-@pytest.mark.parametrize("point_format", [1, 6])
-def test_damaged_chunk_names_its_records(tmp_path: Path, point_format: int) -> None:
-    path = tmp_path / "a.laz"
-    raw, start, table = laz(path, point_format)
-    damaged = bytearray(raw)
-    middle = (start + table) // 2
-    damaged[middle : middle + 50_000] = np.random.default_rng(1).bytes(50_000)
-    path.write_bytes(damaged)
-    for chunk_records in (1 << 20, 50_000, 20_000):
-        with pytest.raises(InputError) as caught:
-            list(LasSource(path, chunk_records).chunks(("x", "time", "intensity")))
-        message = str(caught.value)
-        assert "records 50000 to 99999 cannot be decompressed (LAZ chunk 1 at byte " in message
-        assert "do not hold the 50000 records expected" in message
-
-
-@pytest.mark.parametrize(("point_format", "size"), [(1, 28), (6, 30)])
-def test_count_that_lies_about_the_last_chunk(tmp_path: Path, point_format: int, size: int) -> None:
-    path = tmp_path / "a.laz"
-    laz(path, point_format)
-    for count in (125_000, 150_000, 150_001):
-        laz(path, point_format)
-        patch(path, *((247, "<Q") if point_format == 6 else (107, "<I")), count)
-        message = refused(path)
-        if count > 150_000:
-            assert message == "the header promises 150001 records, the 3 LAZ chunks hold at most 150000"
-        elif point_format == 6:
-            assert f"LAZ chunk 2 (from record 100000) holds 20000 records, expected {count - 100_000}" in message
-        else:
-            assert f"records 100000 to {count - 1} cannot be decompressed (LAZ chunk 2 at byte" in message
 
 
 def test_chunk_table_that_lies(tmp_path: Path) -> None:
@@ -485,21 +386,6 @@ def test_real_files(real_data: Path, name: str, n_records: int, back: int, chron
     assert first == n_records
     assert watch.evidence().n_back == back
     assert watch.evidence().is_chronological is chronological
-
-
-def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches that end inside a chunk are joined: reading goes on while earlier records still wait."""
-    path = tmp_path / "a.laz"
-    laz(path, 6)
-    header = read_las(path)
-    expected = laspy.lib.read_las(path, laz_backend=laspy.LazBackend.Lazrs).points.array.tobytes()
-    monkeypatch.setattr("prc_cli.formats.las.laz.LARGE_CHUNK_BYTES", 1_000_000)
-    with open_source(path) as source:
-        found = []
-        for rows in read_records(source, header, 7_000):
-            time.sleep(0.01)  # lets the thread that reads ahead go as far as it can
-            found.append(rows.tobytes())
-    assert b"".join(found) == expected
 
 
 @pytest.mark.parametrize(("name", "read_as", "factor"), [("range_mm", "range", 0.001), ("level", "level", 1.0)])

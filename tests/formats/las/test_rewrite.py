@@ -39,7 +39,6 @@ from tests.formats.las.lasbytes import (
     parse,
     same_but_class,
     vlr_bytes,
-    without_class,
 )
 
 VLRS = (vlr_bytes(b"LASF_Projection", 2112, b'PROJCS["x"]\0'), vlr_bytes(b"nobody\0dirt", 77, bytes(range(256))))
@@ -79,14 +78,6 @@ def test_only_the_class_changes(tmp_path: Path, form: int, before: str, after: s
     if minor == 4:
         assert field(new.data, 235, "Q") == len(new.data) - len(new.tail)
         assert field(new.data, 243, "I") == 2
-
-
-def test_records_without_a_label_are_unclassified(tmp_path: Path) -> None:
-    source = tmp_path / "in.las"
-    make_las(source, 6, n=100)
-    record = write(tmp_path / "out.las", source, record_blocks(random_labels(60)))
-    assert np.all(classes(parse(tmp_path / "out.las"))[60:] == 1)
-    assert sum(item.count for item in record.classes) == 100
 
 
 # ---- codes above 31
@@ -130,52 +121,7 @@ def _same_dimensions(source: Path, output: Path, form: int) -> None:
     assert np.abs(np.asarray(new["scan_angle"]) * 0.006 - ranks).max() <= 0.003 + 1e-9
 
 
-def test_upgrade_derives_wkt_from_geotiff_keys(tmp_path: Path) -> None:
-    pytest.importorskip("pyproj")
-    keys = struct.pack("<12H", 1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32635)
-    source, output = tmp_path / "in.las", tmp_path / "out.las"
-    make_las(source, 1, vlrs=[vlr_bytes(b"LASF_Projection", 34735, keys)])
-    labels = random_labels(300, FOREST)
-    record = write(output, source, record_blocks(labels))
-    assert "coordinate system EPSG:32635 added as WKT" in record.notices
-    crs = laspy.read(output).header.parse_crs()
-    assert crs is not None
-    assert crs.to_epsg() == 32635
-    assert vlr_bytes(b"LASF_Projection", 34735, keys) in parse(output).vlrs
-
-
-def test_upgrade_of_internal_waveforms_counts_their_evlr(tmp_path: Path) -> None:
-    source, output = tmp_path / "in.las", tmp_path / "out.las"
-    old = make_las(source, 4, gap=EVLRS[1])
-    data = bytearray(old.data)
-    data[6] |= 2  # waveforms inside
-    data[227:235] = struct.pack("<Q", len(data) - len(EVLRS[1]))
-    source.write_bytes(data)
-    kept, _ = rewrite(source, tmp_path / "kept.las")
-    assert kept.data[field(kept.data, 227, "Q") :] == EVLRS[1]
-    new, _ = rewrite(source, output, of=FOREST)
-    assert new.data[field(new.data, 235, "Q") :] == EVLRS[1]
-    assert field(new.data, 243, "I") == 1
-
-
 # ---- extra bytes
-
-
-def test_bytes_that_no_vlr_describes_are_kept_in_front(tmp_path: Path) -> None:
-    source, output = tmp_path / "in.las", tmp_path / "out.las"
-    plain = make_las(source, 6, extra=False)
-    data = bytearray(plain.header)
-    data[105:107] = struct.pack("<H", 33)
-    points = np.concatenate([plain.records, np.full((300, 3), 9, np.uint8)], axis=1)
-    source.write_bytes(bytes(data) + points.tobytes())
-    write(
-        output,
-        source,
-        record_blocks(random_labels(300), segments=np.arange(300)),
-        options=OutputConfig(segment_ids=True),
-    )
-    assert np.array_equal(laspy.read(output)["segment_id"], np.arange(300))
-    assert np.all(parse(output).records[:, 30:33] == 9)
 
 
 def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
@@ -203,17 +149,6 @@ def test_foreign_bytes_behind_the_points_are_kept(tmp_path: Path, before: str, a
     at = field(data, 235, "Q")
     assert data[at:] == b"".join(EVLRS)
     assert data[:at].endswith(b"foreign bytes, no record of any kind")
-
-
-def test_laz_written_to_a_pipe_has_its_table_offset_at_the_end(tmp_path: Path) -> None:
-    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
-    old = make_las(source, 6)
-    start = field(old.data, 96, "I")
-    table = old.data[start : start + 8]
-    source.write_bytes(old.data[:start] + struct.pack("<q", -1) + old.data[start + 8 :] + table)
-    new, _ = rewrite(source, output)
-    assert np.array_equal(without_class(new.records, 6), without_class(old.records, 6))
-    assert struct.unpack_from("<q", new.data, field(new.data, 96, "I"))[0] > 0
 
 
 @pytest.mark.parametrize("after", [".las", ".laz"])
@@ -315,14 +250,6 @@ def named(path: Path, data: bytes) -> Path:
     las.header.vlrs.append(laspy.VLR("LASF_Spec", 0, "of the makers", data))
     las.write(path)
     return path
-
-
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_new_files_hold_the_names(tmp_path: Path, suffix: str) -> None:
-    write(tmp_path / f"a{suffix}", Path("drive.bin"), stems(), user_names=NAMES)
-    assert entries(tmp_path / f"a{suffix}") == NAMES
-    write(tmp_path / f"b{suffix}", Path("drive.bin"), stems(), user_names={})
-    assert entries(tmp_path / f"b{suffix}") == {}
 
 
 @pytest.mark.parametrize("form", [1, 6])

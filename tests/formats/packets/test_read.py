@@ -32,31 +32,6 @@ def same(a: ScanBlock, b: ScanBlock, *, times: bool = True) -> None:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
-def test_firing_columns_are_lines_and_rings_are_shots(tmp_path: Path) -> None:
-    packets = made.vlp16()
-    stream, block = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
-    assert block.range_m.shape == (20 * 24, 16)
-    order = [0, 2, 4, 6, 8, 10, 12, 14, 1, 3, 5, 7, 9, 11, 13, 15]
-    for line, column in ((0, 0), (1, 3), (23, 15), (24, 8), (479, 1)):
-        packet, within = packets[line // 24], line % 24
-        at = 100 * (within // 2) + 4 + 48 * (within % 2) + 3 * order[column]
-        distance, light = struct.unpack_from("<HB", packet, at)
-        found = float(np.nan_to_num(block.range_m[line, column]))
-        assert found == pytest.approx(distance * 0.002)
-        assert block.intensity is not None
-        if distance:
-            assert block.intensity[line, column] == light
-    assert block.xyz_m is not None
-    assert block.time_s is not None
-    elevation = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
-    np.testing.assert_allclose(np.nanmedian(elevation, axis=0), np.linspace(-15, 15, 16), atol=1e-3)
-    np.testing.assert_allclose(block.time_s[0, 0], made.START_S, atol=1e-6)
-    np.testing.assert_allclose(np.diff(block.time_s[:, 0]), 55.296e-6, atol=1.2e-6)
-    np.testing.assert_allclose(block.time_s[0, 8] - block.time_s[0, 0], 2.304e-6, atol=3e-7)
-    assert stream.info.facts.notes == ()
-    np.testing.assert_array_equal(block.records(), np.arange(480 * 16).reshape(480, 16))
-
-
 def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
     packets = made.vlp16()
     frames = made.framed(packets)
@@ -146,20 +121,6 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
     result = runner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"])
     assert result.exit_code in (0, 4), result.output
     assert stream.info.facts.has_line_times
-
-
-def test_parts_of_a_turn_do_not_run_into_the_next(tmp_path: Path) -> None:
-    table, packets = made.ouster()
-    table["data_format"]["column_window"] = [10, 39]
-    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
-    path.with_suffix(".json").write_text(json.dumps(table))
-    _, block = read(path)
-    assert block.n_lines == 64
-    held = np.isfinite(block.range_m)
-    assert held[:30, 0].all()
-    assert not held[30:32, 0].any()
-    assert not held[:2, 1].any()
-    assert held[2:32, 1].all()
 
 
 def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:

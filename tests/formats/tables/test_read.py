@@ -12,8 +12,6 @@ from pyarrow import feather, parquet
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64
 from prc_cli.formats import open_source
-from prc_cli.formats.las.vlrs import same_crs, short_crs
-from prc_cli.formats.tables import read as tables
 from prc_cli.formats.tables.read import open_table
 
 
@@ -24,23 +22,6 @@ def columns(path: Path, *names: str) -> dict[str, F64]:
     assert [chunk.first_record for chunk in chunks] == np.cumsum([0] + [chunk.n for chunk in chunks])[:-1].tolist()
     assert source.n_records == sum(chunk.n for chunk in chunks)
     return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
-
-
-@pytest.mark.parametrize("chunk", [7, 1 << 20])
-def test_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
-    monkeypatch.setattr(tables, "CHUNK_RECORDS", chunk)
-    random = np.random.default_rng(0)
-    range_m, xyz, time_s = random.random((9, 5)), random.random((9, 5, 3)), random.random((9, 5))
-    path = tmp_path / "image.npz"
-    np.savez(path, angle_deg=np.arange(5.0), range_m=range_m, xyz=xyz, time_s=time_s, name=np.array("a"))
-    source = open_table(path)
-    assert source is not None
-    assert set(source.dimensions) == {"range", "x", "y", "z", "time", "scan_line", "column"}
-    found = columns(path, "z", "range", "scan_line", "time", "x")
-    for name, expected in (("z", xyz[..., 2]), ("range", range_m), ("time", time_s), ("x", xyz[..., 0])):
-        np.testing.assert_array_equal(found[name], expected.ravel())
-    np.testing.assert_array_equal(found["scan_line"], np.repeat(np.arange(9), 5))
-    np.testing.assert_array_equal(columns(path, "column")["column"], np.tile(np.arange(5), 9))
 
 
 def test_parquet(tmp_path: Path) -> None:
@@ -67,19 +48,6 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", range_m=np.ones((4, 6)))
     with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range, scan_line"):
         columns(tmp_path / "a.npz", "time")
-
-
-UTM = 'PROJCS["UTM 35N", GEOGCS["WGS 84", AUTHORITY["EPSG","4326"]], AUTHORITY["EPSG","32635"]]'
-
-
-def test_coordinate_systems() -> None:
-    assert short_crs(UTM) == "UTM 35N (EPSG:32635)"
-    assert short_crs("EPSG:3067") == "EPSG:3067"
-    assert short_crs("no WKT " * 30) == ("no WKT " * 30)[:60]
-    assert same_crs(UTM, UTM.replace(" ", "\n "))
-    assert same_crs(UTM, "epsg:32635")
-    assert not same_crs(UTM, "EPSG:3067")
-    assert not same_crs(UTM, "a local system")
 
 
 @pytest.mark.parametrize("compression", ["uncompressed", "lz4"])

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import gzip
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
 from prc_cli.formats import open_source
-from prc_cli.formats.options import Layout, LayoutField
+from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import find_format
 from prc_cli.formats.text.read import TextSource
-
-NAN = math.nan
 
 
 def write(folder: Path, content: str | bytes, name: str = "drive.csv") -> Path:
@@ -57,20 +53,6 @@ def problem(folder: Path, content: str | bytes, layout: Layout | None = None, na
 # --- found by looking
 
 
-@pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", "   ", " \t "])
-def test_delimiter_and_header_are_found(tmp_path: Path, delimiter: str) -> None:
-    rows = [["line", "range_m", "colour"], ["0", "1.5", "red"], ["1", "-2e3", "blue"]]
-    path = write(tmp_path, "\n".join(delimiter.join(row) for row in rows) + "\n")
-    source = TextSource(path)
-    assert source.dimensions == ("range", "scan_line", "colour")
-    found = read(source, "scan_line", "range")
-    np.testing.assert_array_equal(found["scan_line"], [0, 1])
-    np.testing.assert_array_equal(found["range"], [1.5, -2000])
-    assert source.n_records is None
-    assert "line 1 holds the names of the columns" in source.notes
-    assert "columns taken under another name: range_m as range, line as scan_line" in source.notes
-
-
 @pytest.mark.parametrize(
     ("header", "dimensions"),
     [
@@ -91,16 +73,6 @@ def test_names_in_the_header(tmp_path: Path, header: str, dimensions: tuple[str,
     assert TextSource(write(tmp_path, f"{header}\n{row}\n")).dimensions == dimensions
 
 
-def test_columns_without_names_have_numbers_and_a_single_one_is_the_range(tmp_path: Path) -> None:
-    source = TextSource(write(tmp_path, "1,2,3\n4,5,6\n"))
-    assert source.dimensions == ("0", "1", "2")
-    np.testing.assert_array_equal(read(source, "2")["2"], [3, 6])
-    alone = TextSource(write(tmp_path, "1.5\nnan\n2.5\n", "ranges.txt"))
-    assert alone.dimensions == ("range",)
-    np.testing.assert_array_equal(read(alone, "range")["range"], [1.5, NAN, 2.5])
-    assert "taken as the range" in alone.notes[0]
-
-
 # --- cells, lines, compressions
 
 
@@ -113,21 +85,6 @@ def test_line_ends_byte_order_marks_blank_lines_and_comments(
     lines = ["# Straße", "", "range,x", "1,2", "   ", "# a, comment", "3,4", "", "  # another", "5,6"]
     content = mark + ending.join(lines) + (ending + ending if last else "")
     assert values(tmp_path, content) == [1, 3, 5]
-
-
-@pytest.mark.parametrize("suffix", [".gz", ".zst"])
-def test_compressed_text(tmp_path: Path, suffix: str) -> None:
-    content = b"range,x\n" + b"".join(b"%d,1\n" % k for k in range(10_000))
-    path = write(tmp_path, compress(content, suffix), f"drive.csv{suffix}")
-    np.testing.assert_array_equal(read(TextSource(path, block_bytes=1 << 12), "range")["range"], np.arange(10_000))
-
-
-def compress(content: bytes, suffix: str) -> bytes:
-    if suffix == ".gz":
-        return gzip.compress(content, 1, mtime=0)
-    packed = pa.Codec("zstd").compress(content, asbytes=True)
-    assert isinstance(packed, bytes)
-    return packed
 
 
 CELLS = st.sampled_from(["", "nan", "1", "-2.5", "1e3", " 7 ", "+4", "inf", '"8"', "  "])
@@ -155,23 +112,6 @@ def test_values_do_not_depend_on_blocks(
 
 
 # --- layouts
-
-
-def test_a_layout_with_numbers_for_columns(tmp_path: Path) -> None:
-    layout = Layout(
-        delimiter=" ",
-        comment="%",
-        fields=(
-            LayoutField(name="range", source=2, scale=0.001, missing=0),
-            LayoutField(name="angle", source=0, unit="rad"),
-        ),
-    )
-    source = TextSource(write(tmp_path, "% made by hand\n 0.5   9  1500 \n\t0.6 9\t0\n"), layout)
-    assert source.dimensions == ("range", "angle", "1")
-    found = read(source, "range", "angle", "1")
-    np.testing.assert_array_equal(found["range"], [1.5, NAN])
-    np.testing.assert_array_equal(found["angle"], [0.5, 0.6])
-    np.testing.assert_array_equal(found["1"], [9, 9])
 
 
 # --- errors
@@ -264,17 +204,6 @@ def test_rows_are_found_among_any_lines_that_are_none(
     np.testing.assert_array_equal(found["time"], [2.0, 4.0])
 
 
-def test_blocks_parsed_together_are_judged_in_order(tmp_path: Path) -> None:
-    """A blank line is refused by what follows it, however many blocks later that is parsed."""
-    path = tmp_path / "a.csv"
-    path.write_text("range\n" + "1.5\n" * 50 + "\n" * 40 + "2.5\n" * 3 + "wrong\n")
-    source = TextSource(path, block_bytes=16)
-    with pytest.raises(InputError, match="line 52: a blank line between the rows"):
-        list(source.chunks(("range",)))
-    path.write_text("range\n" + "1.5\n" * 50 + "\n" * 40)
-    assert sum(chunk.n for chunk in TextSource(path, block_bytes=16).chunks(("range",))) == 50
-
-
 def values_of_clouds_as_text(path: Path, text: str, layout: Layout | None = None) -> dict[str, list[float]]:
     path.write_text(text)
     source = open_source(path, layout)
@@ -283,23 +212,8 @@ def values_of_clouds_as_text(path: Path, text: str, layout: Layout | None = None
     return {name: np.round(column, 9).tolist() for name, column in chunk.values.items()}
 
 
-def test_columns_without_names(tmp_path: Path) -> None:
-    assert values_of_clouds_as_text(tmp_path / "a.xyz", "1 2 3\n4 5 6\n") == {"x": [1, 4], "y": [2, 5], "z": [3, 6]}
-    found = values_of_clouds_as_text(tmp_path / "a.pts", "2\n1.5 2 3 9 255 255 255\n4 5 6 8 1 2 3\n")
-    assert found["x"] == [1.5, 4]
-    assert found["intensity"] == [9, 8]
-    assert values_of_clouds_as_text(tmp_path / "a.asc", "//X Y Z R G B\n1 2 3 4 5 6\n") == {
-        "x": [1], "y": [2], "z": [3], "R": [4], "G": [5], "B": [6],
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize(
     "text", ["range;z\n1,5;2\n-3,25;4,5\n", "range z\n1,5 2\n-3,25 4,5\n", "range\tz\n1,5\t2\n-3,25\t4,5\n"]
 )
 def test_decimal_commas_are_found(tmp_path: Path, text: str) -> None:
     assert values_of_clouds_as_text(tmp_path / "a.csv", text) == {"range": [1.5, -3.25], "z": [2, 4.5]}
-
-
-def test_units_from_names(tmp_path: Path) -> None:
-    found = values_of_clouds_as_text(tmp_path / "a.csv", "range [mm];angle_gon;time_ms;z (ft)\n1500;100;2000;10\n")
-    assert found == {"range": [1.5], "angle": [round(np.pi / 2, 9)], "time": [2.0], "z": [3.048]}

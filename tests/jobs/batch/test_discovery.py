@@ -12,13 +12,10 @@ from pathlib import Path
 import pytest
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats import check_input
-from prc_cli.formats.registry import by_suffix
 from prc_cli.jobs.batch import discovery
 from prc_cli.jobs.batch.discovery import (
     Patterns,
     discover,
-    output_name,
 )
 from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings
 from tests.patience import HANGS_S
@@ -47,18 +44,6 @@ def archive(tmp_path: Path) -> Path:
         put(folder / name)
     put(folder / ".git" / "c.laz")
     return folder
-
-
-def test_only_what_a_reader_takes_in_the_order_of_bytes(archive: Path) -> None:
-    assert names(archive) == ["a/10.LAZ", "a/2.las", "a/deep/er/x.csv.gz", "b.laz", "z.npz"]
-    assert left_out(archive) == {}
-
-
-def test_every_suffix_found_is_one_that_a_reader_takes(tmp_path: Path) -> None:
-    for suffix in sorted(by_suffix("scans")):
-        put(tmp_path / "in" / f"x{suffix}")
-        assert check_input(tmp_path / "in" / f"x{suffix}") == suffix
-    assert len(names(tmp_path / "in")) == len(by_suffix("scans"))
 
 
 @pytest.mark.parametrize(
@@ -182,15 +167,3 @@ def test_a_file_system_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(InputError, match="has not answered for 0.1 s"):
         discover(BatchSettings(tmp_path, tmp_path / "out"), patience_s=0.1)
     answers.set()
-
-
-def test_names_of_outputs_never_meet() -> None:
-    inputs = ["a.las", "a.laz", "a.LAS", "a.csv", "a.csv.gz", "a.npy", "a.npz", "a.e57", "b/a.las"]
-    for to in discovery.FORMATS:
-        outputs = [output_name(name, to) for name in inputs]
-        assert len(set(outputs)) == len(inputs)
-        assert all(name in output for name, output in zip(inputs, outputs, strict=True))
-    assert output_name("a.csv", "parquet") == "a.csv.labels.parquet"
-    assert output_name("a.npz", "las") == "a.npz.las"
-    with pytest.raises(ConfigError, match="--to"):
-        output_name("a.csv", "tif")

@@ -128,27 +128,6 @@ def test_what_is_known_of_a_file(folder: Path) -> None:
         assert journal.entry("a.laz").attempts == 1
 
 
-def test_an_output_of_somebody_else_never_becomes_ours(folder: Path) -> None:
-    """Else the run after the one that refused to replace it would take it for our own and replace it."""
-    with Journal(folder) as journal:
-        journal.begin_run("me")
-        journal.finish(failed("refused.laz", "OutputExistsError"))
-        assert not journal.entry("refused.laz").owns_output
-        journal.finish(failed("refused.laz"))
-        assert not journal.entry("refused.laz").owns_output
-        # it appeared between the plan and the work
-        journal.start(task("late.laz"), "worker")
-        journal.finish(failed("late.laz", "OutputExistsError"))
-        assert not journal.entry("late.laz").owns_output
-        # a failure for another reason leaves a right that there was
-        journal.start(task("ours.laz"), "worker")
-        journal.finish(done("ours.laz"))
-        journal.finish(failed("ours.laz"))
-        assert journal.entry("ours.laz").owns_output
-        journal.start(task("refused.laz"), "worker")
-        assert journal.entry("refused.laz").owns_output
-
-
 def test_journals_of_other_divisions_are_known_and_the_newest_entry_counts(folder: Path) -> None:
     with Journal(folder) as journal:
         journal.begin_run("whole")
@@ -219,15 +198,6 @@ def test_a_newer_journal_is_refused_and_left_alone(folder: Path) -> None:
         with pytest.raises(OutputError, match="newer prc-cli .tables of version 7, this program knows 2.*upgrade"):
             action()
     assert (folder / "journal.sqlite").read_bytes() == content
-
-
-def test_a_database_of_another_program_is_refused(folder: Path) -> None:
-    folder.mkdir()
-    database = sqlite3.connect(folder / "journal.sqlite")
-    database.execute("CREATE TABLE mine (x)")
-    database.close()
-    with pytest.raises(OutputError, match="a database of another program"), Journal(folder):
-        pass
 
 
 def test_a_journal_that_somebody_holds_is_busy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,13 +14,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.batch.discovery import discover
 from prc_cli.jobs.batch.plan import (
-    BEGIN_S,
     BatchConfig,
-    Estimate,
     Plan,
-    Planned,
-    config_hash,
-    estimate,
     make_plan,
 )
 from prc_cli.jobs.batch.types import (
@@ -81,26 +76,6 @@ def refusals(plan: Plan) -> dict[str, str]:
 
 
 # -- decisions --------------------------------------------------------------------------------------------------------
-
-
-def test_a_done_file_is_skipped(settings: BatchSettings) -> None:
-    plan = plan_of(settings, entry(settings, "a.npz"))
-    assert plan.done == ("a.npz",)
-    assert reasons(plan) == {"b.npz": "new"}
-    assert plan.confirmed == ()
-
-
-def test_what_changed_is_done_again(settings: BatchSettings) -> None:
-    for changes, reason in (
-        ({"version": "0.0.1"}, "changed version"),
-        ({"config_sha256": "other"}, "changed config"),
-    ):
-        plan = plan_of(settings, entry(settings, "a.npz", **changes))
-        assert reasons(plan)["a.npz"] == reason
-        assert plan.todo[0].task.overwrite
-    known = entry(settings, "a.npz")
-    (settings.archive / "a.npz").write_bytes(b"longer content than before")
-    assert reasons(plan_of(settings, known))["a.npz"] == "changed input"
 
 
 def test_content_decides_when_only_the_time_changed(settings: BatchSettings) -> None:
@@ -270,41 +245,4 @@ def test_relative_trajectories_start_at_the_configuration_file(tmp_path: Path, r
     assert loaded.trajectory == path
 
 
-def test_the_hash_tells_configurations_apart_and_not_folders(tmp_path: Path) -> None:
-    base = RunConfig()
-    other = RunConfig.model_validate({"prc": {"support": {"zeta_p": 0.123}}})
-    assert config_hash(base, None) != config_hash(other, None)
-    unused = RunConfig.model_validate({"method": "auto", "sequential_angle": {"max_range_m": 77.0}})
-    assert config_hash(base, None) == config_hash(unused, None)
-    here = RunConfig.model_validate({"input": {"range": "trajectory:/here/a.csv"}})
-    there = RunConfig.model_validate({"input": {"range": "trajectory:/there/b.csv"}})
-    assert config_hash(here, "1" * 64) == config_hash(there, "1" * 64) != config_hash(here, "2" * 64)
-
-
 # -- estimates --------------------------------------------------------------------------------------------------------
-
-
-def planned(name: str, size: int) -> Planned:
-    task = Task(name, Path("/in") / name, Path("/out") / name, LoadedConfig(RunConfig()), "now")
-    return Planned(task, "new", size)
-
-
-def earlier(settings: BatchSettings, **sizes: int) -> dict[str, Entry]:
-    """Files that were done, each in 2 s."""
-    known = {}
-    for name, size in sizes.items():
-        found = replace(entry(settings, f"{name}.npz"), config_sha256="now")
-        assert isinstance(found.outcome, Done)
-        known[found.name] = replace(found, outcome=replace(found.outcome, input=InputPrint(size, 0, None)))
-    return known
-
-
-def test_time_and_memory_come_from_earlier_files(settings: BatchSettings) -> None:
-    todo = [planned(f"x{i}.npz", size) for i, size in enumerate((40, 10, 10, 30))]
-    known = earlier(settings, a=30, b=10)  # 4 s for 40 bytes, 100 MiB
-    assert estimate(todo, known, 1) == Estimate(BEGIN_S + 9, 100.0, ("npz: from 2 earlier files of this archive",))
-    assert estimate(todo, known, 2).seconds == BEGIN_S + 4.5
-    found = estimate(todo, known, 9)
-    assert (found.seconds, found.peak_mib) == (BEGIN_S + 4, 400.0)
-    other = {name: replace(item, config_sha256="other") for name, item in earlier(settings, a=30).items()}
-    assert estimate(todo, other, 1).sources == ("npz: from 1 earlier file of this archive, of another configuration",)

@@ -12,7 +12,6 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.methods.base import LABELS_ALONE, OneByOne
 from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, initial_state
-from prc_cli.methods.fused.thresholds import NEVER
 from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines, with_limits
 
 SCANNER = FusedScanner.of(BEAM)
@@ -86,12 +85,6 @@ def test_a_bin_is_street_furniture(street: tuple[F32, U8]) -> None:
     assert not (classified(ranges, decision={"box_m": 0.0})[hit] == Label.POLE).any()
 
 
-@pytest.mark.parametrize(("deep_m", "box_lines"), [(0.15, 16), (1.2, 16), (0.5, 2)])
-def test_what_is_flat_or_deep_or_long_is_no_bin(street: tuple[F32, U8], deep_m: float, box_lines: int) -> None:
-    ranges, hit = with_box(street[0], slice(4, 10), deep_m)
-    assert not (classified(ranges, decision={"box_lines": box_lines})[hit] == Label.POLE).any()
-
-
 def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     ranges = street[0].copy()
     post = surface(-3.0, 0.0, 5.0)
@@ -100,33 +93,6 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     ranges[hit] = np.broadcast_to(post, ranges.shape)[hit].astype(np.float32)
     high = hit & (HEIGHT_M - np.broadcast_to(post * DOWN, ranges.shape) > 0.5)
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
-
-
-def test_a_facade_between_twigs_is_as_smooth_as_the_facade(street: tuple[F32, U8]) -> None:
-    """Where every other place of 20 cm is hidden by twigs, and in lines in between none."""
-    ranges, kind, rng = street[0].copy(), street[1], np.random.default_rng(5)
-    twigs = (np.arange(len(BEAM)) // 12 % 5 < 3) & (np.arange(len(ranges))[:, None] % 4 > 0) & (kind == BUILDING)
-    ranges[twigs] -= rng.uniform(1.5, 3.0, int(twigs.sum())).astype(np.float32)
-    left = (kind == BUILDING) & ~twigs
-    apart: dict[str, Any] = {"walls": {"height_m": NEVER}, "votes": None}
-    found, before = classified(ranges, **apart), classified(ranges, foliage={"at_depth": False}, **apart)
-    lost, was_lost = ((labels[left] == Label.VEGETATION).mean() for labels in (found, before))
-    assert was_lost > 0.15
-    assert lost < 0.5 * was_lost
-
-
-def test_the_side_of_a_pit_is_no_mirror_image(street: tuple[F32, U8]) -> None:
-    ranges, rng = street[0].copy(), np.random.default_rng(5)
-    # a rough wall below the street, behind 1.5 m of nothing
-    pit = surface(-5.6, -1.2, -0.35)
-    hit = np.broadcast_to(np.isfinite(pit), ranges.shape)
-    ranges[hit] = (np.broadcast_to(pit, ranges.shape)[hit] + rng.uniform(0, 0.04, int(hit.sum()))).astype(np.float32)
-    noise, before = (
-        (classified(ranges, decision={"pit_near": 9 if pits else NEVER})[hit] == Label.NOISE).mean()
-        for pits in (True, False)
-    )
-    assert before > 0.04
-    assert noise < 0.01
 
 
 def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:

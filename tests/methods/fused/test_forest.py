@@ -47,13 +47,6 @@ def stem(side_m: float, top_m: float = 30.0) -> F64:
     return np.where(-ranges * np.cos(BEAM) + HEIGHT_M <= top_m, ranges, np.inf)
 
 
-def leaves(rng: np.random.Generator, near_m: float, deep_m: float, share: float) -> F64:
-    """Ranges of every shot of a block on leaves, anywhere within a depth, above the horizon; inf between them."""
-    shape = (N_LINES, len(BEAM))
-    hit = (rng.random(shape) < share) & (np.cos(BEAM) < 0)
-    return np.where(hit, near_m + deep_m * rng.random(shape), np.inf)
-
-
 def image(*bodies: F64) -> F32:
     """The nearest of some bodies, as a block of lines."""
     nearest = np.minimum.reduce([np.broadcast_to(body, (N_LINES, len(BEAM))) for body in bodies])
@@ -69,13 +62,6 @@ def count(labels: U8, where: Any) -> dict[str, int]:
     return {label.name: n for label, n in zip(Label, found.tolist(), strict=True) if n}
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.2, -0.35])
-def test_ground_is_ground_on_a_slope_too(slope: float) -> None:
-    labels = labels_of(image(ground(slope)))
-    near = np.abs(np.rad2deg(BEAM)) < 60
-    assert count(labels, near) == {"GROUND": N_LINES * int(near.sum())}
-
-
 def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
     ranges = image(ground(), stem(5.0))
     labels = labels_of(ranges)
@@ -83,38 +69,6 @@ def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
     on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (high > 0.2)
     assert set(count(labels, on_stem)) == {"STEM"}
     assert set(count(labels, high < 0.02)) == {"GROUND"}
-
-
-def test_leaves_are_vegetation_and_a_stem_between_them_is_seen() -> None:
-    rng = np.random.default_rng(1)
-    ranges = image(ground(), stem(5.0, top_m=12.0), leaves(rng, 3.0, 1.5, 0.5))
-    labels = labels_of(ranges)
-    on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001)
-    assert count(labels, on_stem)["STEM"] > 0.9 * on_stem.sum()
-    on_leaf = ~on_stem & (np.cos(BEAM) < -0.1) & ~np.isnan(ranges)
-    found = count(labels, on_leaf)
-    assert found["VEGETATION"] > 0.9 * on_leaf.sum()
-
-
-def test_a_stem_goes_on_behind_what_hides_it() -> None:
-    """Slats leave pieces too short for stems."""
-    behind = stem(5.0)
-    high = np.where(np.isfinite(behind), -behind * np.cos(BEAM), 0.0)
-    slats = np.where(np.mod(high, 0.3) > 0.09, behind - 1.0, np.inf)
-    ranges = image(ground(), behind, slats)
-    between = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (high > -1.5) & (high < 3.0)
-    assert count(labels_of(ranges), between)["STEM"] > 0.9 * between.sum()
-    assert "STEM" not in count(labels_of(ranges, runs={"gap_steep": -np.inf}), between)
-
-
-def test_what_is_seen_through_is_no_stem() -> None:
-    """A curtain: every second shot passes it and meets a wall behind."""
-    every_second = np.where(np.arange(len(BEAM)) % 2, stem(5.0), np.inf)
-    ranges = image(ground(), every_second, stem(7.0))
-    near = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001)
-    assert "STEM" not in count(labels_of(ranges), near)
-    blind = labels_of(ranges, runs={"behind_m": np.inf})
-    assert count(blind, near)["STEM"] > 0.8 * near.sum()
 
 
 def test_noise_is_alone_or_below_the_ground() -> None:

@@ -14,11 +14,9 @@ from prc_cli.methods.fused.spacing import (
     IN_LINE_PAIRS,
     SPACED_LINES,
     STANDS,
-    Spacing,
     spaced_pairs,
-    strides_of,
 )
-from prc_cli.methods.fused.thresholds import Smoothness, SmoothThresholds, Spaced
+from prc_cli.methods.fused.thresholds import Smoothness
 from tests.methods.fused.street_lines import BEAM, BUILDING, VEGETATION, street_lines, with_limits
 
 SCANNER = FusedScanner.of(BEAM)
@@ -83,21 +81,6 @@ def test_labels_hardly_depend_on_the_size_of_blocks() -> None:
         assert (labelled(ranges, k)[0] != whole).mean() < 0.001
 
 
-def test_too_few_leaves_change_nothing() -> None:
-    counts = np.zeros((59, 6, 2), np.int32)
-    counts[:, :, 0] = counts[:, :-1, 1] = 1
-    strides, _ = strides_of(counts, Spacing.none(), 0, 40, Spaced())
-    assert (strides == 1).all()
-    counts *= 9
-    strides, after = strides_of(counts, Spacing.none(), 0, 40, Spaced())
-    assert strides[-1] == after.stride == STANDS
-    # a distance that is in use is left for a smaller one only if that sees clearly fewer leaves again
-    again = np.array([[100, 60], [100, 35], [100, 10], [100, 5], [100, 5], [100, 0]], np.int32)
-    for now, expected in ((1, 2), (4, 4)):
-        known = Spacing(np.zeros((6, 2)), now)
-        assert strides_of(np.tile(again, (30, 1, 1)), known, 0, 11, Spaced())[1].stride == expected
-
-
 def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
     ranges, _ = street_lines(80)
     margin = SPACED_LINES - 3
@@ -111,26 +94,3 @@ def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
             rows = ranges[margin + i - 2 * stride : margin + i + 2 * stride + 1 : stride]
         pairs = smooth_pairs(np.ascontiguousarray(rows), PLANE, float(noise_m[i]), Smoothness())[0]
         np.testing.assert_array_equal(found[i], pairs if stride != STANDS else IN_LINE_PAIRS[pairs])
-
-
-def test_a_leaf_that_many_shots_hit_is_rough_and_a_wall_is_smooth() -> None:
-    beam = np.deg2rad(np.arange(80.0, 100.0, 0.05))
-    plane, distance_m = ScanPlane.of(beam), 4.0
-    rng = np.random.default_rng(6)
-    # leaves 2.5 cm wide, each turned its own way, the shots 3.5 mm apart
-    leaf = (beam * distance_m / 0.025).astype(np.int64)
-    leaf -= leaf[0]
-    depth_m = rng.uniform(0, 0.5, (5, leaf[-1] + 1))[:, leaf]
-    turned = rng.uniform(-1, 1, (5, leaf[-1] + 1))[:, leaf] * ((beam * distance_m) % 0.025)
-    noise = rng.normal(0, NOISE_M, (5, len(beam)))
-    leaves = (distance_m + depth_m + turned + noise).astype(np.float32)
-    wall = (distance_m / np.sin(beam) + noise).astype(np.float32)
-    shares = {}
-    for apart_m in (0.0, 0.012):
-        params = Smoothness(pairs=SmoothThresholds(apart_m=np.float32(apart_m)))
-        shares[apart_m] = [
-            float((smooth_pairs(one, plane, NOISE_M, params)[0, 16:-16] >= 4).mean()) for one in (leaves, wall)
-        ]
-    assert shares[0.0][0] > 0.5
-    assert shares[0.012][0] < 0.25
-    assert min(shares[0.0][1], shares[0.012][1]) > 0.95

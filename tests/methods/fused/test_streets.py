@@ -24,7 +24,6 @@ from tests.methods.fused.street_lines import (
     BUILDING,
     CAR,
     GROUND,
-    HEIGHT_M,
     STRAY,
     VEGETATION,
     street_lines,
@@ -129,37 +128,6 @@ def test_a_step_that_is_off_is_missed(street: tuple[F32, U8], off: dict[str, Any
     assert recalls(classified(street[0], **off), street[1])[kind] < usual - 0.2
 
 
-def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]) -> None:
-    ranges, kind = street[0].copy(), street[1]
-    rng = np.random.default_rng(5)
-    height = -ranges * np.cos(BEAM) + HEIGHT_M
-    window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.6)
-    ranges[window] *= rng.uniform(1.05, 1.13, int(window.sum())).astype(np.float32)
-    with_walls, without = (classified(ranges, walls={"height_m": height}, votes=None) for height in (1.5, NEVER))
-    assert (with_walls[window] == Label.BUILDING).mean() > 0.8
-    assert (without[window] == Label.BUILDING).mean() < 0.5
-
-
-def test_the_ground_is_found_again_behind_a_long_car() -> None:
-    """The road beside the car is not seen for a while: it is where it was."""
-    ranges, kind = street_lines(60)
-    hidden = ranges.copy()
-    hidden[20:40, 760:1060] = np.nan
-    labels = classified(hidden)
-    road = (kind == GROUND) & ~np.isnan(hidden)
-    assert (labels[road] == Label.GROUND).mean() > 0.98
-
-
-@pytest.mark.parametrize("hidden", ["left", "both"])
-def test_the_ground_is_found_again_after_more_lines_without_it_than_are_remembered(hidden: str) -> None:
-    """A lorry hides a side, or the stream has a gap: the walk does not begin at the height of the scanner."""
-    ranges, kind = street_lines(150)
-    left = BEAM >= 0
-    ranges[72:136, left if hidden == "left" else slice(None)] = np.nan
-    labels = classified(ranges, FusedParams(lines_per_block=70))[138:, left]
-    assert (labels[kind[138:, left] == GROUND] == Label.GROUND).mean() > 0.98
-
-
 @pytest.mark.parametrize("step", ["_measure", "see", "_follow", "_decide"])
 def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """Before, in, between and after the steps that hand on: nobody waits for a turn that never comes."""
@@ -184,16 +152,6 @@ def test_labels_do_not_depend_on_how_the_stream_is_cut(street: tuple[F32, U8]) -
     blocks = (ScanBlock(a, ranges[a:b], beam_rad=BEAM, is_last=b == 60) for a, b in pairwise(cuts))
     labels = np.concatenate([item.labels for item in label_blocks(blocks, params, threads=2)])
     np.testing.assert_array_equal(labels, classified(ranges, params))
-
-
-@pytest.mark.parametrize("absurd", [1e-38, 1e-6, 1e5, 1e19, 3e38])
-def test_absurd_ranges_are_labelled(street: tuple[F32, U8], absurd: float) -> None:
-    ranges = street[0][:12].copy()
-    ranges[:, ::3] = absurd
-    assert (classified(ranges) != Label.MISSING).sum() == np.isfinite(ranges).sum()
-    ranges[:] = absurd
-    labels = classified(ranges)
-    assert (labels != Label.MISSING).all()
 
 
 def test_every_line_has_the_noise_measured_up_to_it() -> None:

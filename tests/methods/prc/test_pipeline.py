@@ -24,9 +24,7 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
-from prc_cli.methods.prc.surfaces import SurfacesParams, area_threshold
-from prc_cli.methods.prc.urban import ForestParams, is_dense
-from tests.methods.prc.streams import random_params, random_stream, run_blocks, run_stream, to_settings
+from tests.methods.prc.streams import random_params, random_stream, run_stream, to_settings
 from tests.oracles import prc_method as oracle_prc
 
 
@@ -83,18 +81,6 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
         np.testing.assert_array_equal(labels, expected[0])
         np.testing.assert_array_equal(segments, expected[1])
         assert len(np.unique(labels)) >= 4
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_support_and_background_do_not_depend_on_block_length(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    stream, params = random_stream(rng), random_params(rng)
-    expected_s = oracle_prc.support(stream, to_settings(params, stream.shape[1]))
-    expected_g = oracle_prc.extended_background(stream, expected_s, to_settings(params, stream.shape[1]))
-    for k in (1, 2, 3, 7, len(stream), 1000):
-        traces = [trace for trace, _ in run_blocks(stream, params.model_copy(update={"lines_per_block": k}))]
-        np.testing.assert_array_equal(np.concatenate([t.supported for t in traces]), expected_s)
-        np.testing.assert_array_equal(np.concatenate([t.background for t in traces]), expected_g)
 
 
 @pytest.mark.parametrize(
@@ -167,25 +153,6 @@ def random_window_of_paper(n_lines: int, width: int, seed: int = 2019) -> F32:
     return stream_window(np.full(width + 1, np.nan, dtype=np.float32), ranges, None)
 
 
-@pytest.mark.parametrize(("zeta", "share"), [(0.0, 0.0), (1e-9, 0.0), (1e9, 1.0)])
-def test_nothing_is_supported_at_small_limits_and_all_at_large_ones(zeta: float, share: float) -> None:
-    """II-B: at the limits of zeta_s and zeta_p all points are noise, or none."""
-    window = random_window_of_paper(20, 50)
-    assert support(window, 50, SupportParams(zeta_s=zeta, zeta_p=zeta)).mean() == share
-
-
-def test_supported_share_grows_with_either_limit() -> None:
-    """Fig. 4 rises along both axes."""
-    window = random_window_of_paper(30, 60)
-    for name in ("zeta_s", "zeta_p"):
-        shares = [
-            support(window, 60, SupportParams.model_validate({"zeta_s": 60, "zeta_p": 60, name: zeta})).mean()
-            for zeta in (0.01, 0.1, 1, 10, 30, 60, 120)
-        ]
-        assert shares == sorted(shares)
-        assert shares[0] < shares[-1]
-
-
 def at_least(count: int, of: int) -> float:
     """Probability that ``count`` or more of the neighbours are within 1 m, for ranges uniform in 0 to 120 m."""
     p = 1 - (1 - 1 / 120) ** 2
@@ -213,17 +180,3 @@ def test_random_ranges_support_each_other_as_seldom_as_printed() -> None:
     assert share(0, 3) == pytest.approx(at_least(3, 6), rel=0.15)
     assert share(3, 0) == pytest.approx(0.00024, rel=0.15)
     assert share(3, 2) < 3e-6
-
-
-def test_smoothness_density_is_taken_427_times_for_4270_columns() -> None:
-    """II-F, eq. 12."""
-    assert len(is_dense(np.zeros((255, 4270), dtype=bool), ForestParams())) == 427
-    assert len(is_dense(np.zeros((255, 4271), dtype=bool), ForestParams())) == 428
-
-
-def test_share_of_the_block_that_makes_a_surface_is_kept() -> None:
-    """II-E: A / (k M) should stay the same; A = 30 for k = 99 and M = 2154."""
-    auto = SurfacesParams(area="auto")
-    assert area_threshold(auto, 99, 99, 2154) == 30
-    assert area_threshold(auto, 255, 255, 4270) == pytest.approx(153, abs=0.5)
-    assert area_threshold(auto, 33, 99, 2154) == area_threshold(SurfacesParams(), 33, 99, 2154) == 10

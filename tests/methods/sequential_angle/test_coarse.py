@@ -11,7 +11,7 @@ from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.methods.sequential_angle.angles import angle_differences, signed_angles
 from prc_cli.methods.sequential_angle.car import fourier
-from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation, surface_image
+from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import (
     ChordThresholds,
@@ -35,16 +35,6 @@ def rng() -> Generator:
 
 def f1(found: Mask, truth: Mask) -> float:
     return float(2 * (found & truth).sum() / (found.sum() + truth.sum()))
-
-
-def labels(tilts: list[float], params: SurfaceThresholds, vegetation: Mask | None = None) -> list[int]:
-    """Surfaces of one line with the given signed angles; NaN = a shot without an angle."""
-    signed = np.array([tilts], np.float32)
-    ranges = np.full(signed.shape, 5, np.float32)
-    xyz = np.zeros((*signed.shape, 3), np.float32)
-    lines = VerticalLines(ranges, xyz, ranges, np.array([len(tilts)], np.int32), np.zeros(signed.shape))
-    none = np.zeros(signed.shape, bool) if vegetation is None else np.array([vegetation])
-    return [int(label) for label in surface_image(signed, none, lines, params)[0]]
 
 
 def classified(lines: VerticalLines, noise_m: float, sigmas: float, params: CoarseThresholds) -> U8:
@@ -76,17 +66,6 @@ def test_street(rng: Generator, step_deg: float, noise_m: float, model: MarkovTh
     assert (found == truth)[told].mean() > 0.98
 
 
-def test_the_shortest_chord_is_what_keeps_near_ground_from_being_foliage(rng: Generator) -> None:
-    lines, truth = street_lines(rng, 30)
-    near = (lines.range_m < 2.5) & (truth == H)  # shots 4 to 5 mm apart, with 5 mm of noise
-    assert (classified(lines, 0.005, 4, CoarseThresholds()) == T)[near].mean() < 0.02
-    assert (classified(lines, 0.005, 0, CoarseThresholds()) == T)[near].mean() > 0.5
-    # where shots are far apart the literal statistic does as well
-    far = lines.range_m > 6
-    literal = classified(lines, 0.005, 0, CoarseThresholds())
-    assert f1((literal == T)[far], (truth == T)[far]) > 0.9
-
-
 @pytest.mark.parametrize("spacing_sigmas", [1.0, 2.0, 4.0, 8.0])
 def test_a_wall_hit_head_on_is_not_vegetation(rng: Generator, spacing_sigmas: float) -> None:
     noise, n = 0.005, 600
@@ -97,28 +76,11 @@ def test_a_wall_hit_head_on_is_not_vegetation(rng: Generator, spacing_sigmas: fl
     assert (found == V).mean() > 0.95
 
 
-def test_a_curb_of_one_sample_is_kept_and_a_noisy_one_is_not() -> None:
-    assert labels([90] * 8 + [5] + [90] * 8, SurfaceThresholds()) == [H] * 8 + [V] + [H] * 8
-    assert labels([90] * 8 + [20] + [90] * 8, SurfaceThresholds()) == [H] * 17
-    assert labels([90] * 8 + [5] + [90] * 8, made(SurfaceThresholds, threshold_vertical_deg=60)) == [H] * 17
-    assert (
-        labels([90] * 8 + [5, 5] + [90] * 8, made(SurfaceThresholds, threshold_vertical_deg=60))
-        == [H] * 8 + [V] * 2 + [H] * 8
-    )
-
-
-def test_changes_are_dated_back() -> None:
-    tilts = [90.0] * 6 + [30.0] * 6 + [60.0] * 6
-    assert labels(tilts, SurfaceThresholds()) == [H] * 6 + [V] * 6 + [H] * 6
-    assert labels(tilts, made(SurfaceThresholds, backdate=False)) == [H] * 8 + [V] * 6 + [H] * 4
-
-
 def plain(**values: int) -> FourierThresholds:
     """Without the readings that are ours, so that every rule is tested by itself."""
     return made(FourierThresholds, **{"longest": 0, **values}).at_noise()
 
 
-PARAMS = plain()
 WHOLE = plain(window=0)
 
 
@@ -126,16 +88,6 @@ def foliage(rng: Generator, rows: int, n: int) -> F32:
     """Independent ranges, neighbouring beams much closer than leaves are deep: nearly along the beam, either way."""
     signs = np.where(rng.random((rows, n)) < 2 / 3, -1, 1)
     return (signs * np.abs(90 + rng.normal(0, 20, (rows, n)))).astype(np.float32)
-
-
-def sides_and_roofs(rng: Generator, rows: int, n: int) -> F32:
-    """A side, a sloping part and a roof, of changing shares, with the noise of angles."""
-    angles = np.zeros((rows, n))
-    for row in range(rows):
-        edges = np.sort(rng.uniform(0.2, 0.9, 2)) * n
-        k = np.arange(n)
-        angles[row] = np.where(k < edges[0], 5.0, np.where(k < edges[1], 35.0, 88.0))
-    return (angles + rng.normal(0, 15, (rows, n))).astype(np.float32)
 
 
 def whole(rows: F32) -> I32:
@@ -147,21 +99,6 @@ def test_share_of_foliage_that_is_told(n: int, share: float) -> None:
     rows = foliage(np.random.default_rng(n), 600, n)
     told = 1 - fourier(rows, whole(rows), WHOLE).mean()
     assert abs(told - share) < 0.08
-
-
-@pytest.mark.parametrize(("n", "most"), [(32, 0.08), (128, 0.0), (256, 0.0), (512, 0.0)])
-def test_cars_are_kept(n: int, most: float) -> None:
-    rows = sides_and_roofs(np.random.default_rng(n), 400, n)
-    assert 1 - fourier(rows, whole(rows), WHOLE).mean() <= most
-
-
-def test_windows_tell_long_foliage_too() -> None:
-    rng = np.random.default_rng(5)
-    leaves, bodies = foliage(rng, 200, 512), sides_and_roofs(rng, 200, 512)
-    assert fourier(leaves, whole(leaves), WHOLE).mean() > 0.95
-    assert fourier(leaves, whole(leaves), PARAMS).mean() < 0.1
-    # a window on the side alone has a small mean: half of the windows may fail
-    assert 0.85 < fourier(bodies, whole(bodies), PARAMS).mean() < 1
 
 
 PARAMS_VEGETATION = SequentialAngleThresholds().dense_vegetation

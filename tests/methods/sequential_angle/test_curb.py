@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
@@ -17,10 +16,7 @@ from prc_cli.methods.sequential_angle.ground import ground, initial_ground, pote
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, GroundThresholds
 from tests.methods.sequential_angle.made import made
-from tests.methods.sequential_angle.profiles import NOISE_M, Scene, Segment, V, scan, street
-
-PLAIN = CurbThresholds(min_height_m=0.0)
-"""Without the readings that are ours, so that every rule is tested by itself."""
+from tests.methods.sequential_angle.profiles import NOISE_M, Scene, V, scan, street
 
 
 def plain(**values: Any) -> CurbThresholds:
@@ -48,17 +44,6 @@ def find(scene: Scene, params: CurbThresholds = PARAMS) -> Mask:
     return curb
 
 
-def riser(scene: Scene) -> Mask:
-    mask: Mask = (scene.surface == V) & (np.abs(scene.lines.horizontal_m - 6.0) < 0.05)
-    return mask
-
-
-@pytest.mark.parametrize("n_sides", [1, 2])
-def test_curbs_are_found_and_walls_are_not(n_sides: int) -> None:
-    scene = scan([street()] * 12, n=800, n_sides=n_sides)
-    np.testing.assert_array_equal(find(scene), riser(scene))
-
-
 def test_sides_of_cars_have_something_under_them() -> None:
     scene = scan([street(car=True)] * 12, n=800)
     side = (scene.surface == V) & (np.abs(scene.lines.horizontal_m - 3.0) < 0.05)
@@ -69,24 +54,6 @@ def test_sides_of_cars_have_something_under_them() -> None:
     blind = possible(scene, plain(under_m=100.0))
     assert side[np.arange(12), blind].all()
     assert not find(scene).any()  # the wind screen is a possible curb, and too high for one
-
-
-@pytest.mark.parametrize(("deeper_m", "noise_m", "under"), [(0.02, 0.005, False), (0.035, 0.005, True), (0.035, 0.006, False), (0.02, 0.001, True)])  # fmt: skip  # noqa: E501
-def test_something_under_is_farther_by_the_larger_of_both_limits(deeper_m: float, noise_m: float, under: bool) -> None:
-    """1 cm, or six times the range noise: 3 cm for 5 mm, 3.6 cm for 6 mm."""
-    ranges = np.array([[3.0, 3.0 + deeper_m, 3.0]], np.float32)
-    xyz = np.stack([ranges, 0 * ranges, 0 * ranges], axis=-1)
-    lines = VerticalLines(ranges, xyz, ranges, np.array([3], np.int32), np.linspace(1.4, 1.5, 3)[None])
-    surface, on_ground = np.array([[2, 2, 3]], np.uint8), np.array([[True, True, False]])
-    found = possible_curbs(lines, surface, on_ground, np.zeros(1, np.float32), PLAIN.at_noise(noise_m))
-    assert found.tolist() == [-1 if under else 2]
-
-
-def test_search_ends_two_metres_above_the_ground() -> None:
-    floating: list[Segment] = [(0.0, -1.8, 6.0, -1.8, 2), (6.0, 0.5, 6.0, 1.5, V)]
-    scene = scan([floating] * 4, n=600)
-    assert (possible(scene) == -1).all()
-    assert (possible(scene, plain(search_height_m=5.0)) >= 0).all()
 
 
 def drawn(picture: Sequence[str], step: float = 0.1) -> tuple[VerticalLines, U8, F32]:
@@ -107,16 +74,6 @@ def label(
 ) -> Mask:
     start = CurbState.start(1, surface.shape[1], params)
     return curbs(lines, surface, signed, np.array(possible, np.int32), start, params, last=True)[0]
-
-
-def test_regions_merge_fork_and_touch_the_ends_of_rows() -> None:
-    merge = drawn(["#...#", ".#.#.", "..#..", ".#.#.", "#...#"])
-    np.testing.assert_array_equal(label(*merge, [-1, -1, -1, -1, 4]), merge[1] == V)
-    apart = drawn(["#...#", "#...#", "#...#"])
-    np.testing.assert_array_equal(label(*apart, [4, -1, -1])[0], [False, False, False, False, True])
-    assert not label(*drawn(["#.#", "...", "#.#"]), [0, -1, 0]).any()  # complete after one line each
-    # too far apart in space, though neighbours on the grid
-    assert not label(*drawn(["##", "##", "##"], step=0.4), [0, -1, -1], plain(min_lines=2)).any()
 
 
 def test_sides_never_connect() -> None:
@@ -183,28 +140,6 @@ def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int)
             np.testing.assert_array_equal(np.concatenate([*parts, found]), whole)
             assert state.n_waiting == 0
     assert shown > 0
-
-
-def test_a_wall_holds_no_line_back_and_costs_little() -> None:
-    lines, surface, signed = drawn(["#" * 1000] * 10, step=0.01)
-    lines.xyz_m[..., 2] = np.linspace(-1.8, 8.0, 1000)
-    tall = VerticalLines(*(np.tile(a, (100,) + (1,) * (a.ndim - 1)) for a in (lines.range_m, lines.xyz_m, lines.horizontal_m, lines.n_beams)), lines.beam_rad)  # fmt: skip  # noqa: E501
-    none = np.full(1000, -1, np.int32)
-
-    def seconds(rows: int) -> float:
-        part = VerticalLines(tall.range_m[:rows], tall.xyz_m[:rows], tall.horizontal_m[:rows], tall.n_beams[:rows], tall.beam_rad)  # fmt: skip  # noqa: E501
-        wall, angle = np.tile(surface, (rows // 10, 1)), np.tile(signed, (rows // 10, 1))
-        best = np.inf
-        for _ in range(3):
-            begin = time.process_time()
-            curb, state = curbs(part, wall, angle, none[:rows], CurbState.start(1, 1000, PARAMS), PARAMS, last=False)
-            best = min(best, time.process_time() - begin)
-            assert curb.shape == (rows, 1000)
-            assert state.n_waiting == 0
-        return best
-
-    # four times as much to do takes sixteen times as long if it grows with the square, and that every time
-    assert any(seconds(1000) < 10 * seconds(250) + 0.005 for _ in range(5))
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])

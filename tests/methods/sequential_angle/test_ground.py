@@ -57,17 +57,6 @@ def test_road_is_ground_over_slopes_and_missing_shots(slope: float, missing: flo
     assert np.all(np.abs(z_g - ROAD_Z) < (0.35 if slope else 0.03))
 
 
-def test_height_is_robust_against_hedges_in_a_third_of_the_lines() -> None:
-    scene = scan([hedge() if i % 10 < 3 else street() for i in range(80)], n=1500)
-    heights, found, z_g, _ = find(scene)
-    assert np.sum(np.abs(heights - ROAD_Z) > 0.5) == 24
-    assert np.all(np.abs(z_g - ROAD_Z) < 0.03)
-    # the road behind the hedge is found by repeating the search after it
-    assert not (found & (scene.lines.xyz_m[..., 2] > -1.1)).any()
-    assert found[road(scene)].mean() > 0.95
-    assert found[::10].any(axis=1).mean() > 0.8  # rows with a hedge
-
-
 def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
     scene = scan([street()] * 3, n=1000, noise_m=0.0)
     step = int(np.flatnonzero(scene.surface[0] == V)[0])
@@ -102,58 +91,6 @@ def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> N
         assert shares.mean() > 0.98
         assert shares.min() > 0.8
         assert np.all(np.abs(z_g - ROAD_Z) < 0.1)
-
-
-def test_ground_is_followed_along_its_own_side() -> None:
-    """One side sinks and the other one rises by half a metre: no height holds for both."""
-    away_m = np.repeat(np.minimum(np.arange(120) * 0.01, 0.5), 2) * np.tile([-1.0, 1.0], 120)
-    scene = scan([[(0.6, ROAD_Z + up, 15.0, ROAD_Z + up, H)] for up in away_m.tolist()], n=150)
-    heights = find(scene)[0]
-
-    def at_the_end(n_sides: int, **values: float) -> list[float]:
-        params = limits(**values)
-        state = initial_ground(heights, params, n_sides)
-        found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
-        first, left = scene.rows(0, 78), scene.rows(78, 240)  # the state holds the heights of both sides
-        before, _, state = follow(first.lines, first.surface, first.phihat, first.ahead, state, params)
-        behind, _, _ = follow(left.lines, left.surface, left.phihat, left.ahead, state, params)
-        np.testing.assert_array_equal(np.concatenate([before, behind]), found)
-        return [float(found[side::2][-40:].any(axis=1).mean()) for side in (0, 1)]
-
-    assert at_the_end(2) == [1.0, 1.0]
-    assert at_the_end(2, follow_m=0) == [1.0, 0.0]  # the dominant height is that of one of them
-    assert at_the_end(1) == [1.0, 0.0]  # the height of the other side is of no use
-
-
-@pytest.mark.parametrize(("below_m", "left"), [(0.9, True), (0.4, False)])
-def test_the_bonnet_of_a_car_is_not_the_ground(below_m: float, left: bool) -> None:
-    bonnet: list[Segment] = [(0.3, ROAD_Z + below_m, 6.0, ROAD_Z + below_m, H)]
-    scene = scan([bonnet] * 80 + [street()] * 30, n=300)
-    _, found, z_g, _ = find(scene)
-    assert found[105:].any(axis=1).all() == left
-    assert (abs(z_g[-1] - ROAD_Z) < 0.03) == left
-    off = limits(roof_m=1000)
-    assert not find(scene, off)[1][80:].any()
-
-
-@pytest.mark.parametrize("memory", [100, 0])
-def test_a_wrong_first_estimate_is_left_behind(memory: int) -> None:
-    ramp: list[Segment] = [(0.3, -0.9, 6.0, -0.9, H)]
-    scene = scan([ramp] * 49 + [street()] * 150, n=300)
-    _, found, z_g, _ = find(scene, limits(memory_heights=memory))
-    assert found[105:].any(axis=1).all()
-    np.testing.assert_allclose(z_g[105:], ROAD_Z, atol=0.03)
-    assert not find(scene, limits(renew_every=False))[1][60:].any()
-
-
-@pytest.mark.parametrize("curb_m", [0.08, 0.12, 0.15])
-@pytest.mark.parametrize("n", [300, 1000])
-def test_ground_ends_at_a_curb_however_few_shots_meet_it(curb_m: float, n: int) -> None:
-    scene = scan([street(curb_m)] * 20, n=n)
-    assert ((scene.surface == V) & (scene.lines.horizontal_m < 6.1)).any(axis=1).all()
-    _, found, _, _ = find(scene)
-    assert found[road(scene)].mean() > 0.95
-    assert not found[scene.lines.horizontal_m > 6.1].any()
 
 
 @pytest.mark.parametrize("n_sides", [1, 2])

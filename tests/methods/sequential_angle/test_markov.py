@@ -139,19 +139,6 @@ def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
     assert quick[-1] < alarms[-1]
 
 
-def test_false_alarms_are_rarer_than_the_bound(rng: Generator) -> None:
-    """Wald: under model 0 itself at least exp(h) samples pass between two alarms on the mean."""
-    params = made(MarkovThresholds, threshold=4, backdate=False)
-    h0 = np.cumsum(params.h0, axis=1)
-    state = np.full(2000, 1)
-    values = np.empty((2000, 100), np.float32)
-    for t in range(100):
-        state = np.minimum((rng.random(2000)[:, None] > h0[state]).sum(axis=1), 2)
-        values[:, t] = np.array(params.means_deg)[state] + rng.normal(0, 30, 2000)
-    alarmed = hmm_cusum(values, params).any(axis=1).mean()
-    assert 0 < alarmed < 100 / np.exp(4)
-
-
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -216,28 +203,6 @@ def trigger(states: str, params: SuspiciousThresholds = PARAMS) -> int:
     return int(suspicious(codes, np.array([len(states)], np.int32), params)[0])
 
 
-@pytest.mark.parametrize("start", ["", "MMM"])
-@pytest.mark.parametrize(
-    ("states", "beam"),
-    [
-        ("VH", 1),
-        ("HHHHVVVVH", 8),
-        ("VM", 1),
-        ("HHHHVVVVVVM", 10),
-        ("HHMM", 3),
-        ("HHHHHHHH", -1),
-        ("HHHMHHHH", -1),
-        ("HMH", -1),
-        ("HHHVVVVVVVV", -1),
-        ("HVVVVVVV", -1),
-        ("VVVV", -1),
-        ("H", -1),
-    ],
-)
-def test_what_fires(start: str, states: str, beam: int) -> None:
-    assert trigger(start + states) == (beam if beam < 0 else beam + len(start))
-
-
 def test_sky_fires() -> None:
     assert trigger("HHHVVVMMMM") == 6
 
@@ -263,16 +228,3 @@ def test_sum_is_the_largest_log_likelihood_ratio_of_any_end_of_the_chain() -> No
         ]
         above = [k for k, ratio in enumerate(best, start=1) if ratio > np.e]
         assert trigger(states) == (above[0] if above else -1)
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"h0": [[0.8, 0.1, 0.2], [0.09, 0.9, 0.01], [0.6, 0.3, 0.1]]}, "add up to 1, found a sum of 1.1"),
-        ({"h1": [[1.0, 0.0, 0.0], [0.25, 0.5, 0.25], [0.25, 0.25, 0.5]]}, "less than 1"),
-        ({"threshold": -1}, "threshold"),
-    ],
-)
-def test_matrices_hold_probabilities(table: dict[str, object], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        build(table_of(SuspiciousThresholds(), "suspicious"), table, "test")

@@ -11,7 +11,7 @@ import pytest
 from prc_cli import kernels
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import cut
-from prc_cli.core.classes import CarTest, Label, TriggerSide
+from prc_cli.core.classes import Label
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import label_blocks
@@ -22,15 +22,13 @@ from prc_cli.methods.sequential_angle.pipeline import (
     Beams,
     SequentialAngle,
     SequentialAngleState,
-    Undecided,
     classify_block,
-    combine,
     follow_ground,
     initial_state,
     stages_in_columns,
     within_lines,
 )
-from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, SequentialAngleThresholds
+from prc_cli.methods.sequential_angle.thresholds import SequentialAngleThresholds
 from tests.kernels.twins import twin
 from tests.simulated import static_arrays
 
@@ -119,28 +117,6 @@ def test_every_kernel_may_be_replaced_by_its_twin(monkeypatch: pytest.MonkeyPatc
         np.testing.assert_array_equal(one, other)
 
 
-def test_static_street_scans_are_classified() -> None:
-    """Bounds below what was measured: they tell a broken stage, not a good one."""
-    scans = [scan(elevation_step=0.125, azimuth_step=1.0, seed=seed) for seed in (3, 4, 5)]
-    found = []
-    for block, _ in scans:
-        (labels, *_), _ = run(iter([block]), PARAMS, block.n_lines)
-        np.testing.assert_array_equal(labels == Label.MISSING, np.isnan(block.range_m))
-        found.append(labels)
-    labels, reference = np.concatenate(found), np.concatenate([each for _, each in scans])
-    # recall and precision; found: .99 .96, .87 .96, .94 .56, .54 .80, .83 .86
-    least = {
-        Label.GROUND: (0.95, 0.9),
-        Label.VERTICAL: (0.8, 0.9),
-        Label.VEGETATION: (0.85, 0.45),
-        Label.CAR: (0.45, 0.7),
-        Label.HORIZONTAL: (0.7, 0.7),
-    }
-    for label, (recall, precision) in least.items():
-        assert np.mean(labels[reference == label] == label) > recall, label.name
-        assert np.mean(reference[labels == label] == label) > precision, label.name
-
-
 def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
     block, _ = scan()
     assert block.beam_rad is not None
@@ -154,31 +130,6 @@ def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
             known_at = n_heights
             break
     assert known_at == PARAMS.ground.start_heights
-
-
-def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
-    surface = np.array([[2, 3, 3, 1, 0]], np.uint8)
-    rows = Undecided(
-        surface=surface,
-        car_surface=surface,
-        ground=np.array([[True, False, False, False, False]]),
-        car=np.array([[False, True, True, True, False]]),
-        horizontal_m=np.array([[2.0, 3.0, 5.0, 6.0, np.nan]], np.float32),
-        xyz_m=np.array([[[2, 0, -1.8], [3, 0, -1.6], [5, 0, -1.7], [6, 0, -1.6], [np.nan] * 3]], np.float32),
-        ground_height_m=np.array([-1.8], np.float32),
-        trigger=np.empty((1, 0), np.uint8),
-        car_interval=np.empty((1, 0), np.uint16),
-        car_test=np.empty((1, 0), np.uint8),
-    )
-    none = np.zeros((1, 5), np.bool_)
-    expected = [Label.GROUND, Label.CAR, Label.CAR, Label.CAR, Label.MISSING]
-    assert combine(rows, none, CurbThresholds()).tolist() == [expected]
-    curb = np.array([[False, False, True, False, False]])
-    expected = [Label.GROUND, Label.CAR, Label.CURB, Label.VEGETATION, Label.MISSING]
-    assert combine(rows, curb, CurbThresholds(stands_below_m=1000.0)).tolist() == [expected]
-    # the ground before the car is lower than the curb: it stands on the road
-    expected = [Label.GROUND, Label.CAR, Label.CURB, Label.CAR, Label.MISSING]
-    assert combine(rows, curb, CurbThresholds()).tolist() == [expected]
 
 
 def config() -> RunConfig:
@@ -215,27 +166,3 @@ def test_threads_change_nothing(threads: int) -> None:
         np.testing.assert_array_equal(np.concatenate([item.labels for item in parts]), whole[0])
         surfaces = [item.stages.surface for item in parts if item.stages is not None]
         np.testing.assert_array_equal(np.concatenate(surfaces), whole[1])
-
-
-def test_the_search_for_cars_can_be_followed() -> None:
-    """Every car lies in an interval of a line with a trigger, and every other shot of an interval has a reason."""
-    block, _ = scan(azimuth_step=1.0)
-    (found,) = run_blocks(iter([replace(block, is_last=True)]), SequentialAngle(PARAMS), wanted=Wanted(stages=True))
-    stages, labels = found.stages, found.labels
-    assert stages is not None
-    car = labels == Label.CAR
-    assert car.any()
-    np.testing.assert_array_equal(stages.car_test == CarTest.CAR, car)
-    inside = stages.car_interval > 0
-    np.testing.assert_array_equal(stages.car_test > 0, inside & (labels != Label.MISSING))
-    assert (stages.trigger[inside] > 0).all()
-    assert set(np.unique(stages.car_test).tolist()) >= {CarTest.OUTSIDE, CarTest.VERTICAL, CarTest.CAR}
-    assert (np.count_nonzero(stages.trigger == TriggerSide.AT, axis=1) <= 1).all()
-    # dividers are returns: the first and last shot of every interval
-    for line in np.flatnonzero(inside.any(axis=1)):
-        for number in range(1, int(stages.car_interval[line].max()) + 1):
-            places = np.flatnonzero(stages.car_interval[line] == number)
-            assert (np.diff(places) == 1).all()
-            assert (labels[line, places[[0, -1]]] != Label.MISSING).all()
-    (plain,) = run_blocks(iter([replace(block, is_last=True)]), SequentialAngle(PARAMS))
-    np.testing.assert_array_equal(plain.labels, labels)

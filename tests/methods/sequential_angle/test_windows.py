@@ -37,16 +37,6 @@ def test_panes_and_rooms_are_vertical_and_leaves_are_not(noise_m: float) -> None
     assert label(window[:7], z[:7], [T] * 7) == [T] * 7
 
 
-def test_a_wall_between_leaves_is_vertical() -> None:
-    z = np.linspace(0.0, 2.0, 40)
-    x = np.full(40, 12.0)
-    codes = [V] * 20 + [T] * 20
-    x[21::2] = np.linspace(8.0, 11.0, 10)
-    found = label(x, z, codes, made(WindowThresholds, share=1.0))
-    assert found == [V] * 20 + [V, T] * 10
-    assert label(x, z, codes, made(WindowThresholds, share=1.0, wall_extent_m=0)) == codes
-
-
 def test_what_is_behind_a_wall_below_it_is_a_room_and_what_is_over_it_may_be_a_tree() -> None:
     z = np.linspace(0.0, 2.0, 40)
     far = 12.4 + np.linspace(0.0, 3.0, 20)
@@ -54,11 +44,3 @@ def test_what_is_behind_a_wall_below_it_is_a_room_and_what_is_over_it_may_be_a_t
     over = under[::-1].copy()
     assert label(under, z, [T] * 20 + [V] * 20) == [V] * 40
     assert label(over, z, [V] * 20 + [T] * 20) == [V] * 20 + [T] * 20
-
-
-def test_a_leaning_or_bent_surface_is_no_wall() -> None:
-    z = np.linspace(0.0, 2.0, 40)
-    codes = [V] * 20 + [T] * 20
-    for shape in (0.06 * np.linspace(-1, 1, 20) ** 2, np.tan(np.deg2rad(4)) * z[:20]):
-        x = np.concatenate([12.0 + shape, np.linspace(12.0, 14.0, 20)])
-        assert label(x, z, codes)[20:] == [T] * 20

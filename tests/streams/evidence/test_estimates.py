@@ -16,13 +16,10 @@ from prc_cli.core.blocks import join
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.info import inspect
-from prc_cli.streams.evidence.lines import Reading, other_reading
+from prc_cli.streams.evidence.lines import other_reading
 from prc_cli.streams.evidence.periods import (
-    WEAK,
-    estimate_line_frequency,
     estimate_points_per_line,
     measure_rates,
-    measure_sweeps,
 )
 from prc_cli.streams.evidence.place import SAMPLE_LINES, place_of, place_of_blocks
 from prc_cli.streams.open import open_input
@@ -47,26 +44,6 @@ def test_period_of_a_street(m: int, n_lines: int) -> None:
     assert estimate.points_per_line == m
     assert estimate.strength > 0.5
     assert estimate.n_shots_used == m * n_lines
-
-
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("kind", ["random", "walk"])
-def test_no_period_is_seen_where_there_is_none(kind: str, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = int(rng.choice([1000, 5000, 40_000]))
-    noise = rng.normal(size=n)
-    ranges = np.exp(0.3 * noise if kind == "random" else 0.02 * np.cumsum(noise)) * 10
-    estimate = estimate_points_per_line(ranges.astype(np.float32))
-    assert estimate.points_per_line is None
-    assert estimate.strength < WEAK
-    assert "no period in the ranges" in estimate.reason
-
-
-def test_line_frequency() -> None:
-    rng = np.random.default_rng(1)
-    times = 5e5 + np.delete(np.arange(200) / 48.0, [3, 4, 90]) + rng.normal(scale=1e-5, size=197)
-    estimate = estimate_line_frequency(times)
-    assert estimate == pytest.approx(48.0, rel=1e-4)
 
 
 @pytest.mark.data
@@ -173,26 +150,6 @@ def test_the_real_profiler(real_data: Path) -> None:
     assert abs(found.points_per_line - 5099) <= 2
 
 
-@pytest.mark.parametrize("field_deg", [250.0, 310.0, 360.0])
-@pytest.mark.parametrize("first", [0, 777])
-@pytest.mark.parametrize("swaps", [False, True])
-def test_the_sweep_tells_lines_of_shots_stamped_anew(field_deg: float, first: int, swaps: bool) -> None:
-    """No time for the dead angle: what returns repeats, but where lines begin, and M, came out wrong."""
-    _, line, column = drive(50.0, 1000, 300)
-    shot = (line * 1000 + column)[first:]
-    angle = np.deg2rad(field_deg) * column[first:] / 1000 + 0.3
-    angle += np.random.default_rng(0).normal(0, 3e-4 if swaps else 0, len(angle))
-    found = measure_sweeps(shot / 50_000.0 + 5e5, angle)
-    assert found is not None
-    assert found.points_per_line == 1000
-    assert found.line_hz == pytest.approx(50.0, rel=1e-6)
-    begin = (found.time_origin_s - 5e5) * 50_000.0
-    assert begin == pytest.approx(round(begin), abs=0.01)
-    if field_deg < 360.0:
-        assert round(begin) % 1000 == 0
-    assert measure_sweeps(shot / 50_000.0, -angle) is not None
-
-
 M, LINES = 1000, 200
 
 
@@ -255,15 +212,6 @@ def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
         assert other_reading(dump) is None
 
 
-def test_a_header_is_whole_numbers_of_another_kind(tmp_path: Path) -> None:
-    """Bytes that are too many are a header only if few, and if they end where the numbers begin."""
-    dump, bytes_ = tmp_path / "scan.bin", street_of_misread().tobytes()
-    dump.write_bytes(b"h" + bytes_ + bytes(6))
-    assert other_reading(dump, M) == Reading("f4", "little", 1, 1.0, has_zeros=True)
-    dump.write_bytes(b"h" + bytes_)
-    assert other_reading(dump) == Reading("f4", "little", 1, 1.0, has_zeros=True)
-
-
 def test_the_refusal_names_the_options_that_mend_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is named can be typed, and labels the scan."""
     dump, labels = tmp_path / "scan.bin", tmp_path / "labels.npy"
@@ -296,20 +244,6 @@ def test_streets_and_forests_are_told() -> None:
     forest = place_of(forest_lines(SAMPLE_LINES), BEAM)
     assert (street.kind, forest.kind) == ("street", "forest")
     assert "% of the ground is smooth" in forest.why
-
-
-def test_a_lawn_between_trees_is_not_guessed() -> None:
-    park = forest_lines(SAMPLE_LINES, stems=False)
-    down = np.cos(BEAM) > 0.25
-    park[:, down] = (1.8 / np.cos(BEAM[down])).astype(np.float32)
-    assert place_of(park, BEAM).kind == "unknown"
-
-
-@pytest.mark.parametrize("value", [np.nan, 3.0])
-def test_too_little_is_not_guessed(value: float) -> None:
-    for shape in ((1, len(BEAM)), (4, 2)):
-        assert place_of(np.full(shape, value, np.float32), BEAM[: shape[1]]).kind == "unknown"
-    assert place_of_blocks(iter(())).kind == "unknown"
 
 
 def test_a_road_in_the_open_is_a_street() -> None:

@@ -21,16 +21,13 @@ from prc_cli.streams.evidence.checks import (
     check_collisions,
     check_missing_code,
     check_returns,
-    check_rounding,
     check_unplaced,
 )
 from prc_cli.streams.evidence.figures import Figures, Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
-    check_dropouts,
     check_line_length,
     check_line_order,
-    check_noise,
     check_shot_order,
 )
 from prc_cli.streams.evidence.periods import PeriodEstimate
@@ -132,40 +129,6 @@ def test_another_length_that_agrees_better(
         )
 
 
-@pytest.mark.parametrize(
-    ("line", "here", "period", "strength", "is_told"),
-    [
-        (0.24, 0.6, 105, 0.5, True), (0.24, 0.6, 95, 0.5, True), (0.24, 0.6, 104, 0.5, False),
-        (0.24, 0.6, 96, 0.5, False),
-        (0.24, 0.6, 105, 0.49, False), (0.23, 0.6, 105, 0.9, False), (0.02, 0.8, 207, 0.9, True),
-        (0.02, 0.79, 207, 0.9, False), (0.02, nan, 207, 0.9, True), (0.02, 0.9, None, 0.9, False),
-    ],
-)  # fmt: skip
-def test_the_ranges_tell_another_length(
-    folds: dict[int, float], monkeypatch: pytest.MonkeyPatch, line: float, here: float, period: int | None,
-    strength: float, is_told: bool,
-) -> None:  # fmt: skip
-    folds.update(dict.fromkeys(LENGTHS, here))
-    asked = []
-
-    def estimate(range_m: F32) -> PeriodEstimate:
-        asked.append(len(range_m))
-        return PeriodEstimate(period, strength, 0, "")
-
-    monkeypatch.setattr(lines, "estimate_points_per_line", estimate)
-    one = replace(seen(), windows=tuple(Window(0, np.ones((n, M), np.float32)) for n in (2, 5, 3)))
-    found = told(check_line_length(one, replace(USUAL, line=(line,) * 4), None))
-    assert (found == (
-        AGAINST,
-        f"line-length: the ranges repeat after {period} shots, not after 100, expected lines of M = 100 shots that are "
-        f"alike; give -M {period}",
-        f"-M {period}",
-    )) is is_told  # fmt: skip
-    assert asked == [5 * M]
-    if is_told:
-        assert told(check_line_length(replace(one, windows=()), replace(USUAL, line=(line,) * 4), None)) != found
-
-
 ORDER = "lines far apart differ {} times as much as neighbouring lines, expected at least 1.6"
 
 
@@ -206,26 +169,6 @@ def test_standing(roughness: float, far: float, n_lines: int, name: str, verdict
             f"standing: {ORDER.format('1' if far == 0.3 else '1.6')} in 200 lines or more; the platform stands: cut "
             "such stretches out, or accept them"
         )
-
-
-@pytest.mark.parametrize(("noise_m", "verdict"), [(0.012, FINE), (0.0121, DOUBTFUL)])
-def test_range_noise(noise_m: float, verdict: Verdict) -> None:
-    assert told(check_noise(seen(most_noise_m=0.012), replace(USUAL, noise_m=noise_m))) == (
-        verdict,
-        "range-noise: ranges have noise of about 0.012 m, expected at most 0.012 m; the thresholds of this method are "
-        "for less: widen them (prc calibrate), or take another method",
-        "",
-    )
-
-
-@pytest.mark.parametrize(("share", "verdict"), [(0.085, FINE), (0.0851, DOUBTFUL)])
-def test_dropouts(share: float, verdict: Verdict) -> None:
-    assert told(check_dropouts(replace(USUAL, lonely_missing=share))) == (
-        verdict,
-        "dropouts: 8.5% of the shots amid smooth surfaces are missing, expected at most 8.5%; check whether records "
-        "were lost or filtered out; isolated gaps cost classes at their edges",
-        "",
-    )
 
 
 def seen_of_cells(ranges: ArrayLike = (), **more: Any) -> Seen:
@@ -291,24 +234,6 @@ def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -
     assert found.option == (option if verdict else "")
 
 
-@pytest.mark.parametrize(
-    ("step_m", "said", "verdict"),
-    [
-        (0.014, "the ranges are finer than any threshold", FINE),
-        (0.016, "all ranges are multiples of 0.016 m", FINE),
-        (0.0299, "all ranges are multiples of 0.0299 m", FINE),
-        (0.0301, "all ranges are multiples of 0.0301 m", DOUBTFUL),
-        (0.25, "all ranges are multiples of 0.25 m", DOUBTFUL),
-    ],
-)
-def test_rounded_ranges(step_m: float, said: str, verdict: Verdict) -> None:
-    assert told_of_cells(check_rounding(seen_of_cells(step_m * (100 + np.arange(6000) % 300)))) == (
-        verdict,
-        f"rounding: {said}, expected steps of at most 0.03 m; take the ranges from a file that was not rounded; check "
-        "the scale of the layout",
-    )
-
-
 BEAM: F64 = np.deg2rad(np.arange(-90.0, 90.0, 1.0))
 STREET: F32 = np.where(np.abs(BEAM) < 1.2, 2.0 / np.cos(BEAM), np.nan).astype(np.float32)
 
@@ -369,20 +294,6 @@ def test_down_is_judged_by_the_angle(guesses: list[DownGuess | None], off_deg: f
     )
 
 
-def test_scan_angles_may_run_the_other_way(guesses: list[DownGuess | None]) -> None:
-    guesses.extend([deg(30.0), deg(30.0), deg(30.4)])
-    assert told_of_geometry_limits(check_down(seen_of_geometry_limits(angle_rad=1.0 - BEAM)))[1].endswith(
-        "--set input.nadir=27"
-    )
-    assert told_of_geometry_limits(check_down(seen_of_geometry_limits(angle_rad=None)))[1].endswith(
-        "or coordinates relative to the scanner with z up"
-    )
-    # between two beams
-    assert told_of_geometry_limits(check_down(seen_of_geometry_limits(angle_rad=-BEAM)))[1].endswith(
-        "--set input.nadir=-30"
-    )
-
-
 @pytest.mark.parametrize(
     ("factor", "off", "verdict"),
     [
@@ -408,19 +319,6 @@ def test_angle_step(monkeypatch: pytest.MonkeyPatch, factor: float, off: float, 
     assert check_angle_step(seen_of_geometry_limits(beam_rad=BEAM[:1])) is None
     monkeypatch.setattr(geometry, "measure_step", lambda _: None)
     assert check_angle_step(seen_of_geometry_limits()) is None
-
-
-@pytest.mark.parametrize(("off", "verdict"), [(0.03, FINE), (0.031, DOUBTFUL)])
-def test_a_measured_step_that_is_uncertain_is_a_doubt(
-    monkeypatch: pytest.MonkeyPatch, off: float, verdict: Verdict
-) -> None:
-    monkeypatch.setattr(geometry, "measure_step", lambda _: AngleStep(math.radians(1.0), off, 100))
-    one = seen_of_geometry_limits()
-    found = told_of_geometry_limits(check_angle_step(replace(one, info=replace(one.info, angles_off=off))))
-    assert found[0] is verdict
-    if verdict:
-        assert found[1].startswith("angle-step: the angles were measured from the ranges to ± 3.1%: 1 deg a shot")
-        assert found[1].endswith("--set input.angle_start=0 --set input.angle_step=DEG")
 
 
 @pytest.mark.parametrize(

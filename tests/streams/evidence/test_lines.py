@@ -13,8 +13,7 @@ from prc_cli.core.errors import EvidenceError
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32
-from prc_cli.formats.options import InputConfig
-from prc_cli.streams.evidence.watch import EvidenceStream, watched
+from prc_cli.streams.evidence.watch import EvidenceStream
 from tests.simulated import drive_scan
 
 M = 600
@@ -153,16 +152,6 @@ def test_an_odd_scan_is_doubted(odd: Callable[[F32], F32], check: str) -> None:
     assert told(odd(scan())).get(check) is Verdict.DOUBTFUL
 
 
-@pytest.mark.parametrize(
-    ("share", "verdict"),
-    [(0.009, Verdict.FINE), (0.011, Verdict.DOUBTFUL), (0.19, Verdict.DOUBTFUL), (0.21, Verdict.AGAINST)],
-)
-def test_lost_records_and_full_cells_are_judged_by_their_share(share: float, verdict: Verdict) -> None:
-    n = 100_000
-    found = asked(scan(), tally=ReadTally(n_records=n, n_unplaced=round(share * n), n_collisions=round(share * n)))
-    assert found["unplaced"].verdict is found["collisions"].verdict is verdict
-
-
 def test_findings_do_not_depend_on_blocks() -> None:
     expected = asked(scan(), 480)
     for lines in (1, 7, 99):
@@ -184,26 +173,6 @@ def test_the_first_evidence_ends_a_long_stream() -> None:
         for _ in EvidenceStream(Long(ranges)).blocks():
             pass
     assert len(read) < len(ranges) / 100 / 2
-
-
-@pytest.mark.parametrize("config", [InputConfig(order="trust"), InputConfig(accept_doubts=("shot-order",))])
-def test_what_the_user_accepts_is_said_and_does_no_more(config: InputConfig) -> None:
-    stream = watched(Arrays(rng().permutation(scan().ravel()).reshape(-1, M)), config)
-    assert sum(block.n_lines for block in stream.blocks()) == LINES
-    (found,) = [finding for finding in stream.findings() if finding.verdict]
-    assert (found.check, found.is_accepted) == ("shot-order", True)
-    assert found.notice().startswith("accepted doubt shot-order: ")
-
-
-@pytest.mark.parametrize(
-    ("noise_m", "most_m", "is_told"), [(0.0, 0.012, False), (0.02, 0.012, True), (0.02, 9.0, False)]
-)
-def test_range_noise_is_doubted_for_methods_that_do_not_stand_it(noise_m: float, most_m: float, is_told: bool) -> None:
-    noisy = (scan() + rng().normal(0.0, noise_m, (LINES, M))).astype(np.float32)
-    stream = EvidenceStream(Arrays(noisy), refuses=False, most_noise_m=most_m)
-    for _ in stream.blocks():
-        pass
-    assert ("range-noise" in {one.check for one in stream.findings() if one.verdict}) is is_told
 
 
 def test_of_several_scanners_the_worst_is_told() -> None:

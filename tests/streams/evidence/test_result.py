@@ -18,7 +18,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock, cut
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import UsualLabels
-from prc_cli.streams.evidence.result import MAX_LINES, MAX_SCANNERS, ResultWatch, _percent, _Sample, check_labels
+from prc_cli.streams.evidence.result import MAX_SCANNERS, ResultWatch, _percent, _Sample, check_labels
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.simulated import drive_arrays
 
@@ -66,27 +66,6 @@ def test_a_street_is_fine_in_all_checks() -> None:
     assert doubted(found) == set()
 
 
-@pytest.mark.parametrize("off_deg", [-15.0, -10.0, 10.0, 15.0])
-def test_ground_that_leans_tells_where_down_is(off_deg: float) -> None:
-    found = asked(*street(), beam_rad=ANGLE - np.deg2rad(off_deg))
-    assert "ground-lean" in doubted(found)
-    nadir = float(found["ground-lean"].hint.split("input.nadir=")[1].split(";")[0])
-    assert abs(nadir) < 2.5  # what was told is off by up to 15 deg
-
-
-def test_without_scan_angles_the_hint_still_says_where_to_look() -> None:
-    found = asked(*street(), beam_rad=ANGLE - 0.2, angle_rad=None)
-    assert "prc info" in found["ground-lean"].hint
-
-
-@pytest.mark.parametrize(("share", "is_fine"), [(0.2, True), (0.6, False)])
-def test_little_ground_below_the_scanner(share: float, is_fine: bool) -> None:
-    range_m, labels = street()
-    lost = (labels == Label.GROUND) & (np.random.default_rng(1).random(labels.shape) < share)
-    found = asked(range_m, np.where(lost, np.uint8(Label.BUILDING), labels))
-    assert ("ground-below" not in doubted(found)) == is_fine
-
-
 @pytest.mark.parametrize("preset", ["fused", "street-scan"])
 @pytest.mark.parametrize(("columns", "is_fine"), [((0, 20), True), ((0, 0), False), ((60, 100), False)])
 def test_a_scanner_that_sees_nothing_below_it(columns: tuple[int, int], is_fine: bool, preset: str) -> None:
@@ -96,15 +75,6 @@ def test_a_scanner_that_sees_nothing_below_it(columns: tuple[int, int], is_fine:
     labels[:, slice(*columns)] = Label.GROUND
     found = asked(range_m, labels, np.deg2rad(np.linspace(70, 120, 100)), usual_of(preset))
     assert ("ground-below" not in doubted(found)) == is_fine
-
-
-@pytest.mark.parametrize(("n_below", "is_fine"), [(20, True), (60, False)])
-def test_things_below_the_ground(n_below: int, is_fine: bool) -> None:
-    range_m, labels = street()
-    below = np.argsort(np.abs(ANGLE))[:n_below]
-    range_m[:, below], labels[:, below] = 5.0, Label.BUILDING
-    found = asked(range_m, labels, usual=replace(STREET, level_share=0.1))
-    assert ("below-ground" not in doubted(found)) == is_fine
 
 
 @pytest.mark.parametrize(
@@ -129,23 +99,6 @@ def test_noise_of_every_method(preset: str, share: float, verdict: Verdict) -> N
     assert found["noise-share"].verdict is verdict
 
 
-@pytest.mark.parametrize(("far", "is_fine"), [(0, False), (40, False), (80, True)])
-def test_rooms_are_no_streets(far: int, is_fine: bool) -> None:
-    """One in a hundred of 6400 returns is farther than a room is wide."""
-    range_m = np.full((64, 100), 5.9, np.float32)
-    range_m.ravel()[:far] = 6.1
-    found = asked(range_m, np.full(range_m.shape, Label.GROUND, np.uint8), None)
-    assert ("indoors" not in doubted(found)) == is_fine
-
-
-@pytest.mark.parametrize(("preset", "is_fine"), [("street-scan", False), ("fused", True)])
-def test_returns_without_a_class(preset: str, is_fine: bool) -> None:
-    """Fused leaves cars and poles without a class, and a full garage is half cars."""
-    range_m, labels = street()
-    labels[:, ::4] = np.where(labels[:, ::4] == Label.MISSING, 0, Label.UNCLASSIFIED)
-    assert ("noise-share" not in doubted(asked(range_m, labels, usual=usual_of(preset)))) == is_fine
-
-
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
 @pytest.mark.parametrize(("lines", "is_fine"), [((200, 215), True), ((200, 330), False)])
 def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool) -> None:
@@ -159,15 +112,6 @@ def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool
         assert abs(first - lines[0]) <= 32
         assert abs(last - lines[1]) <= 32
         assert f"--only-lines {first}:" in found["classes-along"].hint
-
-
-def test_noise_in_a_part_of_the_stream() -> None:
-    range_m, labels = street(512)
-    rows = labels[300:400]
-    rows[:, ::2] = np.where(rows[:, ::2] == Label.MISSING, 0, Label.NOISE)
-    found = asked(range_m, labels)
-    assert doubted(found) == {"classes-along"}
-    assert found["classes-along"].found.startswith("much noise in lines ")
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (31, 2000), (499, 2)])
@@ -196,18 +140,6 @@ def _many() -> tuple[F32, U8]:
 
 
 MANY = _many()
-
-
-def test_the_lines_that_are_kept_are_few_and_even() -> None:
-    watch = ResultWatch(STREET)
-    for first in range(0, 100_000, 777):
-        block = ScanBlock(first, np.full((777, 5), 2.0, np.float32))
-        watch.see(LabelledBlock(block, np.full((777, 5), Label.GROUND, np.uint8), NO_EXTRA))
-    (kept,) = watch._scanners.values()
-    lines = kept.sample().line
-    assert MAX_LINES / 2 <= len(lines) <= MAX_LINES
-    assert set(np.diff(lines)) == {256}
-    assert lines[0] == 0
 
 
 def test_the_worst_of_several_scanners_stands() -> None:
@@ -372,35 +304,3 @@ def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
         for name, (verdict, said) in asked_of_result_limits(one, usual).items()
     }
     assert found == slow_answers(one, usual)
-
-
-def flat(n_lines: int = 32, m: int = 32, label: int = G) -> tuple[F32, U8, F64]:
-    """Lines of 32 equal shots straight down."""
-    return np.full((n_lines, m), 5.0, np.float32), np.full((n_lines, m), label, np.uint8), np.linspace(-1, 1, m)
-
-
-WHERE = "; look where down is: prc info, or give it with --set input.nadir=DEG"
-
-
-@pytest.mark.parametrize(("n_other", "verdict"), [(512, FINE), (513, DOUBTFUL)])
-def test_ground_below(n_other: int, verdict: Verdict) -> None:
-    range_m, labels, beam = flat()
-    labels.flat[:n_other] = C
-    said = "50 % of the returns within 60 deg of down are ground, expected at least 50 %"
-    assert asked_of_result_limits(sample(range_m, labels, beam))["ground-below"] == (
-        verdict,
-        f"ground-below: {said}{WHERE}",
-    )
-    assert "ground-below" not in asked_of_result_limits(
-        sample(range_m, labels, beam), replace(USUAL, level_share=0.0, ground_share=0.0)
-    )
-    # curbs are level for other methods, noise is not asked
-    range_m, labels, beam = flat(40)
-    labels[:] = C
-    labels.flat[-200:] = N
-    assert (
-        asked_of_result_limits(sample(range_m, labels, beam), replace(USUAL, level=(Label.GROUND, Label.CURB)))[
-            "ground-below"
-        ][0]
-        is FINE
-    )

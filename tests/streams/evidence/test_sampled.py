@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -10,18 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
+from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
-from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence import periods as estimates
-from prc_cli.streams.evidence.figures import LineSample, Window, figures_of, fold, pieces
-from prc_cli.streams.evidence.lines import LineRepeats, check_repeats, digests
-from prc_cli.streams.evidence.periods import (
-    RangeCorrelation,
-)
-from prc_cli.streams.evidence.result import ResultWatch
+from prc_cli.streams.evidence.figures import LineSample, Window, figures_of
 from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
 
 
@@ -47,44 +39,6 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
         assert one.range_m[:, -1].tolist() == list(range(one.first_line, stop))
     # full at 8 windows of 32 lines, and whenever every second of twice as many is kept
     assert n_full[-1] == sum(n_lines >= 32 * (7 * stride + 1) for stride in (1, 2, 4))
-
-
-def lines(n: int, m: int = 64, seed: int = 1) -> F32:
-    return np.random.default_rng(seed).random((n, m), np.float32)
-
-
-@pytest.mark.parametrize(
-    ("m", "is_told"), [(31, False), (32, True), (64, True), (127, True), (128, True), (1000, True)]
-)
-def test_lines_that_come_twice(m: int, is_told: bool) -> None:
-    found = LineRepeats()
-    found.add(ScanBlock(0, lines(20, m)))
-    found.add(ScanBlock(20, lines(20, m)[4:]))
-    assert found.n_repeated == (16 if is_told else 0)
-    # only every n-th of 64 columns stands for a line
-    other = lines(20, m)
-    other[:, 1 :: max(m // 64, 1)] += 1.0 if m >= 128 else 0.0
-    assert digests(ScanBlock(0, other)).tolist() == digests(ScanBlock(0, lines(20, m))).tolist()
-
-
-@pytest.mark.parametrize(
-    ("n", "verdict", "said"),
-    [
-        (0, Verdict.FINE, "0"),
-        (7, Verdict.FINE, "about 7"),
-        (8, Verdict.DOUBTFUL, "about 8"),
-        (1200, Verdict.DOUBTFUL, "about 1,200"),
-    ],
-)
-def test_repeated_lines_are_told(n: int, verdict: Verdict, said: str) -> None:
-    found = LineRepeats()
-    found.add(ScanBlock(0, lines(1200)))
-    found.add(ScanBlock(1200, lines(1200)[:n]))
-    assert check_repeats(found) == Finding(
-        "repeated-lines", verdict, f"{said} lines are copies of earlier lines, shot by shot", "fewer than 8",
-        "leave out the part that is there twice",
-    )  # fmt: skip
-    assert LineRepeats().n_repeated == 0
 
 
 def test_the_worst_finding_of_a_live_stream_stays_and_is_told_once() -> None:
@@ -120,41 +74,6 @@ def test_autocorrelation_equals_a_plain_one() -> None:
     found = estimates._autocorrelation(signal, 60, valid)
     np.testing.assert_allclose(found, [slow_correlation(signal, valid, lag) for lag in range(61)], atol=1e-9)
     assert found.shape == (61,)
-
-
-@pytest.mark.parametrize(
-    ("ratio", "said"),
-    [
-        (0.299, "neighbouring shots have near ranges (ratio 0.3): as expected of shots in the order they were fired"),
-        (
-            0.3,
-            "neighbouring ranges are only loosely alike (ratio 0.3): the order may be disturbed, or the "
-            "scene very rough",
-        ),
-        (
-            0.699,
-            "neighbouring ranges are only loosely alike (ratio 0.7): the order may be disturbed, or the "
-            "scene very rough",
-        ),
-        (
-            0.7,
-            "neighbouring ranges are as unlike as random pairs (ratio 0.7): the order carries no spatial correlation",
-        ),
-        (np.nan, "9 neighbouring ranges are too few, or too alike, to tell"),
-    ],
-)
-def test_verdict_of_a_correlation(ratio: float, said: str) -> None:
-    assert RangeCorrelation(ratio, 9).verdict == said
-
-
-def test_labels_of_four_scanners_are_looked_at() -> None:
-    watch = ResultWatch(UsualLabels(noise_share=0.5))
-    for scanner in range(6):
-        noisy = Label.NOISE if scanner in (1, 4) else Label.GROUND
-        block = ScanBlock(0, np.full((32, 40), 5.0, np.float32), scanner=scanner)
-        watch.see(LabelledBlock(block, np.full((32, 40), noisy, np.uint8), np.empty(0, np.uint8)))
-    assert sorted(watch._scanners) == [0, 1, 2, 3]
-    assert Counter(one.found.partition(":")[0] for one in watch.findings()) == {"scanner 1": 1}
 
 
 def rough(n_lines: int, m: int, seed: int = 3, gone: float = 0.1) -> F32:
@@ -223,38 +142,3 @@ def test_figures_equal_plain_loops(m: int, seed: int) -> None:
 def test_noise_of_a_smooth_wall_is_its_standard_deviation() -> None:
     wall = 20.0 + np.random.default_rng(4).normal(0.0, 0.01, (40, 500))
     assert figures_of((Window(0, wall.astype(np.float32)),)).noise_m == pytest.approx(0.01, rel=0.1)
-
-
-def slow_profile(lines: F32) -> F64:
-    """Return the logarithm of the lower median of every column that most lines have."""
-    found = []
-    for column in lines.T.tolist():
-        held = sorted(value for value in column if np.isfinite(value))
-        found.append(np.log(held[(len(held) - 1) // 2]) if 2 * len(held) > len(lines) else np.nan)
-    return np.array(found)
-
-
-def slow_off(first: F64, second: F64) -> float:
-    offs = []
-    for a, b in zip(first.tolist(), second.tolist(), strict=True):
-        if np.isfinite(a) or np.isfinite(b):
-            offs.append(min(abs(a - b), 1.0) if np.isfinite(a) and np.isfinite(b) else 1.0)
-    return float(np.mean(offs)) if len(offs) >= 32 else np.nan
-
-
-@pytest.mark.parametrize("m", [97, 1023, 2100])
-@pytest.mark.parametrize("off", [-3, 0, 1])
-def test_fold_equals_plain_loops(m: int, off: int) -> None:
-    stream = rough(400, m, 5, gone=0.45)
-    windows = tuple(Window(k, stream[k : k + 30]) for k in (0, 101, 350))
-    flat, length = stream.ravel(), m + off
-    profiles = []
-    for piece in pieces(windows):
-        begin, end = piece.first_line * m, (piece.first_line + 9) * m
-        starts = [at for at in range(-(-begin // length) * length, end, length) if at + length <= end][:8]
-        if len(starts) >= 4:
-            every = max(length // 512, 1)
-            profiles.append(slow_profile(np.array([flat[at : at + length : every] for at in starts])))
-    assert len(profiles) == 9
-    expected = np.median([slow_off(a, b) for i, a in enumerate(profiles) for b in profiles[i + 1 :]])
-    assert fold(windows, length) == pytest.approx(expected, rel=1e-5)
