@@ -1,4 +1,4 @@
-"""Random arguments for the angles, HMM-CUSUM and surface kernels, with many ties and edge cases."""
+"""Inputs of the loops of angles, lines and calibration."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.types import F32, I32
+from prc_cli.core.types import F32, F64, I32
 from prc_cli.methods.sequential_angle.thresholds import (
     ChordThresholds,
     MarkovThresholds,
@@ -139,3 +139,76 @@ TOLERANCES: dict[str, float] = {
     "signed_angles": 2e-5,
 }
 """Kernels whose floats may differ from the twin's by this much, absolute; all others are equal bit for bit."""
+
+
+SHAPES_OF_CALIBRATION = [(1, 1), (1, 2), (2, 1), (7, 1), (3, 2), (4, 3), (5, 5), (2, 17)]
+VALUES = [1e-45, 0.001, 0.1, float(np.float32(0.1)), 0.0625, 0.5, 1.0, 1e9]
+
+
+def _window(rng: Generator, n_lines: int, n_columns: int) -> F32:
+    reach = max(n_columns + 1, 4)
+    size = n_lines * n_columns + 2 * reach
+    ranges = rng.choice([5.0, 5.1, 6.0, 6.1], size) + rng.integers(-3, 4, size) * rng.choice([0.001, 0.0625])
+    ranges[rng.random(size) < rng.choice([0.0, 0.1, 0.6, 1.0])] = np.nan
+    ranges[: rng.integers(0, reach + 1)] = np.nan
+    return ranges.astype(np.float32)
+
+
+def _thresholds(rng: Generator) -> F64:
+    return np.sort(rng.choice(VALUES, rng.integers(1, 6), replace=False))
+
+
+def support_case(rng: Generator) -> tuple[Any, ...]:
+    n_lines, n_columns = SHAPES_OF_CALIBRATION[rng.integers(len(SHAPES_OF_CALIBRATION))]
+    counts = (int(rng.integers(0, 9)), int(rng.integers(0, 7)))
+    return (_window(rng, n_lines, n_columns), n_lines, n_columns, _thresholds(rng), _thresholds(rng), *counts)
+
+
+def bend_case(rng: Generator) -> tuple[Any, ...]:
+    n_lines, n_columns = SHAPES_OF_CALIBRATION[rng.integers(len(SHAPES_OF_CALIBRATION))]
+    alpha = float(rng.choice([0.25, 0.3, 0.125]))
+    return _window(rng, n_lines, n_columns), n_lines, n_columns, _thresholds(rng), alpha
+
+
+CASES_OF_CALIBRATION: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "bend_histogram": bend_case,
+    "support_histogram": support_case,
+}
+
+
+def image(rng: Generator) -> F32:
+    shape = (int(rng.integers(1, 5)), int(rng.integers(1, 9)))
+    ranges = rng.choice([1.0, 299.5, 300.0, 300.5, 7.25], shape) * rng.choice([1.0, rng.random()])
+    ranges[rng.random(shape) < rng.choice([0.0, 0.3, 1.0])] = np.nan
+    return ranges.astype(np.float32)
+
+
+def beams(rng: Generator, n_columns: int) -> I32:
+    """Columns shared out to one or two sides, the shorter one filled up."""
+    columns = rng.permutation(n_columns)
+    n_first = n_columns if rng.random() < 0.4 else int(rng.integers(1, n_columns + 1))
+    sides = [part for part in (columns[:n_first], columns[n_first:]) if len(part)]
+    order = np.full((len(sides), max(len(part) for part in sides)), -1, np.int32)
+    for side, part in zip(order, sides, strict=True):
+        side[: len(part)] = part
+    return order
+
+
+def lines_case(rng: Generator) -> tuple[Any, ...]:
+    ranges = image(rng)
+    xyz = rng.normal(0, 50, (*ranges.shape, 3)).astype(np.float32)
+    xyz[np.isnan(ranges)] = np.nan
+    xyz[rng.random(xyz.shape) < 0.02] = np.nan
+    return ranges, xyz, beams(rng, ranges.shape[1]), 300.0
+
+
+def plane_case(rng: Generator) -> tuple[Any, ...]:
+    ranges = image(rng)
+    angle = rng.uniform(-np.pi, np.pi, ranges.shape[1])
+    return ranges, np.sin(angle), -np.cos(angle), beams(rng, ranges.shape[1]), 300.0
+
+
+CASES_OF_LINES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "arrange_lines": lines_case,
+    "arrange_plane": plane_case,
+}

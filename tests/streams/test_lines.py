@@ -1,11 +1,16 @@
-"""Starts of lines and columns by every rule."""
+"""Starts of lines by every rule, and ranges from coordinates."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import InputError
+from prc_cli.core.blocks import join
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.angles import WrapState, find_sweep, lines_by_wrap
 from prc_cli.streams.columns import (
@@ -16,7 +21,11 @@ from prc_cli.streams.lines import (
     LineState,
     lines_by_dimension,
 )
-from prc_cli.streams.rules import _said
+from prc_cli.streams.open import open_input
+from prc_cli.streams.ranges import RangeRule, measure_ranges, open_ranges
+from prc_cli.streams.rules import _said, with_elevation
+from prc_cli.streams.trajectory import Trajectory
+from tests.streams.record_lists import MemorySource
 
 NAN = np.nan
 WHERE = "drive.laz: scan_line"
@@ -80,3 +89,109 @@ def test_the_first_record_begins_the_lines_by_time_unless_told(origin: float | N
     config = InputConfig(lines="time:10", columns="time:100", points_per_line=10, time_origin=origin)
     told = {one.key for one in _said(config, "time:10", "time:100", ())}
     assert ("input.time_origin" in told) == is_told
+
+
+RULES = {"lines": "elevation:20", "columns": "order", "range": "sensor-xyz"}
+
+
+def points(elevation_deg: Any, length: float = 5.0) -> dict[str, Any]:
+    angle = np.deg2rad(np.asarray(elevation_deg, float))
+    return {"x": length * np.cos(angle), "y": np.zeros(len(angle)), "z": length * np.sin(angle)}
+
+
+def write(path: Path, columns: dict[str, Any]) -> Path:
+    rows = zip(*(columns[name] for name in "xyz"), strict=True)
+    path.write_text("x,y,z\n" + "".join(",".join(repr(float(value)) for value in row) + "\n" for row in rows))
+    return path
+
+
+def whole(path: Path, **rules: Any) -> ScanBlock:
+    return join(list(open_input(path, InputConfig(**{**RULES, **rules})).blocks()))
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 7])
+def test_chunks_change_nothing_and_points_without_elevation_stay(chunk: int) -> None:
+    rng = np.random.default_rng(3)
+    given = points(np.concatenate([np.sort(rng.uniform(-40, 80, 9)) for _ in range(12)]))
+    for name in "xyz":
+        given[name][[0, 20, 47]] = (0.0, 0.0, np.nan)
+    rules = InputConfig(**RULES)
+
+    def lines(size: int) -> np.ndarray[Any, Any]:
+        source, changed, _ = with_elevation(MemorySource(given, chunk_records=size), rules)
+        name = changed.lines.partition(":")[2]
+        return np.concatenate([part.values[name] for part in source.chunks((name, "angle"))])
+
+    one = lines(1000)
+    assert one.max() == 11
+    assert np.array_equal(one[20], one[19])
+    assert np.array_equal(lines(chunk), one)
+
+
+def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", points([-30, 0]))
+    with pytest.raises(ConfigError, match=r"elevation:DEG with 0 < \|DEG\| < 180"):
+        whole(path, lines="elevation:0")
+    with pytest.raises(ConfigError, match="expected sensor-xyz"):
+        whole(path, range="origin:0,0,0")
+    ranges = tmp_path / "r.csv"
+    ranges.write_text("range,column\n1,0\n2,1\n")
+    with pytest.raises(ConfigError, match="has no x, y, z"):
+        whole(ranges)
+    assert whole(path, range="auto").n_lines == 1
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "n_lines", "longest"), [("car_cloud400.csv", 213, 141), ("car_cloud401.csv", 214, 142)]
+)
+def test_lines_of_a_rotating_profiler(real_data: Path, name: str, n_lines: int, longest: int) -> None:
+    from prc_cli.formats.options import Layout, LayoutField
+
+    fields = tuple(LayoutField(name=axis, source=index) for index, axis in enumerate("xyz"))
+    layout = None if name.endswith("400.csv") else Layout(delimiter=" ", header=False, fields=fields)
+    stream = open_input(real_data / "organised" / name, InputConfig(**RULES), layout)
+    block = join(list(stream.blocks()))
+    assert block.range_m.shape == (n_lines, longest)
+    assert (block.records() >= 0).sum(axis=1).min() >= 61
+
+
+ALL = ("range", "x", "y", "z", "time")
+
+
+def opened(rule: str, dimensions: tuple[str, ...] = ALL) -> RangeRule:
+    return open_ranges(rule, dimensions, "drive.laz", InputConfig(), crs_wkt=None)
+
+
+def test_coordinates_of_the_sensor() -> None:
+    rule = opened("sensor-xyz")
+    assert rule.names == ("x", "y", "z")
+    values = {"x": np.array([3.0, np.nan]), "y": np.array([4, 0]), "z": np.array([12.0, 1.0])}
+    found, xyz = measure_ranges(values, rule)
+    np.testing.assert_array_equal(found, [13.0, np.nan])
+    assert xyz is not None
+    assert xyz.dtype == np.float32
+    np.testing.assert_array_equal(xyz[0], [3, 4, 12])
+
+
+def test_millimetres_survive_large_coordinates() -> None:
+    rule = opened("origin:552000.125,6600000.25,-3")
+    values = {"x": np.array([552000.125 + 0.003]), "y": np.array([6600000.25 - 0.004]), "z": np.array([-3.0])}
+    found, xyz = measure_ranges(values, rule)
+    assert found.dtype == np.float64
+    assert found[0] == pytest.approx(0.005, abs=1e-8)
+    assert xyz is not None
+    np.testing.assert_allclose(xyz[0], [0.003, -0.004, 0.0], atol=1e-8)
+
+
+def test_along_a_trajectory() -> None:
+    track = Trajectory("drive.csv", np.array([0.0, 10.0]), np.array([[0.0, 0.0, 2.0], [100.0, 0.0, 2.0]]))
+    rule = RangeRule(trajectory=track)
+    assert rule.names == ("x", "y", "z", "time")
+    values = {"x": np.array([10.0, 53.0]), "y": np.array([7.0, 4.0]), "z": np.array([2.0, 2.0])}
+    found, xyz = measure_ranges({**values, "time": np.array([1.0, 5.0])}, rule)
+    np.testing.assert_allclose(found, [7.0, 5.0])
+    assert xyz is not None
+    np.testing.assert_allclose(xyz, [[0, 7, 0], [3, 4, 0]], atol=1e-6)
+    with pytest.raises(InputError, match="1 of 2 point times are outside the trajectory"):
+        measure_ranges({**values, "time": np.array([1.0, 11.0])}, rule)

@@ -1,20 +1,25 @@
-"""Signed angles and line angles of known geometry."""
+"""Angles of chords, windows of walls, and the table of keys."""
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.random import Generator
 
-from prc_cli.core.types import F64
+from prc_cli.core.config import flatten
+from prc_cli.core.types import F64, U8
 from prc_cli.methods.sequential_angle import angles_loops as kernel_module
 from prc_cli.methods.sequential_angle.angles import signed_angles
-from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
+from prc_cli.methods.sequential_angle.coarse import without_windows
+from prc_cli.methods.sequential_angle.lines import VerticalLines
+from prc_cli.methods.sequential_angle.pipeline import SequentialAngleParams
+from prc_cli.methods.sequential_angle.thresholds import ChordThresholds, WindowThresholds
 from prc_cli.reference.sequential_angle import angles as oracle_angles
-from tests.methods.sequential_angle.made import made
-from tests.methods.sequential_angle.scenes import lines_through
+from tests.methods.sequential_angle.scenes import lines_through, made
 
 HELPERS: Any = kernel_module
 """Their plain functions are called: compiled, helpers have no way in from outside."""
@@ -78,3 +83,67 @@ def test_line_angle_is_the_angle_of_chord_and_beam(rng: Generator) -> None:
         assert (np.abs(bare - phi)[blunt] > 1).all()
         np.testing.assert_allclose(bare[~blunt], phi[~blunt], atol=1e-9)
     assert 50 < n_blunt < 150
+
+
+T, H, V = 1, 2, 3
+
+
+def label(
+    x: F64, z: F64, codes: list[int], params: WindowThresholds | None = None, noise_m: float = 0.005
+) -> list[int]:
+    xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
+    beams = np.arctan2(x, -z)[None]
+    lines = VerticalLines(np.linalg.norm(xyz, axis=-1), xyz, xyz[..., 0].copy(), np.array([len(x)], np.int32), beams)
+    surface: U8 = np.array([codes], np.uint8)
+    return without_windows(surface, lines, (params or WindowThresholds()).at_noise(noise_m))[0].tolist()
+
+
+@pytest.mark.parametrize("noise_m", [0.001, 0.005])
+def test_panes_and_rooms_are_vertical_and_leaves_are_not(noise_m: float) -> None:
+    rng = np.random.default_rng(1)
+    z = np.linspace(1.0, 2.5, 60)
+    window = np.where(rng.random(60) < 0.4, 9.0, 9.5) + rng.normal(0, noise_m, 60)
+    leaves = 9.0 + rng.exponential(1.4, 60)
+    hedge = 9.0 + rng.exponential(0.17, 60)
+    assert label(window, z, [T] * 60, noise_m=noise_m) == [V] * 60
+    assert label(leaves, z, [T] * 60, noise_m=noise_m) == label(hedge, z, [T] * 60, noise_m=noise_m) == [T] * 60
+    assert label(window, z, [T] * 60, made(WindowThresholds, share=1.0), noise_m) == [T] * 60
+    assert label(window[:7], z[:7], [T] * 7) == [T] * 7
+
+
+def test_what_is_behind_a_wall_below_it_is_a_room_and_what_is_over_it_may_be_a_tree() -> None:
+    z = np.linspace(0.0, 2.0, 40)
+    far = 12.4 + np.linspace(0.0, 3.0, 20)
+    under = np.concatenate([far, np.full(20, 12.0)])
+    over = under[::-1].copy()
+    assert label(under, z, [T] * 20 + [V] * 20) == [V] * 40
+    assert label(over, z, [V] * 20 + [T] * 20) == [V] * 20 + [T] * 20
+
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "sequential_angle.md").read_text(encoding="utf-8")
+VALUES = dict(flatten(SequentialAngleParams().model_dump()))
+
+
+def documented() -> dict[str, str]:
+    """Keys and defaults of the table of constants: a row a table, cells of "`key` default (note)"."""
+    section = PAGE[PAGE.index("## Constants") : PAGE.index("## The published constants")]
+    found = {}
+    for table, cells in re.findall(r"^\| (?:`([a-z_.]+)`)? ?\|(.*)\|$", section, re.MULTILINE):
+        for key, default in re.findall(r"`([a-z0-9_]+)`,? ([^;|(`]*)", cells):
+            found[f"{table}.{key}".lstrip(".")] = default.strip().replace("−", "-")
+    return found
+
+
+@pytest.mark.parametrize("key", VALUES)
+def test_defaults_in_the_table(key: str) -> None:
+    value, written = VALUES[key], documented()[key]
+    if isinstance(value, tuple) and isinstance(value[0], float):
+        assert written == ", ".join(f"{number:g}" for number in value)
+    elif isinstance(value, bool):
+        assert written == str(value).lower()
+    elif isinstance(value, int | float):
+        assert float(written) == value
+
+
+def test_the_table_names_no_other_key() -> None:
+    assert not documented().keys() - VALUES.keys()

@@ -10,19 +10,19 @@ import pytest
 from prc_cli.core.types import I32, Mask
 from prc_cli.methods.sequential_angle.car import cars, dividers
 from prc_cli.methods.sequential_angle.thresholds import CarThresholds, DividerThresholds
-from tests.methods.sequential_angle.car_lines import (
+from tests.methods.sequential_angle.scenes import (
     NOISE_M,
     Piece,
     Seen,
     bush,
     car,
     curb,
+    made,
     road,
     see,
     signed_angles,
     wall,
 )
-from tests.methods.sequential_angle.made import made
 
 
 def find(found: Seen, params: CarThresholds | None = None) -> Mask:

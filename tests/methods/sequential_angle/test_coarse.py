@@ -21,8 +21,7 @@ from prc_cli.methods.sequential_angle.thresholds import (
     SequentialAngleThresholds,
     SurfaceThresholds,
 )
-from tests.methods.sequential_angle.made import made
-from tests.methods.sequential_angle.scenes import lines_through, street_lines
+from tests.methods.sequential_angle.scenes import lines_through, made, street_lines
 from tests.methods.sequential_angle.test_markov import SCRIPT, SLOW
 
 M, T, H, V, U = (int(surface) for surface in Surface)

@@ -15,8 +15,7 @@ from prc_cli.methods.sequential_angle.curb import CurbState, _tail, curbs, possi
 from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, GroundThresholds
-from tests.methods.sequential_angle.made import made
-from tests.methods.sequential_angle.profiles import NOISE_M, Scene, V, scan, street
+from tests.methods.sequential_angle.scenes import NOISE_M, Scene, V, made, scan, street
 
 
 def plain(**values: Any) -> CurbThresholds:

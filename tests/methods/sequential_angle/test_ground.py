@@ -12,8 +12,7 @@ from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import GroundState, GroundThresholds
-from tests.methods.sequential_angle.made import made
-from tests.methods.sequential_angle.profiles import NOISE_M, ROAD_Z, H, Scene, Segment, V, scan, street
+from tests.methods.sequential_angle.scenes import NOISE_M, ROAD_Z, H, Scene, Segment, V, made, scan, street
 
 
 def limits(**values: Any) -> GroundThresholds:

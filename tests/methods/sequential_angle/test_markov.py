@@ -20,7 +20,7 @@ from prc_cli.methods.sequential_angle.car import suspicious
 from prc_cli.methods.sequential_angle.coarse import hmm_cusum
 from prc_cli.methods.sequential_angle.thresholds import UNIFORM, MarkovThresholds, Matrix, Row, SuspiciousThresholds
 from prc_cli.reference.sequential_angle.ground import EIGHTHS, grid_modes
-from tests.methods.sequential_angle.made import made
+from tests.methods.sequential_angle.scenes import made
 
 HELPERS: Any = kernel_module
 """Their plain functions are called: compiled, helpers have no way in from outside."""
