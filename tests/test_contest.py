@@ -11,6 +11,8 @@ from benchmarks.contest_methods import PAPERS, label, label_scan
 from benchmarks.contest_peers import Points, run
 from benchmarks.contest_runs import DataSet, Store
 
+pytestmark = pytest.mark.slow
+
 
 def scan_of(codes: list[list[int]], mapping: str = "street") -> Scan:
     reference = np.array(codes, np.int64)

@@ -50,6 +50,7 @@ def test_odd_ranges_are_missing_and_counted(prc: Prc, tmp_path: Path) -> None:
     assert np.array_equal(np.load(tmp_path / "odd.npy"), np.load(tmp_path / "plain.npy"))
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()
@@ -88,6 +89,7 @@ def test_names_with_brackets_are_printed_as_they_are(prc: Prc, tmp_path: Path) -
     assert "[bold]labels.npy" in result.err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("command", [["config", "show"], ["config", "schema"], ["completion", "bash"], ["--help"]])
 def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None:

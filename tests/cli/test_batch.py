@@ -476,6 +476,7 @@ def test_long_lists_are_cut_and_the_worst_files_are_shown(prc: Run, play: Callab
     assert "recall.noise: found undefined, demanded 0.5000: failed" in found.err
 
 
+@pytest.mark.slow
 def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple[Path, Path], tmp_path: Path) -> None:
     command = [*PRC, "batch", str(office[0]), "out", "--preset", "urban", "--exclude", "night", "--log-json", "-"]
     read, write = os.pipe()

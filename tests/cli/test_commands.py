@@ -117,6 +117,7 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     assert found[1]["classifiable"] is True
 
 
+@pytest.mark.slow
 def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     result = prc("demo", "--output", folder, "--lines", "200", "--json", "--quiet")
@@ -152,6 +153,7 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     assert "holds files already" in result.err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
     import signal

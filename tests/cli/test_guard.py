@@ -69,6 +69,7 @@ def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None
     assert not Path(ended.stdout.strip()).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1])
 def test_a_signal_of_somebody_ends_it_as_it_would_without(tmp_path: Path, number: signal.Signals) -> None:
     ended = crashed(number, "classify", tmp_path / "a.laz", tmp_path / "o.laz")
@@ -76,6 +77,7 @@ def test_a_signal_of_somebody_ends_it_as_it_would_without(tmp_path: Path, number
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
@@ -100,6 +102,7 @@ def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> No
         assert prc(*(word.format(case=case, out=out) for word in words), guarded=False).returncode < 0
 
 
+@pytest.mark.slow
 def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
     """A bad block: lazrs panics or overflows its stack; either way the damage is one line."""
     sound = seed("pf6.laz")
@@ -117,6 +120,7 @@ def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
     assert prc("info", "--no-such-option").returncode == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "to_all"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)])
 def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> None:
     """As ``kill`` and a scheduler send them: to the process that was started, or to all of its group."""
@@ -166,6 +170,7 @@ cli.main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("numbers", [(signal.SIGTERM,), (signal.SIGINT,), (signal.SIGINT, signal.SIGTERM)])
 def test_a_library_that_never_returns_ends_all_the_same(tmp_path: Path, numbers: tuple[signal.Signals, ...]) -> None:
     """After one signal and some patience, or at once after the second."""
@@ -182,6 +187,7 @@ def test_a_library_that_never_returns_ends_all_the_same(tmp_path: Path, numbers:
         assert (process.returncode, said) == (128 + numbers[0], b"error: interrupted; no output was left behind\n")
 
 
+@pytest.mark.slow
 def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
     (tmp_path / "a.db3").touch()
     command = [sys.executable, "-c", ENDLESS, "1", "info", str(tmp_path / "a.db3")]
@@ -190,6 +196,7 @@ def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stderr.startswith(said)) == (1, True), ended.stderr
 
 
+@pytest.mark.slow
 def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
     path = huge_page(tmp_path / "a.parquet")
     ended = prc("evaluate", path, path, "--predicted-dimension", "range", "--reference-dimension", "range")
@@ -197,6 +204,7 @@ def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
     assert f"{path}: record 0 and on cannot be read (malloc of size" in ended.stderr
 
 
+@pytest.mark.slow
 def test_the_work_ends_with_its_guard() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
@@ -227,6 +235,7 @@ def run(redirection: str, *arguments: str) -> tuple[int, bytes, str]:
     return done.returncode, done.stdout, done.stderr.decode()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("redirection", "name"), [("<&-", "stdin"), (">&-", "stdout")])
 def test_a_live_stream_needs_both_ends(redirection: str, name: str) -> None:
     code, out, err = run(redirection, "stream", "-M", "9")
@@ -235,6 +244,7 @@ def test_a_live_stream_needs_both_ends(redirection: str, name: str) -> None:
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_files_are_written_though_nobody_listens(tmp_path: Path) -> None:
     source, output = tmp_path / "drive.bin", tmp_path / "labels.npy"
     np.full((20, 9), 7.0, np.float32).tofile(source)

@@ -64,6 +64,7 @@ def test_the_bytes_of_classify(tmp_path: Path) -> None:
     assert "x real time" in err
 
 
+@pytest.mark.slow
 def test_a_block_leaves_when_two_more_lines_are_there() -> None:
     image = street()
     process = start(*URBAN, "-q")
@@ -74,6 +75,7 @@ def test_a_block_leaves_when_two_more_lines_are_there() -> None:
     assert (process.returncode, len(rest), err) == (0, 2 * POINTS_PER_LINE, b"")
 
 
+@pytest.mark.slow
 def test_a_slow_reader_slows_the_writer_down() -> None:
     """The program holds a block and what the pipes hold, not the stream."""
     process = start(*URBAN, "-q")
@@ -93,6 +95,7 @@ def test_a_slow_reader_slows_the_writer_down() -> None:
     process.communicate()
 
 
+@pytest.mark.slow
 def test_an_end_inside_a_record_loses_no_label() -> None:
     image = street()
     code, out, err = run(image.tobytes() + b"ab", *URBAN, "-q")
@@ -104,6 +107,7 @@ def test_an_end_inside_a_record_loses_no_label() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_reader_of_the_labels_goes() -> None:
     process = start(*URBAN, "-q")
     assert process.stdout is not None
@@ -123,6 +127,7 @@ def test_a_signal_ends_it_within_seconds() -> None:
     assert (process.returncode, out) == (128 + signal.SIGTERM, b"")
 
 
+@pytest.mark.slow
 def test_doubts_are_told_and_end_with_exit_code_4() -> None:
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = street()

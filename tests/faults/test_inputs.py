@@ -24,6 +24,8 @@ from tests.faults.harness import (
 )
 from tests.faults.test_kills import release, run_into
 
+pytestmark = pytest.mark.slow
+
 LONG = "2026/day 3/long.laz"
 FIRST, LAST = "2026/day 1/drive.npz", "rückweg.las"
 """The files are begun in the order of their names."""
@@ -39,7 +41,7 @@ def resume(archive: Archive, out: Path) -> None:
     check_whole(archive, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("fate", ["vanishes", "becomes a pipe"])
 def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path, fate: str) -> None:
     out = tmp_path / "out"
@@ -76,7 +78,7 @@ def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_p
     resume(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_last(
     few: Archive, tmp_path: Path
 ) -> None:
@@ -101,7 +103,7 @@ def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_l
     resume(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     (few.folder / FIRST).chmod(0)
@@ -167,7 +169,7 @@ def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(few: A
     assert tree(out) == few.whole
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_too_little_memory_is_said_so_and_the_rest_goes_on(few: Archive, archive: Archive, tmp_path: Path) -> None:
     both = part_of(archive, few.folder, [*FAST, "2026/day 1/drive.csv"])
     out = tmp_path / "out"
@@ -179,7 +181,7 @@ def test_too_little_memory_is_said_so_and_the_rest_goes_on(few: Archive, archive
     resume(both, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_folder_that_cannot_be_entered_to_its_end_is_waited_for(few: Archive, tmp_path: Path) -> None:
     """A chain of links that bites its tail ends, too."""
     (few.folder / "2026" / "again").symlink_to(few.folder, target_is_directory=True)

@@ -20,6 +20,8 @@ from tests.faults.kills import kill_many
 from tests.faults.step_kills import Strike, strike_step
 from tests.patience import wait_until
 
+pytestmark = pytest.mark.slow
+
 
 def test_some_kills(few: Archive, tmp_path: Path) -> None:
     """Everything, then the first process alone, then a worker, while a file is at work in one folder."""
@@ -40,20 +42,20 @@ def test_some_kills(few: Archive, tmp_path: Path) -> None:
     check_whole(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_many_kills(archive: Archive, tmp_path: Path) -> None:
     """``python -m tests.faults.kills --kills 200`` does this 200 times."""
     tally = kill_many(archive, tmp_path, 40, seed=4)
     assert tally.with_running > 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_kills_with_dask(fast: Archive, tmp_path: Path) -> None:
     """Of the run, its workers and the scheduler."""
     kill_many(fast, tmp_path, 4, seed=13, engine="dask")
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 12))])
 def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path: Path, seed: int) -> None:
     """``python -m tests.faults.step_kills`` takes every step."""
     rng = random.Random(seed)
@@ -61,7 +63,7 @@ def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path:
     strike_step(two, tmp_path / "out", Strike(rng.randint(8, 44), rng.choice(["all", "self"])))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("victims", ["all", "self"])
 def test_a_kill_right_after_a_file_got_its_name(fast: Archive, tmp_path: Path, victims: str) -> None:
     """``python -m tests.faults.step_kills --names`` takes every name."""
@@ -97,8 +99,8 @@ def known(out: Path) -> list[Entry]:
     ("number", "n_times"),
     [
         (signal.SIGTERM, 1),
-        pytest.param(signal.SIGINT, 1, marks=pytest.mark.slow),
-        pytest.param(signal.SIGINT, 3, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 1, marks=pytest.mark.long),
+        pytest.param(signal.SIGINT, 3, marks=pytest.mark.long),
     ],
 )
 def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, number: int, n_times: int) -> None:
@@ -125,7 +127,7 @@ def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, numb
     check_whole(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> None:
     batch = run_into(few, tmp_path / "out", FAST[1:])
     batch.strike(signal.SIGHUP)
@@ -138,7 +140,7 @@ def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> Non
     check_whole(few, tmp_path / "out")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive: Archive, tmp_path: Path) -> None:
     """As the system does where memory is short: whoever works on the long file is killed."""
     long = "2026/day 3/long.laz"
@@ -164,7 +166,7 @@ def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive
     assert entries(out)[long].state == "done"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
     """As on a network share that does not answer; tests/jobs/batch/test_local.py has the quick cases."""
     out = tmp_path / "out"
@@ -178,7 +180,7 @@ def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
     check_whole(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     runs = [Batch(few.folder, out, few.config, jobs=1) for _ in range(2)]
@@ -191,7 +193,7 @@ def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
     assert {entry.attempts for entry in known(out)} == {1}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_shards_side_by_side_and_killed_end_with_the_same_bytes(archive: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for _ in range(2):

@@ -17,6 +17,8 @@ from tests.faults.harness import Archive, Batch, check_nothing_half, check_whole
 from tests.faults.test_inputs import failures, resume
 from tests.patience import dead_process
 
+pytestmark = pytest.mark.slow
+
 
 @contextlib.contextmanager
 def small_disk(folder: Path, kib: int) -> Iterator[Path]:
@@ -37,7 +39,7 @@ def change(disk: Path, options: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "share", [pytest.param(0.02, marks=pytest.mark.slow), 0.5, pytest.param(0.9, marks=pytest.mark.slow)]
+    "share", [pytest.param(0.02, marks=pytest.mark.long), 0.5, pytest.param(0.9, marks=pytest.mark.long)]
 )
 def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(
     few: Archive, tmp_path: Path, share: float
@@ -56,7 +58,7 @@ def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(
         resume(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path: Path) -> None:
     """The state an ext4 gets into after an error."""
     with small_disk(tmp_path / "disk", 50_000) as disk:
@@ -78,7 +80,7 @@ def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path:
         resume(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["all of it", "a folder in it"])
 def test_a_shut_output_folder_is_said_so(few: Archive, tmp_path: Path, what: str) -> None:
     out = tmp_path / "out"
@@ -119,7 +121,7 @@ def test_outputs_of_somebody_else_stay(few: Archive, tmp_path: Path) -> None:
     resume(few, out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_lost_or_damaged_journal_costs_no_output_and_no_work(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     resume(few, out)

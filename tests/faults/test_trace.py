@@ -18,6 +18,8 @@ from tests import patience
 from tests.faults.harness import Archive
 from tests.fuzz.seeds import seed
 
+pytestmark = pytest.mark.slow
+
 CALLS = "write,pwrite64,writev,pwritev,sendfile,copy_file_range,fsync,fdatasync,link,linkat,rename,renameat,renameat2"
 _CALL = re.compile(r"(?P<call>[a-z0-9_]+)\((?P<words>.*)\) = (?P<result>\d+)")
 _OPEN = re.compile(r"\d+<(?P<path>/[^>]*)>")
@@ -82,7 +84,7 @@ def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
     [
         (("classify", "{seeds}/pf6.laz", "{out}/o.laz", "--preset", "urban", "-q"), ("o.laz", "o.laz.prc.json")),
         *(
-            pytest.param((*words, "-q"), outputs, marks=pytest.mark.slow)
+            pytest.param((*words, "-q"), outputs, marks=pytest.mark.long)
             for words, outputs in (
                 (("classify", "{seeds}/a.npz", "{out}/o.npy", "--preset", "urban"), ("o.npy", "o.npy.prc.json")),
                 (("classify", "{seeds}/a.csv", "{out}/o.parquet", "--preset", "urban"), ("o.parquet",)),
@@ -109,7 +111,7 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
     assert {path.name for path in out.iterdir()} <= given
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
     """Outputs of the workers, and what the run itself keeps; SQLite flushes its journal by itself."""
     out = tmp_path / "out"

@@ -133,6 +133,7 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
     patience.run(["umount", folder], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".las", ".laz", ".bin"])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("n", [48_000, 130_000])

@@ -98,6 +98,7 @@ def test_names_of_files_command_no_terminal(tmp_path: Path, capfd: pytest.Captur
         assert not unprintable(printed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pf3.laz", "pf6.laz"])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_laz_that_is_copied_is_checked_first(

@@ -29,6 +29,8 @@ from tests.fuzz.seeds import RECORDINGS, SEEDS, seed, write_seeds
 from tests.fuzz.targets import TARGETS, lay, sound_of, suffix_of_seed
 from tests.fuzz.watched import LIMIT_S, WatchedWorker
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[WatchedWorker, Path]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
@@ -65,6 +66,7 @@ def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(static: tup
     assert np.array_equal(again["surface"], planes["surface"], equal_nan=True)
 
 
+@pytest.mark.slow
 def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) -> None:
     """Drawn, clicked, steered by keys, classes switched off; light and dark, wide and narrow; without a complaint."""
     page = tmp_path / "a.html"

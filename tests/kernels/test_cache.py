@@ -78,6 +78,7 @@ def test_compiled_code_goes_to_the_users_cache_folder(tmp_path: Path) -> None:
     assert before == numba.config.CACHE_DIR, "the user's own functions are none of our business"  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
     (tmp_path / "some_kernels.py").write_text(MODULE)

@@ -15,6 +15,8 @@ from prc_cli import kernels
 from prc_cli.kernels import cache, compiling
 from tests import patience
 
+pytestmark = pytest.mark.slow
+
 needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
 needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks on this system")
 

@@ -43,6 +43,8 @@ from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import write_endless
 
+pytestmark = pytest.mark.slow
+
 distributed = pytest.importorskip("distributed")
 
 M = 40
@@ -383,7 +385,7 @@ def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
     assert len([name for name in left_in(tmp_path / "out") if not name.endswith(".part")]) == 2 * len(tasks)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_scheduler_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
     tasks = tasks_in(tmp_path, {"a.npy": 60_000, "b.npy": 60_000}, m=100)
@@ -394,7 +396,7 @@ def test_scheduler_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None
                     os.killpg(machines.scheduler.pid, signal.SIGKILL)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("machines", [0], indirect=True)
 def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None:
@@ -415,7 +417,7 @@ def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None
     assert len([outcome for outcome in found.values() if isinstance(outcome, Done)]) >= 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
     """The whole group of processes hears it; the run rolls back and says so, the workers say nothing."""

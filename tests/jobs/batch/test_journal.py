@@ -257,6 +257,7 @@ def kill_writers(folder: Path, seed: int, n_kills: int, n_rows: int) -> None:
     assert int(result.stdout) >= n_rows
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL and fork")
 def test_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
     kill_writers(folder, 1, 15, 11)

@@ -30,7 +30,7 @@ from tests import patience
 from tests.patience import wait_until
 from tests.street import street, write_endless, write_npz
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="sends signals")]
 
 
 STALL_S = 100_000.0

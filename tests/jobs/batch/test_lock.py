@@ -82,6 +82,7 @@ def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
     assert os.listdir(folder) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "second", "together"),
     [
@@ -110,6 +111,7 @@ def test_runs_with_files_in_common_exclude_each_other(
     assert os.listdir(folder) == []
 
 
+@pytest.mark.slow
 def test_the_lock_of_a_killed_process_is_free_at_once(folder: Path) -> None:
     with held_by_another_process(folder) as process:
         assert line_of(process) == "held"
@@ -125,6 +127,7 @@ def test_the_lock_of_a_killed_process_is_free_at_once(folder: Path) -> None:
     assert os.listdir(folder) == []
 
 
+@pytest.mark.slow
 def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
     """Files of the parent are not open in its children, so its lock ends with it."""
     with held_by_another_process(folder, "with a child") as process:
@@ -194,6 +197,7 @@ def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
 # -- rivals -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("found", ["nothing", "the file of a dead owner"])
 @pytest.mark.parametrize("rival", [None, "1/2"])
 def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
@@ -261,7 +265,7 @@ def test_rivals_that_die_at_any_step_are_never_two_inside(tmp_path: Path, seed: 
     fight(tmp_path, seed, 40, 8, kinds)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and fork")
 @pytest.mark.parametrize("kinds", ["whole", "whole,1/2,2/2,1/3", "2/5"])
 @pytest.mark.parametrize("seed", [11, 12, 13])

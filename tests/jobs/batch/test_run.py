@@ -469,6 +469,7 @@ def test_outputs_are_those_of_single_calls(
         assert (out / f"{item.name}.labels.npy").read_bytes() == single.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends signals")
 def test_ctrl_c_stops_a_real_run_within_seconds(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
@@ -571,6 +572,7 @@ def tree_of_repeated(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "n_left"), [("1", 3), ("2", 4), ("3", 2)])
 def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left: int) -> None:
     """Steps: the output has its name; the record too; both, and no temporary file is left."""
