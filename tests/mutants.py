@@ -244,7 +244,7 @@ def _lay(place: Path) -> None:
     """Prepare a folder and this process as :mod:`tests.golden.run` does."""
     from tests.conftest import data_folder
 
-    os.environ.update({"COLUMNS": "120", "TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"})
+    os.environ.update({"TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"})
     for name, target in (("data", data_folder()), ("repo", ROOT)):
         (place / name).symlink_to(target.resolve(), target_is_directory=True)
 
