@@ -82,9 +82,9 @@ def after(n: int, function: Callable[..., object], error: BaseException) -> Call
 
 
 @pytest.mark.usefixtures("no_thread_left")
-@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("where", ["reader", "classifier", "writer", "progress"])
-@pytest.mark.parametrize("error", [InputError("a", "b", "c"), KeyboardInterrupt(), ValueError("fault")])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("fault")])
 def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray, where: str, threads: int, error: BaseException
 ) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.blocks import (
@@ -78,7 +78,6 @@ def check(found: list[ScanBlock], whole: ScanBlock, k: int) -> None:
     sizes=st.lists(st.integers(1, 15), min_size=1, max_size=5),
     dense=st.booleans(),
 )
-@settings(deadline=None, max_examples=120)
 def test_any_cut_gives_the_same_blocks(n_lines: int, m: int, k: int, sizes: list[int], dense: bool) -> None:
     whole = stream(n_lines, m, dense=dense)
     parts = list(pieces(whole, sizes))

@@ -30,8 +30,8 @@ def test_lookup_and_names_follow_the_table() -> None:
     assert len(set(LABEL_COLOURS.values())) == len(Label)
 
 
-@pytest.mark.parametrize("top", [1, 5, 15, 16, 17, 255])
-@pytest.mark.parametrize("shape", [(0,), (7,), (4095,), (4096,), (100, 99)])
+@pytest.mark.parametrize("top", [5, 16, 255])
+@pytest.mark.parametrize("shape", [(0,), (4095,), (100, 99)])
 def test_counts_are_those_of_bincount(shape: tuple[int, ...], top: int) -> None:
     values = np.random.default_rng(top).integers(0, top, shape, endpoint=True).astype(np.uint8)
     for given in (values, np.full(shape, top, np.uint8), values[::2]):

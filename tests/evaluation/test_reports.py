@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
@@ -188,7 +188,6 @@ def test_pictures_that_are_not_png_are_refused() -> None:
         as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])
 
 
-@settings(deadline=None, max_examples=25)
 @given(
     names=st.lists(st.sampled_from(["ground", "road-1", "a b", "other", "noise", "Tree_2"]), min_size=1, unique=True),
     seed=st.integers(0, 2**32 - 1),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -36,7 +36,7 @@ FOREST = ("noise", "ground", "stem")
 TABLE_II = np.array([[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]])
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(4))
 def test_scikit_learn_says_the_same(seed: int) -> None:
     metrics = pytest.importorskip("sklearn.metrics")
     rng = np.random.default_rng(seed)
@@ -98,7 +98,6 @@ MAPPING = ClassMapping(
 )
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     pairs=st.lists(st.tuples(st.sampled_from([0, 1, 2, 7]), st.sampled_from([0, 2, 7, 65, 66])), max_size=60),
     cut=st.integers(0, 60),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import ConfigError
@@ -55,7 +55,6 @@ def test_layouts_that_contradict_themselves(given: Layout, found: str) -> None:
     assert caught.value.exit_code == 2
 
 
-@settings(deadline=None, max_examples=100)
 @given(
     stored=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=20),
     scale=st.sampled_from([1.0, 0.001, -2.5]),

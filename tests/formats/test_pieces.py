@@ -22,8 +22,8 @@ def lines_of(data: bytes) -> list[bytes]:
     return data.splitlines(keepends=True)
 
 
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("read", [1, 3, 7, 100])
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("read", [1, 7])
 def test_skipping_lines_equals_reading_them(monkeypatch: pytest.MonkeyPatch, seed: int, read: int) -> None:
     monkeypatch.setattr(ptx, "BLOCK_BYTES", read)
     rng = np.random.default_rng(seed)

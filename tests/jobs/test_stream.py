@@ -128,7 +128,7 @@ class SlowSink:
         return n
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_every_way_gives_the_same_bytes(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     width, k = int(rng.choice([1, 2, 3, 4, 9, 40])), int(rng.choice([1, 2, 3, 8]))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import Generator
 
@@ -180,14 +180,12 @@ def test_kernel_equals_its_twin(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-@settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 2**32))
 def test_kernel_equals_its_twin_on_any_seed(name: str, seed: int) -> None:
     case = CASES[name](np.random.default_rng(seed))
     assert_equal_bits(getattr(kernels, name)(*case), twin(name)(*case), TOLERANCES.get(name, 0.0))
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     zeta=st.floats(0, 1e9),
     steps=st.integers(-2, 2),

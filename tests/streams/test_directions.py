@@ -67,7 +67,7 @@ def planes(seed: int, n: int = 9, m: int = 40) -> tuple[F64, Mask]:
     return np.where(seen[..., None], local @ turns, 0.0), seen
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(4))
 def test_planes_equal_those_of_single_lines(seed: int) -> None:
     unit, seen = planes(seed)
     normal, arc, off = directions._planes(unit, seen)
@@ -84,7 +84,7 @@ def test_planes_equal_those_of_single_lines(seed: int) -> None:
         assert arc[row] == pytest.approx(math.sqrt(12 * values[1] / values.sum()))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(4))
 def test_angles_in_planes_equal_those_of_single_shots(seed: int) -> None:
     unit, seen = planes(seed)
     normal, _, _ = directions._planes(unit, seen)
@@ -109,7 +109,7 @@ def test_angles_in_planes_equal_those_of_single_shots(seed: int) -> None:
         assert both < 1e-9
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_straight_lines_without_outliers_equal_a_plain_fit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     column = np.sort(rng.choice(200, 30, replace=False)).astype(np.float64)
@@ -125,7 +125,7 @@ def test_straight_lines_without_outliers_equal_a_plain_fit(seed: int) -> None:
     assert directions._straight(column[:1], angle[:1], weight[:1])[0] == 0.0
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_columns_are_medians_of_their_lines(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = np.cumsum(rng.uniform(0.04, 0.14, 25)) + seed
@@ -146,7 +146,7 @@ def test_columns_are_medians_of_their_lines(seed: int) -> None:
 # -- scan angles -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_mean_angles_of_columns_equal_plain_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
     m = 40
@@ -185,7 +185,7 @@ def test_mean_angles_of_columns_equal_plain_ones(seed: int) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_refined_step_equals_a_plain_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
     number = np.sort(rng.choice(300, 200, replace=False))

@@ -297,7 +297,7 @@ def scene(seed: int, n_lines: int = 12, m: int = 180) -> tuple[F64, F32]:
     return beam + rng.uniform(-4, 4), lines.astype(np.float32)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("few", [1, 3])
 def test_the_guess_equals_one_by_one(seed: int, few: int) -> None:
     angle, lines = scene(seed, n_lines=(4, 12, 64, 65, 80)[seed % 5], m=(60, 119, 121, 240, 362)[seed // 2])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -135,7 +135,6 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
 
 
 @given(st.data())
-@settings(deadline=None, max_examples=60)
 def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
     """Random returns, repeated cells and times, lines that go back, gaps, NaN: the same for every chunk size."""
     n = data.draw(st.integers(1, 60))

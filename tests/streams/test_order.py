@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import OrderError
@@ -55,7 +55,6 @@ def slow_evidence(values: list[float]) -> tuple[int, int, int, int | None]:
     return steps, back, equal, first
 
 
-@settings(deadline=None, max_examples=200)
 @given(
     values=st.lists(st.sampled_from([0.0, 1.0, 1.5, 2.0, 3.0, float("nan"), float("inf")]), max_size=30),
     chunk=st.integers(1, 31),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError, OutputError
@@ -54,7 +54,6 @@ def collect(chunks: Iterator[RecordChunk], name: str) -> tuple[np.ndarray[Any, A
     )
 
 
-@settings(deadline=None, max_examples=300)
 @given(
     times=st.lists(st.integers(0, 5), min_size=1, max_size=60),
     chunk=st.integers(1, 61),

@@ -10,7 +10,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
@@ -325,7 +325,6 @@ def test_laszip_vlr_that_lies(tmp_path: Path) -> None:
     assert sum(chunk.n for chunk in LasSource(path).chunks(("x",))) == 200
 
 
-@settings(deadline=None, max_examples=120)
 @given(
     compressed=st.booleans(),
     edits=st.lists(st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=8)), min_size=1, max_size=4),

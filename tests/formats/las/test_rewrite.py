@@ -53,8 +53,7 @@ def rewrite(source: Path, output: Path, *, of: tuple[Label, ...] = URBAN, **chan
     return parse(output), ClassCodes().lookup()[labels]
 
 
-@pytest.mark.parametrize("after", [".las", ".laz"])
-@pytest.mark.parametrize("before", [".las", ".laz"])
+@pytest.mark.parametrize(("before", "after"), [(".las", ".laz"), (".laz", ".las")])
 @pytest.mark.parametrize("form", range(11))
 def test_only_the_class_changes(tmp_path: Path, form: int, before: str, after: str) -> None:
     source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"

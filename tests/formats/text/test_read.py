@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
@@ -90,7 +90,6 @@ def test_line_ends_byte_order_marks_blank_lines_and_comments(
 CELLS = st.sampled_from(["", "nan", "1", "-2.5", "1e3", " 7 ", "+4", "inf", '"8"', "  "])
 
 
-@settings(deadline=None, max_examples=150)
 @given(
     rows=st.lists(st.tuples(CELLS, CELLS), min_size=1, max_size=12),
     between=st.lists(st.sampled_from(["", "\n", "# c,d\n", "\r\n", "  \n"]), min_size=12, max_size=12),
@@ -184,7 +183,6 @@ def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeyp
         TextSource(packed)
 
 
-@settings(deadline=None, max_examples=300)
 @given(
     lines=st.lists(
         st.sampled_from(["", "#", "# a,b", "  ", " \t# c", "\r", "#\r", "\x0b", "\x0c#", "#1,2"]), max_size=9

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli import __version__
@@ -21,7 +21,6 @@ def read(column: DiskColumn, n: int = 1000) -> np.ndarray:
     return np.concatenate(parts) if parts else np.empty(0)
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.lists(st.lists(st.tuples(st.integers(0, 200), st.integers(0, 2**32 - 1)), max_size=40), max_size=6))
 def test_equals_an_array_in_memory(
     tmp_path_factory: pytest.TempPathFactory, parts: list[list[tuple[int, int]]]

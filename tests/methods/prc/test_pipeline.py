@@ -7,7 +7,7 @@ from math import comb
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli import kernels
@@ -49,7 +49,6 @@ def test_pipeline_equals_the_oracle_for_any_block_length() -> None:
     }, "the data does not show every class"
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.integers(1000, 2**40))
 def test_pipeline_equals_the_oracle_on_any_seed(seed: int) -> None:
     assert_equals_oracle(seed)
@@ -120,8 +119,8 @@ def random_window(rng: np.random.Generator, n_lines: int, m: int) -> F32:
     return stream_window(tail, ranges, ranges[:1] if rng.random() < 0.5 else None)
 
 
-@pytest.mark.parametrize("m", [1, 2, 3, 7, 40])
-@pytest.mark.parametrize("rho_c", [0.1, 1 / 3, 1.0])
+@pytest.mark.parametrize("m", [1, 3, 40])
+@pytest.mark.parametrize("rho_c", [1 / 3, 1.0])
 @pytest.mark.parametrize("rounding", ["ceil", "floor"])
 def test_they_say_what_any_thresholds_support(m: int, rho_c: float, rounding: str) -> None:
     rng = np.random.default_rng(m)
