@@ -15,15 +15,7 @@ from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.info import inspect
-from tests.profiler import (
-    JAKARTO_M,
-    jakarto,
-    jakarto_input,
-    placed,
-    scanner_positions,
-    steps_apart,
-    write_trajectory,
-)
+from tests.profiler import JAKARTO_M, jakarto, jakarto_input, placed, scanner_positions, steps_apart, write_trajectory
 
 pytestmark = pytest.mark.data
 

@@ -25,11 +25,7 @@ from prc_cli.jobs.batch import run as run_module
 from prc_cli.jobs.batch.lock import Holder, Owner
 from prc_cli.jobs.batch.plan import Plan
 from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary, Compared
-from prc_cli.jobs.batch.run import (
-    Listener,
-    Noted,
-    Ready,
-)
+from prc_cli.jobs.batch.run import Listener, Noted, Ready
 from prc_cli.jobs.batch.types import (
     Alarm,
     BatchSettings,
@@ -91,13 +87,7 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     elif "HOME" in os.environ:  # without a home, but not without what is compiled already
         environment["XDG_CACHE_HOME"] = os.environ.get("XDG_CACHE_HOME", os.environ["HOME"] + "/.cache")
     command = [*PRC, "batch", "archive", "out", "--preset", "urban", "--jobs", "1", "--log-json", "log.jsonl"]
-    result = patience.run(
-        command,
-        cwd=folder,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-    )
+    result = patience.run(command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True)
     assert result.returncode == 1, result.stderr
     assert result.stdout == b""
     (folder / "err.txt").write_bytes(result.stderr)

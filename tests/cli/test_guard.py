@@ -79,12 +79,7 @@ def test_a_signal_of_somebody_ends_it_as_it_would_without(tmp_path: Path, number
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words",
-    [
-        ("info", "{case}"),
-        ("classify", "{case}", "{out}/o.laz", *URBAN),
-        ("convert", "{case}", "{out}/o.las"),
-    ],
+    "words", [("info", "{case}"), ("classify", "{case}", "{out}/o.laz", *URBAN), ("convert", "{case}", "{out}/o.las")]
 )
 def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> None:
     case, out = tmp_path / "a.laz", tmp_path / "out"

@@ -12,13 +12,7 @@ import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
 from tests.cli.test_commands import Prc, prc
-from tests.formats.organised_files import (
-    Scan,
-    e57_fields,
-    ptx_scan,
-    write_e57,
-    write_text,
-)
+from tests.formats.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
 from tests.simulated import static_arrays
 
 __all__ = ["prc"]

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from tests.cli.test_commands import Prc, prc
-from tests.jobs.test_transfer import (
-    Drive,
-    N,
-    write_las,
-    write_raw,
-)
+from tests.jobs.test_transfer import Drive, N, write_las, write_raw
 
 __all__ = ["prc"]
 

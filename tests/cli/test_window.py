@@ -157,10 +157,7 @@ def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
     lines = (source.scan_line >= 20) & (source.scan_line < 50)
     since = source.gps_time - source.gps_time[0]
     given = ("evaluate", folder / "e.laz", folder / "e.laz")
-    for window, inside in (
-        (("--only-lines", "20:50"), lines),
-        (("--only-time", "+2:+5"), (since >= 2) & (since < 5)),
-    ):
+    for window, inside in ((("--only-lines", "20:50"), lines), (("--only-time", "+2:+5"), (since >= 2) & (since < 5))):
         result = prc(*given, *window, "--json")
         assert result.code == 0, result.err
         assert json.loads(result.out)["n_scored"] == np.count_nonzero(inside)

@@ -10,11 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prc_cli.core.blocks import (
-    cut,
-    look_ahead_lines,
-    regroup,
-)
+from prc_cli.core.blocks import cut, look_ahead_lines, regroup
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 
 

@@ -11,12 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from prc_cli.core.errors import ConfigError, GateError
-from prc_cli.evaluation.confusion import (
-    ConfusionMatrix,
-    GroupedCounts,
-    accumulate,
-    cells_of,
-)
+from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, accumulate, cells_of
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.scores import (
     CLASS_SCORES,

@@ -14,12 +14,7 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.options import (
-    Layout,
-    LayoutField,
-    decode,
-    record_dtype,
-)
+from prc_cli.formats.options import Layout, LayoutField, decode, record_dtype
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import RecordSource

@@ -83,11 +83,7 @@ def forest() -> dict[str, NDArray[Any]]:
 @pytest.mark.parametrize("chunk_records", [1, 3])
 @pytest.mark.parametrize(
     ("rule", "standing"),
-    [
-        ("strongest", [[0, 2, 4], [7, 8, 9]]),
-        ("first", [[0, 1, 4], [6, 8, 9]]),
-        ("last", [[0, 3, 5], [7, 8, 9]]),
-    ],
+    [("strongest", [[0, 2, 4], [7, 8, 9]]), ("first", [[0, 1, 4], [6, 8, 9]]), ("last", [[0, 3, 5], [7, 8, 9]])],
 )
 @pytest.mark.parametrize("columns", ["order", "time:1", "dimension:column"])
 def test_one_return_a_shot_in_the_image(rule: str, standing: list[list[int]], columns: str, chunk_records: int) -> None:

@@ -12,12 +12,7 @@ import pytest
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.stream import LabelledBlock, StageLabels
 from prc_cli.formats.writing.columns import OutputConfig
-from tests.formats.common import (
-    URBAN,
-    labelled,
-    random_labels,
-    write,
-)
+from tests.formats.common import URBAN, labelled, random_labels, write
 from tests.formats.las.lasbytes import make_las, parse
 
 SOURCE = Path("drive.bin")

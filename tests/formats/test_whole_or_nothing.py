@@ -14,13 +14,7 @@ import pytest
 from prc_cli.core.errors import OutputError, OutputExistsError
 from prc_cli.formats.writing.columns import OutputConfig
 from tests import patience
-from tests.formats.common import (
-    random_labels,
-    record_blocks,
-    run_record,
-    write,
-    writer,
-)
+from tests.formats.common import random_labels, record_blocks, run_record, write, writer
 from tests.formats.las.lasbytes import make_las
 
 SUFFIXES = [".las", ".laz", ".npy", ".csv", ".parquet"]

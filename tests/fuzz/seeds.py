@@ -205,12 +205,7 @@ def _parquet() -> bytes:
 def _e57() -> bytes:
     import tempfile
 
-    from tests.formats.organised_files import (
-        Scan,
-        e57_fields,
-        grid_points,
-        write_e57,
-    )
+    from tests.formats.organised_files import Scan, e57_fields, grid_points, write_e57
 
     fields = e57_fields(grid_points(N_LINES, M))
     scan = Scan(fields, rotation=(1.0, 0.0, 0.0, 0.0), bounds=(0, M - 1, 0, N_LINES - 1), limits=(0.0, 1.0))

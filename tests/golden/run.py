@@ -213,10 +213,7 @@ def run(
     for name, target in (("data", data_folder()), ("repo", ROOT)):
         (place / name).symlink_to(target.resolve(), target_is_directory=True)
     try:
-        with (
-            patch.dict(os.environ, told),
-            ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool,
-        ):
+        with patch.dict(os.environ, told), ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
             for level in range(max(depth.values(), default=-1) + 1):
                 names = [name for name in depth if depth[name] == level]
                 futures = [pool.submit(run_case, name, cases[name], str(place)) for name in names]

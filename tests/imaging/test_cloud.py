@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64
-from prc_cli.imaging.cloud import (
-    NARROWEST,
-    DepthBuffer,
-    FromAbove,
-    Perspective,
-    Sample,
-    bounds,
-)
+from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample, bounds
 
 
 def box(n: int = 4000, seed: int = 1) -> F64:

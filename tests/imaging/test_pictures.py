@@ -12,20 +12,8 @@ from PIL import Image
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import U8
-from prc_cli.imaging.pictures import (
-    range_bar,
-    range_limits,
-    range_picture,
-    segment_picture,
-    value_limits,
-)
-from prc_cli.imaging.sheet import (
-    Axis,
-    Panel,
-    draw_panel,
-    draw_sheet,
-    zoom_for,
-)
+from prc_cli.imaging.pictures import range_bar, range_limits, range_picture, segment_picture, value_limits
+from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet, zoom_for
 from prc_cli.imaging.viewer import html_page
 
 

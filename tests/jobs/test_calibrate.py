@@ -18,9 +18,7 @@ from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.calibrate import SearchOptions, calibrate
 from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply, thresholds
-from prc_cli.jobs.calibrate.reports import (
-    as_json,
-)
+from prc_cli.jobs.calibrate.reports import as_json
 from prc_cli.jobs.calibrate.search import PRC_AXES, ZETA_P, ZETA_S, Searcher, with_values
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import classify

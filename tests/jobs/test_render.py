@@ -40,10 +40,7 @@ def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     assert block.beam_rad is not None
     assert block.xyz_m is not None
     np.savez(
-        folder / "static.npz",
-        range_m=block.range_m,
-        xyz=block.xyz_m,
-        zenith_deg=180.0 - np.rad2deg(block.beam_rad),
+        folder / "static.npz", range_m=block.range_m, xyz=block.xyz_m, zenith_deg=180.0 - np.rad2deg(block.beam_rad)
     )
     np.save(folder / "reference.npy", ClassCodes().lookup()[labels].ravel())
     return folder / "static.npz", folder / "reference.npy"

@@ -22,13 +22,7 @@ from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
 from prc_cli.jobs.thin import CLASSIFY, ThinRule, parse_rules, thin
 from prc_cli.jobs.thin.rules import keep_by_pattern, keep_by_spacing
-from tests.jobs.test_convert import (
-    cloud,
-    config,
-    same_bits,
-    scans,
-    two_scanners,
-)
+from tests.jobs.test_convert import cloud, config, same_bits, scans, two_scanners
 from tests.street import angles, street
 
 

@@ -9,11 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64, I32
-from prc_cli.methods.sequential_angle.thresholds import (
-    ChordThresholds,
-    MarkovThresholds,
-    SurfaceThresholds,
-)
+from prc_cli.methods.sequential_angle.thresholds import ChordThresholds, MarkovThresholds, SurfaceThresholds
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
 

@@ -9,11 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64, I32, U8
-from prc_cli.methods.sequential_angle.thresholds import (
-    DividerThresholds,
-    FourierThresholds,
-    WindowThresholds,
-)
+from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds, WindowThresholds
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)
 

@@ -10,15 +10,9 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.methods.fused import (
-    ground_loops as fused_ground,
-)
-from prc_cli.methods.fused import (
-    neighbours_loops as fused_neighbours,
-)
-from prc_cli.methods.fused import (
-    strips_loops as fused_strips,
-)
+from prc_cli.methods.fused import ground_loops as fused_ground
+from prc_cli.methods.fused import neighbours_loops as fused_neighbours
+from prc_cli.methods.fused import strips_loops as fused_strips
 from prc_cli.methods.fused.confidence import MEASURES
 from prc_cli.methods.fused.thresholds import (
     AgainThresholds,

@@ -18,11 +18,7 @@ N_BODIES = 9
 def aim_case(rng: Generator) -> tuple[Any, ...]:
     n_lines, m = SHAPES[rng.integers(len(SHAPES))]
     knots = int(rng.integers(2, 6))
-    return (
-        rng.normal(0, 100, (n_lines, knots, 3)),
-        rng.normal(size=(n_lines, knots, 3, 3)),
-        rng.normal(size=(m, 3)),
-    )
+    return (rng.normal(0, 100, (n_lines, knots, 3)), rng.normal(size=(n_lines, knots, 3, 3)), rng.normal(size=(m, 3)))
 
 
 def hits(rng: Generator, n_lines: int, m: int) -> tuple[F64, I32, F64]:

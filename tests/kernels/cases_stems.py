@@ -10,12 +10,7 @@ from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64
 from prc_cli.methods.fused import stems_loops as stems
-from prc_cli.methods.fused.thresholds import (
-    ForestThresholds,
-    RunThresholds,
-    StemThresholds,
-    TerrainThresholds,
-)
+from prc_cli.methods.fused.thresholds import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from tests.kernels.twins import typed
 
 RUNS = typed(

@@ -186,10 +186,7 @@ def test_kernel_equals_its_twin_on_any_seed(name: str, seed: int) -> None:
     assert_equal_bits(getattr(kernels, name)(*case), twin(name)(*case), TOLERANCES.get(name, 0.0))
 
 
-@given(
-    zeta=st.floats(0, 1e9),
-    steps=st.integers(-2, 2),
-)
+@given(zeta=st.floats(0, 1e9), steps=st.integers(-2, 2))
 def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta: float, steps: int) -> None:
     """A difference is below zeta as real numbers, however zeta falls between two float32 values."""
     difference = np.float32(zeta)

@@ -22,13 +22,7 @@ INF = np.inf
 
 
 def cast_shots(
-    origin: F64,
-    direction: F64,
-    time_s: F64,
-    t_min: F64,
-    first_shot: int,
-    bodies: CastBodies,
-    quantiles: F64,
+    origin: F64, direction: F64, time_s: F64, t_min: F64, first_shot: int, bodies: CastBodies, quantiles: F64
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; see :func:`prc_cli.simulation.casting_loops.cast_shots`."""
     shape, numbers, turn, density, velocity, number = bodies

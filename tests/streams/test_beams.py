@@ -27,15 +27,7 @@ from prc_cli.streams.evidence.geometry import check_angle_step, check_down, chec
 from prc_cli.streams.open import open_input
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.profiler import jakarto, jakarto_input, scanner_positions, write_trajectory
-from tests.streams.beam_lines import (
-    GEOMETRIES,
-    gone,
-    is_strictly_monotone,
-    lines,
-    pieces,
-    stream,
-    worst_deg,
-)
+from tests.streams.beam_lines import GEOMETRIES, gone, is_strictly_monotone, lines, pieces, stream, worst_deg
 from tests.streams.record_lists import LINE_HZ, SHOT_HZ, M, open_records, read, scene
 
 AUTO = InputConfig()

@@ -16,9 +16,7 @@ from prc_cli.streams import angles, directions
 from prc_cli.streams.angle_step import measure_step
 from prc_cli.streams.angles import column_angles, find_angle_grid
 from prc_cli.streams.directions import fit_beams
-from prc_cli.streams.down import (
-    WrongOriginError,
-)
+from prc_cli.streams.down import WrongOriginError
 
 
 def arc(

@@ -18,20 +18,9 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify, classify_ranges
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.directions import fit_beams
-from prc_cli.streams.down import (
-    DownGuess,
-    NoDirectionError,
-    fit_heights,
-    guess_down,
-    wrap,
-)
+from prc_cli.streams.down import DownGuess, NoDirectionError, fit_heights, guess_down, wrap
 from tests.methods.fused.street_lines import BEAM, street_lines
-from tests.streams.beam_lines import (
-    GEOMETRIES,
-    is_strictly_monotone,
-    lines,
-    worst_deg,
-)
+from tests.streams.beam_lines import GEOMETRIES, is_strictly_monotone, lines, worst_deg
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)

@@ -18,17 +18,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams import grid, lines
 from prc_cli.streams.grid import open_grid
-from tests.streams.record_lists import (
-    LINE_HZ,
-    N_LINES,
-    SHOT_HZ,
-    M,
-    MemorySource,
-    only,
-    open_records,
-    read,
-    scene,
-)
+from tests.streams.record_lists import LINE_HZ, N_LINES, SHOT_HZ, M, MemorySource, only, open_records, read, scene
 
 RULES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "named": (("range", "scan_line", "column"), {}),
@@ -40,10 +30,7 @@ RULES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "time": (("range", "time"), {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}),
     "time and angle": (("range", "time", "angle"), {"lines": f"time:{LINE_HZ}", "columns": "angle"}),
     "time and column": (("range", "time", "column"), {"lines": f"time:{LINE_HZ}"}),
-    "line and time": (
-        ("range", "scan_line", "time"),
-        {"columns": f"time:{SHOT_HZ}", "points_per_line": M},
-    ),
+    "line and time": (("range", "scan_line", "time"), {"columns": f"time:{SHOT_HZ}", "points_per_line": M}),
     "sensor xyz": (("x", "y", "z", "scan_line", "column"), {"range": "sensor-xyz"}),
 }
 

@@ -13,14 +13,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.angles import WrapState, find_sweep, lines_by_wrap
-from prc_cli.streams.columns import (
-    StampState,
-    spread_stamps,
-)
-from prc_cli.streams.lines import (
-    LineState,
-    lines_by_dimension,
-)
+from prc_cli.streams.columns import StampState, spread_stamps
+from prc_cli.streams.lines import LineState, lines_by_dimension
 from prc_cli.streams.open import open_input
 from prc_cli.streams.ranges import RangeRule, measure_ranges, open_ranges
 from prc_cli.streams.rules import _said, with_elevation

@@ -13,21 +13,8 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import OrderError
 from prc_cli.core.stream import ReadTally
 from prc_cli.streams import order
-from prc_cli.streams.order import (
-    WEEK_S,
-    OrderWatch,
-    WeekState,
-    unwrap_week,
-)
-from tests.streams.record_lists import (
-    LINE_HZ,
-    SHOT_HZ,
-    START_S,
-    only,
-    open_records,
-    read,
-    scene,
-)
+from prc_cli.streams.order import WEEK_S, OrderWatch, WeekState, unwrap_week
+from tests.streams.record_lists import LINE_HZ, SHOT_HZ, START_S, only, open_records, read, scene
 
 
 def watch_in_chunks(values: np.ndarray, chunk: int, policy: str = "trust") -> OrderWatch:

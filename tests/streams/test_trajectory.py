@@ -18,11 +18,7 @@ UTM35 = "EPSG:32635"
 
 
 def load(
-    path: Path,
-    crs: str | None = None,
-    wkt: str | None = None,
-    offset: float = 0.0,
-    max_gap: float | None = None,
+    path: Path, crs: str | None = None, wkt: str | None = None, offset: float = 0.0, max_gap: float | None = None
 ) -> Trajectory:
     return load_trajectory(path, crs=crs, source_crs_wkt=wkt, time_offset=offset, max_gap=max_gap)
 

@@ -57,14 +57,7 @@ def messages(shots: dict[str, np.ndarray], kinds: str, *, every: int = 100, vers
     return sent
 
 
-@pytest.mark.parametrize(
-    "kinds",
-    [
-        "<f4,<f4,<f4,<f4,<u2,<f4",
-        "<f4,<f4,<f4,u1,u1,<u4",
-        ">f8,>f8,>f8,>f4,>i4,>f8",
-    ],
-)
+@pytest.mark.parametrize("kinds", ["<f4,<f4,<f4,<f4,<u2,<f4", "<f4,<f4,<f4,u1,u1,<u4", ">f8,>f8,>f8,>f4,>i4,>f8"])
 def test_columns_come_back_from_times(tmp_path: Path, kinds: str) -> None:
     shots = drive()
     time = {"<f4": "time", "<u4": "t", ">f8": "timestamp"}[kinds.rpartition(",")[2]]

@@ -117,10 +117,7 @@ def test_shots_do_not_depend_on_chunks(tmp_path: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize(
     ("head", "told"),
     [
-        (
-            "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float range\nend_header\n",
-            "in point 1",
-        ),
+        ("ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float range\nend_header\n", "in point 1"),
         (
             "ply\nformat ascii 1.0\nelement vertex 99999\nproperty float range\nproperty int a\nend_header\n1 2\n",
             "after 1",

@@ -19,14 +19,7 @@ from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.record import Fingerprint, RunRecord
 from prc_cli.jobs.classify import open_stream
 from prc_cli.streams.open import open_input
-from tests.formats.organised_files import (
-    Array,
-    Scan,
-    e57_fields,
-    grid_points,
-    reordered,
-    write_e57,
-)
+from tests.formats.organised_files import Array, Scan, e57_fields, grid_points, reordered, write_e57
 from tests.formats.test_ptx import equal, expected, scans_of
 
 AUTO = InputConfig()

@@ -17,12 +17,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.writing import base as base_module
-from tests.formats.common import (
-    URBAN,
-    random_labels,
-    record_blocks,
-    write,
-)
+from tests.formats.common import URBAN, random_labels, record_blocks, write
 
 CODES = [2, 2, 7, 0, 64, 5]
 
@@ -62,8 +57,7 @@ def test_npy(tmp_path: Path, dtype: str, shape: tuple[int, ...], order: Any) -> 
 
 @pytest.mark.parametrize("packed", ["", ".gz"])
 @pytest.mark.parametrize(
-    ("header", "asked"),
-    [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")],
+    ("header", "asked"), [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")]
 )
 def test_text(tmp_path: Path, header: str, asked: str | None, packed: str) -> None:
     rows = "".join(f"{k},{code},GROUND\n" for k, code in enumerate(CODES))

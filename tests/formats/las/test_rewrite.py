@@ -19,16 +19,7 @@ from prc_cli.formats.las.header import standard_bytes
 from prc_cli.formats.las.points import set_classes
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.writing.columns import OutputConfig
-from tests.formats.common import (
-    FOREST,
-    URBAN,
-    labelled,
-    random_labels,
-    record_blocks,
-    run_record,
-    write,
-    writer,
-)
+from tests.formats.common import FOREST, URBAN, labelled, random_labels, record_blocks, run_record, write, writer
 from tests.formats.las.lasbytes import (
     Parsed,
     classes,

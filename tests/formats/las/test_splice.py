@@ -19,14 +19,7 @@ from prc_cli.formats.las import splice as las_splice
 from prc_cli.formats.las.header import open_source, read_header
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.splice import LazContexts, Splice, contexts_of, find_chunks
-from tests.formats.common import (
-    URBAN,
-    random_labels,
-    record_blocks,
-    run_record,
-    write,
-    writer,
-)
+from tests.formats.common import URBAN, random_labels, record_blocks, run_record, write, writer
 from tests.formats.las.lasbytes import (
     Parsed,
     Raw,

@@ -119,14 +119,8 @@ def test_values_do_not_depend_on_blocks(
 @pytest.mark.parametrize(
     ("content", "found"),
     [
-        (
-            "range,x\n1,2\n\n# c\nabc,3\n",
-            "line 5: column 'range': found 'abc', expected a number; leave the",
-        ),
-        (
-            "range;x\n1.5;2\n3,5;3\n",
-            "line 3: column 'range': found '3,5', expected a number; write decimals with",
-        ),
+        ("range,x\n1,2\n\n# c\nabc,3\n", "line 5: column 'range': found 'abc', expected a number; leave the"),
+        ("range;x\n1.5;2\n3,5;3\n", "line 3: column 'range': found '3,5', expected a number; write decimals with"),
         ("range,x\n1,2\n0x10,3\n", "line 3: column 'range': found '0x10', expected a number"),
         ("range,x\n1,2\n1_0,3\n", "line 3: column 'range': found '1_0', expected a number"),
         (b"range,x\n1,2\n\xe41,3\n", "line 3: column 'range': found bytes that are not UTF-8, expected a number"),

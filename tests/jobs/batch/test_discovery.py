@@ -13,10 +13,7 @@ import pytest
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.jobs.batch import discovery
-from prc_cli.jobs.batch.discovery import (
-    Patterns,
-    discover,
-)
+from prc_cli.jobs.batch.discovery import Patterns, discover
 from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings
 from tests.patience import HANGS_S
 

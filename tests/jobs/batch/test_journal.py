@@ -18,20 +18,8 @@ from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError, OutputError, PrcError
 from prc_cli.jobs.batch import journal as subject
-from prc_cli.jobs.batch.journal import (
-    Journal,
-    read_entries,
-    read_runs,
-)
-from prc_cli.jobs.batch.types import (
-    Done,
-    Entry,
-    Failed,
-    InputPrint,
-    Problem,
-    Shard,
-    Task,
-)
+from prc_cli.jobs.batch.journal import Journal, read_entries, read_runs
+from prc_cli.jobs.batch.types import Done, Entry, Failed, InputPrint, Problem, Shard, Task
 from tests import patience
 
 ODD_NAMES = [

@@ -17,15 +17,7 @@ from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import PrcError
 from prc_cli.jobs.batch import local, worker
 from prc_cli.jobs.batch.local import LocalEngine
-from prc_cli.jobs.batch.types import (
-    Done,
-    EngineSettings,
-    Event,
-    Failed,
-    Progress,
-    Started,
-    Task,
-)
+from prc_cli.jobs.batch.types import Done, EngineSettings, Event, Failed, Progress, Started, Task
 from tests import patience
 from tests.patience import wait_until
 from tests.street import street, write_endless, write_npz

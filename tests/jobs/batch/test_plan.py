@@ -13,22 +13,8 @@ from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.batch.discovery import discover
-from prc_cli.jobs.batch.plan import (
-    BatchConfig,
-    Plan,
-    make_plan,
-)
-from prc_cli.jobs.batch.types import (
-    BatchSettings,
-    ConfigLayers,
-    Done,
-    Entry,
-    Failed,
-    InputPrint,
-    Problem,
-    State,
-    Task,
-)
+from prc_cli.jobs.batch.plan import BatchConfig, Plan, make_plan
+from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, Done, Entry, Failed, InputPrint, Problem, State, Task
 from prc_cli.jobs.batch.worker import run_task
 from tests.street import street, write_npz
 

@@ -26,12 +26,7 @@ from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
 from prc_cli.jobs.batch.outputs import verify_outputs
 from prc_cli.jobs.batch.report import BatchSummary, as_dict
-from prc_cli.jobs.batch.run import (
-    Again,
-    Alarm,
-    RunEvent,
-    run_batch,
-)
+from prc_cli.jobs.batch.run import Again, Alarm, RunEvent, run_batch
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     BatchSettings,
@@ -444,9 +439,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, tupl
     return folder / "in", found
 
 
-def test_the_same_bytes_whatever_the_number_of_workers(
-    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]],
-) -> None:
+def test_the_same_bytes_whatever_the_number_of_workers(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]]) -> None:
     one = tree(runs[1][1][0])
     assert len(one) == 14
     assert not [name for name in one if name.endswith(".part")]

@@ -21,14 +21,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
-from prc_cli.jobs.batch.report import (
-    EXIT_CODES,
-    MIN_EARLIER,
-    BatchEvaluation,
-    BatchSummary,
-    drift,
-    write_summary,
-)
+from prc_cli.jobs.batch.report import EXIT_CODES, MIN_EARLIER, BatchEvaluation, BatchSummary, drift, write_summary
 from prc_cli.jobs.batch.run import run_batch
 from prc_cli.jobs.batch.types import (
     Alarm,

@@ -3,30 +3,14 @@
 from __future__ import annotations
 
 from prc_cli.methods.fused import classes, ground, pipeline, plane, range_noise
-from prc_cli.methods.fused import (
-    classes_loops as fused_classes,
-)
-from prc_cli.methods.fused import (
-    confidence_loops as fused_confidence,
-)
-from prc_cli.methods.fused import (
-    fans_loops as fused_fans,
-)
-from prc_cli.methods.fused import (
-    flanks_loops as fused_flanks,
-)
-from prc_cli.methods.fused import (
-    ground_loops as fused_ground,
-)
-from prc_cli.methods.fused import (
-    neighbours_loops as fused_neighbours,
-)
-from prc_cli.methods.fused import (
-    strips_loops as fused_strips,
-)
-from prc_cli.methods.fused import (
-    texture_loops as fused_texture,
-)
+from prc_cli.methods.fused import classes_loops as fused_classes
+from prc_cli.methods.fused import confidence_loops as fused_confidence
+from prc_cli.methods.fused import fans_loops as fused_fans
+from prc_cli.methods.fused import flanks_loops as fused_flanks
+from prc_cli.methods.fused import ground_loops as fused_ground
+from prc_cli.methods.fused import neighbours_loops as fused_neighbours
+from prc_cli.methods.fused import strips_loops as fused_strips
+from prc_cli.methods.fused import texture_loops as fused_texture
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:

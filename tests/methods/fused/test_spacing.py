@@ -10,12 +10,7 @@ from prc_cli.methods.base import OneByOne
 from prc_cli.methods.fused.neighbours import smooth_pairs
 from prc_cli.methods.fused.pipeline import FusedParams, FusedScanner, classify_block, initial_state
 from prc_cli.methods.fused.plane import ScanPlane
-from prc_cli.methods.fused.spacing import (
-    IN_LINE_PAIRS,
-    SPACED_LINES,
-    STANDS,
-    spaced_pairs,
-)
+from prc_cli.methods.fused.spacing import IN_LINE_PAIRS, SPACED_LINES, STANDS, spaced_pairs
 from prc_cli.methods.fused.thresholds import Smoothness
 from tests.methods.fused.street_lines import BEAM, BUILDING, VEGETATION, street_lines, with_limits
 

@@ -19,16 +19,7 @@ from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.range_noise import DEFAULT_NOISE_M, NoiseAlong, SensorParams
 from prc_cli.methods.fused.thresholds import NEVER, NO_BINS
 from prc_cli.methods.run import run_blocks
-from tests.methods.fused.street_lines import (
-    BEAM,
-    BUILDING,
-    CAR,
-    GROUND,
-    STRAY,
-    VEGETATION,
-    street_lines,
-    with_limits,
-)
+from tests.methods.fused.street_lines import BEAM, BUILDING, CAR, GROUND, STRAY, VEGETATION, street_lines, with_limits
 
 PLANE = ScanPlane.of(BEAM)
 SCANNER = FusedScanner.of(BEAM)

@@ -44,9 +44,9 @@ def test_pipeline_equals_the_oracle_for_any_block_length() -> None:
     seen: set[int] = set()
     for seed in range(700):
         seen |= assert_equals_oracle(seed)
-    assert seen == {
-        *(Label.MISSING, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.STEM),
-    }, "the data does not show every class"
+    assert seen == {*(Label.MISSING, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.STEM)}, (
+        "the data does not show every class"
+    )
 
 
 @given(st.integers(1000, 2**40))

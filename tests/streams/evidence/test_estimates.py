@@ -17,10 +17,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.info import inspect
 from prc_cli.streams.evidence.lines import other_reading
-from prc_cli.streams.evidence.periods import (
-    estimate_points_per_line,
-    measure_rates,
-)
+from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates
 from prc_cli.streams.evidence.place import SAMPLE_LINES, place_of, place_of_blocks
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array

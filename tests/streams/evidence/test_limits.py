@@ -17,19 +17,10 @@ from prc_cli.core.types import F32, F64
 from prc_cli.streams.angle_step import AngleStep
 from prc_cli.streams.down import DownGuess
 from prc_cli.streams.evidence import geometry, lines
-from prc_cli.streams.evidence.checks import (
-    check_collisions,
-    check_missing_code,
-    check_returns,
-    check_unplaced,
-)
+from prc_cli.streams.evidence.checks import check_collisions, check_missing_code, check_returns, check_unplaced
 from prc_cli.streams.evidence.figures import Figures, Seen, Window
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
-from prc_cli.streams.evidence.lines import (
-    check_line_length,
-    check_line_order,
-    check_shot_order,
-)
+from prc_cli.streams.evidence.lines import check_line_length, check_line_order, check_shot_order
 from prc_cli.streams.evidence.periods import PeriodEstimate
 
 FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
@@ -219,8 +210,7 @@ def test_returns(n_shots: int, n_missing: int, verdict: Verdict, share: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("n", "usual_m", "verdict"),
-    [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)],
+    ("n", "usual_m", "verdict"), [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)]
 )
 def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
     found = check_missing_code(seen_of_cells(np.where(np.arange(1000) < n, 100.0, usual_m)))
