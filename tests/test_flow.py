@@ -7,21 +7,16 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-import prc_cli.jobs.classify as pipeline
 from prc_cli.config import load_config
 from prc_cli.core.errors import InputError
-from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.jobs.classify import classify, load_classifier
-from prc_cli.methods import run
 from prc_cli.methods.prc.pipeline import Prc
 from prc_cli.streams import grid
 from tests import patience
@@ -106,60 +101,6 @@ def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
     with pytest.raises(type(error)):
         classify(source, out / "labels.npy", SHORT, threads=threads, progress=progress)  # type: ignore[arg-type]
     assert os.listdir(out) == []
-
-
-@pytest.mark.usefixtures("no_thread_left")
-def test_the_writer_may_be_slow_and_few_blocks_wait(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
-) -> None:
-    config = load_config(options=OPTIONS | {"prc": {"lines_per_block": 4}})
-    source = write_npz(tmp_path / "drive.npz", np.tile(image, (3, 1)))
-    begun, written, most = 0, 0, 0
-    cut, add = run.regroup, StagedWriter.add
-
-    def count(*arguments: Any, **named: Any) -> Iterator[ScanBlock]:
-        nonlocal begun, most
-        for block in cut(*arguments, **named):
-            begun += 1
-            most = max(most, begun - written)
-            yield block
-
-    def dawdle(self: StagedWriter, block: LabelledBlock) -> None:
-        nonlocal written
-        time.sleep(0.002)
-        add(self, block)
-        written += 1
-
-    monkeypatch.setattr(run, "regroup", count)
-    monkeypatch.setattr(StagedWriter, "add", dawdle)
-    classify(source, tmp_path / "labels.npy", config, threads=2)
-    assert written == begun > 20
-    # three with the classifier, one on its way, one that waits, one that is written
-    assert most <= 3 + 1 + pipeline.AHEAD + 1
-
-
-def test_the_input_is_read_and_fingerprinted_while_blocks_are_classified(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
-) -> None:
-    names: set[str] = set()
-    block_of, add = grid.dense_block, StagedWriter.add
-
-    def read(*arguments: object) -> ScanBlock:
-        names.add(threading.current_thread().name)
-        return block_of(*arguments)  # type: ignore[arg-type]
-
-    def write(self: StagedWriter, block: LabelledBlock) -> None:
-        names.add(threading.current_thread().name)
-        add(self, block)
-
-    monkeypatch.setattr(grid, "dense_block", read)
-    monkeypatch.setattr(StagedWriter, "add", write)
-    source = write_raw(tmp_path / "drive.bin", image)
-    classify(source, tmp_path / "one.npy", SHORT, threads=1)
-    assert names == {threading.main_thread().name}
-    names.clear()
-    classify(source, tmp_path / "two.npy", SHORT, threads=2)
-    assert names == {"read-ahead", "write-behind"}
 
 
 def test_an_input_that_vanishes_from_the_fingerprint_is_refused(

@@ -16,29 +16,21 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main
-from prc_cli.cli.batch_report import print_status
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
-from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.scores import GateResult
 from prc_cli.jobs.batch import run as run_module
-from prc_cli.jobs.batch.lock import Holder, Owner
 from prc_cli.jobs.batch.plan import Plan
-from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary, Compared
+from prc_cli.jobs.batch.report import BatchSummary
 from prc_cli.jobs.batch.run import Listener, Noted, Ready
 from prc_cli.jobs.batch.types import (
     Alarm,
     BatchSettings,
     Done,
     Doubted,
-    Entry,
     Failed,
     InputPrint,
-    LeftOut,
     Problem,
-    ReferenceSettings,
 )
-from prc_cli.jobs.batch.types import Run as JournalRun
 from tests import patience
 from tests.street import street, write_csv, write_npz
 
@@ -119,27 +111,6 @@ def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -
     end = lines[-1]
     assert (end["exit_code"], end["done"], end["failed"], end["found"]) == (1, 2, 1, 3)
     assert all(line["time"].endswith("Z") for line in lines)
-
-
-def test_what_a_dead_run_left_is_not_called_at_work_while_another_run_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    alive = replace(Owner(), pid=11)
-    dead = replace(alive, pid=22)
-    runs = [JournalRun(str(n), "", "0", str(who), f"2026-01-0{n}", None, None) for n, who in ((1, dead), (2, alive))]
-    entries = [
-        Entry(name, "running", "", "0", "r", 1, "2026-01-01", None, str(who), None)
-        for name, who in (("old.laz", dead), ("new.laz", alive))
-    ]
-    print_status(tmp_path, entries, runs, [Holder(tmp_path, alive, alive=True)])
-    text = capsys.readouterr().out
-    assert "2 files: 1 running, 1 cut off" in text
-    assert "cut off old.laz" in text
-    assert "running new.laz" in text
-    assert [("cut off" in line, "at work" in line) for line in text.splitlines() if "│ 2026" in line] == [
-        (True, False),
-        (False, True),
-    ]
 
 
 def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
@@ -368,13 +339,6 @@ def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]
     assert "failed :smile:[/].laz: is cut short" in found.err
 
 
-def test_a_log_that_cannot_be_written_does_not_end_the_run(prc: Run, play: Callable[..., None]) -> None:
-    play(done("a.laz"))
-    found = prc("a", "o", "--log-json", "none/log")
-    assert found.code == 0
-    assert found.err.count("the log cannot be written") == 1
-
-
 def test_the_log_on_stdout_is_json_alone(prc: Run, play: Callable[..., None]) -> None:
     play(done(ODD))
     lines = prc("a", "o", "--log-json", "-").out.splitlines()
@@ -442,28 +406,6 @@ def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None
     assert prc("./status", "./retry").code == 0
     found: BatchSettings = made_up.settings  # type: ignore[attr-defined]
     assert (found.archive, found.out) == (Path("status"), Path("retry"))
-
-
-def test_long_lists_are_cut_and_the_worst_files_are_shown(prc: Run, play: Callable[..., None]) -> None:
-    names = ("ground", "noise")
-    matrices = [ConfusionMatrix(names, names, np.array([[k, 30 - k], [0, 9]])) for k in range(30)]
-    compared = [Compared(f"f{k:02}", "r", matrix) for k, matrix in enumerate(matrices)]
-    missing = [Compared(f"m{k:02}", None, None, Problem("NoReference", f"m{k:02}", "no reference")) for k in range(30)]
-    pooled = ConfusionMatrix(names, names, sum(matrix.counts for matrix in matrices))
-    gates = (GateResult("recall.noise", 0.5, float("nan")),)
-    evaluation = BatchEvaluation(ReferenceSettings(Path("ref")), (*compared, *missing), pooled, gates)
-    left = tuple(LeftOut(f"x{k:02}", "not a regular file") for k in range(30))
-    play(done("a.laz"), evaluation=evaluation, left_out=left)
-    found = prc("a", "o")
-    assert found.code == 3
-    assert "f00" in found.out
-    assert "f19" in found.out
-    assert "f20" not in found.out
-    assert "the 20 of 30 files with the lowest accuracy" in found.out
-    assert found.err.count("not compared m") == 20
-    assert found.err.count("left out x") == 20
-    assert found.err.count("and 10 more, see summary.json") == 2
-    assert "recall.noise: found undefined, demanded 0.5000: failed" in found.err
 
 
 @pytest.mark.slow

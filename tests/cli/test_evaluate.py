@@ -83,28 +83,6 @@ def test_refusals_are_one_line_and_leave_nothing(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["reference", "run"]
 
 
-@pytest.mark.data
-def test_three_strips_of_a_street_as_one_page(prc: Prc, real_data: Path, tmp_path: Path) -> None:
-    from prc_cli.jobs.evaluate import evaluate
-
-    # the reference against itself, in the codes of this program
-    names = [real_data / "oakland" / f"oakland_{strip}.csv.gz" for strip in (1, 2, 3)]
-    mapping = tmp_path / "self.toml"
-    mapping.write_text(
-        'unlisted = "other"\nignore = [0]\n[predicted]\nground = ["1200-1206"]\nleaf = [1300]\n'
-        '[reference]\nground = ["1200-1206"]\nleaf = [1300]\n'
-    )
-    page, table = tmp_path / "all.html", tmp_path / "all.json"
-    pairs = [word for name in names[1:] for word in ("--pair", name, name)]
-    assert prc(names[0], names[0], *pairs, "--mapping", mapping, "-q", "-o", page, "-o", table) == (0, "", "")
-    found = json.loads(table.read_text())
-    assert found["overall"]["accuracy"] < 1.0  # "other" never agrees
-    assert found["classes"]["leaf"]["recall"] == 1.0
-    parts = [evaluate(name, name, mapping).n_scored for name in names]
-    assert found["n_scored"] == sum(parts)
-    assert "unlisted" not in page.read_text(encoding="utf-8")
-
-
 def record(path: Path, method: str, **tables: object) -> None:
     """Put the run record of a method beside a predicted file."""
     made = {"program": "prc-cli", "config": {"method": method, **tables}}

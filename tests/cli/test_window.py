@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -88,19 +87,6 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
     assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(source.scan_line < 20)
 
 
-def test_tables_and_clouds_keep_the_numbers_of_the_drive(prc: Prc, folder: Path) -> None:
-    assert prc("classify", folder / "d.csv", folder / "w.csv", "--only-lines", "13:15", *URBAN).code == 0
-    rows = list(csv.DictReader((folder / "w.csv").read_text().splitlines()))
-    assert [int(row["record"]) for row in rows] == list(range(13 * M, 15 * M))
-    assert prc("classify", folder / "d.ply", folder / "w.ply", "--only-lines", "13:15", *URBAN).code == 0
-    from prc_cli.formats import open_source
-
-    source = open_source(folder / "w.ply")
-    assert source is not None
-    lines = np.concatenate([chunk.values["scan_line"] for chunk in source.chunks(("scan_line",))])
-    assert np.array_equal(lines, np.repeat([13, 14], M))
-
-
 def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
     source = laspy.read(folder / "d.laz")
     inside = (source.scan_line >= 20) & (source.scan_line < 30)
@@ -116,30 +102,6 @@ def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
         blocks = list(open_stream(folder / name, load_config(preset="urban")).blocks())
         ranges = np.concatenate([block.range_m for block in blocks])
         assert np.array_equal(ranges, np.load(folder / "d.npz")["range_m"][20:30], equal_nan=True)
-
-
-def test_what_lies_behind_is_not_read(prc: Prc, folder: Path) -> None:
-    """Rows that cannot be read stand behind the window."""
-    text = (folder / "d.csv").read_text()
-    (folder / "broken.csv").write_text(text + "this is no row\n" * 3)
-    assert prc("classify", folder / "broken.csv", folder / "b.npy", "-M", M, *URBAN).code == 1
-    # text is read in large pieces
-    longer = "\n".join(text.splitlines()[1:]) + "\n"
-    (folder / "broken.csv").write_text(text + longer * 8 + "this is no row\n" * 3)
-    result = prc("classify", folder / "broken.csv", folder / "b.npy", "-M", M, "--first", "30lines", *URBAN)
-    assert result.code == 0, result.err
-
-
-def test_times_that_are_not_known(prc: Prc, folder: Path) -> None:
-    np.load(folder / "d.npz")["range_m"].astype("<f4").tofile(folder / "bare.bin")
-    result = prc("classify", folder / "bare.bin", folder / "n.npy", "-M", M, "--first", "2s", *URBAN)
-    assert result.code == 1
-    assert "found neither times of the shots nor a line frequency, expected them for --first 2s" in result.err
-    assert "--first 500lines" in result.err
-    (folder / "hz.toml").write_text(f"[layout]\nline_frequency = {HZ}\npoints_per_line = {M}\n")
-    given = ("--layout", folder / "hz.toml", "--first", "2s", *URBAN)
-    assert prc("classify", folder / "bare.bin", folder / "n.npy", *given).code == 0
-    assert len(np.load(folder / "n.npy")) == 20 * M
 
 
 @pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz"), ("render", "d.laz")])

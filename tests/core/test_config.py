@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from prc_cli.config import PRESETS, load_config, parse_assignment, to_toml
+from prc_cli.config import PRESETS, load_config, to_toml
 from prc_cli.core.errors import ConfigError
-from prc_cli.methods.fused.thresholds import FOREST, STREET
 
 
 def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> None:
@@ -72,29 +71,3 @@ def test_what_is_shown_can_be_read_back(preset: str | None, comments: bool, tmp_
     path = tmp_path / "shown.toml"
     path.write_text(to_toml(loaded, comments=comments))
     assert load_config(path).config == loaded.config
-
-
-@pytest.mark.parametrize(
-    ("key", "limit"),
-    [
-        ("company.near_m", STREET.near.near_m),
-        ("company.least", STREET.decision.least_near),
-        ("smoothness.noise_sigmas", STREET.smoothness.noise_sigmas),
-        ("ground.step_m", STREET.walk.step_m),
-        ("strips.foot_m", STREET.strips.foot_m),
-        ("walls.before_m", STREET.walls.before_m),
-        ("noise.ghost_m", STREET.decision.ghost_m),
-        ("noise.mirror_share", STREET.again.mirror_share),
-        ("leaves.share", STREET.decision.leaf_share),
-        ("cars.top_m", STREET.decision.car_top_m),
-        ("curbs.margin", STREET.curbs and STREET.curbs.margin),
-        ("forest.soil_m", FOREST.classes.soil_m),
-        ("forest.stems.gaps.longest_m", FOREST.runs.gap_m),
-        ("forest.terrain.reach_m", FOREST.reach_m),
-    ],
-)
-def test_the_error_of_a_former_key_tells_the_limit_that_holds(key: str, limit: float) -> None:
-    with pytest.raises(ConfigError) as caught:
-        load_config(options=parse_assignment(f"fused.{key}=0.123"))
-    told = float(str(caught.value.hint).rpartition(" = ")[2])
-    assert told == pytest.approx(float(limit))

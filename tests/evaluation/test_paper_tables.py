@@ -62,20 +62,6 @@ def test_table_ii_scores(gate: str, value: float) -> None:
     assert found.n_scored == 39_716_061
 
 
-def test_table_ii_from_codes_other_vegetation_counts_as_the_noise_of_the_reference() -> None:
-    mapping = load_mapping("lehtola_forest")
-    reference_codes, predicted_codes = [(7, 5, 4, 1), (2,), (64,)], [(5, 7), (2,), (64,)]
-    state = ConfusionMatrix.empty(mapping)
-    for i, j in np.ndindex(3, 3):
-        n = int(TABLE_II[i, j]) // 1000
-        predicted, reference = np.resize(predicted_codes[j], n), np.resize(reference_codes[i], n)
-        state = accumulate(state, predicted, reference, mapping)
-    shown = state.trimmed()
-    assert (shown.reference_names, shown.predicted_names) == (FOREST, FOREST)
-    assert np.array_equal(shown.counts, TABLE_II // 1000)
-    assert scores(state).accuracy == pytest.approx(0.583, abs=0.0006)
-
-
 @pytest.mark.parametrize("zeta_p", list(TABLE_I))
 def test_table_i_as_row_shares(zeta_p: str) -> None:
     mapping = load_mapping("lehtola_urban")
@@ -119,18 +105,6 @@ def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
     # rounded to four digits in the paper, without zeros at the end; F1 and the accuracy are not printed there
     assert gate_value(found, gate) == pytest.approx(printed, abs=0.6 * 10**-digits)
     assert found.n_scored == 7_313_534
-
-
-def test_table_1_from_codes() -> None:
-    mapping = load_mapping("street_scan")
-    codes = {"vegetation": 5, "vertical": 67, "car": 65, "horizontal": 2}
-    state = ConfusionMatrix.empty(mapping)
-    for i, j in np.ndindex(4, 4):
-        n = int(TABLE_1[i, j]) // 100
-        state = accumulate(state, np.full(n, codes[STREET[j]]), np.full(n, codes[STREET[i]]), mapping)
-    shown = state.trimmed()
-    assert (shown.reference_names, shown.predicted_names) == (STREET, STREET)
-    assert np.array_equal(shown.counts, TABLE_1 // 100)
 
 
 @pytest.mark.parametrize("matrix", [forest(), street()], ids=["lehtola", "stamos"])

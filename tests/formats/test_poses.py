@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.trajectory import is_tum, read_poses, read_tum, turned
+from prc_cli.formats.trajectory import is_tum, read_poses, read_tum
 from prc_cli.streams.trajectory import load_trajectory
 from tests.formats.bags import recordings as made
 from tests.fuzz.seeds import seed
@@ -71,19 +71,6 @@ def test_tum_and_bags_hold_the_same_poses(tmp_path: Path) -> None:
         time_s, xyz_m, quaternion = read_poses(path, None)
         np.testing.assert_allclose(time_s, rows[:, 0] + 1, atol=1e-8)
         np.testing.assert_allclose(np.column_stack([xyz_m, quaternion]), rows[:, 1:], atol=1e-12)
-
-
-def test_lever_arms_turn_with_the_vehicle(tmp_path: Path) -> None:
-    rows, arm = poses(), (0.5, -0.2, 1.5)
-    moved = rows[:, 1:4] + Rotation.from_quat(rows[:, 4:]).apply(arm)
-    np.testing.assert_allclose(rows[:, 1:4] + turned(rows[:, 4:], np.array(arm)), moved, atol=1e-12)
-    path = tum(tmp_path / "a.tum", rows)
-    found = load_trajectory(path, **HEAD, lever_arm_m=arm)  # type: ignore[arg-type]
-    np.testing.assert_allclose(found.xyz_m, moved, atol=1e-7)
-    csv = tmp_path / "a.csv"
-    csv.write_bytes(seed("track.csv"))
-    with pytest.raises(ConfigError, match="needs the orientation of the vehicle"):
-        load_trajectory(csv, **HEAD, lever_arm_m=arm)  # type: ignore[arg-type]
 
 
 def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> None:

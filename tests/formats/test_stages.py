@@ -104,31 +104,6 @@ def test_rewritten_files_hold_them(tmp_path: Path, form: int, before: str, after
             assert np.asarray(old[name]).tobytes() == np.asarray(new[name]).tobytes()
 
 
-@pytest.mark.parametrize("form", [1, 6])
-def test_all_optional_columns_together(tmp_path: Path, form: int) -> None:
-    """Also over an upgrade of the point format, and on top of columns that are there already."""
-    make_las(tmp_path / "in.laz", form)
-    given = drive()
-    options = OutputConfig(stages=True, range=True, segment_ids=True)
-    write(tmp_path / "once.laz", tmp_path / "in.laz", given.blocks, options=options)
-    again = drive(seed=4)
-    for item in again.blocks:
-        item.labels[item.labels == Label.GROUND] = Label.CURB  # a code that formats 0 to 5 cannot hold
-    record = write(tmp_path / "twice.laz", tmp_path / "once.laz", again.blocks, options=options)
-    once, twice = laspy.read(tmp_path / "once.laz"), laspy.read(tmp_path / "twice.laz")
-    assert twice.point_format.id == 6
-    for read, drawn in ((once, given), (twice, again)):
-        assert list(read.point_format.extra_dimension_names)[-8:] == ["segment_id", "range", *NAMES]
-        for name, expected in zip(NAMES, drawn.columns(), strict=True):
-            assert same_bits(read[name], expected.ravel())
-    told = [text for text in record.notices if "already" in text]
-    assert told == [
-        "the input has segment_id already; its values were replaced",
-        "the input has range already; it was kept as it is",
-        *(f"the input has {name} already; its values were replaced" for name in NAMES),
-    ]
-
-
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet", ".npy"])
 @pytest.mark.parametrize("rewritten", [False, True])
 def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewritten: bool) -> None:

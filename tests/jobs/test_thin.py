@@ -13,14 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.classes import ClassCodes
+from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.formats.las.rewrite import read_las
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
-from prc_cli.jobs.thin import CLASSIFY, ThinRule, parse_rules, thin
+from prc_cli.jobs.thin import CLASSIFY, parse_rules, thin
 from prc_cli.jobs.thin.rules import keep_by_pattern, keep_by_spacing
 from tests.jobs.test_convert import cloud, config, same_bits, scans, two_scanners
 from tests.street import angles, street
@@ -38,11 +37,6 @@ def labelled(drive: Path, tmp_path: Path) -> Path:
     """The street as classified LAZ."""
     classify(drive, tmp_path / "drive.laz")
     return tmp_path / "drive.laz"
-
-
-def ranges(path: Path) -> Any:
-    with np.load(path) as arrays:
-        return arrays["range_m"]
 
 
 def codes(drive: Path, tmp_path: Path) -> Any:
@@ -104,32 +98,6 @@ def test_las_keeps_everything_else(labelled: Path, tmp_path: Path) -> None:
     )
 
 
-def test_only_noise_goes_by_default_and_stays_if_asked(labelled: Path, tmp_path: Path) -> None:
-    thin(labelled, tmp_path / "a.las")
-    found = np.bincount(laspy.read(tmp_path / "a.las").classification, minlength=8)
-    whole = np.bincount(laspy.read(labelled).classification)
-    assert found[7] == 0
-    assert found[:7].tolist() == whole[:7].tolist()
-    thin(labelled, tmp_path / "b.las", parse_rules(["noise=1"], drop=["vegetation"]))
-    found = np.bincount(laspy.read(tmp_path / "b.las").classification)
-    assert (found[7], found[5]) == (whole[7], 0)
-
-
-def test_spacing_is_what_it_says(drive: Path, tmp_path: Path) -> None:
-    thin(drive, tmp_path / "a.npz", parse_rules(spacing=["ground=0.5"]), labels=CLASSIFY)
-    image, found = ranges(tmp_path / "a.npz"), codes(drive, tmp_path)
-    angle, gaps = angles(), []
-    for line in range(len(image)):
-        columns = np.flatnonzero((found[line] == 2) & ~np.isnan(image[line]))
-        away = image[line, columns].astype(np.float64)
-        place = np.stack([away * np.cos(angle[columns]), away * np.sin(angle[columns])], 1)
-        gaps.extend(np.linalg.norm(np.diff(place, axis=0), axis=1))
-    assert min(gaps) >= 0.5
-    assert np.median(gaps) < 1.0
-    other = (found != 2) & (found != 7)
-    assert np.array_equal(image[other], street()[other], equal_nan=True)
-
-
 @given(st.integers(0, 30), st.integers(1, 30), st.integers(0, 10**6))
 def test_a_share_is_exact_along_every_line(part: int, whole: int, line: int) -> None:
     share = Fraction(min(part, whole), whole)
@@ -171,43 +139,6 @@ def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
     if suffix == ".csv":  # a table keeps its empty cells
         assert [block.points_per_line for block in after.values()] == [20, 33]
     assert (np.asarray(before["number_of_returns"])[stays] > 1).any()
-
-
-def test_the_nearest_return_takes_the_cell_of_a_dropped_one(tmp_path: Path) -> None:
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
-        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
-    las = laspy.LasData(header)
-    n = 4
-    las.x = las.y = las.z = np.zeros(n)
-    las["range"], las["scan_line"], las["column"] = [3.0, 9.0, 12.0, 5.0], [0] * n, [0, 0, 0, 1]
-    las.return_number, las.number_of_returns = [1, 2, 3, 1], [3, 3, 3, 1]
-    las.gps_time, las.intensity, las.classification = [1, 1, 1, 2], [90, 5, 6, 7], [7, 2, 2, 2]
-    las.write(tmp_path / "a.las")
-    for suffix in (".csv", ".npz"):
-        thin(tmp_path / "a.las", tmp_path / f"out{suffix}")
-        (block,) = scans(tmp_path / f"out{suffix}", config()).values()
-        assert block.range_m.tolist() == [[9.0, 5.0]]
-        assert block.extra.range_m.tolist() == ([12.0] if suffix == ".csv" else [])
-
-
-@pytest.mark.parametrize("suffix", [".npy", ".csv", ".parquet"])
-def test_a_label_file_decides(drive: Path, tmp_path: Path, suffix: str) -> None:
-    labels = tmp_path / f"l{suffix}"
-    classify(drive, labels)
-    thin(drive, tmp_path / "a.npz", QUARTER, labels=labels)
-    assert same_bits(ranges(tmp_path / "a.npz"), expected(drive, tmp_path))
-
-
-def test_the_same_bytes_twice(labelled: Path, drive: Path, tmp_path: Path) -> None:
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        thin(labelled, tmp_path / folder / "t.laz", QUARTER)
-        thin(drive, tmp_path / folder / "t.npz", QUARTER, labels=CLASSIFY)
-    names = sorted(path.name for path in (tmp_path / "a").iterdir())
-    assert names == ["t.laz", "t.laz.prc.json", "t.npz", "t.npz.prc.json"]
-    for name in names:
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -261,53 +192,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(drive: Path, labelled: Path, t
     assert list(out.iterdir()) == []
 
 
-def test_a_class_that_is_not_there_is_told(labelled: Path, tmp_path: Path) -> None:
-    summary = thin(labelled, tmp_path / "a.laz", parse_rules(["stem=1/2"]))
-    assert "stem: no return has this class (code 64)" in summary.record.notices
-
-
-@pytest.mark.parametrize(
-    ("rules", "told"),
-    [
-        (parse_rules(), []),
-        (parse_rules(["noise=1/2"]), ["noise: no return has this class (code 7, 18)"]),
-        (parse_rules(drop=["stem"]), ["stem: no return has this class (code 64)"]),
-    ],
-)
-def test_noise_that_is_not_there_is_told_where_it_was_named(
-    drive: Path, tmp_path: Path, rules: tuple[ThinRule, ...], told: list[str]
-) -> None:
-    np.save(tmp_path / "labels.npy", np.full(street().size, ClassCodes().ground, np.uint8))
-    summary = thin(drive, tmp_path / "a.npz", rules, labels=tmp_path / "labels.npy")
-    assert [text for text in summary.record.notices if "no return has" in text] == told
-
-
-@pytest.mark.data
-def test_cells_by_time_are_found_again(real_data: Path, tmp_path: Path) -> None:
-    las = laspy.read(real_data / "profiler/jakarto_0.02s.las")
-    middle = [float(np.mean([np.min(axis), np.max(axis)])) for axis in (las.x, las.y, las.z)]
-    inputs = {
-        "lines": "time:199.3581", "columns": "time:1016528", "range_": f"origin:{middle[0]},{middle[1]},{middle[2]}",
-        "order": "trust",
-    }  # fmt: skip
-    rules = parse_rules(["ground=1/2"])
-    preset: LoadedConfig = load_config(None, "urban", {"input": {k.rstrip("_"): v for k, v in inputs.items()}})
-    out = tmp_path / "out.las"
-    summary = thin(real_data / "profiler/jakarto_0.02s.las", out, rules, preset, labels=CLASSIFY)
-    (hint,) = [text for text in summary.record.notices if "time_origin" in text]
-    origin = float(hint.rpartition("=")[2])
-    (before,) = scans(real_data / "profiler/jakarto_0.02s.las", preset).values()
-    (after,) = scans(out, config(**inputs, time_origin=origin)).values()
-    left, right = before.range_m[: after.n_lines], after.range_m
-    stays = ~np.isnan(right)
-    n_kept = sum(item.n_kept for item in summary.classes)
-    assert abs(n_kept - int(stays.sum()) - len(after.extra)) <= 2
-    # four shots share a stamp of 3.8 us: most of those that are left move by a column or two, and the notice says so
-    assert any("may move by a column" in text for text in summary.record.notices)
-    found = [np.any([np.roll(left, by, axis=1)[stays] == right[stays] for by in range(-4, 5)], axis=0)]
-    assert np.mean(found) > 0.99
-
-
 @pytest.mark.parametrize("suffix", [".laz", ".csv"])
 def test_a_thinned_file_is_doubted_where_it_is_classified(labelled: Path, tmp_path: Path, suffix: str) -> None:
     """By the run record in the file or beside it, also of what was made of it."""
@@ -320,13 +204,6 @@ def test_a_thinned_file_is_doubted_where_it_is_classified(labelled: Path, tmp_pa
     (tmp_path / "a.laz.prc.json").unlink(missing_ok=True)
     doubts = classify(tmp_path / f"a{suffix}", tmp_path / "again.npy", others).doubts
     assert "thinned" in {one.check for one in doubts}
-
-
-def test_converting_a_thinned_file_keeps_what_is_left(labelled: Path, tmp_path: Path) -> None:
-    thin(labelled, tmp_path / "a.laz", QUARTER)
-    convert(tmp_path / "a.laz", tmp_path / "a.csv")
-    (left,), (right,) = (scans(tmp_path / name, config()).values() for name in ("a.laz", "a.csv"))
-    assert same_bits(left.range_m, right.range_m)
 
 
 def frame(path: Path) -> Any:

@@ -204,31 +204,6 @@ def test_seconds_of_week_against_adjusted_standard_time(drive: Drive, tmp_path: 
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
 
 
-def test_a_week_that_ends_within_the_drive(tmp_path: Path) -> None:
-    offset = 2300 * 604_800.0 - 1e9
-    drive = Drive(start_s=604_800 - 1000 * SHOT_S)
-    record = drive.registered()
-    registered = write_las(tmp_path / "registered.las", drive, record, time=drive.time[record] + offset)
-    drive.time = drive.time % 604_800
-    raw = write_raw(tmp_path / "drive.csv", drive)
-    options = TransferOptions(time_offset_s=offset, tolerance_s=1e-6)
-    summary = transfer(raw.with_suffix(".npy"), registered, tmp_path / "out.las", options, points=raw)
-    assert summary.counts.n_matched == len(record)
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
-
-
-def test_rounded_text_needs_a_tolerance_and_says_which(tmp_path: Path) -> None:
-    drive = Drive(start_s=START_S + 0.123456789)
-    record = drive.registered()
-    raw = write_raw(tmp_path / "drive.csv", drive, digits=6)
-    registered = write_las(tmp_path / "registered.las", drive, record)
-    labels = raw.with_suffix(".npy")
-    with pytest.raises(InputError, match=r"0 of .* points .* within 1e-06 s: --tolerance 1e-06$"):
-        transfer(labels, registered, tmp_path / "out.las", points=raw)
-    transfer(labels, registered, tmp_path / "out.las", TransferOptions(tolerance_s=1e-6), points=raw)
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
-
-
 def test_labels_without_returns_give_every_return_of_a_shot_its_class(drive: Drive, tmp_path: Path) -> None:
     first = drive.returns == 1
     shots = Drive()

@@ -10,12 +10,10 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import prc_cli.core
 from prc_cli.core.errors import PrcError
@@ -91,25 +89,6 @@ def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
     assert hits == ["0\n", "1\n"]
 
 
-class Weighed(NamedTuple):
-    low: float
-    n: int
-    narrow: np.float32
-    inner: tuple[float, ...]
-    weights: Annotated[NDArray[np.float64], 2]
-
-
-def test_types_of_tuples_are_those_of_their_values() -> None:
-    class Inner(NamedTuple):
-        low: float
-        high: float
-
-    Weighed.__annotations__["inner"] = Inner
-    value = Weighed(1.0, 2, np.float32(3), Inner(4.0, 5.0), np.ones((2, 2)))
-    assert cache.numba_type(Weighed) == numba.typeof(value)
-    assert cache.numba_type(Inner) == numba.typeof(Inner(4.0, 5.0))
-
-
 def test_what_loops_are_made_of_names_their_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Numba looks at the size and time of the module's own file alone, and an upgrade may keep both."""
     source, constants = tmp_path / "ground.py", tmp_path / "core" / "classes.py"
@@ -146,18 +125,6 @@ def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith("prc_cli"):
                 beside = ".".join([*file.relative_to(Path(cache.__file__).parents[2]).parts[:-1], "thresholds"])
                 assert node.module in (*known, beside), f"{file}: {node.module}"
-
-
-def test_unwritable_cache_folder_falls_back_to_a_private_temporary_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
-    assert compile_module(tmp_path).twice(21) == 42
-    folder = cache.writable_cache()
-    assert folder is not None
-    assert folder.parent == tmp_path / "temporary"
-    if os.name != "nt":
-        assert folder.stat().st_mode & 0o077 == 0
 
 
 @posix_only

@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 
 from prc_cli.simulation.casting import cast
-from prc_cli.simulation.street.movers import TIME_STEP_S
-from prc_cli.simulation.street.plan import CHARACTERS, ROAD_HALF_M, StreetSceneParams
+from prc_cli.simulation.street.plan import CHARACTERS, StreetSceneParams
 from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.world import Bodies, Material
-
-GROUND = [Material.ASPHALT, Material.SIDEWALK, Material.CURB, Material.GRASS, Material.SOIL]
-
-
-def part(bodies: Bodies, kept: np.ndarray) -> Bodies:
-    return Bodies(*(getattr(bodies, name)[kept] for name in Bodies.__slots__))
 
 
 def look_down(bodies: Bodies, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,27 +90,6 @@ def test_the_lane_is_clear_and_follows_the_road(character: str) -> None:
         assert np.abs(z - design).max() < 0.004
 
 
-@pytest.mark.parametrize(("character", "seed"), [("suburb", 1), ("terraces", 2), ("mixed", 3)])
-def test_the_ground_has_no_cracks(character: str, seed: int) -> None:
-    scene = StreetScene(StreetSceneParams(character=character), seed)  # type: ignore[arg-type]
-    rng = np.random.default_rng(0)
-    s = np.sort(rng.uniform(20.0, 100.0, 160))
-    d = np.sort(np.concatenate([rng.uniform(-61.5, 61.5, 100), rng.uniform(-9.0, 9.0, 100)]))
-    bodies = around(scene, 60.0, 85.0)
-    ground = part(bodies, np.isin(bodies.material, GROUND))
-    t, body = look_down(ground, grid(scene, s, d, 30.0))
-    assert np.all(body >= 0)
-    z = scene.path_point(s)[0][:, 2:] + 30.0 - t
-    above = z - np.array([scene.ground.road(np.full(d.shape, at), d) for at in s.tolist()])
-    curb = scene.ground.curb_m
-    assert 0.10 <= curb <= 0.15
-    # the crown of a side street stands a few centimetres above its gutters
-    assert above.min() > -0.02
-    assert above.max() < curb + 0.02
-    walk = (np.abs(d) > ROAD_HALF_M + 2.0) & (np.abs(d) < 8.7)
-    assert np.mean(np.abs(above[:, walk] - curb) < 0.004) > 0.7
-
-
 @pytest.mark.parametrize("character", CHARACTERS)
 def test_the_count_of_bodies_stays_moderate(character: str) -> None:
     scene = StreetScene(StreetSceneParams(character=character), seed=8)  # type: ignore[arg-type]
@@ -125,22 +97,3 @@ def test_the_count_of_bodies_stays_moderate(character: str) -> None:
         assert 1000 < len(around(scene, s, 70.0)) < 6000
     made = sum(len(scene._piece(piece)[0]) for piece in range(20))
     assert made / 60 < 350
-
-
-def test_oncoming_cars_drive_in_their_lane_at_any_time() -> None:
-    scene = StreetScene(StreetSceneParams(cars_per_km=20, people=0), seed=9)
-    seen: dict[float, list[tuple[float, float]]] = {}
-    for step in range(400, 420):
-        time_s = (step + 0.5) * TIME_STEP_S
-        bodies = around(scene, 500.0, 80.0, time_s)
-        tyres = np.flatnonzero((bodies.material == Material.TYRE) & bodies.velocity.any(axis=1))
-        assert np.hypot(*bodies.velocity[tyres].T) == pytest.approx(9.5)
-        for i in tyres.tolist():
-            x, y = bodies.numbers[i, :2] + bodies.velocity[i] * time_s
-            s = scene.line.nearest(x, y)
-            crown = scene.line.place(np.array([float(s)]), np.zeros(1))[0]
-            assert 0.7 < np.hypot(x - crown[0], y - crown[1]) < 3.0
-            seen.setdefault(float(bodies.number[i]), []).append((time_s, s))
-    way = [(track[-1][1] - track[0][1]) / (track[-1][0] - track[0][0]) for track in seen.values() if len(track) > 9]
-    assert len(way) >= 4
-    assert way == pytest.approx([-9.5] * len(way), abs=0.8)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.streams import angles, directions
+from prc_cli.streams import directions
 from prc_cli.streams.angle_step import measure_step
-from prc_cli.streams.angles import column_angles, find_angle_grid
+from prc_cli.streams.angles import find_angle_grid
 from prc_cli.streams.directions import fit_beams
 from prc_cli.streams.down import WrongOriginError
 
@@ -142,73 +141,6 @@ def test_columns_are_medians_of_their_lines(seed: int) -> None:
 
 
 # -- scan angles -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_mean_angles_of_columns_equal_plain_ones(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    m = 40
-    true = rng.uniform(-3, 3) + (-1) ** seed * np.deg2rad(2.0) * np.arange(m)
-    if seed % 3 == 0:
-        true[m // 2 :] += (-1) ** seed * np.deg2rad(40.0)
-    column = rng.choice(np.delete(np.arange(m), [0, 1, 9, 18, 19, 20, 21, 38 + seed % 2, *range(25, 30)]), 400)
-    angle = np.angle(np.exp(1j * (true[column] + rng.normal(0, 0.002, 400))))
-    angle[::50] = np.nan
-    found = column_angles(np.append(angle, [0.0, 0.0]), np.append(column, [-1, m]), m)
-    seen = sorted(set(column[np.isfinite(angle)].tolist()))
-    mean = {}
-    for one in seen:
-        values = np.exp(1j * angle[(column == one) & np.isfinite(angle)])
-        mean[one] = float(np.angle(values.mean()))
-    for a, b in pairwise(seen):
-        mean[b] = mean[a] + math.remainder(mean[b] - mean[a], TURN)
-    slope = float(np.median([(mean[b] - mean[a]) / (b - a) for a, b in pairwise(seen)]))
-    expected = np.empty(m)
-    for k in range(m):
-        left, right = (
-            max((one for one in seen if one <= k), default=None),
-            min((one for one in seen if one >= k), default=None),
-        )
-        if left is None or right is None or left == right:
-            at = left if left is not None else right
-            assert at is not None
-            expected[k] = mean[at] + slope * (k - at)
-        elif abs(mean[right] - mean[left] - slope * (right - left)) > math.radians(10):
-            # beside a dead angle, the nearer side goes on
-            at = left if k < (left + right + 1) // 2 else right
-            expected[k] = mean[at] + slope * (k - at)
-        else:
-            expected[k] = mean[left] + (mean[right] - mean[left]) * (k - left) / (right - left)
-    assert found is not None
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_refined_step_equals_a_plain_one(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    number = np.sort(rng.choice(300, 200, replace=False))
-    line = number // 60
-    along = 0.01 * number + rng.normal(0, 2e-4, 200)
-    if seed % 2:
-        # half of the steps are zero, or none is
-        along = np.round(50 * along) / 50 if seed % 4 == 1 else np.round(along, 3)
-    forward = np.diff(along)
-    forward = forward[(np.diff(line) == 0) & (forward >= 0)]
-    ahead = [one for one in forward.tolist() if one > 0]
-    if len(ahead) < 0.995 * len(forward):
-        step = float(np.mean([one for one in forward.tolist() if one < 2.5 * np.median(ahead)]))
-    else:
-        step = float(np.median([one for one in ahead if one < 1.5 * np.percentile(ahead, 20)]))
-    for lag in (1, 2, 4, 8, 16, 32, 64, 128):
-        use = []
-        for i in range(200 - lag):
-            distance = along[i + lag] - along[i]
-            n = round(distance / step)
-            if line[i] == line[i + lag] and 1 <= n <= 4 * lag and abs(distance / step - n) < 0.25:
-                use.append((distance, n))
-        if use:
-            step = sum(d * n for d, n in use) / sum(n * n for _, n in use)
-    assert angles._refine_step(along, line, forward) == pytest.approx(step, rel=1e-9)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

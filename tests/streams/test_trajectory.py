@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.streams.order import WeekState, unwrap_week
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 UTM35 = "EPSG:32635"
@@ -131,19 +130,6 @@ def test_heights_of_another_kind_never_pass_in_silence(
     np.testing.assert_array_equal(load(path, crs=alone, wkt=given).xyz_m[:, 2], [3.0, 3.0])
 
 
-GAPPY = "time,x,y,z\n900,0,0,0\n901,1,0,0\n2000,2,0,0\n"
-
-
-@pytest.mark.parametrize(("max_gap", "refused"), [(None, True), (1098.9, True), (1099.0, False), (1e9, False)])
-def test_the_longest_gap_is_a_choice(tmp_path: Path, max_gap: float | None, refused: bool) -> None:
-    track = load(write(tmp_path / "drive.csv", GAPPY), max_gap=max_gap)
-    if refused:
-        with pytest.raises(InputError, match="a gap of 1099.00 s"):
-            track.positions(np.array([1450.5]))
-    else:
-        assert track.positions(np.array([1450.5]))[0, 0] == 1.5
-
-
 SOUND = [(0.0, 1.0, 0.4, 3.0), (1.0, 1.0, 0.4, 3.0)]
 
 
@@ -218,17 +204,3 @@ def test_clocks_that_differ_by_weeks(offset: float, hint: str | None) -> None:
 
 
 # -- weeks and orders --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("step", "is_end"), [(0.0, True), (6048.0, True), (6048.5, False), (-6048.0, True), (-6048.5, False)]
-)
-def test_a_week_ends_with_a_step_back_of_a_week(step: float, is_end: bool) -> None:
-    times = np.array([604_000.0, np.nan, 604_000.0 - WEEK + step, 200_000.0, 301_599.0, 301_601.0])
-    expected = np.where([0, 0, 1, 1, 1, 0], times + WEEK, times) if is_end else times
-    for split in (1, 2, 3, 6):
-        state, found = WeekState(), []
-        for part in (times[:split], times[split:]):
-            out, _, state = unwrap_week(part, state)
-            found.append(out)
-        np.testing.assert_array_equal(np.concatenate(found), expected)

@@ -19,7 +19,6 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.files import remove_stale, temporary_name
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import U8
-from prc_cli.formats import scan_file
 from prc_cli.formats.bags.containers import Bag
 from prc_cli.formats.bags.labels import CloudCodec
 from prc_cli.formats.bags.read import BagStream
@@ -171,24 +170,6 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
     assert (found.height, found.width, found.point_step, found.row_step) == (2, 3, step, 3 * step)
     assert found.data.tobytes() == table.tobytes()
     assert found.fields == message.fields
-
-
-def test_a_packed_database_and_one_beside_another_bag(tmp_path: Path) -> None:
-    source = recorded(tmp_path, "lasers", ".db3", packed=True)
-    codes = write(source, tmp_path / "beside.db3")
-    np.testing.assert_array_equal(read_codes(tmp_path / "beside.db3"), codes)
-    assert not (tmp_path / "metadata.yaml").exists()
-    folder = out_folder(tmp_path)
-    write(source, folder / "own.db3")
-    assert scan_file(folder) == folder / "own.db3"
-    assert sorted(one.name for one in folder.iterdir()) == [
-        "metadata.yaml", "own.db3", "own.db3.npy", "own.db3.npy.prc.json", "own.db3.prc.json",
-    ]  # fmt: skip
-    with pytest.raises(OutputError, match="exists already"):
-        common.writer(folder / "own.db3", source)
-    with common.writer(folder / "own.db3", source, overwrite=True):
-        pass
-    assert scan_file(folder) == folder / "own.db3"
 
 
 @pytest.mark.parametrize("suffix", WRITE)

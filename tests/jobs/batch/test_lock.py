@@ -140,21 +140,6 @@ def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
             assert lock.inherited_from is not None
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"{", b"[]", b"\x00" * 4096, b'{"pid": "x"}', b"[" * 100_000, b'{"token": "../../x"}']
-)
-def test_a_file_that_names_nobody_stops_nobody(folder: Path, content: bytes) -> None:
-    folder.mkdir()
-    (folder / "lock.json").write_bytes(content)
-    with Lock(folder) as lock:
-        lock.check()
-        (folder / "lock.json").write_bytes(content)
-        with pytest.raises(BusyError, match="an unknown user on an unknown machine"), Lock(folder):
-            pass
-        with pytest.raises(BusyError, match="the lock was lost"):
-            lock.check()
-
-
 @pytest.mark.parametrize("event", ["taken over", "removed"])
 def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(folder: Path, event: str) -> None:
     """As after somebody removed files."""
@@ -167,16 +152,6 @@ def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(folder: Pat
         with pytest.raises(BusyError, match="the lock was lost"):
             lock.check()
     assert [holder.owner for holder in holders(folder)] == ([other] if event == "taken over" else [])
-
-
-@pytest.mark.skipif(os.name != "posix", reason="files that are open are not removed")
-def test_a_lock_that_was_removed_lets_another_run_in_and_the_first_one_stops(folder: Path) -> None:
-    with Lock(folder) as first:
-        (folder / "lock").unlink()
-        with Lock(folder) as second:
-            second.check()
-            with pytest.raises(BusyError, match="taken over by"):
-                first.check()
 
 
 @pytest.mark.parametrize("number", [errno.ENOTSUP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL])

@@ -105,15 +105,6 @@ def test_an_output_that_no_journal_knows_is_not_touched(settings: BatchSettings)
     assert plan_of(replace(settings, overwrite=True)).todo[0].task.overwrite
 
 
-def test_an_output_that_somebody_worked_on_is_kept_aside(settings: BatchSettings) -> None:
-    known = entry(settings, "a.npz", version="0.0.1")
-    output(settings, "a.npz").write_bytes(b"better labels by hand")
-    for version, reason in (("0.0.1", "changed version"), (__version__, "changed output")):
-        for overwrite in (False, True):
-            now = plan_of(replace(settings, overwrite=overwrite), replace(known, version=version))
-            assert (now.todo[0].reason, now.todo[0].keeps) == (reason, not overwrite)
-
-
 def test_adopting_needs_the_same_input_configuration_and_program(tmp_path: Path) -> None:
     settings = BatchSettings(tmp_path / "in", tmp_path / "out", adopt=True)
     (tmp_path / "in").mkdir()
@@ -212,23 +203,6 @@ def test_every_file_has_its_own_trajectory(tmp_path: Path) -> None:
     assert loaded.trajectory == trajectory
     trajectory.write_text("time,x,y,z\n0,0,0,0\n")
     assert BatchConfig(layers).of("night/a.1.laz", drive)[1] != first
-
-
-@pytest.mark.parametrize(
-    ("rule", "expected"),
-    [
-        ("trajectories/{subfolder}/{stem}.csv", "trajectories/night/a.csv"),
-        ("all/{name}.csv", "all/a.csv.gz.csv"),
-        ("one.csv", "one.csv"),
-    ],
-)
-def test_relative_trajectories_start_at_the_configuration_file(tmp_path: Path, rule: str, expected: str) -> None:
-    path = tmp_path / expected
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("time,x,y,z\n")
-    config = BatchConfig(config_file(tmp_path, f'input.range = "trajectory:{rule}"\n'))
-    loaded, _ = config.of("night/a.csv.gz", Path("/archive/night/a.csv.gz"))
-    assert loaded.trajectory == path
 
 
 # -- estimates --------------------------------------------------------------------------------------------------------

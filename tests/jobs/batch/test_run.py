@@ -26,7 +26,7 @@ from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
 from prc_cli.jobs.batch.outputs import verify_outputs
 from prc_cli.jobs.batch.report import BatchSummary, as_dict
-from prc_cli.jobs.batch.run import Again, Alarm, RunEvent, run_batch
+from prc_cli.jobs.batch.run import Again, RunEvent, run_batch
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     BatchSettings,
@@ -45,7 +45,6 @@ from prc_cli.jobs.batch.types import (
     doubts_of,
 )
 from prc_cli.jobs.batch.worker import run_task
-from prc_cli.jobs.classify import classify
 from tests import patience
 from tests.patience import HANGS_S
 from tests.street import street, write_csv, write_endless, write_npz, write_raw
@@ -167,22 +166,6 @@ def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: Batch
     assert len(summary.done) == 4
 
 
-@pytest.mark.parametrize(
-    ("kind", "pauses"),
-    [("timeout", [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]), ("PermissionError", [1.0, 2.0, 4.0]), ("memory", [])],
-)
-def test_pauses_before_another_attempt_double_up_to_half_a_minute(
-    settings: BatchSettings, monkeypatch: pytest.MonkeyPatch, kind: str, pauses: list[float]
-) -> None:
-    """Where only files are left that run alone there is nothing to wait for."""
-    slept: list[float] = []
-    monkeypatch.setattr(batch_run, "PAUSE_S", 1.0)
-    monkeypatch.setattr(batch_run.time, "sleep", slept.append)
-    engine = Scripted(lambda task, _: failed(task, kind) if task.name == "b.npz" else finished(task))
-    run_batch(replace(settings, retry=len(pauses) or 3), engine)
-    assert slept == pauses
-
-
 def test_fail_fast_begins_nothing_more(settings: BatchSettings) -> None:
     engine = Scripted(lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task))
     summary = run_batch(replace(settings, fail_fast=True), engine)
@@ -250,22 +233,6 @@ def test_nothing_is_made_when_something_is_wrong(settings: BatchSettings, tmp_pa
         run_batch(replace(settings, **changes[wrong]), Scripted())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
     assert len(list(settings.archive.iterdir())) == 4
-
-
-def test_an_alarm_for_classes_unlike_those_of_earlier_runs(settings: BatchSettings) -> None:
-    for i in range(12):
-        (settings.archive / f"e{i:02}.npz").write_bytes(b"e")
-    run_batch(settings, Scripted(lambda task, _: finished(task, ground=600 + len(task.name), building=400)))
-    for name in ("x", "y"):
-        (settings.archive / f"{name}.npz").write_bytes(b"x")
-    odd = Scripted(lambda task, _: finished(task, ground=50 if task.name == "y.npz" else 600, building=400))
-    events: list[RunEvent] = []
-    summary = run_batch(settings, odd, events.append)
-    assert [alarm.name for alarm in summary.alarms] == ["y.npz"]
-    assert summary.exit_code == 4
-    assert [event.name for event in events if isinstance(event, Alarm)] == ["y.npz"]
-    (settings.archive / "y.npz").write_bytes(b"longer")
-    assert run_batch(replace(settings, drift=False), odd).exit_code == 0
 
 
 def test_doubts_reach_journal_and_summary_and_are_told_once(settings: BatchSettings) -> None:
@@ -449,19 +416,6 @@ def test_the_same_bytes_whatever_the_number_of_workers(runs: tuple[Path, dict[in
         assert told(summary) == told(runs[1][1][1])
 
 
-def test_outputs_are_those_of_single_calls(
-    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path
-) -> None:
-    archive, found = runs
-    out, summary = found[2]
-    assert [item.name for item in summary.failed] == ["day/damaged.laz"]
-    for item in summary.done:
-        single = tmp_path / "single.npy"
-        config = batch_run.BatchConfig(LAYERS).base
-        classify(archive / item.name, single, config, overwrite=True)
-        assert (out / f"{item.name}.labels.npy").read_bytes() == single.read_bytes()
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends signals")
 def test_ctrl_c_stops_a_real_run_within_seconds(tmp_path: Path) -> None:
@@ -511,19 +465,6 @@ def test_workers_that_cannot_be_started_leave_a_journal_that_says_so(settings: B
     assert states(settings) == {"a.npz": "failed"}
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [1]
     assert len(run_batch(settings, Scripted()).done) == 4
-
-
-@pytest.mark.parametrize("gone", [".", OWN_FOLDER])
-def test_a_run_whose_folder_was_removed_says_so(settings: BatchSettings, gone: str) -> None:
-    """It ended with exit code 0, and the next one failed every file."""
-
-    def script(task: Task, attempt: int) -> Outcome:
-        if task.name == "d.npz":
-            shutil.rmtree(settings.out / gone)
-        return finished(task)
-
-    with pytest.raises(PrcError, match=r"the lock was lost: its file is gone|cannot be"):
-        run_batch(settings, Scripted(script))
 
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")

@@ -180,14 +180,6 @@ def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) 
         np.testing.assert_array_equal((near.matrix + far.matrix).counts, found.matrix.counts)
 
 
-def test_a_reference_point_serves_every_shot_that_is_nearest_to_it(folder: Path, tmp_path: Path) -> None:
-    xyz = np.array([[0.0, 0, 0], [0.03, 0, 0], [5.0, 0, 0], [9.0, 0, 0]])
-    write_las(tmp_path / "a.las", xyz, np.array([2, 2, 6, 5]), np.arange(4.0), np.arange(4))
-    write_las(tmp_path / "b.las", xyz[[1, 2]], np.array([2, 6]), np.arange(2.0), np.arange(2))
-    found = run(tmp_path / "a.las", tmp_path / "b.las", match="nearest", tolerance=0.05)
-    assert (found.match.n_matched, found.match.n_reference_matched) == (3, 2)
-
-
 def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
     time_s = np.array([1.0, 1.0, 2.0, 2.0, 3.0])
     number = np.array([1, 2, 1, 2, 1])
@@ -200,44 +192,6 @@ def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
     found = run(tmp_path / "a.las", tmp_path / "b.las", match="time")
     assert found.match.n_matched == 3
     assert np.trace(found.matrix.counts[:3]) == 3
-
-
-def test_records_that_cannot_be_told_apart_are_left_out(tmp_path: Path) -> None:
-    header = "time,class\n"
-    (tmp_path / "a.csv").write_text(header + "1,2\n1,6\n2,2\n2,5\n3,2\n4,2\n")
-    (tmp_path / "b.csv").write_text(header + "1,6\n2,2\n2,5\n3,2\n4,2\n")
-    found = run(tmp_path / "a.csv", tmp_path / "b.csv", match="time")
-    assert found.match.n_matched == 4
-    assert any(note.startswith("2 predicted records share their times") for note in found.match.notes)
-    assert any(note.startswith("2 pairs share their times") for note in found.match.notes)
-
-
-def test_folders_pool_by_name(drive: Drive, tmp_path: Path) -> None:
-    for side, codes in (("run", drive.label), ("truth", drive.truth)):
-        (tmp_path / side).mkdir()
-        np.save(tmp_path / side / "a.npy", codes[:5000])
-        np.save(tmp_path / side / "b.npy", codes[5000:])
-    everything = np.ones(drive.n, np.bool_)
-    found = run(tmp_path / "run", tmp_path / "truth", points_per_line=M, split_lines=1000)
-    assert_same(found, drive.matrix(everything))
-    assert [part.name for part in found.splits["lines"]] == ["a.npy lines 0-999", "b.npy lines 0-999"]
-    np.save(tmp_path / "truth" / "c.npy", drive.truth)
-    with pytest.raises(InputError, match="1 file has no partner in .*run: c"):
-        run(tmp_path / "run", tmp_path / "truth")
-    found = run(tmp_path / "run", tmp_path / "truth", allow_missing=True)
-    assert_same(found, drive.matrix(everything))
-    assert "1 reference file has no partner, left out: c.npy" in found.match.notes
-
-
-def test_tiles_of_one_name_that_are_cut_differently(drive: Drive, folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    for k, record in enumerate(np.array_split(np.random.default_rng(2).permutation(drive.n), 4)):
-        path = tmp_path / "run" / f"tile_{k}.laz"
-        write_las(path, drive.xyz[record], drive.label[record], drive.time_s[record], record)
-    assert_same(run(tmp_path / "run", folder / "tiles", match="time", pool=True), drive.matrix())
-    assert "expected at least 50 %" in refused(
-        InputError, lambda: run(tmp_path / "run", folder / "tiles", match="time")
-    )
 
 
 def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_left_out(
@@ -425,23 +379,3 @@ def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
         assert found.matrix.counts.trace() == found.matrix.counts.sum() > 0
         assert "matched by cell (scan line, column)" in " ".join(found.match.notes)
     assert evaluate_all([cloud], [cloud]).match.method == "order"
-
-
-def test_files_in_another_order_are_matched_by_cell(tmp_path: Path) -> None:
-    """A sorted tile has as many records: in order they are partners of others."""
-    laspy = pytest.importorskip("laspy")
-    image = street()
-    np.savez(tmp_path / "s.npz", range_m=image, angle_deg=np.rad2deg(angles()))
-    classify(tmp_path / "s.npz", tmp_path / "s.laz", load_config(preset="urban"))
-    sorted_, later = laspy.read(tmp_path / "s.laz"), laspy.read(tmp_path / "s.laz")
-    sorted_.points = sorted_.points[np.argsort(np.asarray(sorted_.y))]
-    sorted_.write(tmp_path / "sorted.laz")
-    later["scan_line"] = np.asarray(later["scan_line"]) + 7
-    later.write(tmp_path / "later.laz")
-    found = evaluate_all([tmp_path / "s.laz"], [tmp_path / "sorted.laz"])
-    assert found.match.method == "cell"
-    assert found.matrix.counts.trace() == found.matrix.counts.sum() == np.count_nonzero(~np.isnan(image))
-    # lines that are counted from another number are in the same order
-    found = evaluate_all([tmp_path / "s.laz"], [tmp_path / "later.laz"])
-    assert found.match.method == "order"
-    assert found.matrix.counts.trace() == found.matrix.counts.sum() > 0

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.html import as_html
@@ -23,7 +22,6 @@ from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.transfer import transfer
 from prc_cli.jobs.transfer.options import TransferOptions
-from tests.runner import runner
 
 CODES = {"noise": (7,), "ground": (2,), "building": (6,), "stem": (64,), "car": (65,)}
 MAPPING = ClassMapping(predicted=CODES, reference=CODES, coarser={"car": "building"})
@@ -159,15 +157,6 @@ def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_pa
         run(moved.parent, write(tmp_path / "s.las", town.xyz[:, [1, 0, 2]] + np.array([0, 500, 0]), town.codes))
 
 
-def test_classes_that_the_reference_never_has_are_coarser(town: Town, folder: Path, tmp_path: Path) -> None:
-    coarse = np.where(town.codes == 65, 6, town.codes)
-    path = write(tmp_path / "coarse.las", town.xyz, coarse)
-    found = run(folder, path, tolerance=0.3)
-    assert noted(found, "the reference has no car: counted car as building")
-    assert found.matrix.counts[:, found.matrix.predicted_names.index("car")].sum() == 0
-    assert not noted(run(folder, tolerance=0.3), "the reference has no")
-
-
 def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
     third = np.where(town.codes == 65, 6, town.codes)
     path = write(tmp_path / "third.las", town.xyz, third)
@@ -209,14 +198,6 @@ def test_options_that_cannot_be_used(
         run(folder, **options)
 
 
-def test_a_mapping_without_noise_says_so(folder: Path) -> None:
-    bare = {name: codes for name, codes in CODES.items() if name != "noise"}
-    mapping = ClassMapping(predicted=CODES, reference=bare)
-    options = EvaluateOptions(match="nearest", unmatched="noise")
-    with pytest.raises(ConfigError, match="--unmatched noise needs a class 'noise' in"):
-        evaluate_all([folder / "run.las"], [folder / "tiles"], mapping, options=options)
-
-
 def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Path) -> None:
     tile = folder / "tiles" / "tile_1.laz"
     for tolerance in (0.0, 0.1):
@@ -231,23 +212,3 @@ def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Pa
         np.save(tmp_path / "labels.npy", town.labels.astype(np.uint8))
         (tmp_path / "times.csv").write_text("time\n" + "\n".join(map(str, range(len(town.labels)))) + "\n")
         transfer(tmp_path / "labels.npy", tile, tmp_path / "o.laz", options, points=tmp_path / "times.csv")
-
-
-def test_every_option_is_typed_as_the_page_shows(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "trees.csv").write_text("x,y,radius\n50.5,10,0.4\n")
-    arguments = [
-        "evaluate", folder / "run.las", folder / "tiles", "--match", "nearest", "--mapping", "prc",
-        "--max-distance", 0.5, "--unmatched", "noise", "--inside", "0,0,100,21", "--height", "-1:5",
-        "--trees", tmp_path / "trees.csv", "--third", folder / "tiles", "--third-mapping", "prc",
-        "-o", tmp_path / "page.html",
-    ]  # fmt: skip
-    found = runner().invoke(cli, [str(word) for word in arguments])
-    assert found.exit_code == 0, found.output
-    for expected in ("three labellings", "Matched by nearest within 0.5 m", "not from -1 to 5 m above ground"):
-        assert expected in found.output
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "From above: where predicted and third are right and wrong" in page
-    assert 'id="three"' in page
-    wrong = runner().invoke(cli, [*map(str, arguments[:5]), "--height", "2"])
-    assert isinstance(wrong.exception, ConfigError)
-    assert "expected heights above ground in metres, such as 0:2" in str(wrong.exception)

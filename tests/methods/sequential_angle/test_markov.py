@@ -19,7 +19,6 @@ from prc_cli.methods.sequential_angle import coarse_loops as kernel_module
 from prc_cli.methods.sequential_angle.car import suspicious
 from prc_cli.methods.sequential_angle.coarse import hmm_cusum
 from prc_cli.methods.sequential_angle.thresholds import UNIFORM, MarkovThresholds, Matrix, Row, SuspiciousThresholds
-from prc_cli.reference.sequential_angle.ground import EIGHTHS, grid_modes
 from tests.methods.sequential_angle.scenes import made
 
 HELPERS: Any = kernel_module
@@ -124,21 +123,6 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
     assert len(set(alarms)) > 5
 
 
-def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
-    values = np.array([[90.0] * 20 + [-90.0] * 30 + [0.0] * 30], np.float32)
-    dated = np.flatnonzero(hmm_cusum(values, MarkovThresholds())[0])
-    assert abs(dated[0] - 20) <= 1
-    assert abs(dated[-1] - 49) <= 1
-    assert len(dated) == dated[-1] - dated[0] + 1
-    alarms = np.flatnonzero(hmm_cusum(values, made(MarkovThresholds, backdate=False))[0])
-    assert alarms[0] == dated[0] + 5, "10 nats at 1.9 a sample"
-    assert 49 + 10 <= alarms[-1] <= 49 + 12
-    # thresholds each way
-    quick = np.flatnonzero(hmm_cusum(values, made(MarkovThresholds, backdate=False, threshold=4, threshold_back=2))[0])
-    assert quick[0] < alarms[0]
-    assert quick[-1] < alarms[-1]
-
-
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -153,45 +137,6 @@ def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
 def test_wrong_parameters_are_told(table: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         build(table_of(MarkovThresholds(), "vegetation"), table, "street.toml")
-
-
-def modes_of(values: F64, bandwidth: float) -> list[tuple[float, int]]:
-    """Place and samples of every mode."""
-    width = bandwidth / EIGHTHS
-    modes = grid_modes(np.floor(np.array(values) / width).astype(int).tolist())
-    return [((place + 0.5) * width, count) for place, count in modes if count > 0]
-
-
-def literal(values: F64, bandwidth: float) -> list[int]:
-    """Shift a Gaussian window from every sample until it stands, merge where they end; samples of every mode."""
-    ends = []
-    for value in values:
-        place = value
-        while True:
-            weight = np.exp(-0.5 * ((values - place) / bandwidth) ** 2)
-            shifted = float(weight @ values / weight.sum())
-            if abs(shifted - place) < 1e-3 * bandwidth:
-                break
-            place = shifted
-        ends.append(shifted)
-    ends.sort()
-    return [len(group) for group in np.split(ends, np.flatnonzero(np.diff(ends) >= bandwidth / 2) + 1)]
-
-
-def test_grid_decides_on_one_mode_as_literal_mean_shift_does() -> None:
-    rng = np.random.default_rng(3)
-    one_mode, groups, sizes = [], 0, 0
-    for _ in range(600):
-        apart = rng.choice([0.0, 0.0, 1.5, 2.5, 3.5, 6.0])
-        second = rng.random(n := int(rng.integers(9, 50))) < rng.choice([0.1, 0.5])
-        values = rng.normal(0, rng.choice([0.2, 0.5, 1.0]), n) + apart * second
-        expected, found = literal(values, 1.0), [count for _, count in modes_of(values, 1.0)]
-        one_mode.append((sum(c >= 2 for c in expected) == 1) == (sum(c >= 2 for c in found) == 1))
-        groups += len(expected) == len(found)
-        sizes += expected == found
-    assert np.mean(one_mode) >= 0.98  # .993 of these
-    assert groups / 600 >= 0.97
-    assert sizes / 600 >= 0.85
 
 
 CODES = {"M": 0, "T": 1, "H": 2, "V": 3, "U": 4}
