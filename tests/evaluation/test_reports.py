@@ -104,7 +104,7 @@ def test_latex_takes_the_tables(tmp_path: Path) -> None:
 
 VOID = {"meta", "input", "img", "br", "link"}
 PNG = b"\x89PNG\r\n\x1a\nrest"
-NASTY_HTML = "</script><script>alert(1)</script>'\"&<b>.npy"
+NASTY_NAME = "</script><script>alert(1)</script>'\"&<b>.npy"
 
 
 class Page(HTMLParser):
@@ -174,13 +174,13 @@ def test_page_is_well_formed_and_needs_nothing_else() -> None:
 
 
 def test_text_of_users_is_shown_and_never_read_as_html() -> None:
-    found = samples.evaluation(predicted=NASTY_HTML, mapping=NASTY_HTML, note=NASTY_HTML, part=NASTY_HTML)
-    text = as_html(found, pictures=[(NASTY_HTML, PNG)], title=NASTY_HTML)
+    found = samples.evaluation(predicted=NASTY_NAME, mapping=NASTY_NAME, note=NASTY_NAME, part=NASTY_NAME)
+    text = as_html(found, pictures=[(NASTY_NAME, PNG)], title=NASTY_NAME)
     page = Page(text)
     assert "<b>.npy" not in text
     assert page.seen.count("script") == 1
-    assert page.text.count(NASTY_HTML) >= 6
-    assert json.loads(page.data)["files"]["predicted"] == [NASTY_HTML]
+    assert page.text.count(NASTY_NAME) >= 6
+    assert json.loads(page.data)["files"]["predicted"] == [NASTY_NAME]
 
 
 def test_pictures_that_are_not_png_are_refused() -> None:

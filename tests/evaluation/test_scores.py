@@ -208,7 +208,7 @@ def test_bounds_and_undefined_scores() -> None:
     assert block_intervals(perfect, NAMES)["accuracy"].low == 1.0
 
 
-MAPPING_SPLITS = ClassMapping(
+TWO_CLASSES = ClassMapping(
     ignore=[0], predicted={"ground": [2], "building": [6]}, reference={"ground": [2], "building": [6], "car": [65]}
 )
 
@@ -219,8 +219,8 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     n = 5000
     group = random.integers(-1, 40, n) * spread
     predicted, reference = random.choice([0, 2, 6], n), random.choice([2, 6, 65], n)
-    counts, half = GroupedCounts(MAPPING_SPLITS, "test"), GroupedCounts(MAPPING_SPLITS, "test")
-    cells = cells_of(MAPPING_SPLITS, predicted, MAPPING_SPLITS.class_indices(reference, "reference"))
+    counts, half = GroupedCounts(TWO_CLASSES, "test"), GroupedCounts(TWO_CLASSES, "test")
+    cells = cells_of(TWO_CLASSES, predicted, TWO_CLASSES.class_indices(reference, "reference"))
     for at in np.array_split(np.arange(n), 7):
         (counts if at[0] < n // 2 else half).add(group[at], cells[at])
     counts.merge(half)
@@ -228,13 +228,13 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     blocks = []
     for name in counts.groups:
         here = group == name
-        expected = accumulate(ConfusionMatrix.empty(MAPPING_SPLITS), predicted[here], reference[here], MAPPING_SPLITS)
+        expected = accumulate(ConfusionMatrix.empty(TWO_CLASSES), predicted[here], reference[here], TWO_CLASSES)
         np.testing.assert_array_equal(counts.matrix(name).counts, expected.counts)
         assert counts.matrix(name).n_ignored == expected.n_ignored
         blocks.append(expected.counts)
     np.testing.assert_array_equal(counts.scored(), blocks)
     assert counts.matrix(123_456).n_scored == 0
-    empty = GroupedCounts(MAPPING_SPLITS, "test")
+    empty = GroupedCounts(TWO_CLASSES, "test")
     empty.add(np.empty(0, np.int64), np.empty(0, np.int64))
     counts.merge(empty)
     assert empty.scored().shape == (0, 3, 2)

@@ -123,16 +123,16 @@ CW = SCANNERS["photon-80"].changed(
 PULSED = CW.changed(principle="pulsed", ambiguity_m=0.0, pulse_m=0.45, max_returns=4, min_range_m=0.3)
 
 
-class Hits_of_sensor(NamedTuple):
+class SensorHits(NamedTuple):
     t: F64
     body: I32
     facing: F64
 
-    def lines(self, first: int, stop: int) -> Hits_of_sensor:
-        return Hits_of_sensor(self.t[first:stop], self.body[first:stop], self.facing[first:stop])
+    def lines(self, first: int, stop: int) -> SensorHits:
+        return SensorHits(self.t[first:stop], self.body[first:stop], self.facing[first:stop])
 
 
-def world_of_sensor(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
+def sensor_world(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
     n = len(materials)
     leaved = np.array([material is Material.LEAVES for material in materials])
     return Bodies(
@@ -145,12 +145,12 @@ def world_of_sensor(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodi
     )
 
 
-def hits(t: Any, body: Any = 0, facing: Any = 1.0, lines: int = LINES, columns: int = 100) -> Hits_of_sensor:
+def hits(t: Any, body: Any = 0, facing: Any = 1.0, lines: int = LINES, columns: int = 100) -> SensorHits:
     """Hits of which each number may be given for all, or by column."""
     shape = (lines, columns)
     number = np.broadcast_to(np.asarray(body, dtype=np.int32), shape).copy()
     t = np.where(number < 0, np.inf, np.broadcast_to(np.asarray(t, dtype=np.float64), shape))
-    return Hits_of_sensor(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
+    return SensorHits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
 
 
 def step(scanner: Scanner, far: float = 30.0) -> Measured:
@@ -158,7 +158,7 @@ def step(scanner: Scanner, far: float = 30.0) -> Measured:
     column = np.arange(100)
     post = (column >= 40) & (column < 60)
     found = hits(np.where(post, 20.0, far), np.where(post, 1, 0), lines=20_000)
-    return scan(found, world_of_sensor(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED)
+    return scan(found, sensor_world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED)
 
 
 def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one() -> None:
@@ -180,14 +180,14 @@ def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one(
     assert ((narrow.range_m[mixed] > 20.04) & (narrow.range_m[mixed] < 20.36)).all()
 
 
-def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits_of_sensor, Bodies]:
+def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[SensorHits, Bodies]:
     """Runs of all materials and sky."""
-    bodies = world_of_sensor(Material.WALL, Material.GLASS, Material.LEAVES, Material.POLE, Material.TYRE)
+    bodies = sensor_world(Material.WALL, Material.GLASS, Material.LEAVES, Material.POLE, Material.TYRE)
     run = np.maximum.accumulate(np.where(rng.random((lines, columns)) < 0.2, np.arange(columns), 0), axis=1)
     body = np.take_along_axis(rng.integers(-1, 5, (lines, columns)), run, axis=1).astype(np.int32)
     t = np.take_along_axis(rng.uniform(2.0, 40.0, (lines, columns)), run, axis=1)
     t = np.where(body >= 0, t + np.where(body == 2, rng.exponential(0.5, (lines, columns)), 0.0), np.inf)
-    return Hits_of_sensor(t, body, rng.random((lines, columns))), bodies
+    return SensorHits(t, body, rng.random((lines, columns))), bodies
 
 
 @pytest.mark.parametrize("name", sorted(SCANNERS))
@@ -196,7 +196,7 @@ def test_result_depends_on_line_and_seed_alone(name: str) -> None:
     rng = np.random.default_rng(3)
     seen, bodies = street(rng, 12, scanner.points_per_line)
     asked = goes_behind(seen, bodies, scanner, 5, SEED)
-    behind = Hits_of_sensor(np.where(asked, seen.t + 2.0, np.inf), np.where(asked, 0, -1).astype(np.int32), seen.facing)
+    behind = SensorHits(np.where(asked, seen.t + 2.0, np.inf), np.where(asked, 0, -1).astype(np.int32), seen.facing)
     whole = scan(seen, bodies, scanner, 5, SEED, behind)
     for first, stop in pairwise((0, 1, 7, 12)):
         part = scan(seen.lines(first, stop), bodies, scanner, 5 + first, SEED, behind.lines(first, stop))

@@ -154,7 +154,7 @@ def test_blocks_change_no_label(lines: int) -> None:
     assert [array.tobytes() for array in whole] == [array.tobytes() for array in cut]
 
 
-EVEN_TRAJECTORY: dict[str, float] = {
+STEADY: dict[str, float] = {
     "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "bounce_m": 0, "lean_deg": 0, "speed_variation": 0, "stop_every_m": 0
 }  # fmt: skip
 
@@ -176,7 +176,7 @@ def winding(distance: F64) -> tuple[F64, F64]:
 
 
 def drive(**values: float) -> Trajectory:
-    return Trajectory(straight, MotionParams(**{**EVEN_TRAJECTORY, **values}), 2.5, seed=3)
+    return Trajectory(straight, MotionParams(**{**STEADY, **values}), 2.5, seed=3)
 
 
 def test_distance_speed_and_acceleration_are_derivatives_of_each_other() -> None:
@@ -225,7 +225,7 @@ def test_csv_is_what_the_reader_takes(tmp_path: Path) -> None:
 def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
     pyproj = pytest.importorskip("pyproj")
     path, frame = tmp_path / "drive.sbet", Frame()
-    platform = Trajectory(winding, MotionParams(**EVEN_TRAJECTORY), 2.5, seed=5)
+    platform = Trajectory(winding, MotionParams(**STEADY), 2.5, seed=5)
     write_trajectory(path, platform, 3.0, frame=frame)
     time_s, position = read_sbet(path, path.stat().st_size)
     xyz_m = project(path, position, frame.crs)

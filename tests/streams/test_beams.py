@@ -243,7 +243,7 @@ def opened(source: Path, loaded: LoadedConfig) -> ScanStream:
     return with_beams(open_stream(source, loaded), loaded.config.input)
 
 
-def beams_of_real_beams(stream: ScanStream) -> F64:
+def real_beams(stream: ScanStream) -> F64:
     beam = next(iter(stream.blocks())).beam_rad
     assert beam is not None
     assert is_strictly_monotone(beam)
@@ -255,7 +255,7 @@ def test_oakland_counts_its_angles_from_nadir(real_data: Path, strip: int) -> No
     source = real_data / "oakland" / f"oakland_{strip}.csv.gz"
     stream = opened(source, load_config())
     assert stream.info.down_rad == pytest.approx(0.0, abs=np.deg2rad(0.15))
-    beam, angle = beams_of_real_beams(stream), stream.info.angle_rad
+    beam, angle = real_beams(stream), stream.info.angle_rad
     assert angle is not None
     assert np.abs(beam - angle).max() < np.deg2rad(0.15)
 
@@ -265,7 +265,7 @@ def test_profiler_with_a_trajectory(real_data: Path, tmp_path: Path) -> None:
     las = laspy.read(source)
     write_trajectory(tmp_path / "drive.csv", scanner_positions(las, recovered))
     stream = opened(source, load_config(options={"input": jakarto_input(tmp_path / "drive.csv")}))
-    along = np.rad2deg(np.unwrap(beams_of_real_beams(stream)))
+    along = np.rad2deg(np.unwrap(real_beams(stream)))
     step = np.diff(along)
     # the whole circle, evenly but for what rounded times do to the columns
     assert abs(along[-1] - along[0]) == pytest.approx(360.0, abs=0.5)
@@ -289,7 +289,7 @@ def test_kitti_frame(real_data: Path, tmp_path: Path) -> None:
     stream = opened(source, loaded)
     assert stream.info.points_per_line == 64
     assert stream.info.n_lines == pytest.approx(2198, abs=3)
-    elevation = np.rad2deg(np.abs(beams_of_real_beams(stream))) - 90
+    elevation = np.rad2deg(np.abs(real_beams(stream))) - 90
     assert elevation[0] < -22
     assert 1.5 < elevation[-1] < 3
     whole = read(stream)

@@ -169,7 +169,7 @@ DATA = ("ascii", "binary", "binary_compressed")
 N_LINES, M = 13, 40
 
 
-def columns_of_pcd() -> dict[str, Array]:
+def pcd_columns() -> dict[str, Array]:
     rng = np.random.default_rng(3)
     xyz = rng.uniform(-20, 20, (N_LINES * M, 3)).astype(np.float32)
     xyz[rng.random(len(xyz)) < 0.2] = np.nan
@@ -194,9 +194,9 @@ def columns_of_pcd() -> dict[str, Array]:
     ],
 )
 @pytest.mark.parametrize("data", DATA)
-def test_headers_that_lie_of_pcd(tmp_path: Path, data: str, old: str, new: str, told: str) -> None:
+def test_pcd_headers_that_lie(tmp_path: Path, data: str, old: str, new: str, told: str) -> None:
     path = tmp_path / "a.pcd"
-    path.write_bytes(pcd(columns_of_pcd(), data, height=N_LINES).replace(old.encode(), new.encode(), 1))
+    path.write_bytes(pcd(pcd_columns(), data, height=N_LINES).replace(old.encode(), new.encode(), 1))
     with pytest.raises(InputError, match=told):
         open_source(path)
 

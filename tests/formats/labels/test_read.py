@@ -114,7 +114,7 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
 SOURCE = Path("drive.bin")
 
 
-def read_of_write(path: Path) -> np.ndarray:
+def read_back(path: Path) -> np.ndarray:
     if path.suffix == ".npy":
         return np.asarray(np.load(path))
     if path.suffix == ".csv":
@@ -140,7 +140,7 @@ def test_one_entry_a_record_in_record_order(
     order = np.random.default_rng(5).permutation(990)
     path = tmp_path / f"labels{suffix}"
     record = write(path, SOURCE, record_blocks(labels, order=order), n_records=990 if known else None)
-    found = read_of_write(path)
+    found = read_back(path)
     assert found.dtype == np.uint8
     assert np.array_equal(found, ClassCodes().lookup()[labels])
     assert {item.code: item.count for item in record.classes} == dict(

@@ -196,7 +196,7 @@ def test_rows_are_found_among_any_lines_that_are_none(
     np.testing.assert_array_equal(found["time"], [2.0, 4.0])
 
 
-def values_of_clouds_as_text(path: Path, text: str, layout: Layout | None = None) -> dict[str, list[float]]:
+def cloud_values(path: Path, text: str, layout: Layout | None = None) -> dict[str, list[float]]:
     path.write_text(text)
     source = open_source(path, layout)
     assert source is not None
@@ -208,4 +208,4 @@ def values_of_clouds_as_text(path: Path, text: str, layout: Layout | None = None
     "text", ["range;z\n1,5;2\n-3,25;4,5\n", "range z\n1,5 2\n-3,25 4,5\n", "range\tz\n1,5\t2\n-3,25\t4,5\n"]
 )
 def test_decimal_commas_are_found(tmp_path: Path, text: str) -> None:
-    assert values_of_clouds_as_text(tmp_path / "a.csv", text) == {"range": [1.5, -3.25], "z": [2, 4.5]}
+    assert cloud_values(tmp_path / "a.csv", text) == {"range": [1.5, -3.25], "z": [2, 4.5]}

@@ -502,7 +502,7 @@ def order(folder: Path) -> Task:
     return Task("a.npz", source, folder / "out" / "a.npy", LoadedConfig(RunConfig()), "")
 
 
-def tree_of_repeated(folder: Path) -> dict[str, bytes]:
+def labels_in(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
@@ -517,13 +517,13 @@ def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left:
     )
     assert ended.returncode == -signal.SIGKILL
     # the spool is left as well, unless the writer got to its end
-    left = [name for name in tree_of_repeated(task.output.parent) if not name.endswith(".part") or ".prc.json" in name]
+    left = [name for name in labels_in(task.output.parent) if not name.endswith(".part") or ".prc.json" in name]
     assert task.output.name in left, left
-    assert len(tree_of_repeated(task.output.parent)) >= n_left
+    assert len(labels_in(task.output.parent)) >= n_left
     again = run_task(task)
     assert isinstance(again, Done), again
     undisturbed = replace(task, output=tmp_path / "alone.npy")
     assert isinstance(run_task(undisturbed), Done)
     assert task.output.read_bytes() == undisturbed.output.read_bytes()
     assert record_path(task.output).read_bytes() == record_path(undisturbed.output).read_bytes()
-    assert set(tree_of_repeated(task.output.parent)) == {"a.npy", "a.npy.prc.json"}
+    assert set(labels_in(task.output.parent)) == {"a.npy", "a.npy.prc.json"}

@@ -102,7 +102,7 @@ def classified(ranges: F32, **again: Any) -> U8:
     return found.labels
 
 
-def share_of_noise(labels: U8, where: np.ndarray[Any, Any], label: Label) -> float:
+def noise_share(labels: U8, where: np.ndarray[Any, Any], label: Label) -> float:
     return float((labels[where] == label).mean())
 
 
@@ -121,9 +121,9 @@ def test_what_is_mirrored_by_a_car_is_noise(street: tuple[F32, U8]) -> None:
     mirrored = flank & (chosen > 0.95)
     ranges[mirrored] *= 1.5
     found, former = classified(ranges), classified(ranges, mirror_m=NEVER)
-    assert share_of_noise(found, mirrored, Label.NOISE) > 0.9
-    assert share_of_noise(former, mirrored, Label.NOISE) < 0.75
-    assert share_of_noise(found, flank & ~mirrored, Label.CAR) > 0.9
+    assert noise_share(found, mirrored, Label.NOISE) > 0.9
+    assert noise_share(former, mirrored, Label.NOISE) < 0.75
+    assert noise_share(found, flank & ~mirrored, Label.CAR) > 0.9
 
 
 def test_a_range_that_nothing_around_has_is_noise(street: tuple[F32, U8]) -> None:
@@ -137,9 +137,9 @@ def test_a_range_that_nothing_around_has_is_noise(street: tuple[F32, U8]) -> Non
     alone = wall & ~behind & (chosen > 0.997)
     ranges[alone] -= 0.25
     found, former = classified(ranges), classified(ranges, alone_texture=NEVER)
-    assert share_of_noise(former, alone, Label.NOISE) == 0.0
-    assert share_of_noise(found, alone, Label.NOISE) > 0.6
-    assert share_of_noise(found, wall & ~alone, Label.NOISE) < 0.01
+    assert noise_share(former, alone, Label.NOISE) == 0.0
+    assert noise_share(found, alone, Label.NOISE) > 0.6
+    assert noise_share(found, wall & ~alone, Label.NOISE) < 0.01
 
 
 def test_labels_of_the_wider_window_do_not_depend_on_blocks(street: tuple[F32, U8]) -> None:

@@ -147,7 +147,7 @@ def test_too_few_neighbours_never_support() -> None:
 needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="millions of shots")
 
 
-def random_window_of_paper(n_lines: int, width: int, seed: int = 2019) -> F32:
+def uniform_window(n_lines: int, width: int, seed: int = 2019) -> F32:
     ranges = np.random.default_rng(seed).uniform(0, 120, (n_lines, width)).astype(np.float32)
     return stream_window(np.full(width + 1, np.nan, dtype=np.float32), ranges, None)
 
@@ -168,7 +168,7 @@ def test_printed_probabilities_belong_to_two_neighbours_in_both() -> None:
 
 @needs_compiler
 def test_random_ranges_support_each_other_as_seldom_as_printed() -> None:
-    window = random_window_of_paper(2000, 2000)
+    window = uniform_window(2000, 2000)
 
     def share(min_in_slice: int, min_adjacent: int) -> float:
         return float(kernels.support_mask(window, 2000, 2000, 1.0, 1.0, min_in_slice, min_adjacent).mean())

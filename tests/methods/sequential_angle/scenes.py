@@ -204,7 +204,7 @@ def street_lines(
     return lines_of(beam_rad, noisy), truth
 
 
-MISSING, DENSE, H_CAR_LINES, V_CAR_LINES, UNDECIDED = range(5)
+MISSING, DENSE, HORIZONTAL, VERTICAL, UNDECIDED = range(5)
 SCANNER_M = 1.8
 
 
@@ -219,7 +219,7 @@ class Piece:
 
     @property
     def code(self) -> int:
-        return V_CAR_LINES if abs(self.to_m[1] - self.from_m[1]) > abs(self.to_m[0] - self.from_m[0]) else H_CAR_LINES
+        return VERTICAL if abs(self.to_m[1] - self.from_m[1]) > abs(self.to_m[0] - self.from_m[0]) else HORIZONTAL
 
 
 def polyline(name: str, corners: list[tuple[float, float]], *, seen: bool = True) -> list[Piece]:

@@ -65,7 +65,7 @@ def plain(**values: Any) -> DividerThresholds:
 PARAMS = plain()
 
 
-def find_of_dividers(
+def find_intervals(
     found: Seen, params: DividerThresholds = PARAMS, *, trigger: int = 0, noise_m: float = NOISE_M
 ) -> I32:
     triggers = np.full(len(found.surface), trigger, np.int32)
@@ -78,9 +78,7 @@ def share_of_lines(pieces: list[Piece], params: DividerThresholds, at_m: float, 
     """Share of 100 lines with an interval that begins within 40 cm of a distance."""
     found = see([pieces] * 100, np.random.default_rng(4), **how)
     rows = [
-        row
-        for row, first, _ in find_of_dividers(found, params)
-        if abs(found.lines.horizontal_m[row, first] - at_m) < 0.4
+        row for row, first, _ in find_intervals(found, params) if abs(found.lines.horizontal_m[row, first] - at_m) < 0.4
     ]
     return len(set(rows)) / 100
 
@@ -104,5 +102,5 @@ def test_walls_curbs_and_poles_give_no_interval() -> None:
     scenes = [[*road()], [*road(), *wall(9)], [*road(), *curb(9), *wall(12, 0.15, windows=True)], [*road(), *pole]]
     found = see(scenes * 25, rng)
     sudden = plain(sudden_from_deg=-60, sudden_to_deg=60)
-    assert len(find_of_dividers(found, sudden)) == 0
-    assert len(set(find_of_dividers(found)[:, 0].tolist())) <= 8, "some of a hundred changes look gradual"
+    assert len(find_intervals(found, sudden)) == 0
+    assert len(set(find_intervals(found)[:, 0].tolist())) <= 8, "some of a hundred changes look gradual"

@@ -100,11 +100,11 @@ def test_share_of_foliage_that_is_told(n: int, share: float) -> None:
     assert abs(told - share) < 0.08
 
 
-PARAMS_VEGETATION = SequentialAngleThresholds().dense_vegetation
+FOLIAGE = SequentialAngleThresholds().dense_vegetation
 
 
 @pytest.fixture
-def rng_of_vegetation() -> Generator:
+def foliage_rng() -> Generator:
     return np.random.default_rng(71)
 
 
@@ -137,26 +137,24 @@ def closed_form(differences: F64) -> Mask:
     return marked
 
 
-def test_equals_page_on_a_mixture(rng_of_vegetation: Generator) -> None:
+def test_equals_page_on_a_mixture(foliage_rng: Generator) -> None:
     n_marked = []
     for _ in range(200):
-        share = np.repeat(rng_of_vegetation.choice([0.05, 0.3, 0.5, 0.8], 6), 60)
-        jump = rng_of_vegetation.random(360) < share
-        values = np.where(jump, rng_of_vegetation.choice([-150.0, 150.0], 360), 0) + rng_of_vegetation.normal(
-            0, 30, 360
-        )
+        share = np.repeat(foliage_rng.choice([0.05, 0.3, 0.5, 0.8], 6), 60)
+        jump = foliage_rng.random(360) < share
+        values = np.where(jump, foliage_rng.choice([-150.0, 150.0], 360), 0) + foliage_rng.normal(0, 30, 360)
         values = values.astype(np.float32)
-        found = dense_vegetation(values[None], PARAMS_VEGETATION)[0]
+        found = dense_vegetation(values[None], FOLIAGE)[0]
         np.testing.assert_array_equal(found, closed_form(values.astype(np.float64)))
         n_marked.append(found.mean())
     assert min(n_marked) < 0.2
     assert max(n_marked) > 0.5
 
 
-def test_street_of_vegetation(rng_of_vegetation: Generator) -> None:
-    lines, truth = street_lines(rng_of_vegetation, 40)
+def test_foliage_of_a_street(foliage_rng: Generator) -> None:
+    lines, truth = street_lines(foliage_rng, 40)
     signed = signed_angles(lines, ChordThresholds().at_noise()).signed_deg
-    dense = dense_vegetation(angle_differences(signed), PARAMS_VEGETATION)
+    dense = dense_vegetation(angle_differences(signed), FOLIAGE)
     image = car_surface(signed, dense, lines, SurfaceThresholds())
     found, vegetation = image == Surface.VEGETATION, truth == Surface.VEGETATION
     # measured on 100 lines: precision .93, recall .74, false positives 1.1 %

@@ -157,7 +157,7 @@ def run(arguments: list[str]) -> object:
     return stop.value.code
 
 
-def street_of_misread() -> F32:
+def misread_street() -> F32:
     """A road and two walls around a scanner 2 m above it, a tenth of the shots missing, 5 mm of noise."""
     angle = np.linspace(-np.pi, np.pi, M, endpoint=False)
     noise = np.random.default_rng(3).normal(0, 0.005, (LINES, M))
@@ -190,7 +190,7 @@ def street_of_misread() -> F32:
 def test_the_right_reading_is_found(tmp_path: Path, stored: str, scale: float, header: int, options: str) -> None:
     """Whatever type, byte order, unit and header."""
     dump = tmp_path / "scan.bin"
-    dump.write_bytes(bytes(range(header)) + (street_of_misread() * scale).astype(stored).tobytes())
+    dump.write_bytes(bytes(range(header)) + (misread_street() * scale).astype(stored).tobytes())
     found = other_reading(dump, M)
     assert found is not None
     assert found.options() == options
@@ -202,8 +202,8 @@ def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
         np.random.default_rng(1).bytes(1 << 18),
         bytes(1 << 18),
         np.full(1 << 16, 8, "<f4").tobytes(),
-        np.random.default_rng(1).permutation(street_of_misread().ravel()).tobytes(),
-        street_of_misread().tobytes()[:4000],
+        np.random.default_rng(1).permutation(misread_street().ravel()).tobytes(),
+        misread_street().tobytes()[:4000],
     ):
         dump.write_bytes(content)
         assert other_reading(dump) is None
@@ -212,7 +212,7 @@ def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
 def test_the_refusal_names_the_options_that_mend_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is named can be typed, and labels the scan."""
     dump, labels = tmp_path / "scan.bin", tmp_path / "labels.npy"
-    street_of_misread().astype(">f4").tofile(dump)
+    misread_street().astype(">f4").tofile(dump)
     command = ["classify", str(dump), str(labels), "--preset", "urban", "-M", str(M)]
     assert run(command) == 1
     assert "; its bytes are ranges of a scan with --set layout.endian=big, or insist" in capsys.readouterr().err

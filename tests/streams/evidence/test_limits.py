@@ -162,13 +162,13 @@ def test_standing(roughness: float, far: float, n_lines: int, name: str, verdict
         )
 
 
-def seen_of_cells(ranges: ArrayLike = (), **more: Any) -> Seen:
+def counted(ranges: ArrayLike = (), **more: Any) -> Seen:
     row: F32 = np.asarray(ranges, np.float32).reshape(1, -1)
     windows = (Window(0, row),) if row.size else ()
     return Seen(StreamInfo("a.npy", "array", 10, None, None), 0, windows, **more)
 
 
-def told_of_cells(found: Finding | None) -> tuple[Verdict, str]:
+def verdict_of_counts(found: Finding | None) -> tuple[Verdict, str]:
     assert found is not None
     return found.verdict, found.sentence()
 
@@ -178,13 +178,13 @@ def told_of_cells(found: Finding | None) -> tuple[Verdict, str]:
     [(0, FINE, "0.0%"), (10, FINE, "1.0%"), (11, DOUBTFUL, "1.1%"), (200, DOUBTFUL, "20.0%"), (201, AGAINST, "20.1%")],
 )
 def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
-    one = seen_of_cells(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
-    assert told_of_cells(check_collisions(one)) == (
+    one = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
+    assert verdict_of_counts(check_collisions(one)) == (
         verdict,
         f"collisions: {share} of the records met another shot in their cell, expected at most 1%; check --lines, "
         "--columns and -M; several scanners in one file: --scanner DIMENSION",
     )
-    assert told_of_cells(check_unplaced(one)) == (
+    assert verdict_of_counts(check_unplaced(one)) == (
         verdict,
         f"unplaced: {share} of the records found no cell and stay unclassified, expected at most 1%; check --lines, "
         "--columns and -M; a recording that was begun anew: split the file there",
@@ -201,21 +201,21 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     ],
 )
 def test_returns(n_shots: int, n_missing: int, verdict: Verdict, share: str) -> None:
-    assert told_of_cells(check_returns(seen_of_cells(n_shots=n_shots, n_missing=n_missing))) == (
+    assert verdict_of_counts(check_returns(counted(n_shots=n_shots, n_missing=n_missing))) == (
         verdict,
         f"returns: {share} of the shots have a range, expected at least 2%; check --range, --max-range, the layout, "
         "and --columns and -M",
     )
-    assert check_returns(seen_of_cells(n_shots=99, n_missing=99)) is None
+    assert check_returns(counted(n_shots=99, n_missing=99)) is None
 
 
 @pytest.mark.parametrize(
     ("n", "usual_m", "verdict"), [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)]
 )
 def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
-    found = check_missing_code(seen_of_cells(np.where(np.arange(1000) < n, 100.0, usual_m)))
+    found = check_missing_code(counted(np.where(np.arange(1000) < n, 100.0, usual_m)))
     option = "--max-range 99.9999924"
-    assert told_of_cells(found) == (
+    assert verdict_of_counts(found) == (
         verdict,
         f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, expected at most 1%; if it stands "
         f"for no return: {option}; else the scanner's reach cuts the scene off",
@@ -228,13 +228,13 @@ BEAM: F64 = np.deg2rad(np.arange(-90.0, 90.0, 1.0))
 STREET: F32 = np.where(np.abs(BEAM) < 1.2, 2.0 / np.cos(BEAM), np.nan).astype(np.float32)
 
 
-def seen_of_geometry_limits(n_windows: int = 1, **more: Any) -> Seen:
+def shots(n_windows: int = 1, **more: Any) -> Seen:
     windows = tuple(Window(100 * k, np.tile(STREET, (20, 1))) for k in range(n_windows))
     info = StreamInfo("a.npy", "array", len(BEAM), None, None, cos_tilt=more.pop("cos_tilt", 1.0))
     return Seen(info, 0, windows, **{"angle_rad": BEAM + 1.0, "beam_rad": BEAM, **more})
 
 
-def told_of_geometry_limits(found: Finding | None) -> tuple[Verdict, str]:
+def verdict_of_shots(found: Finding | None) -> tuple[Verdict, str]:
     assert found is not None
     return found.verdict, found.sentence()
 
@@ -276,7 +276,7 @@ def test_down_is_judged_by_the_angle(guesses: list[DownGuess | None], off_deg: f
     off = min(abs(off_deg), 360 - abs(off_deg))
     # the scan angle of straight down is 1 rad, 57.3 deg
     nadir = round(math.degrees(math.remainder(1.0 + math.radians(off_deg), 2 * math.pi)))
-    assert told_of_geometry_limits(check_down(seen_of_geometry_limits())) == (
+    assert verdict_of_shots(check_down(shots())) == (
         verdict,
         f"down: level ground is {off:.0f} deg from straight down (runner-up at 95 deg, 3.1 times weaker), expected "
         "within 11 deg of the direction in use"
@@ -299,16 +299,16 @@ def test_angle_step(monkeypatch: pytest.MonkeyPatch, factor: float, off: float, 
     monkeypatch.setattr(geometry, "measure_step", lambda _: step)
     said = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use ({factor:.4g} deg, known to "
     hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M" if verdict else ""
-    assert told_of_geometry_limits(check_angle_step(seen_of_geometry_limits())) == (
+    assert verdict_of_shots(check_angle_step(shots())) == (
         verdict,
         f"angle-step: {said}{off:.1%}), expected 0.92 to 1.08{hint}",
     )
-    assert check_angle_step(seen_of_geometry_limits(beam_rad=None)) is None
+    assert check_angle_step(shots(beam_rad=None)) is None
     # uneven beams, and a single one
-    assert check_angle_step(seen_of_geometry_limits(beam_rad=np.sign(BEAM) * BEAM**2)) is None
-    assert check_angle_step(seen_of_geometry_limits(beam_rad=BEAM[:1])) is None
+    assert check_angle_step(shots(beam_rad=np.sign(BEAM) * BEAM**2)) is None
+    assert check_angle_step(shots(beam_rad=BEAM[:1])) is None
     monkeypatch.setattr(geometry, "measure_step", lambda _: None)
-    assert check_angle_step(seen_of_geometry_limits()) is None
+    assert check_angle_step(shots()) is None
 
 
 @pytest.mark.parametrize(
@@ -323,7 +323,7 @@ def test_height(
     monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
     # half of it remains below a plane that leans by 60 deg
     guesses.append(deg(-19.9 if not is_blind else 120.0, depth_m=2.0 * depth_m))
-    one = seen_of_geometry_limits(cos_tilt=0.5, beam_rad=None if is_blind else BEAM, angle_rad=BEAM)
+    one = shots(cos_tilt=0.5, beam_rad=None if is_blind else BEAM, angle_rad=BEAM)
     limits = "0.3 to 6" if is_blind else "0.4 to 5"
     if is_blind and depth_m in (0.399, 5.01):
         verdict = FINE
@@ -332,4 +332,4 @@ def test_height(
     unit = f"--set input.range_scale{scale}" if scale else "input.range_scale"
     hint = f"; check the unit of the ranges, which are taken for metres: {unit}" if verdict else ""
     said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
-    assert told_of_geometry_limits(check_height(one)) == (verdict, said)
+    assert verdict_of_shots(check_height(one)) == (verdict, said)

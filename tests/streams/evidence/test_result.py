@@ -172,16 +172,14 @@ USUAL = UsualLabels(0.25, 0.5, 0.25, (Label.GROUND,), 0.5, 0.5, 0.25, 5.0, 0.25)
 G, B, N, U, C, V = (
     int(one) for one in (Label.GROUND, Label.BUILDING, Label.NOISE, Label.UNCLASSIFIED, Label.CURB, Label.VEGETATION)
 )
-BEAM_RESULT_LIMITS: F64 = np.deg2rad(np.linspace(-75.0, 75.0, 50))
+EVEN_BEAMS: F64 = np.deg2rad(np.linspace(-75.0, 75.0, 50))
 
 
-def sample(
-    range_m: F32, labels: U8, beam: F64 | None = BEAM_RESULT_LIMITS, angle: F64 | None = BEAM_RESULT_LIMITS
-) -> _Sample:
+def sample(range_m: F32, labels: U8, beam: F64 | None = EVEN_BEAMS, angle: F64 | None = EVEN_BEAMS) -> _Sample:
     return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle)
 
 
-def asked_of_result_limits(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
+def verdicts(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
     return {finding.check: (finding.verdict, finding.sentence()) for finding in check_labels(one, usual)}
 
 
@@ -284,11 +282,7 @@ def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
     )
     shape = (192 + 5 * seed, 50)
     lean = np.tan(np.deg2rad(rng.uniform(-12, 12)))
-    range_m = (
-        4.0
-        / np.maximum(np.cos(BEAM_RESULT_LIMITS) + lean * np.sin(BEAM_RESULT_LIMITS), 0.1)
-        * rng.normal(1.0, 0.02, shape)
-    )
+    range_m = 4.0 / np.maximum(np.cos(EVEN_BEAMS) + lean * np.sin(EVEN_BEAMS), 0.1) * rng.normal(1.0, 0.02, shape)
     range_m *= np.where(rng.random(shape) < 0.2, rng.uniform(0.5, 3.0, shape), 1.0)
     chances = np.array([0.1, 0.5, 0.15, 0.05 + 0.012 * seed, 0.05, 0.05, 0.0])
     chances[-1] = 1 - chances.sum()
@@ -301,6 +295,6 @@ def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
     one = sample(range_m.astype(np.float32), labels)
     found = {
         name: (verdict, said.split(": ", 1)[1].split(", expected")[0])
-        for name, (verdict, said) in asked_of_result_limits(one, usual).items()
+        for name, (verdict, said) in verdicts(one, usual).items()
     }
     assert found == slow_answers(one, usual)
