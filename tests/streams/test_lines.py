@@ -63,19 +63,19 @@ def test_sweep_needs_angles_of_one_direction() -> None:
         find_sweep(there_and_back, "drive.laz")
 
 
-NOWHERE, INF = np.nan, np.inf
+INF = np.inf
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 1000])
 def test_equal_stamps_are_spread(size: int) -> None:
-    stamps = np.array([1.0, 1.0, 1.0, 2.0, 3.0, 3.0, NOWHERE, NOWHERE, 1.0])
+    stamps = np.array([1.0, 1.0, 1.0, 2.0, 3.0, 3.0, NAN, NAN, 1.0])
     state, spread, ordinals = StampState(), [], []
     for start in range(0, len(stamps), size):
         part, ordinal, state = spread_stamps(stamps[start : start + size], 4.0, state)
         spread.extend(part.tolist())
         ordinals.extend(ordinal.tolist())
     assert ordinals == [0, 1, 2, 0, 0, 1, 0, 0, 0]
-    np.testing.assert_array_equal(spread, [1.0, 1.25, 1.5, 2.0, 3.0, 3.25, NOWHERE, NOWHERE, 1.0])
+    np.testing.assert_array_equal(spread, [1.0, 1.25, 1.5, 2.0, 3.0, 3.25, NAN, NAN, 1.0])
 
 
 @pytest.mark.parametrize(("origin", "is_told"), [(None, True), (0.5, False)])
