@@ -1,6 +1,6 @@
 """What every step of the fused method is worth: F1 without it, one step after the other.
 
-    python -m benchmarks.ablation            # scans that chose limits and steps: docs/fused_figures.md
+    python -m benchmarks.ablation            # scans that chose limits and steps: docs/figures/fused.md
     python -m benchmarks.ablation held-out   # the method itself on scans that decided nothing
 
 A step that costs less than .003 of the mean F1 in every group and .01 in no class does not stay.

@@ -1,6 +1,6 @@
 """The step of the angles measured from the ranges: how exact it is, and how exact it must be.
 
-    python -m benchmarks.angles > docs/angles_figures.md        # reads ../shared/data or $PRC_DATA; 5 minutes
+    python -m benchmarks.angles > docs/figures/angles.md        # reads ../shared/data or $PRC_DATA; 5 minutes
     python -m benchmarks.angles docs/images/angles.svg          # the picture of docs/fused.md
 
 Seeds 9311-9350, on which nothing was chosen; the limits of the estimator were chosen on 9401-9618 and the real scans.
@@ -274,7 +274,7 @@ def main() -> None:
         Path(sys.argv[1]).write_text(picture(), encoding="utf-8")
         return
     print("<!-- written by python -m benchmarks.angles; do not edit -->\n\n# Tables of measured angles\n")
-    print("```console\n$ python -m benchmarks.angles > docs/angles_figures.md\n```\n")
+    print("```console\n$ python -m benchmarks.angles > docs/figures/angles.md\n```\n")
     print("Simulated scans of seeds 9311 to 9350, first returns; `prc classify ranges.bin labels.npy -M M`. F1.\n")
     steps()
     beside_true("Ranges and M alone", ((spec.name, made(spec)) for spec in (*STREETS, *PUSH_BROOMS, *FORESTS)))

@@ -1,6 +1,6 @@
 """Classification before registration beside one after it (CAR), on a simulated drive with known classes.
 
-    python -m benchmarks.car             # writes docs/car_figures.md
+    python -m benchmarks.car             # writes docs/figures/car.md
     python -m benchmarks.car --length 40 --page /tmp/page.md
     python -m benchmarks.car --large 20000000 40000000   # memory of the nearest match alone, printed
 
@@ -30,7 +30,7 @@ from scipy.spatial import cKDTree
 from benchmarks.peak import CHILD
 from prc_cli.core.types import F64, I64, Mask
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "car_figures.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "figures" / "car.md"
 ERROR_M, THINNED_M, TILE_M = 0.02, 0.05, 40.0
 LONELY_M = 0.25
 NEIGHBOURS = 16

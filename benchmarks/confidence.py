@@ -2,7 +2,7 @@
 
     python -m benchmarks.confidence calibrate           # makes prc_cli/methods/fused/confidence.json
     python -m benchmarks.confidence check               # reliability on other streets and forests, for choosing
-    python -m benchmarks.confidence report              # docs/confidence_figures.md, seeds that decided nothing
+    python -m benchmarks.confidence report              # docs/figures/confidence.md, seeds that decided nothing
     python -m benchmarks.confidence ablation            # the same page: streets for choosing without single measures
     python -m benchmarks.confidence speed               # processor time, and how much the size of blocks matters
 
@@ -371,7 +371,7 @@ class CodesOf:
 def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     """Print the page of figures, and draw the curve."""
     print("<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: figures\n")
-    print(f"What the byte means is [described here](confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}")
+    print(f"What the byte means is [described here](../confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}")
     lines: dict[str, list[tuple[str, float, float, float]]] = {}
     for environment in environments:
         judged = judged_of(environment, HELD_OUT)
@@ -386,8 +386,8 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 
 COMMANDS = """$ python -m benchmarks.confidence calibrate     # the table of the package, after any change of fused
-$ python -m benchmarks.confidence report > docs/confidence_figures.md
-$ python -m benchmarks.confidence ablation urban >> docs/confidence_figures.md"""
+$ python -m benchmarks.confidence report > docs/figures/confidence.md
+$ python -m benchmarks.confidence ablation urban >> docs/figures/confidence.md"""
 
 
 def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:

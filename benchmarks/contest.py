@@ -1,6 +1,6 @@
 """The contest: both papers, the fused method and filters of registered clouds on the same points.
 
-    python -m benchmarks.contest > docs/contest_figures.md    # everything; only what changed is run again
+    python -m benchmarks.contest > docs/figures/contest.md    # everything; only what changed is run again
     python -m benchmarks.contest --quick                      # papers and fused on three scans, no filters, no pictures
     python -m benchmarks.contest tables peers                 # some of the parts
 
@@ -519,7 +519,7 @@ def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         failures(scan, label_scan(scan, method).codes, method.name, path)
         drawn.add(path)
         found = runs[method.name][item.how].verdict
-        print(f"![{item.name}](images/{path.name})\n")
+        print(f"![{item.name}](../images/{path.name})\n")
         say(f"{item.name}, {method.name}: macro F1 {found.macro:.3f}. {worst_confusions(found)}")
     for path in set(IMAGES.glob("contest_*.png")) - drawn:
         path.unlink()
@@ -639,11 +639,11 @@ def main() -> None:
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
     print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n")
-    say("""Generated tables behind [the contest](contest.md). Parameters are those of the presets and the same for all
-    scans, except where a row says otherwise. Tuning used other streets and the first Oakland strip, which is shown
-    but not counted. Classes of the macro F1: noise, ground, building, vegetation; in forests also stems. Cars, poles
-    and curbs have tables of their own. Signs, wires and people are not scored; the confusion tables show what they are
-    predicted as.""")
+    say("""Generated tables behind [the accuracy of prc](../accuracy.md). Parameters are those of the presets and the
+    same for all scans, except where a row says otherwise. Tuning used other streets and the first Oakland strip, which
+    is shown but not counted. Classes of the macro F1: noise, ground, building, vegetation; in forests also stems.
+    Cars, poles and curbs have tables of their own. Signs, wires and people are not scored; the confusion tables show
+    what they are predicted as.""")
     for part in arguments.parts or (QUICK_PARTS if arguments.quick else PARTS):
         PARTS[part](contest, runs)
     told(f"{contest.store.n_new} new runs, {time.perf_counter() - start:.0f} s")

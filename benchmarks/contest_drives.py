@@ -60,7 +60,7 @@ def print_drives() -> None:
         total = sum(counts.values())
         shares = ", ".join(f"{names.get(key, key)} {n / total:.1%}" for key, n in counts.items() if n >= total / 1000)
         rows.append(f"| {drive.name} | `{drive.path}` | {code} | {chosen} | {shares} |")
-        pictures += [f"![{drive.name}](images/{picture.name})\n", f"{drive.name}. {' '.join(doubts)}\n"]
+        pictures += [f"![{drive.name}](../images/{picture.name})\n", f"{drive.name}. {' '.join(doubts)}\n"]
     print("| | file | exit code | method | |\n|---|---|---:|---|---|")
     print("\n".join(rows), end="\n\n")
     print("\n".join(pictures))

@@ -1,6 +1,6 @@
 """Labels of spinning scanners on real labelled frames, beside Patchwork++ where it is installed.
 
-    python -m benchmarks.rings [NAME ...] > docs/rings_figures.md     # frames whose names begin so; all by default
+    python -m benchmarks.rings [NAME ...] > docs/figures/rings.md     # frames whose names begin so; all by default
 
 Every frame is a file of its own, read by ``prc_cli.classify`` with nothing told. Ground is judged in three ways: with
 vegetation left out, with vegetation lower than 1.3 m below the scanner as ground (both as in the papers on Patchwork),

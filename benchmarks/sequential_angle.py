@@ -1,7 +1,7 @@
 """Figures of the sequential-angle classifier: simulated static scans beside the paper's Table 1, real scans, speed.
 
-    python -m benchmarks.sequential_angle > docs/sequential_angle_figures.md     # all but speed and memory, minutes
-    python -m benchmarks.sequential_angle speed memory                           # tables of docs/speed_figures.md
+    python -m benchmarks.sequential_angle > docs/figures/sequential_angle.md     # all but speed and memory, minutes
+    python -m benchmarks.sequential_angle speed memory                           # tables of docs/figures/speed.md
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the same figures.
 """
@@ -466,7 +466,7 @@ def headerless_layout(folder: Path) -> Path:
 def organised(folder: Path) -> None:
     """Every organised file: lines, shots, class shares."""
     names = ("ground", "horizontal", "curb", "vertical", "vegetation", "car", "unclassified")
-    print("## Organised scans\n\nThe options are those of [the page on formats](formats.md).\n\n```console")
+    print("## Organised scans\n\nThe options are those of [the page on formats](../formats.md).\n\n```console")
     print("$ prc classify pumpA.e57 labels.npy --preset street-scan\n```\n")
     print("| file | lines | shots | missing | " + " | ".join(names) + " |")
     print("|---|---:|---:|---:|" + "---:|" * len(names))

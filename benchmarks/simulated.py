@@ -1,6 +1,6 @@
 """Figures of simulated scans: the papers' tables, and statistics beside real scans.
 
-    python -m benchmarks.simulated > docs/simulation_figures.md     # everything, minutes
+    python -m benchmarks.simulated > docs/figures/simulation.md     # everything, minutes
     python -m benchmarks.simulated urban speed                      # some of the parts
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the same figures; no
@@ -677,7 +677,7 @@ def main() -> None:
         if part not in PARTS:
             parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
     print("<!-- written by python -m benchmarks.simulated; do not edit -->\n\n# Simulated scans: figures\n")
-    say("""The simulator is described [here](simulation.md), with what to make of these figures. No parameter was
+    say("""The simulator is described [here](../simulation.md), with what to make of these figures. No parameter was
     chosen on these seeds; `fused` was tuned on other seeds of this simulator. The forest's defaults were chosen
     with the shares of Table II's reference in view, on other seeds.""")
     with tempfile.TemporaryDirectory() as name:

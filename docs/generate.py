@@ -4,7 +4,7 @@
 a class code, and after a benchmark wrote its page of figures.
 
 A figure in prose is a link to the page of its table. The title of the link names the cell, and its text is written
-anew with as many digits as it has: ``[.527](sequential_angle_figures.md#readings-one-at-a-time
+anew with as many digits as it has: ``[.527](figures/sequential_angle.md#readings-one-at-a-time
 "car.fourier.window = 0 > car recall")``.
 
 - The title holds as many leading cells of the row as are needed, with ``*`` for any text, then the column. Tables of
@@ -417,64 +417,6 @@ viewer.setClassifications({{
 """
 
 
-def accuracy_page() -> str:
-    """Return the page of accuracy: a few rows of the figures of the contest, and what they do not say."""
-    figures = (ROOT / "docs/contest_figures.md").read_text(encoding="utf-8")
-    streets = [_table_of(figures, f"{scan}: F1 of the classes") for scan in ("Oakland 2, 3", "KITTI frame")]
-    forests = [_table_of(figures, "forests: F1 of the classes")]
-    methods = ("PRC, published", "PRC, for push-brooms", "sequential-angle", "fused")
-    real = _short_table(
-        "F1, real scans | street: ground | building | vegetation | 64-ring frame: ground | building | vegetation",
-        methods, streets, ("ground", "building", "vegetation"),
-    )  # fmt: skip
-    simulated = _short_table(
-        "F1, simulated forests | ground | stem | vegetation",
-        tuple(forests[0]),
-        forests,
-        ("ground", "stem", "vegetation"),
-    )
-    text = """\
-        # How accurate is it?
-
-        What `prc classify` takes by itself is `fused` in streets and `fused-forest` in forests. The other rows are the
-        papers' methods. Oakland strip 1 is left out, because parameters were chosen on it.
-
-        {real}
-
-        {simulated}
-
-        - **Street**: Oakland strips 2 and 3, a push-broom scanner with 0.5° steps. **Frame**: one of KITTI.
-          **Forests**: three simulated walks, because no labelled raw forest scan is at hand.
-        - Two real places are few, and their references hold next to no noise. Expect less elsewhere.
-        - Cars, curbs and poles are not in this table: [every class](fused.md#figures). Poles are weak.
-        - Where it fails: [a list](contest.md#where-fused-fails) and [pictures](contest_figures.md#where-it-fails).
-        - The figure that counts is yours: label a short stretch of your drive by hand, then `prc evaluate labels.npy
-          reference.npy` ([how](evaluation.md)).
-
-        All scans, all methods and the commands: [the contest](contest.md), [its figures](contest_figures.md),
-        [real scans](real_scans.md).
-        """
-    return "\n".join([GENERATED, textwrap.dedent(text).format(real=real, simulated=simulated)])
-
-
-def _short_table(
-    head: str, methods: tuple[str, ...], scans: list[dict[str, dict[str, str]]], classes: tuple[str, ...]
-) -> str:
-    """Return a table of the means, one row a method."""
-    rows = [f"| {head} |", "|---|" + "---:|" * (len(scans) * len(classes))]
-    for method in methods:
-        cells = [scan.get(method, {}).get(one, "").partition(" ")[0] for scan in scans for one in classes]
-        rows.append(f"| {method} | {' | '.join(cells)} |")
-    return "\n".join(rows)
-
-
-def _table_of(page: str, title: str) -> dict[str, dict[str, str]]:
-    """Return the table under a heading: cells by column, by the name of the row."""
-    lines = page.split(f"### {title}\n", 1)[1].split("\n#", 1)[0].splitlines()
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    return {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[2:]}
-
-
 def pages() -> dict[Path, str]:
     """Return every generated file and its content."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
@@ -487,7 +429,6 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/simulation.md": simulation_page(),
         ROOT / "sample_configs/viewers/prc_classes.qml": qgis_style(),
         ROOT / "sample_configs/viewers/prc_classes_potree.js": potree_classes(),
-        ROOT / "docs/accuracy.md": accuracy_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
         **prose(),
     }

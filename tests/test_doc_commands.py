@@ -30,7 +30,7 @@ DONE = (0, 4)
 def blocks(path: Path) -> list[tuple[str, str]]:
     """Reason or nothing, and commands, of every block of a page that is written by hand."""
     text = path.read_text(encoding="utf-8")
-    return [] if text.startswith(WRITTEN) or path.stem.endswith("_figures") else BLOCK.findall(text)
+    return [] if text.startswith(WRITTEN) or path.parent.name == "figures" else BLOCK.findall(text)
 
 
 def commands(block: str) -> list[str]:

@@ -185,8 +185,8 @@ def test_other_readers_find_codes_and_names(tmp_path: Path) -> None:
     (record,) = [one for one in cloud.header.vlrs if (one.user_id, one.record_id) == ("LASF_Spec", 0)]
     names = record.lookups
     assert {65: "car", 66: "curb", 69: "pole"}.items() <= names.items()
-    # what goes on in PDAL: docs/workflow/pdal.md
-    page = (ROOT / "docs/workflow/pdal.md").read_text(encoding="utf-8")
+    # what goes on in PDAL: docs/workflow.md
+    page = (ROOT / "docs/workflow.md").read_text(encoding="utf-8")
     pipeline = json.loads(re.findall(r"```json\n(.*?)```", page, re.DOTALL)[0])
     wanted = [int(code) for code in re.findall(r"== (\d+)", pipeline[1]["expression"])]
     assert wanted == [2, 65, 66]

@@ -14,7 +14,7 @@ from prc_cli.config import load_config
 from prc_cli.evaluation.reports import NO_INTERVALS, as_dict, overall_line
 from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.classify import load_classifier
-from prc_cli.jobs.demo import MORE, PARTS, DemoPart, run_demo
+from prc_cli.jobs.demo import MAIN, MORE, PARTS, DemoPart, run_demo
 from prc_cli.simulation.drive import load_simulator
 
 TITLES = {"drive": "default", "published": "prc", "static": "sequential-angle", "walk": "default, forest"}
@@ -50,25 +50,28 @@ OPEN = {
 @click.option(
     "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another world."
 )
+@click.option("--all", "everything", is_flag=True, help="The other methods and scans as well.")
 @click.option("--overwrite", is_flag=True, help="Use a folder that holds files already.")
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
-def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
-    """Simulate a drive, classify, evaluate and draw it; ends with what to open.
+def demo(
+    output: Path, lines: int, seed: int, everything: bool, overwrite: bool, json_wanted: bool, quiet: bool
+) -> None:
+    """Simulate a drive along a street, classify, evaluate and draw it; ends with what to open.
 
-    The same for a walk in a forest and a static scan, and for the drive with PRC as published; their files are in the
-    folder more.
+    --all does the same for a walk in a forest and a static scan, and for the drive with PRC as published; their files
+    are in the folder more.
 
     \b
     Example: prc demo --output /tmp/prc-demo
     """
-    with compiling_note(quiet=quiet):
-        for each in PARTS.values():
-            load_classifier(load_config(preset=each.preset))
-    with compiling_note(quiet=quiet, what="simulator"):
+    chosen = tuple(PARTS) if everything else MAIN
+    with compiling_note(quiet=quiet, what="simulator and the classifier"):
         load_simulator()
+        for name in chosen:  # a walk is known to be one only when it is looked at
+            load_classifier(load_config(preset=PARTS[name].preset or "fused"))
     with line_progress("simulated scans", quiet=quiet) as progress:
-        result = run_demo(output, seed=seed, lines=lines, overwrite=overwrite, progress=progress)
+        result = run_demo(output, parts=chosen, seed=seed, lines=lines, overwrite=overwrite, progress=progress)
     parts = {TITLES[name]: part for name, part in result.parts.items()}
     if json_wanted:
         click.echo(json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2))
@@ -78,8 +81,7 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
         _print(result.parts, tables=not json_wanted)
     for what, name in OPEN.items():
         print_line(f"{what}: {output / name}")
-    others = f"the other scans, labels and configurations: {output / MORE}"
-    print_line(others)
+    print_line(f"labels, configurations and, with --all, the other scans and methods: {output / MORE}")
     print_line("your own file: prc info FILE prints the command to type")
 
 
@@ -93,6 +95,5 @@ def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
         return
     click.echo("\na drive along a street: labels against those of the simulator")
     print_evaluation(drive.matrix, scores(drive.matrix))
-    click.echo()
-    for name, what in OTHERS.items():
+    for name, what in ((name, what) for name, what in OTHERS.items() if name in parts):
         click.echo(f"{what}: {overall_line(scores(parts[name].matrix), NO_INTERVALS)}")

@@ -1,8 +1,8 @@
-"""``prc demo``: simulate, classify, evaluate and draw a scan for every method."""
+"""``prc demo``: simulate, classify, evaluate and draw a drive along a street; on request a scan for every method."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -57,8 +57,10 @@ PARTS: dict[str, Part] = {
     # as far as one sees in a wood
     "walk": Part("forest", "forest", None, "prc", _PICTURE, {"lines": 255, "sight_m": 40.0}),
 }  # fmt: skip
-"""A drive, classified by default and with PRC as published; a static scan, classified with the sequential-angle
-classifier; and a walk in a forest, classified by default."""
+"""A drive, classified by default and with PRC as published; a static scan with the sequential-angle classifier; a walk
+in a forest, by default."""
+MAIN = ("drive",)
+"""The parts that are made without being asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,25 +84,26 @@ class DemoResult:
 
 
 MORE = "more"
-"""Folder inside the demo's with the other scans and methods, labels and configurations."""
+"""Folder inside the demo's with labels and configurations, and the other scans and methods."""
 
 
 def run_demo(
     folder: Path,
     *,
+    parts: Iterable[str] = MAIN,
     seed: int = 1,
     lines: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DemoResult:
-    """Simulate the scans of :data:`PARTS`, then classify, evaluate and draw them.
+    """Simulate the scans of some of :data:`PARTS`, then classify, evaluate and draw them.
 
     The folder holds the drive, classified by default; everything else is in its folder :data:`MORE`.
     """
     _prepare(folder, overwrite=overwrite)
     (folder / MORE).mkdir(exist_ok=True)
     found: dict[str, DemoPart] = {}
-    for name, part in PARTS.items():
+    for name, part in ((name, PARTS[name]) for name in parts):
         options = {**part.options, "seed": seed}
         if name == "drive" and lines is not None:
             options["lines"] = lines

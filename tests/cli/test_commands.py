@@ -120,7 +120,7 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     folder = tmp_path / "demo"
-    result = prc("demo", "--output", folder, "--lines", "200", "--json", "--quiet")
+    result = prc("demo", "--all", "--output", folder, "--lines", "200", "--json", "--quiet")
     assert result.code == 0, result.err
     found = json.loads(result.out)
     # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; with seed 1 .88, .90 and .91 in the forest
@@ -151,6 +151,9 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--output", folder)
     assert result.code == 2
     assert "holds files already" in result.err
+    result = prc("demo", "--output", folder, "--lines", "100", "--json", "--overwrite")
+    assert list(json.loads(result.out)) == ["default"]
+    assert result.err.splitlines()[-1] == "your own file: prc info FILE prints the command to type"
 
 
 @pytest.mark.slow

@@ -82,9 +82,9 @@ WAYS = ("read", "command", "guarded")
 _PAGE = """\
 # Hostile input in figures
 
-Written by `python -m tests.fuzz.campaign --report docs/hostile_figures.md --corpus corpus`, after campaigns of
+Written by `python -m tests.fuzz.campaign --report docs/figures/hostile.md --corpus corpus`, after campaigns of
 `python -m tests.fuzz.campaign --seconds 3600 --corpus corpus --seed 1` with several seeds. What counts as a fault:
-[Hostile input](hostile_input.md#how-it-is-tested).
+[Hostile input](../robustness.md#how-damaged-files-are-tested).
 
 **{n:,} inputs**: {read:,} read by functions of the library, {command:,} through a command in the same process,
 {guarded:,} through `prc` under the guard. {accepted} were accepted, {looked} with a doubt that is said, {refused}

@@ -1,4 +1,4 @@
-"""What a batch says of itself: summary, drift, the night's report, the runbook."""
+"""What a batch says of itself: summary, drift, the night's report, the page on operations."""
 
 from __future__ import annotations
 
@@ -162,12 +162,13 @@ def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
 
 
 ROOT = Path(__file__).resolve().parents[3]
-RUNBOOK = (ROOT / "docs" / "runbook.md").read_text(encoding="utf-8")
 OPERATIONS = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
 
 
-def headings() -> set[str]:
-    return set(re.findall(r"^#+ (.+)$", RUNBOOK, re.MULTILINE))
+def entries() -> set[str]:
+    """Names in the first column of the table of errors, and in the paragraph above it."""
+    above, _, table = OPERATIONS.partition("## Errors")[2].partition("\n|")
+    return set(re.findall(r"`(\w+)`", above + " ".join(re.findall(r"^\| ([^|]+)\|", table, re.MULTILINE))))
 
 
 def subclasses(kind: type[BaseException]) -> set[str]:
@@ -200,7 +201,7 @@ def kinds_in_code() -> set[str]:
 
 
 def test_every_error_of_the_package_has_its_entry() -> None:
-    missing = subclasses(prc_cli.core.errors.PrcError) - headings()
+    missing = subclasses(prc_cli.core.errors.PrcError) - entries()
     # classes that tests define are none of ours
     ours = {name for name in missing if hasattr(prc_cli.core.errors, name)}
     assert not ours
@@ -209,7 +210,7 @@ def test_every_error_of_the_package_has_its_entry() -> None:
 def test_every_kind_of_problem_has_its_entry() -> None:
     kinds = kinds_in_code()
     assert {"killed", "timeout", "memory", "NoReference"} <= kinds
-    assert not (kinds | {"interrupted", "OSError", "PermissionError"}) - headings()
+    assert not (kinds | {"interrupted", "OSError", "PermissionError"}) - entries()
 
 
 def test_every_exit_code_is_in_the_page_on_operations() -> None:
