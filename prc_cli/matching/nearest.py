@@ -40,15 +40,25 @@ _NEIGHBOURS = 5
 _READ_AT_ONCE = 1 << 20
 _MIDDLE = 1 << 30
 _FINE_M = 1.0
+"""Edge of the squares within a cell by which its points are ordered [m]."""
+_SIDE, _HALF = 4, 1 << 26
+"""Bits of these squares along a cell, and half the cells along the plan."""
+SQUARE_M = 2.0
+"""Edge of the squares in which points are counted [m]."""
+_MOST_LOOSE = 1 << 17
 
 Box: TypeAlias = tuple[float, float, float, float]
 """x and y of the lower corner, x and y of the upper one (exclusive) [m]."""
 
 
+def keys_of(column: I64, row: I64) -> I64:
+    """Return a number for every cell, by column and then by row."""
+    return ((column + _MIDDLE) << 32) + row + _MIDDLE
+
+
 def cell_keys(x: F64, y: F64, edge_m: float) -> I64:
     """Return a number for the cell of every point, by x and then by y."""
-    column, row = np.floor(x / edge_m), np.floor(y / edge_m)
-    return ((column.astype(np.int64) + _MIDDLE) << 32) + row.astype(np.int64) + _MIDDLE
+    return keys_of(np.floor(x / edge_m).astype(np.int64), np.floor(y / edge_m).astype(np.int64))
 
 
 def cell_places(keys: I64) -> tuple[I64, I64]:
@@ -60,8 +70,26 @@ def cell_places(keys: I64) -> tuple[I64, I64]:
     return (keys >> 32) - _MIDDLE, (keys & 0xFFFFFFFF) - _MIDDLE
 
 
+def _nested_keys(x: F64, y: F64) -> I64:
+    """Return a number for the square of every point, by cell and then by the square in it."""
+    column, row = (np.floor(values / _FINE_M).astype(np.int64) for values in (x, y))
+    cell = (((column >> _SIDE) + _HALF) * (2 * _HALF) + (row >> _SIDE) + _HALF) << 2 * _SIDE
+    last = (1 << _SIDE) - 1
+    return cell + ((column & last) << _SIDE) + (row & last)
+
+
+def _nested_places(keys: I64) -> tuple[I64, I64]:
+    """Return column and row of squares.
+
+    >>> _nested_places(_nested_keys(np.array([-0.5]), np.array([33.0])))
+    (array([-1]), array([33]))
+    """
+    (column, row), last = np.divmod(keys >> 2 * _SIDE, 2 * _HALF), (1 << _SIDE) - 1
+    return ((column - _HALF) << _SIDE) + (keys >> _SIDE & last), ((row - _HALF) << _SIDE) + (keys & last)
+
+
 class Cloud:
-    """The points of one side in a temporary file, ordered by cell within every chunk."""
+    """The points of one side in a temporary file, ordered by cell and square within every chunk."""
 
     def __init__(self, chunks: Iterator[Columns], handle: BinaryIO) -> None:
         """Read all chunks; each has ``x``, ``y``, ``z`` (finite) and the same other columns."""
@@ -69,6 +97,7 @@ class Cloud:
         self._dtype = np.dtype([(axis, np.float64) for axis in AXES])
         self.n = 0
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._squares: list[tuple[I64, I64]] = [(np.empty(0, np.int64), np.empty(0, np.int64))]
         parts = [self._put(columns, n) for columns in read_ahead(chunks) if (n := len(columns["x"]))]
         parts.append((np.empty(0, np.int64),) * 3)
         cells, first, count = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -79,8 +108,8 @@ class Cloud:
         """Write a chunk; return the cells of its segments, their first record and their length."""
         if not self.n:
             self._dtype = np.dtype([(name, values.dtype) for name, values in columns.items()])
-        cell = cell_keys(columns["x"], columns["y"], CELL_M)
-        order = np.argsort(cell, kind="stable")
+        key = _nested_keys(columns["x"], columns["y"])
+        order = np.argsort(key, kind="stable")
         records = np.empty(n, self._dtype)
         for name, values in columns.items():
             records[name] = values[order]
@@ -89,11 +118,28 @@ class Cloud:
         for axis, name in enumerate(AXES):
             self.low[axis] = min(self.low[axis], columns[name].min())
             self.high[axis] = max(self.high[axis], columns[name].max())
-        cell = cell[order]
+        key = key[order]
+        borders = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+        column, row = _nested_places(key[borders])
+        self._count_squares(keys_of(column >> 1, row >> 1), np.diff(borders, append=n))
+        cell = keys_of(column >> _SIDE, row >> _SIDE)
         new = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
-        segments = cell[new], new + self.n, np.diff(new, append=n)
+        first = borders[new]
+        segments = cell[new], first + self.n, np.diff(first, append=n)
         self.n += n
         return segments
+
+    def _count_squares(self, keys: I64, n: I64) -> None:
+        self._squares.append((keys, n))
+        # few merges, and little memory
+        if sum(len(keys) for keys, _ in self._squares[1:]) > max(len(self._squares[0][0]), _MOST_LOOSE):
+            self._squares = [self.squares()]
+
+    def squares(self) -> tuple[I64, I64]:
+        """Return the squares of the plan that hold points, as sorted :func:`cell_keys`, and how many they hold."""
+        keys, n = (np.concatenate(parts) for parts in zip(*self._squares, strict=True))
+        keys, place = np.unique(keys, return_inverse=True)
+        return keys, np.bincount(place, n, len(keys)).astype(np.int64)
 
     def counts(self) -> tuple[I64, I64]:
         """Return the cells that hold points, and how many."""
@@ -116,7 +162,7 @@ class Cloud:
             inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
             parts.append(records if inside.all() else records[inside])
         records = np.concatenate(parts)
-        # neighbours in memory are neighbours in space: queries of a tree are then twice as fast
+        # neighbours in memory are neighbours in space: queries of a tree are then twice as fast; parts are in order
         order = np.argsort(cell_keys(records["x"], records["y"], _FINE_M), kind="stable")
         return {name: records[name][order] for name in self._dtype.names or ()}
 
@@ -321,8 +367,9 @@ def nearest_join(
         core = _inside(ours, box)
         theirs, distance, found, tree = nearest_of(ours, right, box, reach, tolerance)
         to = np.where(distance <= tolerance, found, -1)
-        used = np.unique(to[to >= 0])
-        n_used = int(np.count_nonzero(_inside({axis: theirs[axis][used] for axis in "xy"}, box)))
+        used = np.zeros(len(theirs["x"]), np.bool_)
+        used[to[to >= 0]] = True
+        n_used = int(np.count_nonzero(used & _inside(theirs, box)))
         ours, to, distance, found = {n: v[core] for n, v in ours.items()}, to[core], distance[core], found[core]
         sparse = np.zeros(len(to), np.bool_)
         lone = np.flatnonzero(np.isfinite(distance) & (to < 0))

@@ -14,10 +14,10 @@ import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import read_small
-from prc_cli.core.types import F64, Mask
+from prc_cli.core.types import F64, I64, Mask
 from prc_cli.core.window import Window
 from prc_cli.matching.join import Columns
-from prc_cli.matching.nearest import cell_keys, cell_places
+from prc_cli.matching.nearest import SQUARE_M, cell_keys, cell_places, keys_of
 from prc_cli.matching.sides import LINE, SECONDS
 
 _MOST_BYTES = 64 << 20
@@ -192,29 +192,22 @@ class Trees:
 class Cover:
     """Which squares of the plan the reference covers, and where predicted shots lie beside it."""
 
-    EDGE_M, COARSE = 2.0, 8
+    EDGE_M, COARSE = SQUARE_M, 8
     FEW = 0.25
     """Empty squares with fewer predicted shots than this share of the mean are air or sight behind a wall: noise."""
 
-    def __init__(self) -> None:
-        self._held, self._coarse = np.empty(0, np.int64), np.empty(0, np.int64)
-        self._ours, self._n = np.empty(0, np.int64), np.empty(0, np.int64)
+    def __init__(self, ours: tuple[I64, I64], theirs: tuple[I64, I64]) -> None:
+        """Take the squares that hold predicted shots and those of the reference, and how many they hold."""
+        (self._ours, self._n), (self._held, _) = ours, theirs
+        column, row = cell_places(self._held)
+        self._coarse = np.unique(keys_of(column // self.COARSE, row // self.COARSE))
         self._empty: dict[int, int] = {}
         self.n_outside = 0
 
-    def add_reference(self, x: F64, y: F64) -> None:
-        """Take points of the reference."""
-        self._held = np.union1d(self._held, cell_keys(x, y, self.EDGE_M))
-        self._coarse = np.union1d(self._coarse, cell_keys(x, y, self.EDGE_M * self.COARSE))
-
-    def add_predicted(self, x: F64, y: F64) -> None:
-        """Take predicted shots."""
-        keys, n = np.unique(cell_keys(x, y, self.EDGE_M), return_counts=True)
-        both, place = np.unique(np.concatenate([self._ours, keys]), return_inverse=True)
-        self._ours, self._n = both, np.bincount(place, np.concatenate([self._n, n])).astype(np.int64)
-
     def holds(self, x: F64, y: F64) -> Mask:
         """Return which predicted shots lie where the reference covers the plan; the others are counted."""
+        if not len(x):
+            return np.zeros(0, np.bool_)
         keys = cell_keys(x, y, self.EDGE_M)
         coarse = cell_keys(x, y, self.EDGE_M * self.COARSE)
         held = np.isin(keys, self._held)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.threads import ordered
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.evaluation.three import LOST, NOISE
 from prc_cli.formats.las.vlrs import same_crs, short_crs
@@ -43,7 +44,7 @@ class Registered:
         self._area = None if options.inside is None else Area(options.inside)
         self._trees = None if options.trees is None else Trees.read(options.trees)
         self._heights = options.height is not None or self._trees is not None
-        self._ground, self._cover = Ground(), Cover()
+        self._ground = Ground()
         self._bounds: dict[int, tuple[F64, F64]] = {}
         self.tolerance = options.tolerance or 0.0
         self.n_cut = self.n_beside = self._n_left_out = 0
@@ -66,8 +67,9 @@ class Registered:
         others = tuple(dict.fromkeys((CODE, *AXES, *plan.reference, *timed, FILE)))
         with ExitStack() as stack:
             files = [stack.enter_context(scratch_file("matching")) for _ in range(3)]
-            ours = Cloud(self._predicted(left, names), files[0])
-            theirs = Cloud(self._reference(right, others, keep_file=FILE in plan.reference), files[1])
+            sides = self._predicted(left, names), self._reference(right, others, keep_file=FILE in plan.reference)
+            ours, theirs = ordered(lambda k: Cloud(sides[k], files[k]), range(2), threads=2)
+            self._cover = Cover(ours.squares(), theirs.squares())
             self._check(ours, theirs)
             beside = None if third is None else Cloud(columns_of(third, (CODE, *AXES), sort=False), files[2])
             reach = REACHES * self.tolerance if self._options.unmatched == NOISE else None
@@ -80,7 +82,6 @@ class Registered:
                 inside = self._area.holds(columns["x"], columns["y"])
                 self.n_cut += len(inside) - int(np.count_nonzero(inside))
                 columns = {name: values[inside] for name, values in columns.items()}
-            self._cover.add_predicted(columns["x"], columns["y"])
             yield columns
 
     def _reference(self, side: Side, names: tuple[str, ...], *, keep_file: bool) -> Iterator[Columns]:
@@ -89,17 +90,15 @@ class Registered:
                 columns = self._around(columns)
             if not len(columns["x"]):
                 continue
-            file = columns[FILE] if keep_file else columns.pop(FILE)
-            xyz = np.stack([columns[axis] for axis in AXES])
-            for index in np.unique(file).tolist():
-                mine = xyz[:, file == index]
-                low, high = self._bounds.get(index, (np.full(3, np.inf), np.full(3, -np.inf)))
-                self._bounds[index] = np.minimum(low, mine.min(axis=1)), np.maximum(high, mine.max(axis=1))
-            self._cover.add_reference(columns["x"], columns["y"])
+            # a chunk is of one file
+            index = int((columns[FILE] if keep_file else columns.pop(FILE))[0])
+            low, high = self._bounds.get(index, (np.full(2, np.inf), np.full(2, -np.inf)))
+            xy = columns["x"], columns["y"]
+            self._bounds[index] = np.minimum(low, [v.min() for v in xy]), np.maximum(high, [v.max() for v in xy])
             rows = self._mapping.class_indices(columns[CODE], "reference")
             if self._heights:
                 ground = rows == self._mapping.names("reference").index(GROUND)
-                self._ground.add(*xyz[:, ground])
+                self._ground.add(*(columns[axis][ground] for axis in AXES))
             yield columns
 
     def _around(self, columns: Columns) -> Columns:
@@ -147,7 +146,7 @@ class Registered:
     def _overlaps(self) -> Iterator[str]:
         found = []
         for (one, (low, high)), (other, (low2, high2)) in combinations(sorted(self._bounds.items()), 2):
-            width, depth = (np.minimum(high, high2) - np.maximum(low, low2))[:2]
+            width, depth = np.minimum(high, high2) - np.maximum(low, low2)
             if min(width, depth) > _OVERLAP_M:
                 found.append((width * depth, width, depth, one, other))
         if found:
