@@ -26,7 +26,7 @@ def options(**inputs: object) -> LoadedConfig:
     return load_config(preset="urban", options={"input": inputs})
 
 
-# lower bounds a little under what is measured (docs/results.md): a change that loses accuracy must be seen
+# lower bounds a little under what is measured (docs/accuracy.md): a change that loses accuracy must be seen
 @pytest.mark.parametrize(
     ("strip", "published_ground", "ground", "vegetation", "building"),
     [(1, 0.93, 0.94, 0.51, 0.70), (2, 0.94, 0.95, 0.76, 0.67), (3, 0.94, 0.95, 0.76, None)],

@@ -71,8 +71,21 @@ _option = click.option
 _SELECTION = [
     _option("--include", multiple=True, metavar="GLOB", help="Only inputs of such names, e.g. '2026/**/*.laz'."),
     _option("--exclude", multiple=True, metavar="GLOB", help="Not those of such names, or in such folders."),
+    _option(
+        "--drive",
+        "drives",
+        multiple=True,
+        metavar="GLOB",
+        help="Files of such names that differ only in what the last wildcards stand for, as '??' in "
+        "'drive_*_??.laz', are the parts of one drive, in the order of these numbers: one stream, an output each.",
+    ),
     _option("--since", metavar="WHEN", help="Only inputs changed since: 2026-01-31, 7d, 12h, or a file."),
-    _option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N files; the rest another time."),
+    _option(
+        "--limit",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="At most N files; the rest another time. A drive is not cut.",
+    ),
     _option("--shard", metavar="I/N", help="Only the I-th of N parts, for as many machines."),
     _option("--only-failed", is_flag=True, help="Only files that failed or were cut off before."),
 ]
@@ -141,6 +154,7 @@ def batch(**options: Any) -> None:
     Examples:
       prc batch /archive /classified --preset urban
       prc batch /archive /classified --config archive.toml --jobs 4 --dry-run
+      prc batch /archive /classified --drive 'drive_*_??.laz'
       prc batch /archive /classified --config archive.toml -q --log-json /var/log/prc.jsonl
       prc batch status /classified
       prc batch retry /classified
@@ -279,7 +293,7 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
         check_reference(reference)
     layers = layers_from(options)
     same = (
-        "archive", "out", "include", "exclude", "since", "limit", "only_failed", "jobs", "threads", "to",
+        "archive", "out", "include", "exclude", "drives", "since", "limit", "only_failed", "jobs", "threads", "to",
         "retry", "fail_fast", "overwrite", "adopt", "verify", "stall_s", "drift", "keep_versions",
     )  # fmt: skip
     return BatchSettings(

@@ -83,21 +83,26 @@ class Counts(Brief):
         """Return the counts before the first block."""
         return cls(0, 0, 0, np.zeros(len(Label), np.int64), ReadTally())
 
-    def add(self, item: LabelledBlock | ScanBlock) -> Counts:
-        """Return the counts with one more block; of one without labels the missing shots alone are counted as such."""
+    def add(self, item: LabelledBlock | ScanBlock, *, only_records: bool = False) -> Counts:
+        """Return the counts with one more block; of one without labels the missing shots alone are counted as such.
+
+        ``only_records``: leave out cells, and lines, that no record stands for.
+        """
+        block = item.block if isinstance(item, LabelledBlock) else item
+        where: Any = block.records() >= 0 if only_records else ...
+        ranges, extra = block.range_m[where], block.extra.record >= 0 if only_records else ...
         if isinstance(item, LabelledBlock):
-            block = item.block
-            labels = count_bytes(item.labels)[: len(Label)] + count_bytes(item.extra_labels)[: len(Label)]
+            labels = count_bytes(item.labels[where])[: len(Label)] + count_bytes(item.extra_labels[extra])[: len(Label)]
         else:
-            block, labels = item, np.zeros(len(Label), np.int64)
-            labels[Label.MISSING] = np.count_nonzero(np.isnan(block.range_m))
+            labels = np.zeros(len(Label), np.int64)
+            labels[Label.MISSING] = np.count_nonzero(np.isnan(ranges))
         return Counts(
-            self.n_lines + block.n_lines,
-            self.n_shots + block.range_m.size,
-            self.n_far + int(np.count_nonzero(block.range_m > FAR_M)),
+            self.n_lines + (int(where.any(axis=1).sum()) if only_records else block.n_lines),
+            self.n_shots + ranges.size,
+            self.n_far + int(np.count_nonzero(ranges > FAR_M)),
             self.labels + labels,
             self.tally + block.tally,
-            self.n_extra + len(block.extra),
+            self.n_extra + len(block.extra.record[extra]),
             {block.scanner: block.points_per_line, **self.scanners},
         )
 

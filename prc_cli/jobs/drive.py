@@ -13,8 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.config import LoadedConfig, with_layout_beside
-from prc_cli.core.bytewise import count_bytes
-from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import check_unchanged, file_state, make_folder, prepare_outputs
 from prc_cli.core.findings import accept, notices, refuse
@@ -23,11 +21,12 @@ from prc_cli.core.stream import ExtraReturns, LabelledBlock, ReadTally
 from prc_cli.core.types import I64
 from prc_cli.formats import check_input
 from prc_cli.formats.joined import JoinedSource, find_break, open_joined
+from prc_cli.formats.registry import is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import fingerprint, record_path
-from prc_cli.jobs.batch.discovery import SAME, output_name
+from prc_cli.jobs.batch.discovery import SAME, drive_note, output_name
 from prc_cli.jobs.classify import (
     Counts,
     Progress,
@@ -59,7 +58,7 @@ def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
 
 def classify_drive(
     parts: Sequence[Path],
-    folder: Path,
+    outputs: Path | Sequence[Path],
     config: LoadedConfig,
     *,
     overwrite: bool = False,
@@ -74,8 +73,8 @@ def classify_drive(
     ----------
     parts : sequence of Path
         In the order in which they were recorded; lists of records (no range images, no organised scans).
-    folder : Path
-        For the outputs; made if it is not there.
+    outputs : Path or sequence of Path
+        A folder, made if it is not there; or the output of every file.
     config, overwrite, progress, threads, engine, loading
         As for :func:`prc_cli.jobs.classify.classify`.
 
@@ -84,11 +83,14 @@ def classify_drive(
     InputError, OutputError, ConfigError
         Outputs that were finished before stay: of streams before a gap, and of files before the one that failed.
     """
-    outputs = outputs_of_drive(parts, folder)
+    outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
         raise ConfigError("input", "found a window, expected none where several files are one drive", "leave it out")
-    make_folder(folder)
     for part, output in zip(parts, outputs, strict=True):
+        if is_cloud(output) and not keeps_points(part, output):
+            problem = f"would make points of the ranges in {part.name}, expected labels alone for the files of a drive"
+            raise ConfigError(str(output), problem, "write .npy, .csv or .parquet")
+        make_folder(output.parent)
         check_input(part)
         prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=(*parts, *config.files))
     first, why = 0, ""
@@ -97,13 +99,14 @@ def classify_drive(
         joined = open_joined(parts[first:], loaded.config.layout)
         cut = find_break(joined)
         n = len(parts) - first if cut is None else cut.part
-        run = _Run(tuple(parts[first : first + n]), tuple(outputs[first : first + n]), why)
+        note = drive_note([part.name for part in parts])
+        run = _Run(tuple(parts[first : first + n]), tuple(outputs[first : first + n]), (*([why] if why else []), note))
         with use_engine(engine):
             yield from run.execute(
                 loaded, JoinedSource(joined.parts[:n]), overwrite=overwrite, progress=progress,
                 threads=threads_of(engine, threads), engine=engine, loading=loading,
             )  # fmt: skip
-        first, why = first + n, "" if cut is None else cut.why
+        first, why = first + n, "" if cut is None else f"a stream of its own begins with this file: {cut.why}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +115,8 @@ class _Run:
 
     parts: tuple[Path, ...]
     outputs: tuple[Path, ...]
-    why: str
-    """Why a stream begins with the first file; empty for the first of the drive."""
+    notes: tuple[str, ...]
+    """For the records: why a stream begins with the first file, if it is not that of the drive, and for all of them."""
 
     def execute(
         self, loaded: LoadedConfig, joined: JoinedSource,
@@ -161,17 +164,11 @@ class _Run:
                     *joined.parts[number].facts.notes,
                     *missed,
                     *notices(found),
-                    *self._notes(number),
+                    *self.notes[-1 if number else 0 :],
                 )
                 n_records = firsts[number + 1] - firsts[number]
                 record = writer.finish(replace(record, n_records=n_records, notices=told, engine=engine))
                 yield RunSummary(self.outputs[number], record, own, found)
-
-    def _notes(self, number: int) -> Iterator[str]:
-        if number == 0 and self.why:
-            yield f"a stream of its own begins with this file: {self.why}"
-        if len(self.parts) > 1:
-            yield f"one stream of {len(self.parts)} files, {self.parts[0].name} to {self.parts[-1].name}"
 
 
 class DividedWriter:
@@ -210,7 +207,7 @@ class DividedWriter:
                 ),
             )
             self._writers[number].add(own)
-            self.counts[number] = _counted(self.counts[number], own)
+            self.counts[number] = self.counts[number].add(own, only_records=True)
 
 
 def _within(records: I64, start: int, stop: int) -> I64:
@@ -222,15 +219,3 @@ def _within(records: I64, start: int, stop: int) -> I64:
 def replace_records(extra: ExtraReturns, records: I64) -> ExtraReturns:
     """Return further returns with other numbers of records."""
     return ExtraReturns(extra.line, extra.column, extra.range_m, records)
-
-
-def _counted(counts: Counts, item: LabelledBlock) -> Counts:
-    """Add the lines and labels of a file's records in a block."""
-    inside = item.block.records() >= 0
-    lines = int(np.count_nonzero(inside.any(axis=1)))
-    labels = count_bytes(item.labels[inside])[: len(Label)]
-    extra = count_bytes(item.extra_labels[item.block.extra.record >= 0])[: len(Label)]
-    return replace(
-        counts, n_lines=counts.n_lines + lines, n_shots=counts.n_shots + int(np.count_nonzero(inside)),
-        labels=counts.labels + labels + extra, tally=counts.tally + item.block.tally,
-    )  # fmt: skip

@@ -59,7 +59,7 @@ def test_labels_of_parts_are_those_of_the_joined_dump(tmp_path: Path) -> None:
     assert [summary.record.n_records for summary in found] == np.diff(CUTS).tolist()
     # the line that the first two files share counts in both
     assert sum(summary.counts.n_lines for summary in found) == N_LINES + 1
-    assert "one stream of 3 files, drive_0.bin to drive_2.bin" in found[1].record.notices
+    assert "one drive of 3 files, drive_0.bin to drive_2.bin" in found[1].record.notices
 
 
 def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:

@@ -33,14 +33,14 @@ from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     EngineSettings,
     Event,
-    Failed,
     Outcome,
     Problem,
     Progress,
     Started,
     Task,
+    failed,
 )
-from prc_cli.jobs.batch.worker import beat, run_task
+from prc_cli.jobs.batch.worker import beat, run_item
 
 EXTRA = "prc-cli[dask]"
 CONNECT_S = 20.0
@@ -91,7 +91,8 @@ class Report:
     """The outcome of an order."""
 
     worker: str
-    result: Outcome
+    results: tuple[Outcome, ...]
+    """Of every file of the task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +139,11 @@ def do_order(order: Order) -> Report:
         if not task.source.exists():
             problem = f"no such file on {socket.gethostname()}, where a worker looks for it"
             hint = "mount the archive there under the same path"
-            return Report(me, Failed(task.name, None, 0.0, Problem("InputError", str(task.source), problem, hint)))
+            found = Problem("InputError", str(task.source), problem, hint)
+            return Report(me, tuple(failed(task, 0.0, found)))
         if (trajectory := task.config.trajectory) is not None and not trajectory.is_absolute():
             os.chdir(order.folder)
-        return Report(me, run_task(task, threads=order.threads, progress=lines))
+        return Report(me, run_item(task, threads=order.threads, progress=lines))
     finally:
         ended.set()
         beating.join()
@@ -417,7 +419,7 @@ class _Run:
         if job.is_again:  # the dead worker may have been alive yet when the other one looked
             remove_left(job.task)
         yield from _started(job, report.worker)
-        yield report.result
+        yield from report.results
 
     def _report(self, job: _Job) -> Report | None:
         """Return the outcome of an order, whatever went wrong; None where it died with its worker: it comes again."""
@@ -447,7 +449,7 @@ class _Run:
             problem = Problem("interrupted", name, f"its worker {worker} was told to let go of it", "run again")
         else:
             problem = Problem.of(error)
-        return Report(worker, Failed(name, None, seconds, problem))
+        return Report(worker, tuple(failed(job.task, seconds, problem)))
 
     def _watch(self) -> Iterator[Event]:
         """Give up files without progress for too long, and restart their workers."""
@@ -459,7 +461,7 @@ class _Run:
             hint = "check that its disk or share answers; --stall allows more"
             problem = Problem("timeout", name, f"no progress for {stall_s:g} s on {job.worker}, given up", hint)
             self._client.cancel([job.future], force=True)
-            yield Failed(name, None, now - (job.begun or now), problem)
+            yield from failed(job.task, now - (job.begun or now), problem)
             try:
                 came = self._client.restart_workers([job.worker], timeout=STOP_S, raise_for_error=False)
             except Exception as error:  # without a nanny nobody can
@@ -477,7 +479,8 @@ def _started(job: _Job, worker: str) -> Iterator[Event]:
     """Yield, once a file, that it has begun."""
     if job.begun is None:
         job.begun = time.monotonic()
-        yield Started(job.task.name, worker)
+        for name in job.task.names:
+            yield Started(name, worker)
 
 
 @contextlib.contextmanager
@@ -497,7 +500,8 @@ def _quiet() -> Iterator[None]:
 
 def _absolute(task: Task) -> Task:
     """Return a task with absolute paths, which are the same on every machine."""
-    return replace(task, source=task.source.absolute(), output=task.output.absolute())
+    others = tuple(map(_absolute, task.others))
+    return replace(task, source=task.source.absolute(), output=task.output.absolute(), others=others)
 
 
 def _out_of(task: Task) -> Path:

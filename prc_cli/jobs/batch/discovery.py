@@ -14,7 +14,7 @@ import stat
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
@@ -45,6 +45,8 @@ class Found:
     """Size [bytes]."""
     mtime_ns: int
     """Time of the last change [ns since 1970]."""
+    drive: str = ""
+    """What the files of one drive have in common, see :class:`Drives`; the name of a file by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ class Discovery:
     """Contents of an archive."""
 
     files: tuple[Found, ...]
-    """Inputs of this run, sorted by the bytes of their names."""
+    """Inputs of this run, sorted by the bytes of their names; those of a drive together, in the order of its parts."""
     left_out: tuple[LeftOut, ...]
     """Files and folders that no run takes although they look like inputs."""
     n_not_selected: int
@@ -64,32 +66,36 @@ class Discovery:
 def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
     """List the inputs of an archive."""
     files: list[Found] = []
+    parts: dict[str, tuple[str | int, ...]] = {}
     left_out: list[LeftOut] = []
     n_not_selected = 0
-    older: set[str] = set()
-    since_ns = None if settings.since is None else parse_since(settings.since)
-    include, exclude = Patterns(settings.include), Patterns(settings.exclude)
+    newest: Counter[str] = Counter()
+    since_ns = -1 if settings.since is None else parse_since(settings.since)
+    include, exclude, drives = Patterns(settings.include), Patterns(settings.exclude), Drives(settings.drives)
     # all calls that may hang are made in the thread
     for item in _in_time(_walk(settings, exclude), settings.archive, patience_s):
         if isinstance(item, LeftOut):
             left_out.append(item)
             continue
         selected = (not include or include.match(item.name)) and not exclude.match(item.name)
-        if not selected or (settings.shard is not None and not settings.shard.holds(item.name)):
+        drive, parts[item.name] = drives.of(item.name)
+        if not selected or (settings.shard is not None and not settings.shard.holds(drive)):
             n_not_selected += 1
-        elif since_ns is not None and item.mtime_ns < since_ns:
-            n_not_selected += 1
-            older.add(item.name)
         else:
-            files.append(item)
-    files.sort(key=lambda item: os.fsencode(item.name))
+            files.append(replace(item, drive=drive))
+            newest[drive] = max(newest[drive], item.mtime_ns)
+    # a drive with a new part is new
+    older = frozenset(item.name for item in files if newest[item.drive] < since_ns)
+    files = [item for item in files if item.name not in older]
+    files.sort(key=lambda item: (os.fsencode(item.drive), parts[item.name], os.fsencode(item.name)))
     left_out.sort(key=lambda item: os.fsencode(item.name))
-    return Discovery(tuple(files), tuple(left_out), n_not_selected, frozenset(older))
+    return Discovery(tuple(files), tuple(left_out), n_not_selected + len(older), older)
 
 
 def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
     """Check the settings before anything is written; raises as :func:`discover`."""
     Patterns((*settings.include, *settings.exclude))
+    Drives(settings.drives)
     output_name("a.laz", settings.to)
     if settings.since is not None:
         parse_since(settings.since)
@@ -248,6 +254,43 @@ class Patterns:
         return any(_match(parts if whole else parts[-1:], pattern) for whole, pattern in self._patterns)
 
 
+class Drives:
+    """Patterns of files that are parts of drives.
+
+    The last wildcards of a name stand for the part; all else in the names of one drive is the same.
+
+    >>> Drives(["drive_*_??.laz"]).of("monday/drive_7_02.laz")
+    ('monday/drive_7_??.laz', ('', 2, ''))
+    >>> Drives(["drive_*_??.laz"]).of("monday/walk.laz")
+    ('monday/walk.laz', ())
+    """
+
+    def __init__(self, patterns: Iterable[str]) -> None:
+        self._patterns: list[tuple[Patterns, str, str, str]] = []
+        for text in patterns:
+            found = re.fullmatch(r"(.*?)((?:[*?]|\[[^]]+\])+)([^]*?[]*)", text.replace(os.sep, "/").rpartition("/")[2])
+            if found is None or found[2] == "**":
+                problem = f"found {text!r}, expected a wildcard in the file's name that stands for the number of a part"
+                raise ConfigError("--drive", problem, "for example 'drive_*_??.laz'")
+            self._patterns.append((Patterns([text]), found[1], found[2], found[3]))
+
+    def of(self, name: str) -> tuple[str, tuple[str | int, ...]]:
+        """Return the drive of a file, and which part it is, to be sorted by: numbers by their value.
+
+        The name itself and nothing for a file that is no part of any drive.
+        """
+        folder, slash, last = name.rpartition("/")
+        for pattern, before, part, after in self._patterns:
+            middle = last.removesuffix(after)
+            # as little as possible is the part
+            for i in range(len(middle), -1, -1) if pattern.match(name) else ():
+                if fnmatch.fnmatchcase(middle[:i], before) and fnmatch.fnmatchcase(middle[i:], part):
+                    words = re.split(r"([0-9]+)", middle[i:])
+                    number = tuple(int(word) if k % 2 else word for k, word in enumerate(words))
+                    return f"{folder}{slash}{middle[:i]}{part}{after}", number
+        return name, ()
+
+
 def _match(parts: Sequence[str], pattern: Sequence[re.Pattern[str] | None]) -> bool:
     """Tell whether a pattern matches all parts of a name; ``**`` stands for any number, at the end for one or more."""
     reached = {0}
@@ -313,6 +356,25 @@ def output_name(name: str, to: str) -> str:
     if f".{to}" in LAS_SUFFIXES:
         return name if suffix == f".{to}" else f"{name}.{to}"
     return f"{name}{LABELS}.{to}"
+
+
+_DRIVE = "one drive of "
+
+
+def drive_note(names: Sequence[str]) -> str:
+    """Return what the run record of every file of a drive says of it."""
+    return f"{_DRIVE}{len(names)} files, {names[0]} to {names[-1]}"
+
+
+def is_of_drive(notices: Iterable[str], names: Sequence[str]) -> bool:
+    """Tell whether a run record says that its file was classified as a part of this drive; by itself without names.
+
+    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], ["a_1.laz", "a_2.laz"])
+    True
+    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], [])
+    False
+    """
+    return [told for told in notices if told.startswith(_DRIVE)] == ([drive_note(names)] if names else [])
 
 
 def collisions(names: Iterable[str]) -> frozenset[str]:

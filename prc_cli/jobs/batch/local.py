@@ -25,7 +25,7 @@ from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import remove_stale
 from prc_cli.core.threads import default_threads, drain
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.types import Comparison, EngineSettings, Event, Failed, Problem, Progress, Started, Task
+from prc_cli.jobs.batch.types import Comparison, EngineSettings, Event, Failed, Problem, Progress, Started, Task, failed
 from prc_cli.jobs.batch.worker import MEMORY, READY, STOP_S
 
 START_S = 120.0
@@ -153,7 +153,8 @@ class _Pool:
                 if task is None and (task := next(tasks, None)) is None:
                     more = False
                 else:
-                    yield Started(task.name, worker.name)
+                    for name in task.names:
+                        yield Started(name, worker.name)
                     worker.give(task)
                     task = None
             yield from self._drain()
@@ -219,10 +220,10 @@ class _Pool:
                     yield Progress(worker.task.name, message)
             else:
                 worker.task = None
-                if isinstance(message, Failed) and message.problem.kind == MEMORY:
+                if any(isinstance(one, Failed) and one.problem.kind == MEMORY for one in message):
                     worker.retiring = True  # its memory may be fragmented
                     worker.close_input()
-                yield message
+                yield from message
 
     def _reap(self, worker: _Worker) -> Iterator[Event]:
         """Remove a worker that has ended, and report its task as failed if it had one."""
@@ -234,7 +235,7 @@ class _Pool:
         worker.clean_up()
         if worker.task is not None:
             problem = worker.kill_reason or _death(worker.task, code, printed)
-            yield Failed(worker.task.name, None, time.monotonic() - worker.begun, problem)
+            yield from failed(worker.task, time.monotonic() - worker.begun, problem)
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
@@ -267,7 +268,7 @@ class _Pool:
         task, worker.task = worker.task, None  # its temporary files stay, as long as it is there
         worker.clean_up()
         if task is not None:
-            yield Failed(task.name, None, time.monotonic() - worker.begun, kill_reason)
+            yield from failed(task, time.monotonic() - worker.begun, kill_reason)
 
 
 _NEW_GROUP = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
@@ -313,6 +314,7 @@ def _how_ended(code: int, printed: str) -> str:
 
 def remove_left(task: Task) -> None:
     """Remove the temporary files of a task whose worker died."""
-    for path in (task.output, record_path(task.output)):
-        with contextlib.suppress(OSError):
-            remove_stale(path)
+    for output in (one.output for one in task.files):
+        for path in (output, record_path(output)):
+            with contextlib.suppress(OSError):
+                remove_stale(path)

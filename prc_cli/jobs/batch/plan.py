@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -19,7 +20,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcE
 from prc_cli.core.files import is_same, parts_of, read_small, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.formats.writing.record import LARGEST_RECORD, RunRecord, fingerprint, record_path
-from prc_cli.jobs.batch.discovery import Found, Patterns, collisions, output_name
+from prc_cli.jobs.batch.discovery import Found, Patterns, collisions, is_of_drive, output_name
 from prc_cli.jobs.batch.types import (
     BatchSettings,
     ConfigLayers,
@@ -37,7 +38,7 @@ from prc_cli.streams.evidence.watch import accepted_by
 
 Reason: TypeAlias = Literal[
     "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing",
-    "changed output",
+    "changed output", "changed drive",
 ]  # fmt: skip
 """Why a file is to be classified."""
 
@@ -61,6 +62,11 @@ class Planned:
     keeps: bool = False
     """Whether the output that is there now is damaged, or somebody else's work, and is to be kept aside."""
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the files that are done together with it, and its own."""
+        return self.task.drive or (self.task.name,)
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -81,7 +87,7 @@ class Plan:
     """Plan of a run."""
 
     todo: tuple[Planned, ...]
-    """Files to classify, sorted by name."""
+    """Files to classify, sorted by name; those of a drive together."""
     done: tuple[str, ...] = ()
     """Names of files that are already done with the same input, configuration and program version."""
     adopted: tuple[tuple[Task, Done], ...] = ()
@@ -98,6 +104,11 @@ class Plan:
     """Number of inputs excluded by patterns, times or the shard."""
     archive: frozenset[str] = frozenset()
     """Names of all inputs, also of those that this run does not look at; their state decides the exit code."""
+
+    @property
+    def n_items(self) -> int:
+        """Number of drives, and of files by themselves, to classify."""
+        return len({item.names for item in self.todo})
 
     @property
     def n_bytes(self) -> int:
@@ -247,43 +258,77 @@ def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
 
 
 def make_plan(settings: BatchSettings, files: Sequence[Found], config: BatchConfig, known: Mapping[str, Entry]) -> Plan:
-    """Decide what to do with every file."""
+    """Decide what to do with every file; the files of a drive are done together or not at all."""
+    drives = [list(some) for _, some in groupby(files, key=lambda item: item.drive or item.name)]
     if settings.only_failed:
-        files = [item for item in files if item.name in known and known[item.name].state != "done"]
-    names = {item.name: output_name(item.name, settings.to) for item in files}
+        drives = [
+            some for some in drives if any(item.name in known and known[item.name].state != "done" for item in some)
+        ]
+    names = {item.name: output_name(item.name, settings.to) for some in drives for item in some}
     twice = collisions(names.values())
+    limit = sum(map(len, drives)) if settings.limit is None else settings.limit
     todo: list[Planned] = []
     done: list[str] = []
     adopted: list[tuple[Task, Done]] = []
     confirmed: list[Done] = []
     refused: list[Failed] = []
-    for item in files:
+    n_beyond_limit = 0
+    for some in drives:
+        tasks: list[Task] = []
         try:
-            if names[item.name] in twice:
-                problem = "two inputs would write this output (upper and lower case may be the same on another disk)"
-                where = str(settings.out / names[item.name])
-                raise OutputExistsError(where, problem, "rename one of them, or --exclude it")
-            loaded, digest = config.of(item.name, item.path)
-            output = settings.out.absolute() / names[item.name]
-            task = Task(item.name, item.path, output, loaded, digest, settings.overwrite)
-            entry = known.get(item.name)
-            found = _decide(item, task, entry, settings)
+            for item in some:
+                if names[item.name] in twice:
+                    problem = (
+                        "two inputs would write this output (upper and lower case may be the same on another disk)"
+                    )
+                    where = str(settings.out / names[item.name])
+                    raise OutputExistsError(where, problem, "rename one of them, or --exclude it")
+                tasks.append(_task(item, some, settings.out.absolute() / names[item.name], config, settings))
+            found = [
+                _decide(item, task, known.get(item.name), settings) for item, task in zip(some, tasks, strict=True)
+            ]
         except (PrcError, OSError) as error:
-            refused.append(Failed(item.name, InputPrint(item.size, item.mtime_ns, None), 0.0, Problem.of(error)))
+            for item in some:
+                seen = InputPrint(item.size, item.mtime_ns, None)
+                refused.append(Failed(item.name, seen, 0.0, Problem.of(error)))
             continue
-        if isinstance(found, Planned):
-            todo.append(found)
-        elif isinstance(found, Done) and (entry is None or not entry.owns_output):
-            adopted.append((task, found))
+        due = _together(some, tasks, found)
+        if len(due) + len(todo) > limit and (todo or len(some) == 1):
+            n_beyond_limit += len(due)
         else:
-            done.append(item.name)
-            if found is not None:
-                confirmed.append(found)
-    limit = len(todo) if settings.limit is None else settings.limit
+            todo += due
+        if due:
+            continue
+        for task, outcome in zip(tasks, found, strict=True):
+            entry = known.get(task.name)
+            if isinstance(outcome, Done) and (entry is None or not entry.owns_output):
+                adopted.append((task, outcome))
+            else:
+                done.append(task.name)
+                confirmed += [outcome] if isinstance(outcome, Done) else []
     return Plan(
-        tuple(todo[:limit]), tuple(done), tuple(adopted), tuple(confirmed), tuple(refused),
-        n_beyond_limit=max(0, len(todo) - limit),
+        tuple(todo), tuple(done), tuple(adopted), tuple(confirmed), tuple(refused), n_beyond_limit=n_beyond_limit
     )  # fmt: skip
+
+
+def _task(item: Found, some: Sequence[Found], output: Path, config: BatchConfig, settings: BatchSettings) -> Task:
+    """Return the task of a file, one of those of a drive or alone."""
+    (loaded, digest), (_, first) = config.of(item.name, item.path), config.of(some[0].name, some[0].path)
+    if digest != first:
+        problem = f"has another configuration than {some[0].name}, expected one for all files of a drive"
+        raise ConfigError(item.name, problem, "look at the tables [[override]] and at the name of the trajectory")
+    drive = tuple(one.name for one in some) if len(some) > 1 else ()
+    return Task(item.name, item.path, output, loaded, digest, settings.overwrite, drive)
+
+
+def _together(some: Sequence[Found], tasks: Sequence[Task], found: Sequence[Planned | Done | None]) -> list[Planned]:
+    """Return what is to be done of a drive: all of it, if one of its files is."""
+    if not any(isinstance(one, Planned) for one in found):
+        return []
+    return [
+        one if isinstance(one, Planned) else Planned(replace(task, overwrite=True), "changed drive", item.size)
+        for item, task, one in zip(some, tasks, found, strict=True)
+    ]
 
 
 def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSettings) -> Planned | Done | None:
@@ -326,6 +371,8 @@ def _compare(
         return "changed config", None
     if _is_accepted_otherwise(before, task.config.config, entry.version):
         return "changed config", None
+    if not is_of_drive(before.notices, task.drive_files):
+        return "changed drive", None
     if item.size != before.input.size:
         return "changed input", None
     if written is None:
@@ -395,7 +442,7 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
             one["config"].get("input", {}).pop("accept_doubts", None)
         keys = ("program", "version", "config", "input", "trajectory")
         wanted = next((one for one in records if all(record[key] == one[key] for key in keys)), None)
-        if wanted is None:
+        if wanted is None or not is_of_drive(record["notices"], task.drive_files):
             return None
         stream = record["stream"]
         missing = ("missing", int(stream["n_missing"] or 0))

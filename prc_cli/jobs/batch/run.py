@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import groupby
 from typing import TypeAlias
 
 from prc_cli.core.errors import BusyError, PrcError
@@ -97,7 +98,7 @@ def plan_batch(settings: BatchSettings) -> tuple[Plan, Estimate]:
     check(settings)
     known = {entry.name: entry for entry in read_entries(folder)} if folder.is_dir() else {}
     plan = _plan(settings, config, known)
-    return plan, estimate(plan.todo, known, share_cores(settings.jobs, 1, len(plan.todo))[0])
+    return plan, estimate(plan.todo, known, share_cores(settings.jobs, 1, plan.n_items)[0])
 
 
 def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore) -> BatchSummary:
@@ -200,7 +201,7 @@ class _Run:
 
     def _classify(self, plan: Plan) -> None:
         """Run the files; repeat those whose problem may pass."""
-        jobs, threads = share_cores(self._settings.jobs, self._settings.threads, len(plan.todo))
+        jobs, threads = share_cores(self._settings.jobs, self._settings.threads, plan.n_items)
         self._listener(Ready(plan, jobs, threads))
         for failed in plan.refused:
             self._listener(failed)
@@ -219,16 +220,16 @@ class _Run:
             attempt += 1
 
     def _to_try_again(self, todo: Sequence[Planned], attempt: int) -> list[tuple[Planned, bool]]:
-        """Return the files for another attempt, and which of them are to be alone."""
+        """Return the files for another attempt, with all others of their drive, and which of them are to be alone."""
         if self._stopping:
             return []
-        found = []
+        again = {}
         for item in todo:
             outcome = self._outcomes.get(item.task.name)
             if isinstance(outcome, Failed) and self._may_go_on(outcome, attempt - 1):
                 # the worker may have named its output just before it died: the next one sees that it is ours
-                found.append((item, outcome.problem.kind in ALONE))
-        return found
+                again[item.names] = outcome.problem.kind in ALONE
+        return [(item, again[item.names]) for item in todo if item.names in again]
 
     def _may_go_on(self, failed: Failed, attempt: int) -> bool:
         """Tell whether a file is tried again after an attempt; one that died with its worker always, once."""
@@ -239,7 +240,7 @@ class _Run:
         """Run files once; no worker is left when this returns or raises."""
         if not items or self._stopping:
             return
-        settings = replace(settings, jobs=min(settings.jobs, len(items)))
+        settings = replace(settings, jobs=min(settings.jobs, len({item.names for item in items})))
         events = self._engine.run(self._feed(items), settings)
         try:
             for event in events:
@@ -250,16 +251,22 @@ class _Run:
             close_items(events)
 
     def _feed(self, items: Iterable[Planned]) -> Iterator[Task]:
-        """Hand out files; the journal knows of each before a worker may write anything."""
-        for item in items:
+        """Hand out files and drives; the journal knows of each before a worker may write anything."""
+        for _, some in groupby(items, key=lambda item: item.names):
             self._lock.check()
             if self._stopping:
                 return
-            if item.keeps and item.task.name not in self._outcomes:
-                self._keep_aside(item.task)
-            self._journal.start(item.task, self._owner)
-            self._running[item.task.name] = time.monotonic()
-            yield item.task
+            tasks = []
+            for item in some:
+                is_again = item.task.name in self._outcomes
+                if item.keeps and not is_again:
+                    self._keep_aside(item.task)
+                self._journal.start(item.task, self._owner)
+                self._running[item.task.name] = time.monotonic()
+                # files of a drive may have been finished before it failed
+                is_ours = item.task.overwrite or bool(item.task.drive and is_again)
+                tasks.append(replace(item.task, overwrite=is_ours))
+            yield replace(tasks[0], others=tuple(tasks[1:]))
 
     def _keep_aside(self, task: Task) -> None:
         """Move an output away that is not as it was written; a link is moved, not what it points to."""

@@ -85,6 +85,25 @@ class Task:
     """Hash of the effective configuration, including the fingerprints of the files it names."""
     overwrite: bool = False
     """Whether the output may be replaced: the journal lists it as ours, or the user allows it."""
+    drive: tuple[str, ...] = ()
+    """Names of the files of its drive, in order; empty for a file by itself."""
+    others: tuple[Task, ...] = ()
+    """The files of its drive after it, which are done with it as one stream."""
+
+    @property
+    def files(self) -> tuple[Task, ...]:
+        """All files that are done together, this one first."""
+        return (self, *self.others)
+
+    @property
+    def drive_files(self) -> list[str]:
+        """Names of the files of its drive without their folder, as run records have them."""
+        return [name.rpartition("/")[2] for name in self.drive]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all files that are done together."""
+        return [task.name for task in self.files]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +205,17 @@ class Comparison:
     """Path of the reference in its tree."""
     mapping: ClassMapping
     options: EvaluateOptions
+
+    @property
+    def names(self) -> list[str]:
+        """Its name."""
+        return [self.name]
+
+
+def failed(task: Task | Comparison, seconds: float, problem: Problem) -> Iterator[Failed]:
+    """Yield that all files of a task failed, for one reason."""
+    for name in task.names:
+        yield Failed(name, None, seconds, problem)
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,6 +367,8 @@ class BatchSettings:
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     since: str | None = None
+    drives: tuple[str, ...] = ()
+    """Patterns of files that are parts of drives, see :class:`prc_cli.jobs.batch.discovery.Drives`."""
     limit: int | None = None
     only_failed: bool = False
     shard: Shard | None = None

@@ -26,6 +26,7 @@ from prc_cli.core.process import claim_process, hold_limits, return_memory
 from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
 from prc_cli.jobs.batch.types import Compared, Comparison, Done, Failed, InputPrint, Outcome, Problem, Task
 from prc_cli.jobs.classify import Progress, RunSummary, classify, load_classifier
+from prc_cli.jobs.drive import classify_drive
 
 READY = "ready"
 """First message of a worker."""
@@ -45,6 +46,38 @@ MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
 
 
 # -- one file ---------------------------------------------------------------------------------------------------------
+
+
+def run_item(task: Task, *, threads: int = 1, progress: Progress | None = None) -> tuple[Outcome, ...]:
+    """Classify one file, or the files of a drive as one stream; only interrupts are raised."""
+    if not task.others:
+        return (run_task(task, threads=threads, progress=progress),)
+    begun, cpu = time.perf_counter(), time.process_time()
+    before: dict[str, InputPrint] = {}
+    ended: list[tuple[Task, RunSummary]] = []
+    failed: list[Failed] = []
+    try:
+        for one in task.files:
+            before[one.name] = _stat_input(one.source)
+        load_classifier(task.config)
+        begun, cpu = time.perf_counter(), time.process_time()
+        runs = classify_drive(
+            [one.source for one in task.files], [one.output for one in task.files], task.config, progress=progress,
+            overwrite=any(one.overwrite for one in task.files), threads=threads,
+        )  # fmt: skip
+        for summary in runs:
+            ended.append((task.files[len(ended)], summary))
+    except Exception as error:
+        seconds = time.perf_counter() - begun
+        for one in task.files[len(ended) :]:
+            problem = _problem_of(error, one, before.get(one.name))
+            failed.append(Failed(one.name, before.get(one.name), seconds, problem))
+    seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu
+    n_shots = sum(summary.counts.n_shots for _, summary in ended) or 1
+    return *(
+        _done(one, before[one.name], summary, *(each * summary.counts.n_shots / n_shots for each in (seconds, cpu)))
+        for one, summary in ended
+    ), *failed  # fmt: skip
 
 
 def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
@@ -233,16 +266,16 @@ def _serve(tasks: queue.SimpleQueue[Any], parent: _Parent, threads: int, limit_m
     """Do one task after the other until no more come."""
     while (task := tasks.get()) is not None:
         if isinstance(task, Comparison):
-            parent.send(_compare(task))
+            parent.send((_compare(task),))
             continue
         if limit_mib is not None:
             with contextlib.suppress(Exception):  # the same error comes again, and is reported, with the file
                 load_classifier(task.config)  # memory of the libraries does not count
             _limit_memory(limit_mib)
             limit_mib = None
-        outcome = run_task(task, threads=threads, progress=parent.count)
+        outcomes = run_item(task, threads=threads, progress=parent.count)
         parent.send_lines()
-        parent.send(outcome)
+        parent.send(outcomes)
 
 
 def _limit_memory(mib: int) -> None:

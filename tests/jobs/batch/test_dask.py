@@ -146,7 +146,7 @@ def test_closing_stops_what_is_at_work(cluster: Any, tmp_path: Path) -> None:
 def test_file_that_hangs_is_given_up(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tasks = tasks_in(tmp_path, {"hangs.npy": 20, **{f"{i}.npy": 20 for i in range(4)}})
     load_classifier(config())  # compiling loops is no progress either
-    real, let_go = dask_engine.run_task, threading.Event()
+    real, let_go = dask_engine.run_item, threading.Event()
     stall_s, ahead_s = 1e5, iter(range(0, 10**12, 200_000))
     found: dict[str, Done | Failed] = {}
 
@@ -159,7 +159,7 @@ def test_file_that_hangs_is_given_up(cluster: Any, tmp_path: Path, monkeypatch: 
             let_go.wait(HANGS_S)
         return real(task, **how)
 
-    monkeypatch.setattr(dask_engine, "run_task", hangs)
+    monkeypatch.setattr(dask_engine, "run_item", hangs)
     monkeypatch.setattr(dask_engine, "beat", lambda tell, ended: None)
     monkeypatch.setattr(dask_engine, "STOP_S", 0.2)
     monkeypatch.setattr(dask_engine, "time", SimpleNamespace(monotonic=clock))
@@ -278,7 +278,7 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
     own = temporary_name(task.output)
     left = own.with_name(own.name.replace(f"-{os.getpid()}-", f"-{dead.pid}-"))
     left.write_bytes(b"half")
-    report = dask_engine.Report("tcp://b", Failed("a.npy", None, 1.0, Problem("damaged", "a.npy", "cut", "")))
+    report = dask_engine.Report("tcp://b", (Failed("a.npy", None, 1.0, Problem("damaged", "a.npy", "cut", "")),))
 
     class Finished:
         status = "finished"

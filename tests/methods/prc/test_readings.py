@@ -1,4 +1,4 @@
-"""One small hand-written case for every reading of the paper; numbers as in docs/algorithm_notes_prc.md."""
+"""One small hand-written case for every reading of the paper."""
 
 from __future__ import annotations
 
