@@ -17,7 +17,7 @@ from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.info import inspect
 from tests.profiler import JAKARTO_M, jakarto, jakarto_input, placed, scanner_positions, steps_apart, write_trajectory
 
-pytestmark = pytest.mark.data
+pytestmark = [pytest.mark.slow, pytest.mark.data]
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -13,6 +13,8 @@ from benchmarks.trust_cases import METHODS, QUICK_CASES, ROWS, Context, QuickCas
 from benchmarks.trust_scans import FIRST_SEED, SEEDS_APART, Window, sources, toy
 from benchmarks.user import in_own_process
 
+pytestmark = pytest.mark.slow
+
 MACRO = 0.4
 """Macro F1 that every method reaches on the small scans."""
 FORMS = [(name, i) for name, n in (("street", 5), ("push-broom", 2), ("forest", 2)) for i in range(n)]

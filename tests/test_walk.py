@@ -24,6 +24,8 @@ from prc_cli.formats import open_source
 from tests.runner import runner
 from tests.street import angles, street
 
+pytestmark = pytest.mark.slow
+
 MOST_COMMANDS = 3
 
 

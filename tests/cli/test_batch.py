@@ -208,6 +208,7 @@ def test_our_own_files_are_no_links(prc: Run, tmp_path: Path, name: str) -> None
     assert not (tmp_path / "elsewhere").exists()
 
 
+@pytest.mark.slow
 def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     office: tuple[Path, Path], prc: Run, tmp_path: Path
 ) -> None:

@@ -70,6 +70,7 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     assert prc("render", drive, out, "--overwrite").code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "options"),

@@ -186,6 +186,7 @@ def test_options_that_make_no_sense_are_refused_before_reading(
         calibrate(source, BLOCKS, SearchOptions(tmp_path / "reference.npy", **options))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_oakland_section_helps_the_other_two(real_data: Path, tmp_path: Path) -> None:
     """Lower bounds a little under what is measured (docs/calibration.md)."""

@@ -178,6 +178,7 @@ SCANS: list[tuple[Kind, dict[str, object], tuple[str, ...]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "options", "presets"), SCANS)
 def test_reasons_are_those_of_the_labels(kind: Kind, options: dict[str, object], presets: tuple[str, ...]) -> None:
     """Over a million shots in streets; and who asks for reasons gets the same labels."""

@@ -63,6 +63,7 @@ def _slow(name: str, make: Callable[..., Any], made: list[tuple[str, int, int]])
     return wrapper
 
 
+@pytest.mark.slow
 def test_no_body_in_a_circle_is_left_out(scene: ForestScene, bodies: Bodies) -> None:
     small = scene.bodies_near(18.0, 22.0, 6.0)
     large = scene.bodies_near(18.0, 22.0, 30.0)
@@ -107,6 +108,7 @@ def test_all_that_makes_a_forest_is_there(bodies: Bodies) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_walker_sees_no_more_bodies_than_the_caster_can_bear(name: str) -> None:
     assert 3000 < len(ForestScene(PRESETS[name], seed=2).bodies_near(20.0, 30.0, 30.0)) < 10_000

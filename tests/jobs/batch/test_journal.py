@@ -157,6 +157,7 @@ def damage(path: Path, how: str) -> None:
         database.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["garbage", "cut", "text", "holes", "no table"])
 def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
     with Journal(folder) as journal:
@@ -251,6 +252,7 @@ def test_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
     kill_writers(folder, 1, 15, 11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_random_damage_is_one_clear_error_or_none(folder: Path, tmp_path: Path, seed: int) -> None:
     """7 of 100 gave a traceback, by rows that SQLite reads and that make no sense."""

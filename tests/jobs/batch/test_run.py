@@ -313,6 +313,7 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     assert (accepted.failed, accepted.doubts) == ((), ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["cut", "overwritten", "link"])
 @pytest.mark.parametrize("journal", [True, False])
 def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool) -> None:
@@ -406,6 +407,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, tupl
     return folder / "in", found
 
 
+@pytest.mark.slow
 def test_the_same_bytes_whatever_the_number_of_workers(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]]) -> None:
     one = tree(runs[1][1][0])
     assert len(one) == 14

@@ -137,6 +137,7 @@ def settings(tmp_path: Path) -> BatchSettings:
     return BatchSettings(tmp_path / "archive", tmp_path / "out", layers, jobs=1, reference=reference, drift=False)
 
 
+@pytest.mark.slow
 def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
     summary = run_batch(settings)
     assert summary.evaluation is not None

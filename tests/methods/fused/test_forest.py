@@ -105,6 +105,7 @@ def test_stems_and_ground_of_a_simulated_walk() -> None:
     np.testing.assert_array_equal(labels == Label.MISSING, np.isnan(ranges))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_m", [0.005, 0.01, 0.03])
 def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
     ranges, angle, reference = walk()
