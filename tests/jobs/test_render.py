@@ -16,6 +16,7 @@ from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
+from prc_cli.jobs.render.colours import LABEL_TABLE, Vocabulary
 from prc_cli.jobs.render.scan import draw_scan
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
@@ -185,3 +186,14 @@ def test_noise_does_not_frame_a_cloud_and_can_be_hidden(urban: LoadedConfig, tmp
     assert "18,000 points by height" in render(source, tmp_path / "c.png", urban, by_height).drawn
     with pytest.raises(ConfigError, match="--hide: found 'rain', expected classes: unclassified, noise, ground"):
         render(source, tmp_path / "d.png", urban, RenderOptions(view="top", hide=("rain",)))
+
+
+@pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])
+def test_eight_codes_without_a_class_are_named(n: int, end: str) -> None:
+    words = Vocabulary(LABEL_TABLE, None, ClassCodes())
+    codes = np.repeat(np.arange(200, 200 + n), 3)
+    with pytest.raises(
+        InputError, match=f"found {3 * n} records with codes that are none of .classes.: 200, 201, "
+    ) as said:
+        words.turn(codes, "predicted")
+    assert said.value.problem.endswith(end)
