@@ -113,6 +113,7 @@ def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -
     assert all(line["time"].endswith("Z") for line in lines)
 
 
+@pytest.mark.slow
 def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     office: tuple[Path, Path], prc: Run, tmp_path: Path
 ) -> None:
@@ -138,6 +139,7 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     assert [item["scores"] is None for item in summary["evaluation"]["files"]] == [False, True]
 
 
+@pytest.mark.slow
 def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
     office: tuple[Path, Path], prc: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -83,6 +83,7 @@ def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[ob
     assert prc(*words[1:]).code == 0
 
 
+@pytest.mark.slow
 def test_info_doubts_what_classify_doubts_where_heights_explain_it(prc: Prc, tmp_path: Path) -> None:
     """Ranges in feet beside heights in metres look like a leaning plane; PRC does not ask for directions."""
     made, feet = tmp_path / "drive.laz", tmp_path / "feet.laz"

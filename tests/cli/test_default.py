@@ -43,6 +43,7 @@ CASES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "given", "preset", "method"), CASES)
 def test_the_default_is_a_preset_and_says_so(
     prc: Prc, scans: Path, name: str, given: tuple[object, ...], preset: str, method: str
@@ -62,6 +63,7 @@ def test_the_default_is_a_preset_and_says_so(
     assert f"--preset {preset}" in found["command"]
 
 
+@pytest.mark.slow
 def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
     down = ("--set", "input.nadir=0")
     for given in (("--segment-ids",), ("--engine", "reference"), ("--set", "prc.support.zeta_p=0.5")):
@@ -74,6 +76,7 @@ def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
     assert (result.code, "fused" in result.err) == (0, True), result.err
 
 
+@pytest.mark.slow
 def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> None:
     (scans / "in").mkdir()
     for name in ("street.npz", "forest.npz"):
@@ -124,6 +127,7 @@ def test_tables_and_presets_decide() -> None:
         from_layers([("a.toml", {"prc": {}, "fused": {}})])
 
 
+@pytest.mark.slow
 def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scans: Path) -> None:
     """Where fused is taken, the configuration changes nothing; PRC's parameters are for files without angles."""
     told = prc("calibrate", scans / "street.npz", "-o", scans / "c.toml")
@@ -141,6 +145,7 @@ def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scan
     assert "the configuration leaves the method open" in result.out
 
 
+@pytest.mark.slow
 def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
     """Angles as files have them, the class mapping of the run, the same JSON."""
     told = json.loads(prc("classify", scans / "street.npz", scans / "a.npy", "--json", "-q").out)
@@ -161,6 +166,7 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
         assert (repr(each).count("\n"), len(repr(each)) < 300) == (0, True)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_real_scans_get_what_labels_them_best(prc: Prc, real_data: Path) -> None:
     for name, preset in (("oakland/oakland_2.csv.gz", "fused"), ("forest/tls_park.npz", "fused")):

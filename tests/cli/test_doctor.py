@@ -34,6 +34,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     return int(stop.value.code or 0), found.out, found.err
 
 
+@pytest.mark.slow
 def test_this_installation_is_sound_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "--json", "--out", str(tmp_path / "new" / "folder"))
     found = json.loads(out)
@@ -91,6 +92,7 @@ def test_a_file_system_without_locks_is_said(tmp_path: Path, monkeypatch: pytest
     assert "another disk" in found.hint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["lazrs", "numba"])
 def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_path: Path, package: str) -> None:
     (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")

@@ -108,6 +108,7 @@ def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
     assert ended.stderr.startswith(f"error: {case}: ")
 
 
+@pytest.mark.slow
 def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
     (tmp_path / "a.npz").write_bytes(seed("a.npz"))
     found = [prc("info", tmp_path / "a.npz", "--json", guarded=guarded) for guarded in (True, False)]

@@ -54,6 +54,7 @@ def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
     assert record["config"]["fused"]["environment"] == "forest"
 
 
+@pytest.mark.slow
 def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
     given = ("objects", forest / "walk.laz", "--preset", "fused-forest", "-q")
     printed = rows(prc(*given).out)
@@ -69,6 +70,7 @@ def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
     assert [line["n_shots"] for line in lines] == [row["n_shots"] for row in table]
 
 
+@pytest.mark.slow
 def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: Path) -> None:
     result = prc("objects", forest / "walk.laz")
     assert (result.code, "note: the classes of the file are taken" in result.err) == (0, True), result.err

@@ -87,6 +87,7 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
     assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(source.scan_line < 20)
 
 
+@pytest.mark.slow
 def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
     source = laspy.read(folder / "d.laz")
     inside = (source.scan_line >= 20) & (source.scan_line < 30)

@@ -188,6 +188,7 @@ def test_pictures_that_are_not_png_are_refused() -> None:
         as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])
 
 
+@pytest.mark.slow
 @given(
     names=st.lists(st.sampled_from(["ground", "road-1", "a b", "other", "noise", "Tree_2"]), min_size=1, unique=True),
     seed=st.integers(0, 2**32 - 1),

@@ -108,6 +108,7 @@ def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
 BLOCKS = load_config(preset="urban", options={"prc": {"lines_per_block": 20}})
 
 
+@pytest.mark.slow
 def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
     source, reference = labelled(tmp_path)
     trials: list[tuple[int, float]] = []

@@ -73,6 +73,7 @@ def test_columns_come_back_from_times(tmp_path: Path, kinds: str) -> None:
     assert np.array_equal(np.sort(records[records >= 0]), np.arange(np.isfinite(wanted).sum()))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["velodyne_vlp16", "OS-1-128_v2.3.0_1024x10_lb_n3"])
 def test_a_cloud_has_the_cells_of_its_packets(real_data: Path, tmp_path: Path, name: str) -> None:

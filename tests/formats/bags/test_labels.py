@@ -193,6 +193,7 @@ def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
     assert not left.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["ros/sick_lms1xx_ros1.bag", "cartographer/b0_short.bag"])
 def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
@@ -207,6 +208,7 @@ def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
     assert all(kinds[topic] == kinds[topic.removesuffix("/labels")] for topic in kinds)
 
 
+@pytest.mark.slow
 def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()

@@ -217,6 +217,7 @@ def test_a_database_whose_pages_point_to_one_child(tmp_path: Path, table: str) -
         assert join(blocks).n_lines == made.N_LINES
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path) -> None:
     path = real_data / "ros" / "sick_lms1xx_ros1.bag"
@@ -246,6 +247,7 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     assert len(np.load(output)) == 89 * 541
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["nebula_vlp16", "nebula_xt16"])
 def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_path: Path, name: str) -> None:
@@ -295,6 +297,7 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_pa
     assert result.exit_code in (0, 4), result.output
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "m", "missing"),

@@ -353,6 +353,7 @@ def test_any_damage_ends_in_one_line_or_in_records(
 # --- real files
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "n_records", "back", "chronological"),

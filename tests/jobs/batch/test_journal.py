@@ -218,6 +218,7 @@ except PrcError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
 @pytest.mark.parametrize("live", [False, True])
 def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: Path, live: bool) -> None:

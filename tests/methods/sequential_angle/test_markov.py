@@ -92,6 +92,7 @@ def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: MarkovT
         np.testing.assert_allclose(log_ratios(values, params), expected, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator) -> None:
     """Restarts and onset found anew for every start, from whole stretches rather than step by step."""
     params = made(MarkovThresholds, backdate=False)
