@@ -282,6 +282,7 @@ def of_each(reasons: NDArray[np.uint8], seed: int) -> list[tuple[int, int]]:
     return [tuple(there[rng.integers(len(there))].tolist()) for there in places]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "preset"), CASES)
 def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: str | None) -> None:
     given: dict[str, object] = {"nadir": 0.0} if (name, preset) == ("street", "street-scan") else {}

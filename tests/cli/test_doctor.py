@@ -128,23 +128,6 @@ def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
         tmp_path.chmod(0o700)
 
 
-def test_earlier_runs_are_told_with_their_versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from prc_cli.jobs.batch.journal import Journal
-    from prc_cli.jobs.batch.types import Failed, Problem
-
-    with Journal(tmp_path / ".prc") as journal:
-        journal.begin_run("somebody")
-        journal.finish(Failed("a.laz", None, 0.0, Problem("InputError", "a.laz", "cut")))
-    assert checks(tmp_path)["earlier runs"].found == "1 failed"
-    monkeypatch.setattr(doctor, "__version__", "99")
-    found = checks(tmp_path)["earlier runs"]
-    assert (found.status, "--keep-version" in found.hint) == ("warn", True)
-    path = tmp_path / ".prc" / "journal.sqlite"
-    path.write_bytes(path.read_bytes()[:5000] + b"x" * 5000)
-    found = checks(tmp_path)["output folder"]
-    assert (found.status, "--adopt" in found.hint) == ("bad", True)
-
-
 def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong(range_m: F32, *_: object, engine: str = "compiled", **__: object) -> ClassifiedRanges:
         return ClassifiedRanges(np.full(range_m.shape, engine == "compiled", np.uint8), ClassCodes())
@@ -154,12 +137,4 @@ def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.Monke
     (found,) = doctor._engines()
     assert (found.status, found.details["different"]) == ("bad", {"forest": 48_000})
     assert "labels differ (forest 48,000), expected the same" in found.found
-    assert "prc classify --engine reference" in found.hint
-
-
-@pytest.mark.parametrize("name", ["processor", "compiled loops"])
-def test_without_numba_the_other_engine_is_named(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.setitem(sys.modules, "numba", None)
-    found = checks()[name]
-    assert (found.status, found.found.partition(" (")[0]) == ("bad", "numba: cannot be loaded")
     assert "prc classify --engine reference" in found.hint

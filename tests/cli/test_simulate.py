@@ -9,31 +9,10 @@ import pytest
 
 from tests.cli.test_commands import Prc
 
-SMALL = ("--lines", "40", "--sight", "25", "--set", "scanner.points_per_line=200")
-
 
 @pytest.fixture
 def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
     return Prc(capsys)
-
-
-def test_a_street_is_written_classified_and_evaluated(prc: Prc, tmp_path: Path) -> None:
-    out = tmp_path / "drive.laz"
-    result = prc("simulate", "street", "-o", out, "--seed", "7", *SMALL, "--trajectory", tmp_path / "drive.csv")
-    assert (result.code, result.out) == (0, "")
-    assert "40 lines of 200 shots" in result.err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.csv", "drive.laz", "drive.laz.prc.json"]
-    assert prc("classify", out, tmp_path / "labels.npy", "--preset", "urban", "-q").code == 0
-    assert prc("evaluate", tmp_path / "labels.npy", out, "--mapping", "prc").code == 0
-
-
-def test_the_forest_lists_its_stems(prc: Prc, tmp_path: Path) -> None:
-    result = prc(
-        "simulate", "forest", "-o", tmp_path / "walk.npz", *SMALL, "--stems", tmp_path / "stems.csv",
-        "--scene", "pine-heath", "--reference", "cylinders", "-q",
-    )  # fmt: skip
-    assert (result.code, result.out, result.err) == (0, "", "")
-    assert (tmp_path / "stems.csv").read_text().startswith("species,")
 
 
 def test_options_win_over_set_and_file(prc: Prc, tmp_path: Path) -> None:

@@ -110,12 +110,3 @@ def test_blocks_leave_as_soon_as_they_can() -> None:
     assert taken == 10 + look_ahead_lines(4)
     next(blocks)
     assert taken == 20 + look_ahead_lines(4)
-
-
-@pytest.mark.parametrize("m", range(1, 9))
-def test_look_ahead_reaches_the_shots_that_are_asked_for(m: int) -> None:
-    ahead = look_ahead_lines(m)
-    last = m - 1  # of the last line of a block
-    reach = max(last + m + 1, last + 4)
-    assert reach < (1 + ahead) * m
-    assert reach >= ahead * m  # and not a line more

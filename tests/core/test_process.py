@@ -12,7 +12,7 @@ import pytest
 
 from prc_cli import kernels
 from prc_cli.core.interrupts import held, raise_or_hold
-from prc_cli.core.profile import peak_memory, profiling, stage, timed
+from prc_cli.core.profile import peak_memory, profiling, timed
 from tests import patience
 from tests.patience import HANGS_S
 
@@ -87,22 +87,6 @@ def test_a_stage_inside_another_is_not_counted_twice() -> None:
     assert found["outer"].wall_s + found["inner"].wall_s <= profile.wall_s
 
 
-def test_threads_add_up() -> None:
-    @stage("burning")
-    def work() -> None:
-        burn(0.02)
-
-    with profiling() as profile:
-        threads = [threading.Thread(target=work) for _ in range(3)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    (found,) = profile.stages()
-    assert found.calls == 3
-    assert 0.06 <= found.cpu_s <= profile.cpu_s
-
-
 def test_the_peak_of_memory_is_that_of_a_process_with_an_interpreter() -> None:
     peak = peak_memory()
     assert peak is None or 5 << 20 < peak < 1 << 40
@@ -131,16 +115,6 @@ def test_inside_the_work_ends_first_even_when_nested() -> None:
     assert done == ["inner", "outer"]
     inner_again = held(lambda: 5)
     assert inner_again() == 5, "nothing is left pending"
-
-
-def test_an_error_of_the_work_gives_way_to_the_interrupt() -> None:
-    @held
-    def work() -> None:
-        raise_or_hold(KeyboardInterrupt())
-        raise ValueError
-
-    with pytest.raises(KeyboardInterrupt):
-        work()
 
 
 def test_work_in_another_thread_holds_nothing_back_here() -> None:

@@ -220,22 +220,3 @@ def test_semantic_kitti_labels_are_all_listed(real_data: Path) -> None:
     found = np.bincount(mapping.class_indices(labels, "reference") + 1, minlength=6)
     assert found[0] == np.count_nonzero(labels == 0)
     assert found[1 + mapping.names("reference").index("ground")] > 0.5 * found.sum()
-
-
-@pytest.mark.parametrize("strip", [1, 2, 3])
-def test_oakland_labels_have_a_street_scan_class(real_data: Path, strip: int) -> None:
-    with gzip.open(real_data / "oakland" / f"oakland_{strip}.csv.gz", "rt", encoding="utf-8") as handle:
-        codes = np.array([int(row["label"] or 0) for row in csv.DictReader(handle)])
-    mapping = load_mapping("street_scan_oakland")
-    indices = mapping.class_indices(codes, "reference")
-    # no vehicle stands in the third strip
-    wanted = {"vegetation", "vertical", "horizontal"} | ({"car"} if strip < 3 else set())
-    assert wanted == {mapping.names("reference")[i] for i in set(indices[indices >= 0].tolist())} - {"other"}
-
-
-def test_semantic_kitti_labels_have_a_street_scan_class(real_data: Path) -> None:
-    labels = np.fromfile(real_data / "kitti" / "000000.label", dtype="<u4") & 0xFFFF
-    mapping = load_mapping("street_scan_kitti")
-    indices = mapping.class_indices(labels, "reference")
-    assert np.array_equal(indices < 0, labels == 0)
-    assert np.count_nonzero(indices == mapping.names("reference").index("car")) == 4234

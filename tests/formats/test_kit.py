@@ -33,6 +33,7 @@ def test_streams_are_written_alike_and_come_back(tmp_path: Path, suffix: str) ->
     check_round_trip(by_suffix("streams")[suffix], suffix, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_samples_are_read_and_damaged_ones_are_read_or_refused(tmp_path: Path, name: str) -> None:
     suffix = suffix_of_seed(name)

@@ -76,17 +76,6 @@ def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
     return np.array_equal(np.asarray(found, np.float32).view("u4"), np.asarray(expected, np.float32).view("u4"))
 
 
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_built_files_hold_them(tmp_path: Path, suffix: str) -> None:
-    given = drive(missing=True)
-    write(tmp_path / f"a{suffix}", SOURCE, given.blocks, options=STAGES)
-    las = laspy.read(tmp_path / f"a{suffix}")
-    assert list(las.point_format.extra_dimension_names) == ["range", "scan_line", "column", *NAMES]
-    assert [las[name].dtype.str for name in NAMES] == ["|u1", "|u1", "<f4", "|u1", "<u2", "|u1"]
-    for name, expected in zip(NAMES, given.columns(), strict=True):
-        assert same_bits(las[name], expected[given.present])
-
-
 @pytest.mark.parametrize("extra", [False, True])
 @pytest.mark.parametrize(("form", "before", "after"), [(1, ".las", ".laz"), (3, ".laz", ".las"), (6, ".laz", ".laz")])
 def test_rewritten_files_hold_them(tmp_path: Path, form: int, before: str, after: str, extra: bool) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64
-from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample, bounds
+from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample
 
 
 def box(n: int = 4000, seed: int = 1) -> F64:
@@ -62,33 +62,6 @@ def test_the_nearest_point_wins_whatever_the_order() -> None:
     assert pictures[0][5, 4].tolist() == [0, 20, 0]
     assert all(np.array_equal(pictures[0], other) for other in pictures)
     assert (pictures[0] == 255).all(axis=2).sum() == 99
-
-
-def test_the_picture_is_that_of_a_loop_over_points() -> None:
-    rng = np.random.default_rng(3)
-    view = FromAbove(-10.0, 5.0, 10.0, 0.5, (40, 20))
-    points, colours = box(600, 5), rng.integers(0, 256, (600, 3)).astype(np.uint8)
-    buffer = DepthBuffer(view, splat=2)
-    buffer.add(points, colours)
-    right, down, depth = view.project(points)
-    expected, nearest = np.full((20, 40, 3), 255, np.uint8), np.full((20, 40), np.inf)
-    for x, y, z, colour in zip(right, down, depth, colours, strict=True):
-        for across in (0, 1):
-            for along in (0, 1):
-                column, row = int(x) + across, int(y) + along
-                if column < 40 and row < 20 and z < nearest[row, column]:
-                    nearest[row, column], expected[row, column] = z, colour
-    assert np.array_equal(buffer.picture(close=0, shade=False), expected)
-
-
-def test_a_view_holds_even_points_whole_and_leaves_stray_ones_out() -> None:
-    points = box(20_000)
-    whole = np.array([points.min(axis=0), points.max(axis=0)])
-    assert np.array_equal(bounds(points), whole)
-    stray = np.concatenate([points, np.random.default_rng(2).uniform(-500, 500, (300, 3))])
-    low, high = bounds(stray)
-    assert (low[:2] > (-13, -7)).all()
-    assert (high[:2] < (13, 7)).all()
 
 
 @pytest.mark.parametrize("along", [0, 1])

@@ -12,7 +12,7 @@ from PIL import Image
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import U8
-from prc_cli.imaging.pictures import range_bar, range_limits, range_picture, segment_picture, value_limits
+from prc_cli.imaging.pictures import segment_picture
 from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet, zoom_for
 from prc_cli.imaging.viewer import html_page
 
@@ -25,24 +25,6 @@ def test_segments_differ_are_stable_and_none_is_black() -> None:
     assert picture[0, 1:].max(axis=1).min() > 85
     assert np.array_equal(segment_picture(ids[:, 100:110])[0], picture[0, 100:110])
     assert segment_picture(np.array([[2**62]])).any()
-
-
-def test_the_range_bar_shows_the_colours_of_the_picture() -> None:
-    limits = (1.5, 60.0)
-    bar = range_bar(limits)
-    for place, text in bar.ticks:
-        drawn = range_picture(np.array([[float(text)]]), limits)[0, 0].astype(int)
-        shown = bar.colours[round(place * 255)].astype(int)
-        assert np.abs(drawn - shown).max() <= 4
-    assert [text for _, text in bar.ticks] == ["2", "5", "10", "20", "50"]
-
-
-def test_limits_leave_out_what_lies_far_from_the_rest() -> None:
-    values = np.concatenate([np.linspace(3.0, 5.0, 1000), [9000.0], [np.nan]])
-    assert range_limits(values)[1] < 6.0
-    assert value_limits(values)[1] < 6.0
-    assert value_limits(np.array([np.nan])) == (0.0, 1.0)
-    assert value_limits(np.array([4.0, 4.0])) == (4.0, 5.0)
 
 
 def plain(height: int, width: int, colour: int = 90) -> U8:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 from PIL import Image
@@ -150,42 +149,6 @@ def test_clouds_of_static_scans(static: tuple[Path, Path], tmp_path: Path, view:
     assert ("by class" in result.drawn) == (colour in (None, "class"))
     if view == "top":
         assert has(picture, Label.GROUND) == (colour in (None, "class"))
-
-
-def write_cloud(path: Path, codes: U8) -> Path:
-    """Write a registered cloud: a plain of 20 x 10 m with a block on it."""
-    rng = np.random.default_rng(1)
-    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-    las.header.offsets, las.header.scales = [650_000.0, 6_860_000.0, 0.0], [0.001] * 3
-    n = len(codes)
-    las.x, las.y = 650_300 + rng.uniform(0, 20, n), 6_860_200 + rng.uniform(0, 10, n)
-    las.z = np.where(las.x > 650_310, 5.0, 0.0)
-    las.classification, las.intensity = codes, rng.integers(0, 1000, n)
-    las.write(path)
-    return path
-
-
-def test_noise_does_not_frame_a_cloud_and_can_be_hidden(urban: LoadedConfig, tmp_path: Path) -> None:
-    las = laspy.read(write_cloud(tmp_path / "cloud.las", np.full(20_000, 2, np.uint8)))
-    codes = np.array(las.classification)
-    codes[::10] = 7
-    las.classification = codes
-    las.x = np.where(codes == 7, 650_000 + np.arange(20_000) % 997, las.x)
-    las.write(tmp_path / "noisy.las")
-    source = tmp_path / "noisy.las"
-    alone = render(source, tmp_path / "a.png", urban, RenderOptions(view="top", width=400, hide=("noise",)))
-    framed = render(source, tmp_path / "b.png", urban, RenderOptions(view="top", width=400))
-    assert alone.size[0] == framed.size[0]
-    assert alone.counts == framed.counts == {"ground": 18_000, "noise": 2_000}
-    assert "18,000 points by class · without noise" in alone.drawn
-    assert has(pixels(tmp_path / "a.png"), Label.GROUND)
-    black = LABEL_COLOURS[Label.NOISE]
-    n_black = [int((pixels(tmp_path / name) == black).all(axis=2).sum()) for name in ("a.png", "b.png")]
-    assert n_black[0] < n_black[1]
-    by_height = RenderOptions(view="top", width=400, hide=("noise",), colour="height")
-    assert "18,000 points by height" in render(source, tmp_path / "c.png", urban, by_height).drawn
-    with pytest.raises(ConfigError, match="--hide: found 'rain', expected classes: unclassified, noise, ground"):
-        render(source, tmp_path / "d.png", urban, RenderOptions(view="top", hide=("rain",)))
 
 
 @pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])

@@ -143,11 +143,6 @@ def test_classes_of_the_paper() -> None:
         assert found[name].precision > precision, name
 
 
-def test_missing_shots_and_nothing_else_stay_missing() -> None:
-    labels, reference, _ = classified(3, turn=90.0)
-    assert np.array_equal(labels == Label.MISSING, reference == Label.MISSING)
-
-
 @pytest.mark.parametrize("lines", [1, 7, 1000])
 def test_blocks_change_no_label(lines: int) -> None:
     whole, cut = classified(5, azimuth_step=1.0), classified(5, lines, azimuth_step=1.0)
@@ -179,16 +174,6 @@ def drive(**values: float) -> Trajectory:
     return Trajectory(straight, MotionParams(**{**STEADY, **values}), 2.5, seed=3)
 
 
-def test_distance_speed_and_acceleration_are_derivatives_of_each_other() -> None:
-    time_s = np.linspace(0, 600, 600_001)
-    distance, speed, acceleration = Trajectory(straight, MOTIONS["car"], 2.5, seed=11).progress(time_s)
-    assert distance[0] == 0
-    np.testing.assert_allclose(np.gradient(distance, time_s)[1:-1], speed[1:-1], atol=1e-3)
-    np.testing.assert_allclose(np.gradient(speed, time_s)[1:-1], acceleration[1:-1], atol=2e-3)
-    assert speed.min() >= 0
-    assert np.abs(acceleration).max() < 1.2 * MOTIONS["car"].brake_m_s2
-
-
 @pytest.mark.parametrize("name", sorted(SCANNERS))
 def test_rays_do_not_depend_on_how_lines_were_cut_into_blocks(name: str) -> None:
     scanner = SCANNERS[name]
@@ -201,16 +186,6 @@ def test_rays_do_not_depend_on_how_lines_were_cut_into_blocks(name: str) -> None
         np.testing.assert_allclose(part.origin, whole.origin[lines], rtol=0, atol=1e-9)
         np.testing.assert_allclose(part.direction, whole.direction[lines], rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(whole.direction, axis=2), 1.0, rtol=1e-12)
-
-
-def test_rays_between_poses_are_those_of_the_pose_at_their_own_time() -> None:
-    scanner = SCANNERS["focus3d-120"]
-    platform = Trajectory(winding, MOTIONS["backpack"], 2.0, seed=5)
-    shots = aim(platform, scanner, 400, 3)
-    pose = platform.pose(shots.time_s.ravel())
-    own = np.einsum("nij,nj->ni", pose.turn(), np.tile(scanner.directions(), (3, 1)))
-    assert np.abs(shots.origin.reshape(-1, 3) - pose.position).max() < 1e-4
-    assert np.abs(shots.direction.reshape(-1, 3) - own).max() < 5e-5, "1 mm at 20 m"
 
 
 def test_csv_is_what_the_reader_takes(tmp_path: Path) -> None:

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +12,7 @@ from prc_cli.simulation.forest.params import PRESETS, ForestSceneParams
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.forest.trees import Species, Stems
-from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
+from prc_cli.simulation.world import Bodies, Material, Shape
 
 
 @pytest.fixture(scope="module")
@@ -38,41 +34,6 @@ def test_the_same_seed_makes_the_same_forest_whatever_was_seen_before(scene: For
     fresh = ForestScene(ForestSceneParams(), seed=11)
     fresh.bodies_near(-40.0, 90.0, 20.0)
     _assert_same(fresh.bodies_near(15.0, 25.0, 12.0), scene.bodies_near(15.0, 25.0, 12.0))
-
-
-def test_two_threads_make_every_cell_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[tuple[str, int, int]] = []
-    for name in ("_make_cell", "_make_stems"):
-        monkeypatch.setattr(ForestScene, name, _slow(name, getattr(ForestScene, name), made))
-    scene = ForestScene(ForestSceneParams(), seed=11)
-    with ThreadPoolExecutor(2) as pool:
-        one, other = pool.map(lambda _: scene.bodies_near(15.0, 25.0, 5.0), range(2))
-    _assert_same(one, other)
-    assert made
-    assert len(set(made)) == len(made)
-
-
-def _slow(name: str, make: Callable[..., Any], made: list[tuple[str, int, int]]) -> Callable[..., Any]:
-    """Note what is made, slowly enough for another thread to ask for it."""
-
-    def wrapper(self: ForestScene, i: int, j: int) -> Any:
-        made.append((name, i, j))
-        time.sleep(0.005)
-        return make(self, i, j)
-
-    return wrapper
-
-
-@pytest.mark.slow
-def test_no_body_in_a_circle_is_left_out(scene: ForestScene, bodies: Bodies) -> None:
-    small = scene.bodies_near(18.0, 22.0, 6.0)
-    large = scene.bodies_near(18.0, 22.0, 30.0)
-    # both ends of a cone and the middle of all else: what is inside must be there
-    ends = large.numbers.reshape(-1, 3, 3)[:, :2, :2] - (18.0, 22.0)
-    ends[large.shape == Shape.ELLIPSOID, 1] = ends[large.shape == Shape.ELLIPSOID, 0]
-    inside = (np.hypot(ends[..., 0], ends[..., 1]) < 6.0).any(axis=1)
-    assert inside.sum() > 100
-    assert np.isin(large.number[inside], small.number).all()
 
 
 def test_bodies_keep_the_contract_of_the_world(bodies: Bodies) -> None:
@@ -98,14 +59,6 @@ def test_bodies_keep_the_contract_of_the_world(bodies: Bodies) -> None:
     assert (cones[:, 6:8].max(axis=1) > 0).all()
     leaves = np.isin(bodies.material, [Material.LEAVES, Material.GRASS])
     assert (bodies.density[leaves] > 0).all()
-
-
-def test_all_that_makes_a_forest_is_there(bodies: Bodies) -> None:
-    labels = {PROPERTIES[Material(m)].label for m in np.unique(bodies.material)}
-    assert labels == {Label.GROUND, Label.STEM, Label.VEGETATION}
-    assert {Material.SOIL, Material.DEAD_WOOD, Material.UNDERGROWTH, Material.LEAVES, Material.BRANCH} <= {
-        Material(m) for m in np.unique(bodies.material)
-    }
 
 
 @pytest.mark.slow

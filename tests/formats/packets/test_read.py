@@ -236,6 +236,7 @@ def test_every_hesai_has_the_distances_of_its_packets(tmp_path: Path, name: str,
 COLUMNS_US = {"40P": 55.56, "64": 55.56, "QT64": 166.67, "QT128": 111.11, "128": 55.556, "OT128": 55.556}
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "n_lines", "m", "missing"), [("vlp16", 293 * 24, 16, 0.347), ("hdl32", 6000, 32, 0.236)]
@@ -266,6 +267,7 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
     assert len(np.load(output)) == n_lines * m
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_ouster_sample_is_decoded_cell_by_cell(real_data: Path, tmp_path: Path) -> None:
     """Against a plain loop over the bytes of every packet, and the sensor's own destaggering."""

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +24,7 @@ from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import temporary_name
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.batch import dask_engine
-from prc_cli.jobs.batch.dask_engine import DaskEngine, Order
+from prc_cli.jobs.batch.dask_engine import DaskEngine
 from prc_cli.jobs.batch.types import Done, EngineSettings, Event, Failed, Problem, Progress, Started, Task
 from prc_cli.jobs.classify import classify, load_classifier
 from tests import patience
@@ -181,29 +181,6 @@ def test_file_that_hangs_is_given_up(cluster: Any, tmp_path: Path, monkeypatch: 
     assert any("cannot be restarted from here" in text for text in notices)
 
 
-def test_file_that_a_worker_does_not_see(cluster: Any, tmp_path: Path) -> None:
-    tasks = tasks_in(tmp_path, {"a.npy": 20, "b.npy": 20})
-    tasks[0].source.unlink()
-    found = outcomes(run(DaskEngine(cluster.scheduler_address), tasks))
-    failed = found["a.npy"]
-    assert isinstance(failed, Failed)
-    assert "no such file on" in failed.problem.problem
-    assert "mount the archive" in failed.problem.hint
-    assert isinstance(found["b.npy"], Done)
-
-
-def test_workers_that_do_not_see_the_archive(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tasks = tasks_in(tmp_path, {"a.npy": 20})
-
-    def blind(paths: tuple[str, ...]) -> Any:
-        return dask_engine.WorkerFacts(dask_engine.__version__, "elsewhere", paths[:1])
-
-    monkeypatch.setattr(dask_engine, "examine_worker", blind)
-    with pytest.raises(ConfigError, match=r"on elsewhere: does not see .*shared-.*mount them there"):
-        run(DaskEngine(cluster.scheduler_address), tasks)
-    assert left_in(tmp_path / "out") == []
-
-
 @pytest.mark.parametrize("who", ["scheduler", "worker"])
 def test_other_versions_are_refused(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str) -> None:
     tasks = tasks_in(tmp_path, {"a.npy": 20})
@@ -213,20 +190,6 @@ def test_other_versions_are_refused(cluster: Any, tmp_path: Path, monkeypatch: p
         facts = dask_engine.WorkerFacts("0.0.1", "elsewhere", ())
         monkeypatch.setattr(dask_engine, "examine_worker", lambda paths: facts)
     with pytest.raises(ConfigError, match=rf"{who}.*found prc 0.0.1, expected .* as here; pip install"):
-        run(DaskEngine(cluster.scheduler_address), tasks)
-
-
-def test_worker_that_joins_late_with_another_version(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tasks = tasks_in(tmp_path, {"a.npy": 20})
-    real = dask_engine._Run._order
-
-    def order(self: Any, *what: Any, **how: Any) -> Order:
-        return replace(real(self, *what, **how), version="0.0.1")
-
-    monkeypatch.setattr(dask_engine._Run, "_order", order)
-    with pytest.raises(PrcError, match=r"runs prc .*, this run 0\.0\.1"):
         run(DaskEngine(cluster.scheduler_address), tasks)
 
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.evidence import periods as estimates
 from prc_cli.streams.evidence.figures import LineSample, Window, figures_of
-from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
 
 
 @pytest.mark.parametrize("chunk", [1, 31, 32, 33, 300])
@@ -39,22 +35,6 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
         assert one.range_m[:, -1].tolist() == list(range(one.first_line, stop))
     # full at 8 windows of 32 lines, and whenever every second of twice as many is kept
     assert n_full[-1] == sum(n_lines >= 32 * (7 * stride + 1) for stride in (1, 2, 4))
-
-
-def test_the_worst_finding_of_a_live_stream_stays_and_is_told_once() -> None:
-    told: list[Finding] = []
-    stream = EvidenceStream(SimpleNamespace(info=StreamInfo("a.npy", "array", 9, None, None)), ("times",))  # type: ignore[arg-type]
-    live = LiveEvidence(stream, told.append)
-    fine = Finding("units", Verdict.FINE, "2 m", "")
-    doubt, again = Finding("units", Verdict.DOUBTFUL, "7 m", ""), Finding("units", Verdict.DOUBTFUL, "8 m", "")
-    accepted = Finding("times", Verdict.AGAINST, "back", "")
-    live.hear([fine])
-    assert (live.findings(), told) == ((fine,), [])
-    live.hear([doubt, accepted])
-    live.hear([fine, again])
-    live.hear([fine])
-    assert live.findings() == (again, replace(accepted, is_accepted=True))
-    assert told == [doubt]
 
 
 # -- estimates ---------------------------------------------------------------------------------------------------------
@@ -137,8 +117,3 @@ def test_figures_equal_plain_loops(m: int, seed: int) -> None:
                 n, lonely = n + 1, lonely + bool(np.isnan(row[k]))
     assert 50 < lonely < n == found.n_between
     assert found.lonely_missing == lonely / n
-
-
-def test_noise_of_a_smooth_wall_is_its_standard_deviation() -> None:
-    wall = 20.0 + np.random.default_rng(4).normal(0.0, 0.01, (40, 500))
-    assert figures_of((Window(0, wall.astype(np.float32)),)).noise_m == pytest.approx(0.01, rel=0.1)
