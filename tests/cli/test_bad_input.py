@@ -103,6 +103,7 @@ def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None
     assert result.stderr == "error: the result cannot be printed (No space left on device)\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_file_that_laspy_refuses_is_classified_and_doubted(prc: Prc, tmp_path: Path, suffix: str) -> None:
     drive = las(tmp_path, f"drive{suffix}")

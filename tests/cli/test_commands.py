@@ -433,6 +433,7 @@ def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Pat
     assert issubclass(prc_cli.EvidenceError, prc_cli.PrcError)
 
 
+@pytest.mark.slow
 def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
     """Each costs memory and time in every run."""
     code = (

@@ -90,6 +90,7 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
         assert not (folder / "no.npz").exists()
 
 
+@pytest.mark.slow
 def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
     labels = classified(prc, folder, ".laz")
     las = laspy.read(labels)
@@ -109,6 +110,7 @@ def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
     assert (refused.code, "output.confidence=true" in refused.err) == (2, True)
 
 
+@pytest.mark.slow
 def test_render_draws_it(prc: Prc, folder: Path) -> None:
     options = ("--preset", "fused", "--set", "input.nadir=0", "-q", "--steps", "classes,confidence")
     assert prc("render", folder / "scan.npz", folder / "scan.png", *options).code == 0

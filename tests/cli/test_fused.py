@@ -38,6 +38,7 @@ def dump(ranges: F32, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: Path, preset: str) -> None:
     given = ("--preset", preset, *ANGLES, "--set", "input.nadir=0", "--set", "fused.lines_per_block=32")
@@ -76,6 +77,7 @@ def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> Non
     assert prc("evaluate", out, source, "--mapping", "oakland").code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_parked_cars_of_oakland_are_found(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     lookup = ClassCodes().lookup()

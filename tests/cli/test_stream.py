@@ -117,6 +117,7 @@ def test_the_reader_of_the_labels_goes() -> None:
     assert err == b"error: stdout: its reader has gone; the labels of the shots before have left\n"
 
 
+@pytest.mark.slow
 def test_a_signal_ends_it_within_seconds() -> None:
     process = start(*URBAN, "-q")
     assert process.stdin is not None

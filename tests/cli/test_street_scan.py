@@ -48,6 +48,7 @@ def e57(folder: Path) -> Path:
     return write_e57(folder / "scan.e57", [Scan(e57_fields(points()[0], keep_missing=True))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [npz, ptx, e57])
 def test_every_format_of_a_scan_gets_the_same_labels(prc: Prc, tmp_path: Path, make: Callable[[Path], Path]) -> None:
     source = make(tmp_path)
@@ -136,6 +137,7 @@ def two_scans(folder: Path, second: Array) -> Path:
     return write_text(folder / "two.ptx", ptx_scan(points()[0]) + ptx_scan(second))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_points", [0, 1])
 def test_a_scan_of_nothing_does_no_harm_to_the_others(prc: Prc, tmp_path: Path, n_points: int) -> None:
     nothing = np.zeros((20, 30, 4))
@@ -170,6 +172,7 @@ def test_what_contradicts_itself_is_refused(
     assert words in result.err
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_ground_that_leans_is_followed_around_the_kitti_frame(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     config = Path(__file__).resolve().parents[2] / "sample_configs" / "kitti_frame.toml"

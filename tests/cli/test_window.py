@@ -40,6 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 URBAN = ("--preset", "urban", "-q", "--overwrite")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["d.npz", "d.laz", "d.csv", "d.ply"])
 @pytest.mark.parametrize(
     "window", [("--only-lines", "13:41"), ("--only-time", "1001.3:1004.1"), ("--only-time", "+1.28:+4.08")]

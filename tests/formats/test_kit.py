@@ -105,6 +105,7 @@ def run(*words: object) -> str:
     return result.stdout
 
 
+@pytest.mark.slow
 def test_a_format_from_outside_goes_through_the_commands(toy: Path, tmp_path: Path) -> None:
     assert check_reads(by_suffix("scans")[".toy"], toy) == street().size
     found = json.loads(run("info", toy, "--json"))

@@ -118,6 +118,7 @@ def test_a_format_of_cells_gives_the_same_blocks_back(drive: Path, tmp_path: Pat
         assert same_bits(before.xyz_m, after.xyz_m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [*CELLS, ".npy", ".laz"])
 @pytest.mark.parametrize("preset", ["urban", "street-scan"])
 def test_labels_are_those_of_the_original(drive: Path, tmp_path: Path, suffix: str, preset: str) -> None:
@@ -185,6 +186,7 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
     assert told == (suffix == ".laz")
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "inputs"),
@@ -226,6 +228,7 @@ def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, su
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two.las"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".csv.zst", ".parquet"])
 def test_an_interrupt_leaves_no_file_and_no_words(
     drive: Path, tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]

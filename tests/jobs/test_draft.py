@@ -35,6 +35,7 @@ def ranges_read(path: Path) -> Any:
         return arrays["range_m"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("endian", ["little", "big"])
 @pytest.mark.parametrize("header", [b"", bytes(np.random.default_rng(0).integers(32, 127, 128, np.uint8)), bytes(128)])
 def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> None:

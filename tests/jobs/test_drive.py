@@ -119,6 +119,7 @@ def test_one_command_takes_a_drive(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "drive_2.bin.labels.npy").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_five_files_of_a_real_drive_are_one(real_data: Path, tmp_path: Path) -> None:
     parts = sorted((real_data / "riegl").glob("sample_riegl_18_0*.ply"))

@@ -57,6 +57,7 @@ def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
     return outputs[0], outputs[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["urban", "forest", "street-scan", "street-scan-published"])
 def test_both_engines_give_the_same_labels_and_segments(tmp_path: Path, preset: str) -> None:
     source = tmp_path / "scan.npz"
@@ -90,6 +91,7 @@ def every_format(folder: Path) -> dict[str, Path]:
     return made
 
 
+@pytest.mark.slow
 def test_without_numba_the_reference_classifies(tmp_path: Path) -> None:
     made = every_format(tmp_path)
     commands = [

@@ -258,6 +258,7 @@ print("numba" in sys.modules, file=sys.stderr)
 """
 
 
+@pytest.mark.slow
 def test_the_reference_runs_through_the_same_composition_without_the_compiler() -> None:
     found, compiled = (
         patience.run([sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True)

@@ -22,6 +22,7 @@ from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.beam_lines import GEOMETRIES, is_strictly_monotone, lines, worst_deg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
 @pytest.mark.parametrize("tilt_deg", [0.0, 4.0, -30.0])
 def test_beams_of_every_geometry_are_found(name: str, tilt_deg: float) -> None:

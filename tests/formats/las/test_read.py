@@ -90,6 +90,7 @@ def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int
     assert both.record is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first_pair", [0, 3, 60_000, 120_000, None])
 def test_spared_intensity_is_there_wherever_it_may_decide(tmp_path: Path, first_pair: int | None) -> None:
     n = 120_001

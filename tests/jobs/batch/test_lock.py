@@ -234,6 +234,7 @@ def fight(folder: Path, seed: int, n_lives: int, n_inherited: int, kinds: str) -
     assert counts["inherited"] >= n_inherited, counts
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and fork")
 @pytest.mark.parametrize(("seed", "kinds"), [(1, "whole"), (2, "whole,1/2,2/2,1/3")])
 def test_rivals_that_die_at_any_step_are_never_two_inside(tmp_path: Path, seed: int, kinds: str) -> None:

@@ -40,6 +40,7 @@ def trees(folder: Path) -> tuple[list[Output], Path]:
     return outputs, folder / "ref"
 
 
+@pytest.mark.slow
 def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     found = evaluate_tree(outputs, ReferenceSettings(tree), jobs=2)
@@ -53,6 +54,7 @@ def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) ->
         np.testing.assert_array_equal(item.matrix.counts, evaluate_all([output.path], [reference]).matrix.counts)
 
 
+@pytest.mark.slow
 def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     gates = ("recall.ground=0.5", "recall.car=0")
@@ -70,6 +72,7 @@ def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) ->
         check_reference(ReferenceSettings(tree, gates=("recall.dragon=0.5",)))
 
 
+@pytest.mark.slow
 def test_a_file_without_reference_is_named_and_the_others_are_pooled(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     (tree / "a.npy").unlink()
@@ -80,6 +83,7 @@ def test_a_file_without_reference_is_named_and_the_others_are_pooled(tmp_path: P
     assert found.matrix.n_scored == 7
 
 
+@pytest.mark.slow
 def test_a_damaged_reference_costs_its_file_only(tmp_path: Path) -> None:
     outputs, tree = trees(tmp_path)
     (tree / "a.npy").write_bytes(b"\x93NUMPY garbage")
@@ -112,6 +116,7 @@ def test_settings_that_make_no_sense_are_refused_before_any_work(
         check_reference(ReferenceSettings(tmp_path / "none"))
 
 
+@pytest.mark.slow
 def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path) -> None:
     times = np.arange(4) * 1e-3
     archive, out, tree = (tmp_path / name for name in ("archive", "out", "ref"))
@@ -130,6 +135,7 @@ def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path
     assert found.matrix.counts[names[0].index("ground"), names[1].index("building")] == 1
 
 
+@pytest.mark.slow
 def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path: Path) -> None:
     """It ended the run, every night; the others are compared all the same."""
     outputs, tree = trees(tmp_path)

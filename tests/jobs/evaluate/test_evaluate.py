@@ -348,6 +348,7 @@ def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
 def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
@@ -359,6 +360,7 @@ def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
     assert found.matrix.n_ignored == expected.matrix.n_ignored
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", [".laz", ".ply"])
 @pytest.mark.parametrize("labels", [".npy", ".csv", "grid.csv"])
 def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(

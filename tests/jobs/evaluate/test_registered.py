@@ -91,6 +91,7 @@ def noted(found: Evaluation, text: str) -> str:
     return next((note for note in found.match.notes if text in note), "")
 
 
+@pytest.mark.slow
 def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
     noise, said = town.codes == 7, town.labels == 7
     true = (noise & said).sum() / noise.sum(), (noise & said).sum() / said.sum()
@@ -123,6 +124,7 @@ def test_an_area_leaves_out_the_rest(town: Town, folder: Path, tmp_path: Path, k
     assert noted(found, f"predicted shots are outside {area}: not scored")
 
 
+@pytest.mark.slow
 def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
     found = run(folder, height=(1.0, 3.0), tolerance=0.3)
     rows = dict(zip(found.matrix.reference_names, found.matrix.counts.sum(axis=1), strict=True))
@@ -136,6 +138,7 @@ def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
     assert rows["stem"] == pytest.approx(3_000 + 1_500 * 1.7 / 2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_path: Path) -> None:
     cases = (
         ("shift", {"shift": 1.0}, "shifted by 1.0"),

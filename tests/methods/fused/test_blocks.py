@@ -39,6 +39,7 @@ def changed(range_m: F32, beam_rad: F64, *sizes: int) -> list[float]:
     return [float((labels(range_m, beam_rad, k) != whole)[whole != Label.MISSING].mean()) for k in sizes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scanner", ["photon-80", "sick-push-broom"])
 def test_on_a_street(scanner: str) -> None:
     """With range noise that is measured anew along the way, and cars that are found by lines on both sides."""
@@ -52,6 +53,7 @@ def test_on_a_street(scanner: str) -> None:
     assert changed(np.concatenate([block.range_m for block in blocks]), beam_rad, 1, 16, 37, 128) == [0] * 4
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_on_a_push_broom_strip(real_data: Path) -> None:
     """Some of its lines are so close together that every second one is a stream of its own."""

@@ -87,6 +87,7 @@ def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
     assert first.extra_confidence[1] == 0  # agrees with no shot
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".laz", ".csv", ".parquet"])
 def test_files_hold_it(tmp_path: Path, suffix: str) -> None:
     ranges = street_lines(140)[0]

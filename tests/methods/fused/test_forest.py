@@ -94,6 +94,7 @@ def walk() -> tuple[F32, F64, U8]:
     return block.range_m, block.angle_rad, np.concatenate([item.labels for item in items])
 
 
+@pytest.mark.slow
 def test_stems_and_ground_of_a_simulated_walk() -> None:
     """Fewer lines and columns than a user has; the figures of whole walks are in the documentation."""
     ranges, angle, reference = walk()

@@ -74,6 +74,7 @@ def test_prc_has_none(tmp_path: Path) -> None:
     assert heading == "record,class,name,critical_zeta_p,critical_zeta_s"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".laz", ".csv"])
 def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
     ranges = street_lines(140)[0]

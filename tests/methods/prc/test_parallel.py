@@ -21,6 +21,7 @@ def run_threads(stream: F32, params: PrcParams, threads: int, *, segments: bool)
     return np.concatenate([item.labels for item in found]), [item.segments for item in found]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_threads_change_nothing(threads: int) -> None:
     for seed in range(120):

@@ -185,6 +185,7 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
     return Prc(capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     """A frame of SemanticKITTI that chose no limit, and one with its z axis turned down."""

@@ -32,6 +32,7 @@ def find(found: Seen, params: CarThresholds | None = None) -> Mask:
     ).car
 
 
+@pytest.mark.slow
 def test_recall_and_precision_on_lines_of_a_street() -> None:
     rng = np.random.default_rng(6)
     scenes: list[list[Piece]] = []
@@ -87,6 +88,7 @@ ALL_SUDDEN = plain(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=10
 """Every change is sudden, so that TestUnder alone decides."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [4.0, 7.0, 12.0])
 @pytest.mark.parametrize("step_deg", [0.06, 0.115, 0.2])
 def test_something_is_under_the_side_of_a_car_but_not_under_walls_and_curbs(distance: float, step_deg: float) -> None:

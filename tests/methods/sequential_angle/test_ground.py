@@ -46,6 +46,7 @@ def hedge() -> list[Segment]:
     return [(0.0, -1.0, 2.5, -1.0, H), *street()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [-3.0, 0.0, 3.0])
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 def test_road_is_ground_over_slopes_and_missing_shots(slope: float, missing: float) -> None:
@@ -92,6 +93,7 @@ def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> N
         assert np.all(np.abs(z_g - ROAD_Z) < 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_sides", [1, 2])
 def test_cuts_change_nothing(n_sides: int) -> None:
     profiles = [hedge() if i % 7 == 0 else street(car=i % 5 == 0) for i in range(70)]

@@ -106,6 +106,7 @@ def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
     assert np.mean(unfolded == single[0]) > 0.99
 
 
+@pytest.mark.slow
 def test_every_kernel_may_be_replaced_by_its_twin(monkeypatch: pytest.MonkeyPatch) -> None:
     block, _ = scan(elevation_step=0.8, azimuth_step=3.0)
     expected, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
