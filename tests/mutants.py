@@ -215,7 +215,7 @@ def measure(data: Path) -> None:
     setup.write_text("[run]\nsource = prc_cli\nsigterm = true\n", encoding="utf-8")
     command = [
         sys.executable, "-m", "coverage", "run", f"--rcfile={setup}", f"--data-file={data}",
-        "-m", "pytest", "-q", "-p", "tests.mutants", "-p", "no:cacheprovider", "tests", "prc_cli",
+        "-m", "pytest", "-q", "-m", "not long", "-p", "tests.mutants", "-p", "no:cacheprovider", "tests", "prc_cli",
         *(f"--ignore={folder}" for folder in LEFT_OUT),
     ]  # fmt: skip
     environment = {**os.environ, "PRC_MUTANTS_SECONDS": str(data.with_suffix(".json"))}
@@ -314,7 +314,10 @@ def judge(mutant: Mutant, tests: list[str], cases: list[str], golden: Path) -> s
     if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
         return "not run: the file was changed meanwhile"
     # pytest would import modules whose doctests are run by itself, without the fault, to rewrite assertions
-    options = ["-q", "-x", "-p", "no:cacheprovider", "--randomly-dont-reorganize", "--tb=no", "--assert=plain"]
+    options = [
+        "-q", "-x", "-m", "not long", "-p", "no:cacheprovider", "--randomly-dont-reorganize", "--tb=no",
+        "--assert=plain",
+    ]  # fmt: skip
     is_number_of_import = mutant.reach[0] == 1
     if is_number_of_import and _fork(mutant, _check_pages) != 0:
         return "killed (generated pages)"
