@@ -76,6 +76,7 @@ def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     prc("simulate street-scan -o @scan.e57 --set station.turn_deg=40 --set scanner.azimuth_step_deg=0.5 -q")
     for name in ("drive_classified.laz", "classified.laz"):
         shutil.copy(folder / "out.laz", folder / name)
+    shutil.copy(folder / "drive.laz", folder / "reference.laz")
     shutil.copy(folder / "drive.npz", folder / "plot.npz")
     shutil.copy(folder / "drive.csv.gz", folder / "plot.csv.gz")
     for record in folder.glob("*.prc.json"):

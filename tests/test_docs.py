@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 
-WORDS = 36_400
+WORDS = 35_000
 """What the manual may have; to raise it is a decision with a reason in its commit."""
 
 
