@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import Sectioned, window_options
+from prc_cli.cli.options import Sectioned, numbers, window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
@@ -76,6 +76,12 @@ _OPTIONS = [
                  "folder."),
     click.option("--reference-points", type=_PATH, metavar="PATH",
                  help="The points that reference labels alone belong to, or their folder."),
+    click.option("--trajectory", type=_PATH, metavar="FILE",
+                 help="Poses of a raw drive: the shots of PREDICTED, or of its --predicted-points, get coordinates "
+                 "from ranges, scan angles and times. CSV with roll, pitch, yaw; TUM; SBET; a bag."),
+    click.option("--mount", metavar="ROLL,PITCH,YAW[,X,Y,Z]",
+                 help="How the scanner sits on the vehicle of --trajectory [degrees, metres forward, left, up]; a scan "
+                 "plane whose lower part points back has a pitch above 0.  [default: level, 0,0,0]"),
     click.option("--by-range", "split_range_m", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
     click.option("--by-lines", "split_lines", type=click.IntRange(min=1), metavar="N",
                  help="Split into parts of N scan lines."),
@@ -129,6 +135,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
       prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
       prc evaluate drive.laz tiles/ --match nearest --unmatched noise --mapping asprs
+      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz --trajectory path.csv --mount 0,25,0
     """
     if options["as_json_flag"] and options["form"] not in (None, "json"):
         message = f"--json and --format {options['form']} contradict each other"
@@ -188,6 +195,7 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         "split_range_m": _edges(options["split_range_m"]),
         "split_confidence": _per_cents(options["split_confidence"]),
         "height": _heights(options["height"]),
+        "mount": numbers(options["mount"], "--mount"),
         "window": _window(options),
     }
     return EvaluateOptions(**{**own, **read})

@@ -20,6 +20,7 @@ import click
 from prc_cli.cli.completing import complete_assignment
 from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.core.samples import or_sample
 from prc_cli.formats import scan_file
@@ -238,3 +239,11 @@ def table_from(assignments: Iterable[str], options: Mapping[str, Any], keys: Map
             table = {last: list(value) if isinstance(value, tuple) else value}
             tables.append(reduce(lambda inner, part: {part: inner}, reversed(outer), table))
     return reduce(merge, tables, {})
+
+
+def numbers(text: str | None, option: str) -> tuple[float, ...]:
+    """Read numbers with commas between them."""
+    try:
+        return tuple(float(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise ConfigError(option, f"found {text!r}, expected numbers with commas, such as 0,25,0") from None

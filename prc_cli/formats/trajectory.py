@@ -31,6 +31,8 @@ _NAMES = {
     "y": ("y", "northing", "n"),
     "z": ("z", "height", "altitude", "alt", "h"),
 }
+_TURNS = {"roll": ("roll", "roll_deg"), "pitch": ("pitch", "pitch_deg")}
+_YAW, _HEADING = ("yaw", "yaw_deg"), ("heading", "heading_deg")
 _BATCH = 100_000
 """Rows or records read at a time."""
 _MAX_ROW = 65_536
@@ -41,6 +43,12 @@ def read_text(path: Path) -> tuple[F64, F64]:
 
     Four columns without names are time, x, y and z.
     """
+    values = _columns(path, _NAMES)
+    return values[:, 0].copy(), values[:, 1:].copy()
+
+
+def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
+    """Read the columns of some names, (n, names)."""
     rows = _rows(path, with_head=True)
     with closing(rows):
         number, first = next(rows, (1, ""))
@@ -48,15 +56,47 @@ def read_text(path: Path) -> tuple[F64, F64]:
         cells = _cells(first.lstrip("#"), delimiter)
         left: Iterator[tuple[int, str]] = rows
         if first.startswith("#") or len(cells) != len(_NAMES) or any(_number(cell) is None for cell in cells):
-            columns = _find_columns(f"{path}: line {number}", cells)
+            columns = _find_columns(f"{path}: line {number}", cells, names)
         else:
-            columns = list(range(len(_NAMES)))
+            columns = list(range(len(names)))
             left = chain([(number, first)], rows)
         parts = []
         while batch := list(islice(left, _BATCH)):
             parts.append(_parse(path, batch, delimiter, columns))
-    values = np.concatenate(parts) if parts else np.empty((0, 4))
-    return values[:, 0].copy(), values[:, 1:].copy()
+    return np.concatenate(parts) if parts else np.empty((0, len(names)))
+
+
+def read_turns(path: Path, target: str | None) -> F64:
+    """Read the orientations of a text file or an SBET, (n, 4) quaternions (x, y, z, w), vehicle to points.
+
+    The axes of the vehicle are forward, left, up. Text has ``roll``, ``pitch`` and ``yaw`` (from x to the left, pitch
+    positive with the nose down) or ``heading`` (from grid north to the right, pitch positive with the nose up), in
+    degrees. The true heading of an SBET is its platform heading less the wander angle.
+    """
+    from scipy.spatial.transform import Rotation
+
+    if path.suffix.lower() in SBET_SUFFIXES:
+        values = _sbet_records(path, path.stat().st_size)
+        roll, pitch = np.degrees(values[:, 7]), -np.degrees(values[:, 8])
+        heading = np.degrees(values[:, 9] - values[:, 10]) - _convergence(values[:, 1:3], target)
+        yaw = 90.0 - heading
+    else:
+        head = next(_rows(path, with_head=True), (1, ""))[1].lower()
+        by_heading = "heading" in head
+        roll, pitch, yaw = _columns(path, {**_TURNS, "yaw": _HEADING if by_heading else _YAW}).T
+        if by_heading:
+            pitch, yaw = -pitch, 90.0 - yaw
+    quaternion: F64 = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1), degrees=True).as_quat()
+    return quaternion
+
+
+def _convergence(place: F64, target: str | None) -> F64:
+    """Return the angle from true north to grid north at (latitude, longitude) [rad], in degrees."""
+    import pyproj
+
+    earth = pyproj.Proj(pyproj.CRS.from_user_input(target))
+    latitude, longitude = np.degrees(place).T
+    return np.asarray(earth.get_factors(longitude, latitude).meridian_convergence, np.float64)
 
 
 def _rows(path: Path, *, with_head: bool) -> Generator[tuple[int, str], None, None]:
@@ -88,16 +128,17 @@ def _number(cell: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _find_columns(where: str, cells: list[str]) -> list[int]:
-    """Return the columns of time, x, y and z."""
+def _find_columns(where: str, cells: list[str], wanted_names: dict[str, tuple[str, ...]]) -> list[int]:
+    """Return the columns of some names, such as time, x, y and z."""
     # ignore units in brackets: "x [m]", "time(s)"
     names = [cell.lower().partition("[")[0].partition("(")[0].strip() for cell in cells]
     columns = []
-    for wanted, known in _NAMES.items():
+    for wanted, known in wanted_names.items():
         found = [names.index(name) for name in known if name in names]
         if not found:
             problem = f"no column for {wanted} (one of {', '.join(known)}), found {', '.join(cells)[:200]!r}"
-            raise InputError(where, problem, "name the columns in the first row, for example time,x,y,z")
+            example = "time,x,y,z" if wanted in _NAMES else "time,x,y,z,roll,pitch,yaw"
+            raise InputError(where, problem, f"name the columns in the first row, for example {example}")
         columns.append(found[0])
     return columns
 
@@ -232,15 +273,7 @@ SBET_BYTES = 136
 
 def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
     """Read the positions of a file of ``size`` bytes."""
-    if size % SBET_BYTES:
-        problem = f"{size} bytes, expected a multiple of {SBET_BYTES} (17 doubles a record)"
-        raise InputError(str(path), problem, "the SBET is cut short, or it is no SBET: give a text file another suffix")
-    parts = []
-    with path.open("rb") as handle:
-        while raw := handle.read(_BATCH * SBET_BYTES):
-            whole = raw[: len(raw) // SBET_BYTES * SBET_BYTES]
-            parts.append(np.frombuffer(whole, "<f8").reshape(-1, 17)[:, :4].astype(np.float64))
-    values = np.concatenate(parts)
+    values = _sbet_records(path, size)[:, :4]
     sane = np.isfinite(values).all(axis=1) & (np.abs(values[:, 1]) <= math.pi / 2) & (np.abs(values[:, 2]) <= math.tau)
     if not sane.all():
         i = int(np.argmin(sane))
@@ -249,6 +282,19 @@ def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
         position = f"{path}: record {i} (byte {i * SBET_BYTES})"
         raise InputError(position, problem, "check that this is an SBET file")
     return values[:, 0].copy(), values[:, [2, 1, 3]]
+
+
+def _sbet_records(path: Path, size: int) -> F64:
+    """Return time, position, attitude and the wander angle of every record, (n, 11)."""
+    if size % SBET_BYTES:
+        problem = f"{size} bytes, expected a multiple of {SBET_BYTES} (17 doubles a record)"
+        raise InputError(str(path), problem, "the SBET is cut short, or it is no SBET: give a text file another suffix")
+    parts = []
+    with path.open("rb") as handle:
+        while raw := handle.read(_BATCH * SBET_BYTES):
+            whole = raw[: len(raw) // SBET_BYTES * SBET_BYTES]
+            parts.append(np.frombuffer(whole, "<f8").reshape(-1, 17)[:, :11].astype(np.float64))
+    return np.concatenate(parts)
 
 
 def project(path: Path, position: F64, target: str | None) -> F64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Generator, Iterator
 from itertools import islice
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64
 from prc_cli.formats import open_source
@@ -20,8 +22,10 @@ from prc_cli.formats.records import RecordSource
 from prc_cli.formats.writing.base import NO_CODE
 from prc_cli.formats.writing.coordinates import SPACING_M, LinesApart, Placement
 from prc_cli.formats.writing.disk import DiskColumn
+from prc_cli.matching.placed import PlacedSource
 from prc_cli.streams.beams import BeamStream, with_beams
-from prc_cli.streams.open import grid_of
+from prc_cli.streams.open import grid_of, open_input
+from prc_cli.streams.trajectory import load_trajectory
 
 XYZ = ("x", "y", "z")
 SPEED_M_S, WALK_M_S = 8.0, 1.2
@@ -29,6 +33,29 @@ SPEED_M_S, WALK_M_S = 8.0, 1.2
 lines are."""
 _FIRST_LINES = 64
 """Lines whose times tell how many there are a second."""
+
+
+def placed_source(
+    drive: Path, loaded: LoadedConfig, trajectory: Path, mount: tuple[float, ...] = (), *, crs: str | None = None
+) -> PlacedSource:
+    """Open a raw drive whose shots get their coordinates from poses; ``mount`` is empty, 3 angles, or these and 3 m."""
+    config = with_layout_beside(drive, loaded).config
+    reading = config.input
+    if len(mount) not in (0, 3, 6) or not all(map(math.isfinite, mount)):
+        problem = f"found {', '.join(f'{one:g}' for one in mount)}, expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"
+        raise ConfigError("--mount", problem, "in degrees and metres, on the vehicle's axes forward, left, up")
+    if reading.range.startswith(("trajectory:", "origin:")):
+        problem = f"was read with range = {reading.range.partition(':')[0]}, so it has coordinates of its own"
+        raise ConfigError(str(drive), problem, "leave out --trajectory")
+    stream = open_input(drive, reading, config.layout)
+    system = reading.trajectory_crs or stream.info.facts.crs_wkt or crs
+    track = load_trajectory(
+        trajectory, crs=system, source_crs_wkt=None, time_offset=reading.trajectory_time_offset,
+        max_gap=reading.trajectory_max_gap, topic=reading.trajectory_topic, with_turns=True,
+    )  # fmt: skip
+    arm = mount[3:] or reading.trajectory_lever_arm or (0.0, 0.0, 0.0)
+    turn = (*mount[:3], 0.0, 0.0, 0.0)[:3]
+    return PlacedSource(stream, track, turn, arm, reading.nadir or 0.0, facts=SourceFacts(crs_wkt=system))  # type: ignore[arg-type]
 
 
 def axes_of(records: RecordSource | None, stream: ScanStream, first: ScanBlock, config: RunConfig) -> tuple[str, ...]:

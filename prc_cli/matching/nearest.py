@@ -75,7 +75,8 @@ def _nested_keys(x: F64, y: F64) -> I64:
     column, row = (np.floor(values / _FINE_M).astype(np.int64) for values in (x, y))
     cell = (((column >> _SIDE) + _HALF) * (2 * _HALF) + (row >> _SIDE) + _HALF) << 2 * _SIDE
     last = (1 << _SIDE) - 1
-    return cell + ((column & last) << _SIDE) + (row & last)
+    key: I64 = cell + ((column & last) << _SIDE) + (row & last)
+    return key
 
 
 def _nested_places(keys: I64) -> tuple[I64, I64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.bags import FORMATS as BAGS
-from prc_cli.formats.trajectory import is_tum, project, read_poses, read_sbet, read_text, read_tum, turned
+from prc_cli.formats.trajectory import is_tum, project, read_poses, read_sbet, read_text, read_tum, read_turns, turned
 
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
@@ -56,6 +56,8 @@ class Trajectory:
     """Longest step between positions that is interpolated [s]; None = ten median steps, at least 1 s."""
     lever_arm_m: tuple[float, float, float] | None = None
     """What the positions were moved by, on the axes of the vehicle [m]; None = not."""
+    quaternion: F64 | None = None
+    """(n, 4) float64, turn of the vehicle (forward, left, up) to the points; None = not known or not asked for."""
     gap_limit_s: float = field(init=False)
     """The same, with its default resolved [s]."""
     _gaps: I64 = field(init=False, repr=False)
@@ -94,6 +96,14 @@ class Trajectory:
             self._check_gaps(time_s)
         columns = [np.interp(time_s, self.time_s, self.xyz_m[:, axis]) for axis in range(3)]
         return np.stack(columns, axis=1)
+
+    def places(self, time_s: F64, xyz_m: F64) -> F64:
+        """Return where vectors of the vehicle (n, 3) end, (n, 3) [m]."""
+        assert self.quaternion is not None
+        columns = [np.interp(time_s, self.time_s, self.quaternion[:, axis]) for axis in range(4)]
+        turn = np.stack(columns, axis=1)
+        turn /= np.sqrt((turn * turn).sum(axis=1, keepdims=True))
+        return self.positions(time_s) + turned(turn, xyz_m)
 
     def _check_gaps(self, time_s: F64) -> None:
         """Refuse times strictly inside a gap, where interpolation would invent positions."""
@@ -164,8 +174,12 @@ def load_trajectory(
     max_gap: float | None = None,
     topic: str | None = None,
     lever_arm_m: tuple[float, float, float] | None = None,
+    with_turns: bool = False,
 ) -> Trajectory:
-    """Read a trajectory: ``.sbet`` and ``.out`` are SBET, ``.bag``, ``.db3``, ``.mcap`` bags; anything else is text."""
+    """Read a trajectory: ``.sbet`` and ``.out`` are SBET, ``.bag``, ``.db3``, ``.mcap`` bags; anything else is text.
+
+    With turns, the orientation must be known as well; it is read of text and SBET for them alone.
+    """
     quaternion: F64 | None = None
     try:
         size = path.stat().st_size
@@ -180,6 +194,11 @@ def load_trajectory(
             time_s, xyz_m, quaternion = read_tum(path)
         else:
             time_s, xyz_m = read_text(path)
+        if with_turns:
+            quaternion = read_turns(path, crs or source_crs_wkt) if quaternion is None else quaternion
+            # q and -q are one turn: neighbours must be near each other to interpolate
+            turns = np.sign((quaternion[1:] * quaternion[:-1]).sum(axis=1)).cumprod()
+            quaternion = quaternion * np.append(1.0, turns)[: len(quaternion), None]
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check the trajectory's name and permissions") from None
@@ -192,7 +211,7 @@ def load_trajectory(
     with np.errstate(over="ignore"):
         time_s = time_s + time_offset
     _check(path, time_s)
-    return Trajectory(str(path), time_s, xyz_m, max_gap, lever_arm_m)
+    return Trajectory(str(path), time_s, xyz_m, max_gap, lever_arm_m, quaternion if with_turns else None)
 
 
 def _check(path: Path, time_s: F64) -> None:

@@ -161,6 +161,15 @@ def dense_line_beside(path: Path) -> int | None:
     return None
 
 
+def reading_beside(path: Path) -> dict[str, Any]:
+    """Return how the input of a run was read, as the run record beside its labels says; empty without a record."""
+    with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
+        record = json.loads(read_small(record_path(path), LARGEST_RECORD))
+        if record["program"] == PROGRAM:
+            return {name: record["config"][name] for name in ("input", "layout") if record["config"].get(name)}
+    return {}
+
+
 def dropped_beside(path: Path) -> str:
     """Return :func:`dropped_of` the run record beside a file."""
     with suppress(OSError, ValueError, RecursionError):

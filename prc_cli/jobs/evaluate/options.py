@@ -39,6 +39,10 @@ class EvaluateOptions:
     """Points of predicted labels that have no coordinates, record by record: the input of the run; or their folder."""
     reference_points: Path | None = None
     """Points of reference labels that have no coordinates, or their folder."""
+    trajectory: Path | None = None
+    """Poses of the drive: predicted coordinates are made of its ranges and scan angles; None = the files have them."""
+    mount: tuple[float, ...] = ()
+    """Roll, pitch, yaw of the scanner on the vehicle [deg], and x, y, z from the trajectory's point to it [m]."""
     split_range_m: tuple[float, ...] = ()
     """Edges of range bins [m]; empty = not split."""
     split_lines: int | None = None
@@ -104,7 +108,7 @@ def check_options(options: EvaluateOptions) -> None:
 def _check_places(options: EvaluateOptions) -> None:
     """Refuse options that need coordinates, or a match that has none."""
     by_place = {"unmatched": options.unmatched != "leave", **{
-        key: getattr(options, key) is not None for key in ("inside", "height", "trees")}}  # fmt: skip
+        key: getattr(options, key) is not None for key in ("inside", "height", "trees", "trajectory")}}  # fmt: skip
     for key, is_asked in by_place.items():
         if is_asked and options.match != "nearest":
             problem = f"needs coordinates of both sides, records are matched by {options.match}"

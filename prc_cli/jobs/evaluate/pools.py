@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.writing.record import reading_beside
+from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.keys import AXES, KeyRule
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
@@ -43,6 +47,9 @@ def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOp
             Side(_open(files, *asked), key, options.points_per_line)
             for files, asked, key in zip(pool, sides, keys, strict=True)
         )
+        if options.trajectory is not None:
+            crs = next((crs for file in right.files if (crs := file.crs)), None)
+            left = replace(left, files=[_placed(file, options, crs) for file in left.files])
         left.check()
         right.check()
         pools.append((left, right))
@@ -56,6 +63,16 @@ def open_side(path: Path, options: EvaluateOptions, key: KeyRule | None) -> Side
     side = Side(_open(files_of([path]), None, None), key, options.points_per_line)
     side.check()
     return side
+
+
+def _placed(file: SideFile, options: EvaluateOptions, crs: str | None) -> SideFile:
+    """Return a predicted file whose coordinates come from the drive, which may be the file itself, and its poses."""
+    assert options.trajectory is not None
+    labels = Path(file.codes.path)
+    drive = labels if file.points is None else Path(file.points.path)
+    loaded = load_config(options=reading_beside(labels))
+    source = placed_source(drive, loaded, options.trajectory, options.mount, crs=crs)
+    return replace(file, table=None, points=source)
 
 
 def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[Path], list[Path]]]:

@@ -117,7 +117,7 @@ def transfer(
     options = options or TransferOptions()
     labels, registered, output = Path(labels), Path(registered), Path(output)
     points = None if points is None else Path(points)
-    inputs = tuple(path for path in (labels, points, registered) if path is not None)
+    inputs = tuple(path for path in (labels, points, registered, options.trajectory) if path is not None)
     check_paths(labels, registered, output, points)
     for path in (output, record_path(output)):
         check_output(path, overwrite=overwrite, inputs=inputs)
@@ -154,7 +154,7 @@ def transfer(
         least = options.min_confidence
         unsure = (f"{n_unsure:,} points keep their class: their label has a confidence below {least} %",)
         stored = TransferRecord(
-            config={"transfer": asdict(options)},
+            config={"transfer": options.as_dict()},
             input=fingerprint(registered),
             format=sides.points.format,
             points_per_line=0,

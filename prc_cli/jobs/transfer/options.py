@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.las.rewrite import CARRIED
@@ -36,6 +38,10 @@ class TransferOptions:
     ``dense_vegetation``, ``ground_height``, ``height_above_ground``, ``confidence``."""
     min_confidence: int | None = None
     """Labels with less confidence are not transferred [per cent]; the labels are classified LAS with ``confidence``."""
+    trajectory: Path | None = None
+    """``nearest``: poses from which the shots of the labels' input get their coordinates."""
+    mount: tuple[float, ...] = ()
+    """Roll, pitch, yaw of the scanner on the vehicle [deg], and x, y, z from the trajectory's point to it [m]."""
     min_matched: float = 0.5
     """Least share of the smaller side that must be matched, and of matched points whose match must be unambiguous."""
 
@@ -62,3 +68,9 @@ class TransferOptions:
         for name in self.carry:
             if name not in CARRIED:
                 raise ConfigError("--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the options for a run record; the trajectory only where there is one."""
+        found = asdict(self)
+        track, mount = found.pop("trajectory"), found.pop("mount")
+        return found if track is None else {**found, "trajectory": track.name, "mount": mount}
