@@ -27,7 +27,13 @@ from prc_cli.jobs.thin import thin as thin_file
 @click.option(
     "--drop", multiple=True, metavar="CLASS,...", help="Keep nothing of a class (noise: always, unless kept)."
 )
-@click.option("--labels", type=click.Path(path_type=Path), metavar="FILE", help="Classes, one code a record of IN.")
+@click.option("--keep-only", multiple=True, metavar="CLASS,...", help="Keep these classes and nothing else.")
+@click.option(
+    "--labels",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Classes, one code a record of IN; of a folder of frames, the folder of theirs.",
+)
 @click.option(
     "--min-confidence",
     type=click.IntRange(0, 100),
@@ -35,35 +41,42 @@ from prc_cli.jobs.thin import thin as thin_file
     help="Also drop returns whose label has less confidence.",
 )
 @click.option("--keep-empty", is_flag=True, help="In .ply, .pcd, .bin: the whole grid, not the returns alone.")
+@click.option(
+    "--every-frame", is_flag=True, help="Folders: number the frames 000000, 000001, ... instead of keeping their names."
+)
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def thin(
     source: Path, output: Path, keep: tuple[str, ...], spacing: tuple[str, ...], drop: tuple[str, ...],
-    labels: Path | None, min_confidence: int | None, keep_empty: bool, overwrite: bool, as_json: bool, quiet: bool,
-    verbose: bool, **options: Any,
+    keep_only: tuple[str, ...], labels: Path | None, min_confidence: int | None, keep_empty: bool, every_frame: bool,
+    overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
 
-    Classes are those of IN or of --labels; with --preset, --method or --config, IN is classified on the way. OUT is
-    any format that prc convert writes; of a frame, a .bin holds x, y, z and intensity, as KITTI's. From .las or .laz to
-    .las or .laz, records are left out and everything else stays as it is.
+    Classes are those of IN or of --labels. Where IN has none, or with --preset, --method or --config, it is classified
+    on the way. OUT is any format that prc convert writes, or a bag of a bag; of a frame, a .bin holds x, y, z and
+    intensity, as KITTI's. From .las or .laz to .las or .laz, records are left out and everything else stays as it is;
+    so are points of bags, and of frames of spinning scanners from .ply to .ply and .pcd to .pcd. A folder of frames
+    becomes a new folder of them, each under its name, also where no point is left.
 
     \b
     Examples:
       prc thin drive_classified.laz drive_thin.laz --keep ground=1/4
       prc thin drive.laz drive_thin.laz --preset urban --spacing ground=0.1 --drop vegetation
       prc thin drive.csv.gz drive_thin.npz --labels labels.npy --keep building=0.5
+      prc thin velodyne/ still/ --keep-only ground,building,pole
     """
     loaded = config_from(options)
-    rules = parse_rules(keep, spacing, drop, loaded.config.classes)
+    rules = parse_rules(keep, spacing, drop, loaded.config.classes, keep_only=keep_only)
     classify = any(options[name] is not None for name in ("preset", "method", "config_file"))
     chosen: Path | str | None = labels if labels is not None else CLASSIFY if classify else None
     start = time.perf_counter()
     with line_progress(source.name, quiet=quiet) as progress:
         summary = thin_file(
             source, output, rules, loaded,
-            labels=chosen, min_confidence=min_confidence, keep_empty=keep_empty, overwrite=overwrite, progress=progress,
+            labels=chosen, min_confidence=min_confidence, keep_empty=keep_empty, every_frame=every_frame,
+            overwrite=overwrite, progress=progress,
         )  # fmt: skip
     if as_json:
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))

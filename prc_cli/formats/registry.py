@@ -140,6 +140,12 @@ def is_dump(path: Path) -> bool:
     return form is not None and form.is_dump
 
 
+def is_bag(path: Path) -> bool:
+    """Whether classes are written into whole recordings under such a name, of inputs of the same kind alone."""
+    form = format_of(path, "labels")
+    return form is not None and bool(form.images) and not form.streams
+
+
 def is_cloud(path: Path) -> bool:
     """Whether classes are written into points under such a name, not alone."""
     form = format_of(path, "labels")

@@ -23,7 +23,9 @@ def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
         (["--keep", "gruond=1/4"], 2, "--keep: unknown class 'gruond'; did you mean 'ground'?"),
         (["--keep", "ground=4/1"], 2, "expected a fraction from 0 to 1"),
         (["--spacing", "ground=-1"], 2, "expected a distance above 0"),
-        ([], 2, "no class codes in the input, and none were given"),
+        (["--keep-only", "ground", "--drop", "ground"], 2, "found ground=0 beside --keep-only ground, which says"),
+        (["--keep-only", "ground", "--keep", "car=1/2"], 2, "found car=1/2 beside --keep-only ground"),
+        (["--every-frame"], 2, "--every-frame: drive.npz is a file"),
         (["--labels", tmp_path / "labels.npy"], 1, "found 5 labels, expected 24660"),
         (["--labels", tmp_path / "none.npy"], 1, "no such file, expected class codes"),
     ):

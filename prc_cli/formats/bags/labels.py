@@ -34,8 +34,8 @@ FIELD, _UINT8 = "label", 2
 """Field of a point that holds its class code, and its type."""
 _DATABASE, _METADATA = ".db3", "metadata.yaml"
 
-Take: TypeAlias = Callable[[int], U8]
-"""Gives the codes of the next n records, (n,) uint8."""
+Take: TypeAlias = Callable[[int], NDArray[Any]]
+"""Gives the codes of the next n records, (n,) uint8; where records are left out (n,) int16, negative = left out."""
 
 
 class CloudCodec:
@@ -67,19 +67,26 @@ class CloudCodec:
         return rows.reshape(-1, cloud.point_step).copy()
 
     def label(self, data: bytes, take: Take) -> bytes:
-        """Return a message with the codes of its points; a field of this name keeps its place and type."""
+        """Return a message with the codes of its points; a field of this name keeps its place and type.
+
+        Points with a negative code are left out, which makes the rest one row.
+        """
         cloud, points = self.points(data, FIELD)
         if points is None:
             # points of whole words stay aligned to them
             own, step = self._rows(cloud), cloud.point_step
             cloud.point_step += 1 if step % 4 else 4
             cloud.fields.append(self._field(FIELD, step, _UINT8, 1))
-            rows = np.zeros((len(own), cloud.point_step), np.uint8)
-            rows[:, :step], rows[:, step] = own, take(len(own))
-            cloud.data = rows.ravel()
+            rows, codes = np.zeros((len(own), cloud.point_step), np.uint8), take(len(own))
+            rows[:, :step], rows[:, step] = own, codes.astype(np.uint8, copy=False)
         else:
-            points["code"] = take(len(points))
-            cloud.data = points.view(np.uint8).ravel()
+            codes = take(len(points))
+            points["code"] = codes.astype(np.uint8, copy=False)
+            rows = points.view(np.uint8).reshape(-1, cloud.point_step)
+        if not (kept := codes >= 0).all():
+            rows = rows[kept]
+            cloud.height, cloud.width, cloud.is_dense = 1, len(rows), True
+        cloud.data = rows.ravel()
         cloud.row_step = cloud.width * cloud.point_step
         return bytes(self._write(cloud, "sensor_msgs/msg/PointCloud2"))
 
@@ -121,8 +128,10 @@ class BagRewriter(ScatterWriter):
         packed = [topic.name for topic in self._stream.topics if topic.kind in PACKED]
         refused = f"{packed[0]} holds packets, which have no place for classes" if packed else self._stream.bag.problem
         refused = refused or ("a bag holds whole messages, not a window of them" if labels.is_part else "")
+        if labels.is_thinned and any(topic.kind in LASERS for topic in self._stream.topics):
+            refused = refused or "laser scans have a place for every shot, so that none can be left out"
         if refused:
-            raise OutputError(str(path), refused, "write the labels alone: .npy")
+            raise OutputError(str(path), refused, f"write {'.npz' if labels.is_thinned else 'the labels alone: .npy'}")
         super().__init__(labels, (), labels.n_records)
         for column in asked_columns(labels.options):
             self._notice(f"bags hold class codes only; {column.what}s need .csv, .parquet, .las or .laz")
@@ -142,11 +151,11 @@ class BagRewriter(ScatterWriter):
     def _write(self, record: RunRecord) -> RunRecord:
         total, n_done = self._total(record), 0
 
-        def take(n: int) -> U8:
+        def take(n: int) -> NDArray[Any]:
             nonlocal n_done
             n_done += n
-            codes: U8 = self._code_spool.span(n_done - n, n_done) if n else np.empty(0, np.uint8)
-            self._count(codes)
+            codes: NDArray[Any] = self._code_spool.span(n_done - n, n_done) if n else np.empty(0, np.uint8)
+            self._count(codes[codes >= 0].astype(np.uint8, copy=False))
             return codes
 
         try:

@@ -209,7 +209,7 @@ def _cells(axis: int, name: str) -> OptionalColumn:
     return OptionalColumn(dimension, name, "range", name.replace("_", " "), NO_CELL, of_shots, of_extra)
 
 
-_CELLS = tuple(_cells(axis, name) for axis, name in enumerate(_CELL_NAMES))
+_CELLS: tuple[OptionalColumn, ...] = tuple(_cells(axis, name) for axis, name in enumerate(_CELL_NAMES))
 _RANGE = OptionalColumn(
     RANGE, "range", "range", "range", np.nan,
     lambda block: block.block.range_m, lambda block: block.block.extra.range_m,
@@ -226,14 +226,18 @@ class CloudRewriter(ScatterWriter):
         asked = [column for column in asked_columns(labels.options) if column.dimension is not RANGE]
         own = {name.lower() for name in source.head.types}
         added = [_RANGE] if "range" not in source.dimensions else []
-        super().__init__(labels, [*_CELLS, *added, *asked], source.n_records)
+        cells = _CELLS
+        if labels.is_thinned:
+            cells, added, asked = (), [], []
+        super().__init__(labels, [*cells, *added, *asked], source.n_records)
         self._own_comment = f"{OWN_COMMENT}{labels.points_per_line}"
         self._source = source
+        written = {_CLASS, *(column.name for column in cells)}
         self._kept = tuple(
             name for name in source.head.types
-            if name.lower() not in (_CLASS, *_CELL_NAMES) and name not in {column.name for column in (*added, *asked)}
+            if name.lower() not in written and name not in {column.name for column in (*added, *asked)}
         )  # fmt: skip
-        replaced = sorted(own & {_CLASS, *_CELL_NAMES})
+        replaced = sorted(own & written)
         if replaced:
             self._notice(f"the input has {', '.join(replaced)} already; the values were replaced")
 

@@ -328,7 +328,7 @@ class ScatterWriter(StagedWriter):
     def __init__(self, labels: LabelOutput, columns: Sequence[OptionalColumn], n_records: int | None) -> None:
         super().__init__(labels.path, labels, columns)
         self._n_records = n_records
-        self._is_part = labels.is_part
+        self._is_part = labels.is_part or labels.is_thinned
         self._spools: dict[str, DiskColumn] = {}
         self._first, self._stop = sys.maxsize, 0
         """Bounds of the records that it holds."""
@@ -348,8 +348,7 @@ class ScatterWriter(StagedWriter):
         scan, codes, extra_codes, block = item.block, item.codes, item.extra_codes, item.labelled
         assert codes is not None
         assert extra_codes is not None
-        assert block is not None
-        values = {column.name: self._cells(column, block).ravel() for column in self._optional}
+        values = {} if block is None else {one.name: self._cells(one, block).ravel() for one in self._optional}
         first = scan.first_line * scan.points_per_line
         most = sys.maxsize if self._n_records is None else self._n_records
         if scan.record is None and first + codes.size <= most:
@@ -361,7 +360,7 @@ class ScatterWriter(StagedWriter):
             self._put(scan.records().ravel(), codes.ravel(), values)
         if len(scan.extra):
             # records without a value have the fill value already
-            own = {column.name: column.of_extra(block) for column in self._optional if column.of_extra is not None}
+            own = {one.name: one.of_extra(block) for one in self._optional if one.of_extra and block is not None}
             self._put(scan.extra.record, extra_codes, own)
 
     def _put(self, record: I64, codes: NDArray[Any], values: dict[str, Values]) -> None:

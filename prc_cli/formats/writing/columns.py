@@ -86,6 +86,8 @@ class LabelOutput:
     """Name of every user code that may be written; LAS and LAZ hold them."""
     is_part: bool = False
     """Only a window of the input is classified: the output holds its records alone."""
+    is_thinned: bool = False
+    """Records without a code are left out, and nothing but the class is added."""
     rules: InputConfig = field(default_factory=InputConfig)
     """How the input was read; of a bag, which of its topics."""
     place: Placement | None = None

@@ -1,7 +1,8 @@
 """``prc thin``: drops noise and thins chosen classes, by line and column or by spacing.
 
 Dropped shots become shots without return. From LAS and LAZ files their records are removed and all else stays byte for
-byte; other formats are written anew, as in :mod:`prc_cli.jobs.convert`.
+byte; so are points of bags, and of frames of spinning scanners in PLY and PCD. Other formats are written anew, as in
+:mod:`prc_cli.jobs.convert`. A folder of frames becomes a folder of frames.
 """
 
 from __future__ import annotations
@@ -16,20 +17,22 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, RunConfig, refuse_window
+from prc_cli.config import LoadedConfig, RunConfig, refuse_window, with_layout_beside
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, suffix_of
+from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, output_errors, prepare_outputs, suffix_of
 from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
-from prc_cli.formats import LAS_SUFFIXES
-from prc_cli.formats.labels import open_codes
+from prc_cli.formats import LAS_SUFFIXES, check_input, open_source, scan_file
+from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import check_copied, copy_las, read_las
-from prc_cli.formats.writing import open_stream_writer, outputs_of, stream_suffix
+from prc_cli.formats.registry import format_of, is_bag, keeps_points
+from prc_cli.formats.writing import open_stream_writer, open_writer, outputs_of
 from prc_cli.formats.writing.base import NO_CODE, StreamItem
+from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.disk import DiskColumn
-from prc_cli.formats.writing.record import RunRecord, record_path
+from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record
 from prc_cli.jobs.convert import (
@@ -41,6 +44,7 @@ from prc_cli.jobs.convert import (
     record_of_scanners,
 )
 from prc_cli.jobs.progress import advance
+from prc_cli.jobs.thin.frames import frames_of, labels_of, thin_frames
 from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without
 from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.methods.base import Wanted
@@ -102,6 +106,7 @@ def thin(  # noqa: PLR0913 - all but the files and rules are named
     labels: Path | str | None = None,
     min_confidence: int | None = None,
     keep_empty: bool = False,
+    every_frame: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ThinningSummary:
@@ -110,24 +115,28 @@ def thin(  # noqa: PLR0913 - all but the files and rules are named
     Parameters
     ----------
     source : path
-        Any readable input.
+        Any readable input, or a folder of frames of one kind.
     output : path
-        Any writable format. Between LAS and LAZ, records are left out and everything else stays as it is; this
-        includes the classes, even if ``labels`` decided what was dropped.
+        Any writable format, a bag of an input of the same kind, or of a folder a new folder. Between LAS and LAZ,
+        records are left out and everything else stays as it is; this includes the classes, even if ``labels`` decided
+        what was dropped.
     rules : tuple of ThinRule, optional
         From :func:`parse_rules`; default: drop noise.
     config : LoadedConfig or RunConfig, optional
         How the stream is read, and, with ``labels = "classify"``, classified.
     labels : path or "classify", optional
-        A label file with one code per record, or the classifier. Default: the classes of the input.
+        A label file with one code per record (of a folder: a folder with a file for every frame), or the classifier.
+        Default: the classes of the input; the classifier where it has none.
     min_confidence : int, optional
         Also drop returns whose label has less confidence [per cent], by the dimension ``confidence`` of the label file
         or of the input, or as the classifier tells.
     keep_empty : bool
         Write a row for every cell of the grid to ``.ply``, ``.pcd`` and ``.bin``, too. Default: returns alone; a
         ``.bin`` then holds x, y, z and intensity, as KITTI's frames, where the input has coordinates from the scanner.
+    every_frame : bool
+        Number the frames of a folder from 000000 on. Default: they keep their names.
     overwrite : bool
-        Replace an existing output.
+        Replace an existing output; never a folder.
     progress : callable, optional
         Called with the number of scan lines that were just finished.
 
@@ -138,42 +147,130 @@ def thin(  # noqa: PLR0913 - all but the files and rules are named
     Raises
     ------
     ConfigError
-        When there are no classes, or lines could not be found again in a LAS output.
+        When lines could not be found again in a LAS output, or nothing would be left.
     InputError, OutputError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     loaded = LoadedConfig.of(config)
     refuse_window(loaded.config, "prc thin")
-    source, output = Path(source), Path(output)
+    source, output = scan_file(Path(source)), Path(output)
     rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
-    if labels == CLASSIFY:
-        loaded = decide(source, loaded)
-    label_file = Path(labels) if labels is not None and labels != CLASSIFY else None
-    prepare_output(source, output, loaded, overwrite=overwrite, more=() if label_file is None else (label_file,))
     if min_confidence is not None and not 0 <= min_confidence <= 100:
         raise ConfigError("--min-confidence", f"found {min_confidence}, expected per cent, 0 to 100")
-    run = _Run(
-        source, output, rules, loaded, label_file,
-        classify=labels == CLASSIFY, min_confidence=min_confidence, keep_empty=keep_empty,
-    )  # fmt: skip
+    common: dict[str, Any] = {"min_confidence": min_confidence, "keep_empty": keep_empty}
+    if source.is_dir():
+        return _thin_folder(source, output, rules, loaded, labels, every_frame=every_frame, progress=progress, **common)
+    if every_frame:
+        raise ConfigError("--every-frame", f"{source.name} is a file", "it numbers the frames of a folder")
+    return _thin_file(source, output, rules, loaded, labels, overwrite=overwrite, progress=progress, **common)
+
+
+def _thin_file(
+    source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | str | None,
+    *, overwrite: bool, progress: Progress | None, **common: Any,
+) -> ThinningSummary:  # fmt: skip
+    if labels is None:
+        labels = _own_labels(source, loaded)
+    if labels == CLASSIFY:
+        loaded = decide(source, loaded)
+    run = _Run(source, output, rules, loaded, labels, **common)
+    more = () if run.labels is None else (run.labels,)
+    if is_bag(output):
+        check_input(source)
+        prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=loaded.inputs(source, *more))
+    else:
+        prepare_output(source, output, loaded, overwrite=overwrite, more=more)
     before = file_state(source)
-    if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
+    if suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES:
         record = run.copy(progress, before)
     else:
         record = run.write(progress, before)
     return run.summary(record)
 
 
+def _own_labels(source: Path, loaded: LoadedConfig) -> Path | str | None:
+    """Return where the classes of an input come from: its records, its clouds (of a bag), or else the classifier."""
+    if is_bag(source):
+        with contextlib.suppress(InputError):
+            next(open_codes(source).chunks())
+            return source
+        return CLASSIFY
+    records = open_source(source, with_layout_beside(source, loaded).config.layout)
+    if records is not None:
+        return None if any(name.lower() in NAMES for name in records.dimensions) else CLASSIFY
+    columns = format_of(source, "codes")
+    with contextlib.suppress(ConfigError, InputError):
+        if columns is not None and open_codes(source, "class").n:
+            return None
+    return CLASSIFY
+
+
+def _thin_folder(
+    source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | str | None,
+    *, every_frame: bool, **common: Any,
+) -> ThinningSummary:  # fmt: skip
+    """Thin the frames of a folder, with the method that labels the first one best where none is named."""
+    frames = frames_of(source)
+    known = labels_of(Path(labels), frames) if labels is not None and labels != CLASSIFY else {}
+    first = next((frame for frame in frames if frame.stat().st_size), None)
+    if first is None:
+        raise InputError(str(source), f"all {len(frames)} frames are empty, expected points", "copy them again")
+    if not known and (labels == CLASSIFY or _own_labels(first, loaded) == CLASSIFY):
+        loaded, labels = decide(first, loaded), CLASSIFY
+
+    def thin_one(frame: Path, thinned: Path) -> ThinningSummary:
+        return _thin_file(frame, thinned, rules, loaded, known.get(frame, labels),
+                          overwrite=False, is_frame=True, **common)  # fmt: skip
+
+    with thin_frames(frames, output, thin_one, every_frame=every_frame) as found:
+        summary = _joined(source, output, frames, found)
+        with output_errors(output):
+            record_path(output).write_bytes(summary.record.to_json())
+    return summary
+
+
+def _joined(source: Path, output: Path, frames: list[Path], found: list[ThinningSummary]) -> ThinningSummary:
+    """Return the summary of a folder of frames."""
+    n_input, n_kept, n_bytes, names = Counter[int](), Counter[int](), Counter[int](), {}
+    for item in (item for one in found for item in one.classes):
+        names[item.code] = item.name
+        n_input[item.code] += item.n_input
+        n_kept[item.code] += item.n_kept
+        n_bytes[item.code] += item.n_bytes
+    n_all, n_left = n_input.total(), n_kept.total()
+    if not n_left:
+        problem = f"all {n_all} returns would be dropped, expected some to stay"
+        raise ConfigError(str(source), problem, "keep more: --keep noise=1, or other classes")
+    n_empty = len(frames) - sum(any(item.n_kept for item in one.classes) for one in found)
+    told = [text for text in found[0].record.notices if text.startswith(_METHOD)]
+    told.append(f"thinned: {n_all - n_left} of {n_all} returns of {len(frames)} frames were dropped")
+    told += [f"{n_empty} frames have no point: their files are there"] * bool(n_empty)
+    record = replace(
+        found[0].record, input=Fingerprint(source.name, sum(frame.stat().st_size for frame in frames), None),
+        output=None, n_lines=None, n_records=None, n_missing=None, classes=(), notices=tuple(told),
+    )  # fmt: skip
+    classes = tuple(
+        ClassSaving(code, names[code], n, n_kept[code], n_bytes[code]) for code, n in sorted(n_input.items())
+    )
+    sizes = (sum(getattr(one, key) for one in found) for key in ("bytes_input", "bytes_output", "n_lines"))
+    bytes_input, bytes_output, n_lines = sizes
+    return ThinningSummary(output, record, classes, found[0].rules, bytes_input, bytes_output, n_lines)
+
+
+_METHOD = "classified on the way: "
+
+
 class _Run:
     """One call of :func:`thin`."""
 
     def __init__(
-        self, source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | None,
-        *, classify: bool, min_confidence: int | None, keep_empty: bool,
+        self, source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | str | None,
+        *, min_confidence: int | None, keep_empty: bool, is_frame: bool = False,
     ) -> None:  # fmt: skip
         self.source, self.output, self.rules, self.loaded = source, output, rules, loaded
-        self.labels, self.classify, self.min_confidence = labels, classify, min_confidence
-        self.keep_empty = keep_empty
+        self.classify, self.min_confidence = labels == CLASSIFY, min_confidence
+        self.labels = None if labels is None or self.classify else Path(labels)
+        self.keep_empty, self.is_frame = keep_empty, is_frame
         self.n_unsure = 0
         self._sure: DiskColumn | None = None
         """Confidence of the records of a file."""
@@ -215,8 +312,12 @@ class _Run:
         return record
 
     def write(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
-        """Write the stream anew without the dropped shots."""
-        with self._open(xyz=True) as (opened, items):
+        """Write the stream anew without the dropped shots, or the points of the input without those."""
+        with self._open(xyz=not is_bag(self.output)) as (opened, items):
+            if is_bag(self.output) or (
+                opened.shape.rings and not self.keep_empty and keeps_points(self.source, self.output)
+            ):
+                return self._rewrite(opened, items, progress, before)
             shape = replace(opened.shape, codes=True)
             with open_stream_writer(self.output, replace(shape, compress=True)) as writer:
                 for item in items:
@@ -231,11 +332,33 @@ class _Run:
                 check_unchanged(self.source, before)
                 return writer.finish(record)
 
+    def _rewrite(
+        self, opened: OpenedItems, items: Iterator[StreamItem], progress: Progress | None, before: tuple[int, ...]
+    ) -> RunRecord:
+        """Leave points out of a cloud or a bag, and add the classes of the others."""
+        config = self.loaded.config
+        labels = LabelOutput(
+            path=self.output, source=self.source, n_records=opened.info.n_records,
+            points_per_line=opened.info.points_per_line, codes=config.classes, is_thinned=True, rules=config.input,
+        )  # fmt: skip
+        with open_writer(labels, overwrite=True) as writer:
+            for item in items:
+                kept, kept_extra = self._choose(item)
+                writer.add_item(
+                    StreamItem(item.block, _codes_of(item.codes, kept), _codes_of(item.extra_codes, kept_extra))
+                )
+                advance(progress, item.block, opened.info)
+            self._check_labels(opened.info)
+            record = self._record(opened.info, opened.notices)
+            check_unchanged(self.source, before)
+            return writer.finish(record)
+
     def summary(self, record: RunRecord) -> ThinningSummary:
         """Return the summary."""
         names = self.loaded.config.classes.names()
         bytes_input = self.source.stat().st_size
-        bytes_output = sum(path.stat().st_size for path in outputs_of(self.output)[:-1])
+        outputs = (self.output,) if is_bag(self.output) else outputs_of(self.output)[:-1]
+        bytes_output = sum(path.stat().st_size for path in outputs)
         counts = [(code, n, self.n_kept[code]) for code, n in sorted(self.n_input.items())]
         n_dropped = sum(n - kept for _, n, kept in counts)
         saved = bytes_input - bytes_output
@@ -273,10 +396,6 @@ class _Run:
                 blocks_of=labelled if self.classify else None, codes=own, xyz=xyz, points=not self.keep_empty,
             )  # fmt: skip
             opened = stack.enter_context(items_of)
-            if own and not opened.shape.codes:
-                problem = "no class codes in the input, and none were given"
-                hint = "give --labels FILE, or --preset or --config to classify on the way"
-                raise ConfigError(str(self.source), problem, hint)
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
 
@@ -348,20 +467,30 @@ class _Run:
         """Return the run record, which says that and how shots were dropped."""
         told, n_input, n_all_kept = [], self.n_input.total(), self.n_kept.total()
         for rule in self.rules:
-            n, n_kept = (sum(found[code] for code in rule.codes) for found in (self.n_input, self.n_kept))
+            n, n_kept = (
+                sum(n for code, n in found.items() if rule.holds(np.array(code)))
+                for found in (self.n_input, self.n_kept)
+            )
             if n:
-                told.append(f"{rule.name}: {n - n_kept} of {n} dropped ({rule})")
-            elif rule.share != 0 or rule.name != "noise":
+                told.append(f"{rule.name}: {n - n_kept} of {n} dropped" + ("" if rule.is_rest else f" ({rule})"))
+            elif (rule.share != 0 or rule.name != "noise") and not rule.is_rest:
                 told.append(f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})")
         if self.min_confidence is not None:
             told.append(f"confidence below {self.min_confidence} %: {self.n_unsure} more returns dropped")
-        if not n_all_kept:
+        if not n_all_kept and not self.is_frame:
             problem = f"all {n_input} returns would be dropped, expected some to stay"
             raise ConfigError(str(self.source), problem, "keep more: --keep noise=1, or other classes")
         note = f"thinned: {n_input - n_all_kept} of {n_input} returns were dropped and are missing in this file"
         record = run_record(info, self.counts, self.loaded)
-        record = replace(record, notices=(*record.notices, note, *told, *hints))
+        choice = self.loaded.choice if self.classify else None
+        method = () if choice is None else (f"{_METHOD}method {choice.method}: {choice.why}",)
+        record = replace(record, notices=(*record.notices, *method, note, *told, *hints))
         return record_of_scanners(record, self.counts)
+
+
+def _codes_of(codes: Any, kept: Mask) -> Any:
+    """Return class codes that fit into a byte, and no code where a return is dropped."""
+    return np.where(kept, np.where((codes >= 0) & (codes < 256), codes, 0), NO_CODE)
 
 
 def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:

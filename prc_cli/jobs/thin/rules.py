@@ -30,26 +30,37 @@ class ThinRule:
     name: str
     codes: tuple[int, ...]
     """Class codes of the rule."""
+    is_rest: bool = False
+    """Whether it is for all returns but those of these classes, as for those without a class."""
     share: Fraction | None = None
     """Share of shots to keep, in a pattern of line and column; 0 = none, 1 = all."""
     spacing_m: float | None = None
     """Least distance between shots of the class in a line [m]."""
+
+    def holds(self, codes: NDArray[np.integer]) -> Mask:
+        """Mark the returns that the rule is for."""
+        found: Mask = np.isin(codes, self.codes) ^ self.is_rest
+        return found
 
     def __str__(self) -> str:
         return f"{self.name}={self.share if self.spacing_m is None else f'{self.spacing_m:g} m'}"
 
 
 def parse_rules(
-    keep: Iterable[str] = (), spacing: Iterable[str] = (), drop: Iterable[str] = (), codes: ClassCodes | None = None
-) -> tuple[ThinRule, ...]:
+    keep: Iterable[str] = (), spacing: Iterable[str] = (), drop: Iterable[str] = (), codes: ClassCodes | None = None,
+    *, keep_only: Iterable[str] = (),
+) -> tuple[ThinRule, ...]:  # fmt: skip
     """Parse options into rules; noise is dropped unless a rule names it.
 
     >>> [str(rule) for rule in parse_rules(["ground=1/4"], ["building=0.1"], ["car,noise"])]
     ['ground=1/4', 'building=0.1 m', 'car=0', 'noise=0']
+    >>> [str(rule) for rule in parse_rules(["ground=1/4"], keep_only=["ground,pole"])]
+    ['ground=1/4', 'all but ground, pole=0']
     """
     table = codes or ClassCodes()
-    keep, spacing, drop = (
-        [part.strip() for text in texts for part in text.split(",") if part.strip()] for texts in (keep, spacing, drop)
+    keep, spacing, drop, only = (
+        [part.strip() for text in texts for part in text.split(",") if part.strip()]
+        for texts in (keep, spacing, drop, keep_only)
     )
     rules: list[ThinRule] = []
     for text in keep:
@@ -59,18 +70,30 @@ def parse_rules(
         name, value = _split(text, "--spacing", "METRES", "ground=0.1")
         rules.append(ThinRule(name, _codes(name, "--spacing", table), spacing_m=_metres(text, value)))
     rules.extend(ThinRule(name, _codes(name, "--drop", table), share=Fraction(0)) for name in drop)
+    if only:
+        rules.append(_rest(only, rules, table))
     named = {code for rule in rules for code in rule.codes}
-    left = tuple(code for code in _codes("noise", "noise", table) if code not in named)
+    left = () if only else tuple(code for code in _codes("noise", "noise", table) if code not in named)
     if left and table.noise not in named:
         rules.append(ThinRule("noise", left, share=Fraction(0)))
     seen: dict[int, str] = {}
     for rule in rules:
-        for code in rule.codes:
+        for code in () if rule.is_rest else rule.codes:
             if code in seen:
                 problem = f"class code {code} is named twice, as {seen[code]} and {rule}"
                 raise ConfigError("classes to thin", problem, "give one rule a class")
             seen[code] = str(rule)
     return tuple(rules)
+
+
+def _rest(only: list[str], rules: list[ThinRule], table: ClassCodes) -> ThinRule:
+    """Return the rule that drops what is not of some classes."""
+    kept = tuple(code for name in only for code in _codes(name, "--keep-only", table))
+    for rule in rules:
+        if (rule.share == 0) == any(code in kept for code in rule.codes):
+            problem = f"found {rule} beside --keep-only {','.join(only)}, which says otherwise"
+            raise ConfigError("classes to thin", problem, "name a class in one of them")
+    return ThinRule(f"all but {', '.join(only)}", kept, is_rest=True, share=Fraction(0))
 
 
 def _split(text: str, option: str, what: str, example: str) -> tuple[str, str]:
@@ -171,7 +194,7 @@ def choose(item: StreamItem, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
     column = np.arange(block.points_per_line, dtype=np.int64)[None, :]
     spaced = np.zeros(len(extra), np.bool_)
     for rule in rules:
-        chosen, chosen_extra = kept & np.isin(codes, rule.codes), np.isin(extra_codes, rule.codes)
+        chosen, chosen_extra = kept & rule.holds(codes), rule.holds(extra_codes)
         if rule.share is not None:
             kept &= ~chosen | keep_by_pattern(line, column, rule.share)
             if chosen_extra.any():

@@ -1,0 +1,321 @@
+"""What classes are worth to an odometry: simulated drives of spinning scanners, with and without some classes.
+
+    python -m benchmarks.odometry                    # writes docs/odometry_figures.md, docs/images/odometry_paths.png
+    python -m benchmarks.odometry --frames 100 --seeds 11 12 13 --scenes snow --page /tmp/page.md
+    python -m benchmarks.odometry --kitti FOLDER     # frames of KITTI and nothing else: does it run?
+
+Labels are those of ``prc classify`` with nothing told, frame by frame; ``prc thin`` leaves out the same points. No
+limit of prc or of a library was chosen on these scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import small_gicp
+
+from benchmarks.car import table
+from benchmarks.odometry_runs import CLASS_TO_CLASS, LIBRARIES, Run, run
+from prc_cli import ClassCodes, DoubtWarning, Label, classify
+from prc_cli.config import load_config
+from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.core.types import F64, I64
+from prc_cli.jobs.simulate import Beside, simulate
+from prc_cli.simulation.settings import Kind, load_settings
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGE = DOCS / "odometry_figures.md"
+PICTURE = DOCS / "images" / "odometry_paths.png"
+SEEDS, N_FRAMES = (71, 72, 73), 30
+STEP_DEG, TURNS_HZ = 0.4, 10.0
+CODE = {label.name.lower(): ClassCodes().code(label) for label in Label if label is not Label.MISSING}
+NOISE, STATIC = (CODE["noise"],), ("ground", "building", "pole")
+KEPT = tuple(CODE[name] for name in STATIC)
+TRUE_KEPT = (*KEPT, CODE["stem"], CODE["curb"])
+"""The simulator's classes that are ground, buildings and poles to the method of rings."""
+COARSE_M = {CODE["ground"]: 0.5, CODE["vegetation"]: 1.0}
+"""Class weights: points of these classes are one in so much [m]."""
+ONE_CLASS = np.zeros(1, np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A place and a scanner."""
+
+    kind: Kind
+    scanner: str
+    more: dict[str, Any] = field(default_factory=dict)
+
+
+SCENES = {
+    "street, 16 rings": Scene("street", "vlp-16"),
+    "street, 32 rings": Scene("street", "vlp-32c"),
+    "street, 64 rings": Scene("street", "hdl-64e"),
+    "traffic, 32 rings": Scene("street", "vlp-32c", {"scene": {"cars_per_km": 40.0, "parked": 0.9}}),
+    "snow, 32 rings": Scene("street", "vlp-32c", {"flake_m": 80.0}),
+    "forest, 16 rings": Scene("forest", "vlp-16", {"trajectory": {"speed_m_s": 2.0}}),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Frames with their true poses and classes."""
+
+    points: list[F64]
+    """(n, 3) float64 each, relative to the scanner [m]."""
+    true: list[I64]
+    """(n,) int64 each, class codes of the simulator."""
+    found: list[I64]
+    """(n,) int64 each, class codes of prc."""
+    poses: F64
+    """(frames, 4, 4), from the first."""
+
+
+def read_frames(folder: Path) -> list[F64]:
+    """Return the points of KITTI's frames of a folder."""
+    return [np.fromfile(path, "<f4").reshape(-1, 4)[:, :3].astype(np.float64) for path in sorted(folder.glob("*.bin"))]
+
+
+def labelled(folder: Path) -> list[I64]:
+    """Return the classes that prc gives the frames of a folder."""
+    found, loaded = [], load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        for path in sorted(folder.glob("*.bin")):
+            output = Path(place) / f"{path.stem}.npy"
+            classify(path, output, loaded)
+            found.append(np.load(output).ravel().astype(np.int64))
+    return found
+
+
+def make(scene: Scene, seed: int, n_frames: int, folder: Path) -> Drive:
+    """Simulate a drive and label it."""
+    scanner = {"name": scene.scanner, "azimuth_step_deg": STEP_DEG, "line_hz": TURNS_HZ * 360.0 / STEP_DEG}
+    options = {"scanner": scanner, "seed": seed, "duration_s": n_frames / TURNS_HZ, "sight_m": 80.0, **scene.more}
+    settings = load_settings(scene.kind, options=options)
+    simulate(scene.kind, folder / "drive.npz", settings, beside=Beside(frames=folder / "frames"), threads=1)
+    frames = folder / "frames"
+    true = [np.fromfile(path, "<u4").astype(np.int64) for path in sorted((frames / "labels").iterdir())]
+    poses = np.tile(np.eye(4), (len(true), 1, 1))
+    poses[:, :3] = np.loadtxt(frames / "poses.txt").reshape(-1, 3, 4)
+    velodyne = frames / "velodyne"
+    return Drive(read_frames(velodyne), true, labelled(velodyne), poses)
+
+
+Frames = Callable[[Drive], Iterator[tuple[F64, I64]]]
+
+
+def but(*dropped: str, is_true: bool = False) -> Frames:
+    """Return all points but those of some classes."""
+    codes = [CODE[name] for name in dropped]
+    return lambda drive: _chosen(drive, lambda classes: ~np.isin(classes, codes), is_true=is_true)
+
+
+def only_static(*, is_true: bool = False) -> Frames:
+    """Return the points of ground, buildings and poles."""
+    kept = TRUE_KEPT if is_true else KEPT
+    return lambda drive: _chosen(drive, lambda classes: np.isin(classes, kept), is_true=is_true)
+
+
+def _chosen(drive: Drive, choose: Callable[[I64], Any], *, is_true: bool) -> Iterator[tuple[F64, I64]]:
+    for points, classes in zip(drive.points, drive.true if is_true else drive.found, strict=True):
+        keep = choose(classes)
+        yield points[keep], classes[keep]
+
+
+def as_many(other: Frames) -> Frames:
+    """Return as many points of every frame as another arm has, drawn at random."""
+
+    def frames(drive: Drive) -> Iterator[tuple[F64, I64]]:
+        random = np.random.default_rng(1)
+        for points, (wanted, _) in zip(drive.points, other(drive), strict=True):
+            keep = np.sort(random.choice(len(points), len(wanted), replace=False))
+            yield points[keep], np.zeros(len(keep), np.int64)
+
+    return frames
+
+
+def weighted(drive: Drive) -> Iterator[tuple[F64, I64]]:
+    """Return sparser points of ground and of vegetation, no noise and no cars."""
+    for points, classes in but("noise", "car")(drive):
+        parts = [points[~np.isin(classes, tuple(COARSE_M))]]
+        for code, edge_m in COARSE_M.items():
+            if (mine := classes == code).any():
+                parts.append(np.array(small_gicp.voxelgrid_sampling(points[mine], edge_m).points()[:, :3]))
+        yield np.concatenate(parts), ONE_CLASS
+
+
+def in_one(other: Frames) -> Frames:
+    """Return an arm whose points are of one class to what matches class to class."""
+    return lambda drive: ((points, np.zeros(len(points), np.int64)) for points, _ in other(drive))
+
+
+GREENLESS, STILL = but("noise", "vegetation"), but("noise", "car")
+ARMS: dict[str, Frames] = {
+    "all points": but(),
+    "− noise": but("noise"),
+    "− noise − vegetation": GREENLESS,
+    "− noise − cars": STILL,
+    "ground, building, pole": only_static(),
+    "class weights": weighted,
+    "random, as many as − noise": as_many(but("noise")),
+    "random, as many as − noise − vegetation": as_many(GREENLESS),
+    "random, as many as − noise − cars": as_many(STILL),
+    "random, as many as ground, building, pole": as_many(only_static()),
+    "true labels: − noise": but("noise", is_true=True),
+    "true labels: − noise − vegetation": but("noise", "vegetation", is_true=True),
+    "true labels: ground, building, pole": only_static(is_true=True),
+}
+FEW = ("all points", "ground, building, pole", "random, as many as ground, building, pole")
+"""Arms of GenZ-ICP, which takes several times as long as the others."""
+MATCHED: dict[str, Frames] = {
+    "− noise, any class to any": in_one(but("noise")),
+    "− noise, class to class": but("noise"),
+}
+PLAN = {
+    **{(library, arm): frames for library in LIBRARIES for arm, frames in ARMS.items()
+       if library != "GenZ-ICP" or arm in FEW},
+    **{(CLASS_TO_CLASS, arm): frames for arm, frames in MATCHED.items()},
+}  # fmt: skip
+"""Frames by library and arm."""
+
+
+Result = tuple[str, int, dict[tuple[str, str], Run], F64]
+"""Scene, seed, runs by library and arm, true path, (n, 3)."""
+
+
+def runs_of(job: tuple[str, int, int]) -> Result:
+    """Run all arms of a scene with one seed; returns its name, the seed, the runs by library and arm, the true path."""
+    name, seed, n_frames = job
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[seed % len(os.sched_getaffinity(0))]})
+    with tempfile.TemporaryDirectory() as folder:
+        drive = make(SCENES[name], seed, n_frames, Path(folder))
+    found = {(library, arm): run(library, frames(drive), drive.poses) for (library, arm), frames in PLAN.items()}
+    print(name, seed, "done", flush=True)
+    return name, seed, found, drive.poses[:, :3, 3]
+
+
+MEASURES = (("ATE [m]", "ate_m", 3), ("RPE [m]", "rpe_m", 4), ("t_rel [%]", "t_rel", 2), ("r_rel [deg/m]", "r_rel", 3))
+
+
+def spread(values: list[float], digits: int) -> str:
+    """Return the median of seeds, with the lowest and the highest."""
+    there = [value for value in values if np.isfinite(value)]
+    if not there:
+        return "–"
+    low, mid, high = (f"{value:.{digits}f}" for value in (min(there), np.median(there), max(there)))
+    return f"{mid} ({low}–{high})"
+
+
+def scene_table(runs: dict[tuple[str, str], list[Run]]) -> str:
+    """Return the table of a scene."""
+    rows = []
+    for (library, arm), seeds in runs.items():
+        cells = [spread([getattr(one, key) for one in seeds], digits) for _, key, digits in MEASURES]
+        failed = f"{sum(one.is_failed for one in seeds)} of {len(seeds)}"
+        means = (f"{np.mean([getattr(one, key) for one in seeds]):,.0f}" for key in ("ms", "points"))
+        rows.append((f"{library}: {arm}", *cells, failed, *means))
+    return table(("library: points", *(name for name, *_ in MEASURES), "failed", "ms a frame", "points a frame"), rows)
+
+
+def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]]) -> str:
+    """Return the medians of ATE of all scenes, a row an arm, and of what of all runs failed."""
+    rows = []
+    for library, arm in PLAN:
+        seeds = [runs[library, arm] for runs in every.values()]
+        cells = [f"{np.nanmedian([one.ate_m for one in scene]):.3f}" for scene in seeds]
+        flat = [one for scene in seeds for one in scene]
+        rows.append((f"{library}: {arm}", *cells, f"{sum(one.is_failed for one in flat)} of {len(flat)}"))
+    return table(("library: points", *every, "failed"), rows)
+
+
+def drawn(paths: dict[str, F64], picture: Path) -> None:
+    """Draw paths from above."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7, 3), dpi=100)
+    for (name, path_m), style in zip(paths.items(), ("k-", "C3--", "C0-."), strict=False):
+        axes.plot(path_m[:, 0], path_m[:, 1], style, label=name, linewidth=1.5)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.axis("equal")
+    axes.legend()
+    figure.tight_layout()
+    picture.parent.mkdir(exist_ok=True)
+    figure.savefig(picture, metadata={"Software": None})
+
+
+def results(names: list[str], seeds: list[int], n_frames: int, n_jobs: int) -> list[Result]:
+    """Run all scenes with all seeds."""
+    jobs = [(name, seed, n_frames) for name in names for seed in seeds]
+    with ProcessPoolExecutor(n_jobs, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(runs_of, jobs))
+
+
+def page(found: list[Result], n_frames: int, picture: Path) -> str:
+    """Return the page, and draw the paths of the first seed in the last scene."""
+    every: dict[str, dict[tuple[str, str], list[Run]]] = {}
+    for name, _, runs, _ in found:
+        for key, one in runs.items():
+            every.setdefault(name, {}).setdefault(key, []).append(one)
+    seeds = sorted({seed for _, seed, _, _ in found})
+    _, _, runs, path_m = next(one for one in found if one[0] == found[-1][0])
+    shown = {arm: runs["KISS-ICP", arm].path_m for arm in ("all points", "ground, building, pole")}
+    drawn({"true": path_m, **shown}, picture)
+    parts = [
+        "<!-- written by python -m benchmarks.odometry; do not edit -->\n\n# Figures of odometry\n",
+        f"{n_frames} frames, 10 turns a second, {360 / STEP_DEG:.0f} lines a turn; seeds {', '.join(map(str, seeds))}.",
+        "Median of the seeds (lowest–highest). A run fails where a pose is off by more than 2 m and 5 % of the way.",
+        "Times are of one machine shared with other work: compare them within a table alone.\n",
+        "## ATE of all scenes [m]\n", summary_table(every),
+    ]  # fmt: skip
+    for name, runs_of_scene in every.items():
+        parts += [f"## {name[0].upper()}{name[1:]}\n", scene_table(runs_of_scene)]
+    return "\n".join(parts)
+
+
+def main() -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=N_FRAMES, help="of a drive")
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--scenes", nargs="+", default=[""], help="names begin so; all by default")
+    parser.add_argument("--jobs", type=int, default=2, help="drives at a time")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--kitti", type=Path, help="run all arms over a folder of frames, without truth")
+    options = parser.parse_args()
+    if options.kitti:
+        smoke(options.kitti)
+        return
+    names = [name for name in SCENES if name.startswith(tuple(options.scenes))]
+    picture = PICTURE if options.page == PAGE else options.page.with_suffix(".png")
+    found = results(names, list(options.seeds), options.frames, options.jobs)
+    options.page.write_text(page(found, options.frames, picture), encoding="utf-8")
+
+
+def smoke(folder: Path) -> None:
+    """Print how far every library says that frames without truth went."""
+    points, found = read_frames(folder), labelled(folder)
+    drive = Drive(points, found, found, np.tile(np.eye(4), (len(points), 1, 1)))
+    for arm in ("all points", "− noise", "ground, building, pole"):
+        for library in LIBRARIES:
+            end = run(library, ARMS[arm](drive), drive.poses).path_m[-1]
+            print(f"{library}: {arm}: {np.linalg.norm(end):.2f} m from the first frame to the last")
+
+
+if __name__ == "__main__":
+    main()

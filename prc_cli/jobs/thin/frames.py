@@ -1,0 +1,83 @@
+"""Folders of frames, a file for every turn of a spinning scanner, as odometry reads them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
+from prc_cli.core.files import output_errors, remove_stale, suffix_of, temporary_name
+from prc_cli.formats.registry import by_suffix, is_dump
+from prc_cli.formats.writing.record import record_path
+from prc_cli.matching.pairs import files_of, stem_of
+
+Summary = TypeVar("Summary")
+
+
+def frames_of(folder: Path) -> list[Path]:
+    """Return the frames of a folder, in the order of the numbers in their names; all of one kind."""
+    known = by_suffix("streams").keys() & by_suffix("scans").keys()
+    try:
+        found = [path for path in folder.iterdir() if suffix_of(path) in known and not path.name.startswith(".")]
+    except OSError as error:
+        raise InputError(str(folder), f"cannot be read ({error.strerror})", "check its permissions") from error
+    kinds = sorted({suffix_of(path) for path in found})
+    if len(kinds) == 1:
+        return sorted(found, key=lambda path: ([int(number) for number in re.findall(r"\d+", path.name)], path.name))
+    inside = folder / "velodyne"
+    hint = f"give {inside}" if inside.is_dir() else "name a folder that has nothing but frames"
+    raise InputError(str(folder), f"found {', '.join(kinds) or 'no frames'}, expected frames of one kind", hint)
+
+
+def labels_of(folder: Path, frames: list[Path]) -> dict[Path, Path]:
+    """Return the file of class codes of every frame: of its name, with another suffix or with one more."""
+    if not folder.is_dir():
+        problem = "found a file, expected a folder" if folder.exists() else "no such folder"
+        raise InputError(str(folder), f"{problem} with the class codes of every frame", "check the name")
+    by_name: dict[str, Path] = {}
+    for path in files_of([folder]):
+        by_name.setdefault(stem_of(path).removesuffix(".labels"), path)
+    found = {frame: by_name.get(frame.name, by_name.get(frame.name[: -len(suffix_of(frame))])) for frame in frames}
+    if missing := [frame.name for frame, labels in found.items() if labels is None]:
+        shown = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
+        problem = f"no class codes of {len(missing)} of {len(frames)} frames: {shown}"
+        raise InputError(str(folder), problem, "give a file of the name of every frame")
+    return {frame: labels for frame, labels in found.items() if labels is not None}
+
+
+@contextmanager
+def thin_frames(
+    frames: list[Path], output: Path, thin_one: Callable[[Path, Path], Summary], *, every_frame: bool
+) -> Iterator[list[Summary]]:
+    """Thin frames into a folder that gets its name at the end; a dump of no bytes stays one, and gives nothing.
+
+    Frames keep their names, or with ``every_frame`` are numbered from 000000 on.
+    """
+    for path in (output, record_path(output)):
+        if path.exists() or path.is_symlink():
+            raise OutputExistsError(str(path), "exists already", "frames go to a new folder: choose another name")
+    if not output.absolute().parent.is_dir():
+        raise ConfigError(str(output), "the folder above it is not there", "make it first")
+    remove_stale(output)
+    temporary = temporary_name(output)
+    found: list[Summary] = []
+    try:
+        with output_errors(output):
+            temporary.mkdir()
+        for number, frame in enumerate(frames):
+            thinned = temporary / (f"{number:06d}{suffix_of(frame)}" if every_frame else frame.name)
+            if is_dump(frame) and not frame.stat().st_size:
+                thinned.touch()
+                continue
+            found.append(thin_one(frame, thinned))
+            for beside in temporary.glob(f"{thinned.name}.*"):
+                beside.unlink()
+        yield found
+        with output_errors(output):
+            temporary.rename(output)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
