@@ -38,6 +38,32 @@ def is_room(range_m: F32, limits: Limits) -> bool:
     return bool(n_far < ROOM_SHARE * n)
 
 
+CEILED_SHARE = 0.98
+"""So many of the shots up meet a ceiling; the sky, and a street beside a bridge, answer fewer."""
+CEILING_M = 1.5
+"""A ceiling is at most so far above the scanner, where no vehicle goes under a bridge [m] ..."""
+LOWEST_BRIDGE_M = 4.2
+"""... or above the floor: bridges leave more room for lorries [m]."""
+
+
+def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
+    """Return whether the ranges, (lines, M) float32 [m], are those of a place indoors: under a low ceiling.
+
+    >>> plane = ScanPlane.of(np.deg2rad(np.linspace(-179.0, 180.0, 360)))
+    >>> way = np.abs(plane.cosine).clip(0.2)
+    >>> [has_ceiling(np.where(plane.cosine > 0, 1.7, up)[None] / way[None], plane) for up in (1.0, 2.4, 3.5, np.nan)]
+    [True, True, False, False]
+    """
+    seen = range_m[~np.isnan(range_m).all(axis=1)]
+    up, down = plane.cosine < -0.5, plane.cosine > 0.9
+    answered = ~np.isnan(seen[:, up])
+    if not answered.size or answered.mean() < CEILED_SHARE:
+        return False
+    ceiling_m = -float(np.median((seen[:, up] * plane.cosine[up])[answered]))
+    floors = (seen[:, down] * plane.cosine[down])[~np.isnan(seen[:, down])]
+    return ceiling_m <= CEILING_M or (bool(floors.size) and ceiling_m + float(np.median(floors)) <= LOWEST_BRIDGE_M)
+
+
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits) -> F32:
     """Return the mean smoothness around every shot; see :func:`texture_loops.mean_smoothness`."""

@@ -44,6 +44,7 @@ from prc_cli.methods.fused.classes import (
     decide,
     find_cars,
     find_curbs,
+    has_ceiling,
     is_room,
     no_profiles,
     texture_of,
@@ -339,7 +340,7 @@ def _classify(
     wide = window_of(tail, range_m, next_m, ahead)
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
     noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
-    wide, limits = put_in_step(wide, plane, noise_m, limits), of_place(limits, wide)
+    wide, limits = put_in_step(wide, plane, noise_m, limits), of_place(limits, wide, plane)
     strides = _strides(wide, (line, n_lines), plane, noise_m, turn, limits)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, limits)
@@ -539,9 +540,11 @@ def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[S
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
 
 
-def of_place(limits: Limits, wide: F32) -> Limits:
-    """Return the limits for the place of a block, given with the lines around: there are no cars in rooms."""
-    return in_room(limits) if is_room(wide[::ROOM_LINES], limits) else limits
+def of_place(limits: Limits, wide: F32, plane: ScanPlane) -> Limits:
+    """Return the limits for the place of a block, given with the lines around: no cars in rooms, no curbs indoors."""
+    some = wide[::ROOM_LINES]
+    limits = in_room(limits) if is_room(some, limits) else limits
+    return limits._replace(curbs=None) if has_ceiling(some, plane) else limits
 
 
 def _measure(wide: F32, line: int, plane: ScanPlane, known: NoiseAlong, params: SensorParams) -> tuple[F64, NoiseAlong]:

@@ -1,0 +1,75 @@
+"""Curbs: none under the ceiling of a building, all of them under a bridge and between high houses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.config import load_config
+from prc_cli.core.classes import Label
+from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.jobs.classify import classify, classify_ranges
+from prc_cli.simulation.settings import load_settings, open_simulation
+
+LINES = 512
+
+
+@pytest.fixture(scope="module")
+def street() -> tuple[np.ndarray, np.ndarray]:
+    """Ranges of a street and the angles of the beams."""
+    options = {"lines": LINES, "seed": 3, "trajectory": {"stop_every_m": 0.0}}
+    scan = open_simulation("street", load_settings("street", options=options)).scan
+    return np.concatenate([block.range_m for block in scan.blocks()]), scan.scanner.angle_rad()
+
+
+def roofed(street: tuple[np.ndarray, np.ndarray], height_m: float, lines: slice = slice(None)) -> np.ndarray:
+    """The street with a level roof so far above the scanner, over some of its lines."""
+    ranges, beam = street[0].copy(), street[1]
+    up = np.cos(beam) < -0.2
+    roof = np.float32(height_m) / np.abs(np.cos(beam[up])).astype(np.float32)
+    found = ranges[lines]
+    found[:, up] = np.where(found[:, up] < roof, found[:, up], roof)
+    return ranges
+
+
+def curbs(ranges: np.ndarray, beam: np.ndarray) -> np.ndarray:
+    """Number of shots on curbs of every line."""
+    given = load_config(preset="fused", options={"input": {"accept_doubts": CHECK_NAMES}})
+    labels = classify_ranges(ranges, given, beam_rad=beam).labels
+    return (labels == Label.CURB).sum(axis=1)
+
+
+def test_a_street_has_curbs_under_a_bridge_and_none_under_a_ceiling(street: tuple[np.ndarray, np.ndarray]) -> None:
+    open_air = curbs(*street)
+    assert open_air.sum() > 500
+    # 2.6 m of the scanner and 2.4 m to the bridge
+    bridge = curbs(roofed(street, 2.4), street[1])
+    assert np.abs(bridge - open_air).sum() < 0.2 * open_air.sum()
+    assert curbs(roofed(street, 1.2), street[1]).sum() == 0
+
+
+def test_a_low_roof_over_a_few_lines_is_no_building(street: tuple[np.ndarray, np.ndarray]) -> None:
+    low = curbs(roofed(street, 1.2, slice(200, 260)), street[1])
+    assert low.sum() > 0.8 * curbs(*street).sum()
+
+
+def test_an_alley_between_high_houses_keeps_its_curbs(street: tuple[np.ndarray, np.ndarray]) -> None:
+    ranges, beam = street[0].copy(), street[1]
+    # walls of 40 m beside the road, the sky above
+    with np.errstate(divide="ignore"):
+        wall = np.float32(6.5) / np.abs(np.sin(beam)).astype(np.float32)
+    is_wall = (np.cos(beam) < 0.3) & (-wall * np.cos(beam) < 40.0)
+    ranges[:, is_wall] = np.where(ranges[:, is_wall] < wall[is_wall], ranges[:, is_wall], wall[is_wall])
+    found = curbs(ranges, beam)
+    assert found.sum() > 0.5 * curbs(*street).sum()
+
+
+@pytest.mark.data
+def test_a_backpack_in_a_museum_sees_no_curbs(real_data: Path, tmp_path: Path) -> None:
+    bag = real_data / "cartographer" / "b0_short.bag"
+    given = load_config(options={"input": {"topic": "vertical_laser_2d"}})
+    found = classify(bag, tmp_path / "labels.npy", given)
+    assert found.counts.labels[Label.CURB] == 0
+    assert found.counts.labels[Label.GROUND] > 100_000
