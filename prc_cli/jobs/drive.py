@@ -5,10 +5,10 @@ A gap of time, other dimensions or another M between two files is said, and a st
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -19,14 +19,13 @@ from prc_cli.core.findings import accept, notices, refuse
 from prc_cli.core.process import return_memory
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ReadTally
 from prc_cli.core.types import I64
-from prc_cli.formats import check_input
+from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.joined import JoinedSource, find_break, open_joined
-from prc_cli.formats.registry import is_cloud, keeps_points
+from prc_cli.formats.registry import by_suffix, is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import fingerprint, record_path
-from prc_cli.jobs.batch.discovery import SAME, drive_note, output_name
 from prc_cli.jobs.classify import (
     Counts,
     Progress,
@@ -41,6 +40,12 @@ from prc_cli.jobs.classify import (
 from prc_cli.kernels import Engine, use_engine
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched
+
+SAME = "same"
+FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(by_suffix("labels"))))
+"""Output formats: ``same`` writes LAS for LAS, LAZ for LAZ, and a label file for every other format."""
+LABELS = ".labels"
+"""Put between the name of an input and the suffix of its label file."""
 
 
 def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
@@ -219,3 +224,43 @@ def _within(records: I64, start: int, stop: int) -> I64:
 def replace_records(extra: ExtraReturns, records: I64) -> ExtraReturns:
     """Return further returns with other numbers of records."""
     return ExtraReturns(extra.line, extra.column, extra.range_m, records)
+
+
+def output_name(name: str, to: str) -> str:
+    """Return the name of an output in its tree.
+
+    It contains the whole name of the input, so that ``a.las``, ``a.laz`` and ``a.csv`` have different outputs. A LAS or
+    LAZ output of an input of the same format keeps its name, so that the output tree can replace the input tree.
+
+    >>> [output_name(name, "same") for name in ("night/a.laz", "a.csv.gz")]
+    ['night/a.laz', 'a.csv.gz.labels.npy']
+    >>> [output_name(name, "laz") for name in ("a.laz", "a.las", "a.bin")]
+    ['a.laz', 'a.las.laz', 'a.bin.laz']
+    """
+    if to not in FORMATS:
+        raise ConfigError("--to", f"found {to!r}, expected one of: {', '.join(FORMATS)}")
+    suffix = PurePosixPath(name).suffix.lower()
+    if to == SAME:
+        return name if suffix in LAS_SUFFIXES else f"{name}{LABELS}.npy"
+    if f".{to}" in LAS_SUFFIXES:
+        return name if suffix == f".{to}" else f"{name}.{to}"
+    return f"{name}{LABELS}.{to}"
+
+
+_DRIVE = "one drive of "
+
+
+def drive_note(names: Sequence[str]) -> str:
+    """Return what the run record of every file of a drive says of it."""
+    return f"{_DRIVE}{len(names)} files, {names[0]} to {names[-1]}"
+
+
+def is_of_drive(notices: Iterable[str], names: Sequence[str]) -> bool:
+    """Tell whether a run record says that its file was classified as a part of this drive; by itself without names.
+
+    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], ["a_1.laz", "a_2.laz"])
+    True
+    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], [])
+    False
+    """
+    return [told for told in notices if told.startswith(_DRIVE)] == ([drive_note(names)] if names else [])

@@ -24,12 +24,8 @@ from prc_cli.core.files import suffix_of
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.registry import by_suffix
 from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, LeftOut
+from prc_cli.jobs.drive import LABELS, output_name
 
-SAME = "same"
-FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(by_suffix("labels"))))
-"""Output formats: ``same`` writes LAS for LAS, LAZ for LAZ, and a label file for every other format."""
-LABELS = ".labels"
-"""Put between the name of an input and the suffix of its label file."""
 PATIENCE_S = 60.0
 """Time limit for one answer of the file system [s]."""
 _UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
@@ -335,46 +331,6 @@ def _nanoseconds(time: datetime) -> int:
 
 
 # -- outputs ----------------------------------------------------------------------------------------------------------
-
-
-def output_name(name: str, to: str) -> str:
-    """Return the name of an output in its tree.
-
-    It contains the whole name of the input, so that ``a.las``, ``a.laz`` and ``a.csv`` have different outputs. A LAS or
-    LAZ output of an input of the same format keeps its name, so that the output tree can replace the input tree.
-
-    >>> [output_name(name, "same") for name in ("night/a.laz", "a.csv.gz")]
-    ['night/a.laz', 'a.csv.gz.labels.npy']
-    >>> [output_name(name, "laz") for name in ("a.laz", "a.las", "a.bin")]
-    ['a.laz', 'a.las.laz', 'a.bin.laz']
-    """
-    if to not in FORMATS:
-        raise ConfigError("--to", f"found {to!r}, expected one of: {', '.join(FORMATS)}")
-    suffix = PurePosixPath(name).suffix.lower()
-    if to == SAME:
-        return name if suffix in LAS_SUFFIXES else f"{name}{LABELS}.npy"
-    if f".{to}" in LAS_SUFFIXES:
-        return name if suffix == f".{to}" else f"{name}.{to}"
-    return f"{name}{LABELS}.{to}"
-
-
-_DRIVE = "one drive of "
-
-
-def drive_note(names: Sequence[str]) -> str:
-    """Return what the run record of every file of a drive says of it."""
-    return f"{_DRIVE}{len(names)} files, {names[0]} to {names[-1]}"
-
-
-def is_of_drive(notices: Iterable[str], names: Sequence[str]) -> bool:
-    """Tell whether a run record says that its file was classified as a part of this drive; by itself without names.
-
-    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], ["a_1.laz", "a_2.laz"])
-    True
-    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], [])
-    False
-    """
-    return [told for told in notices if told.startswith(_DRIVE)] == ([drive_note(names)] if names else [])
 
 
 def collisions(names: Iterable[str]) -> frozenset[str]:

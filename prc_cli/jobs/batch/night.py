@@ -17,9 +17,9 @@ from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import scores
 from prc_cli.formats.writing.record import LARGEST_RECORD, record_path
-from prc_cli.jobs.batch.discovery import output_name
 from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary
 from prc_cli.jobs.batch.types import OWN_FOLDER, Compared, own_name
+from prc_cli.jobs.drive import output_name
 from prc_cli.jobs.evaluate.pictures import class_pictures
 
 MOST_NIGHTS = 60

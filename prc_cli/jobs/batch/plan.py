@@ -20,7 +20,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcE
 from prc_cli.core.files import is_same, parts_of, read_small, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.formats.writing.record import LARGEST_RECORD, RunRecord, fingerprint, record_path
-from prc_cli.jobs.batch.discovery import Found, Patterns, collisions, is_of_drive, output_name
+from prc_cli.jobs.batch.discovery import Found, Patterns, collisions
 from prc_cli.jobs.batch.types import (
     BatchSettings,
     ConfigLayers,
@@ -34,6 +34,7 @@ from prc_cli.jobs.batch.types import (
     doubts_of,
 )
 from prc_cli.jobs.choice import possible_configs
+from prc_cli.jobs.drive import is_of_drive, output_name
 from prc_cli.streams.evidence.watch import accepted_by
 
 Reason: TypeAlias = Literal[

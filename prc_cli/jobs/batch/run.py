@@ -14,7 +14,7 @@ from typing import TypeAlias
 from prc_cli.core.errors import BusyError, PrcError
 from prc_cli.core.files import make_folder, output_errors
 from prc_cli.core.threads import close_items
-from prc_cli.jobs.batch.discovery import check, discover, output_name
+from prc_cli.jobs.batch.discovery import check, discover
 from prc_cli.jobs.batch.journal import Journal, read_entries
 from prc_cli.jobs.batch.local import LocalEngine, share_cores
 from prc_cli.jobs.batch.lock import Lock
@@ -46,6 +46,7 @@ from prc_cli.jobs.batch.types import (
     doubts_of,
 )
 from prc_cli.jobs.batch.worker import may_pass
+from prc_cli.jobs.drive import output_name
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""

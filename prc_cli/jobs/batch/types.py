@@ -373,7 +373,7 @@ class BatchSettings:
     only_failed: bool = False
     shard: Shard | None = None
     to: str = "same"
-    """Output format, see :data:`prc_cli.jobs.batch.discovery.FORMATS`."""
+    """Output format, see :data:`prc_cli.jobs.drive.FORMATS`."""
     jobs: int | None = None
     threads: int | None = None
     retry: int = 0
