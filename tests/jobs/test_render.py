@@ -138,6 +138,7 @@ def test_labels_of_another_length(urban: LoadedConfig, tmp_path: Path, n: int, s
     assert not (tmp_path / "a.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["top", "perspective"])
 @pytest.mark.parametrize("colour", [None, "class", "height", "range"])
 def test_clouds_of_static_scans(static: tuple[Path, Path], tmp_path: Path, view: str, colour: str | None) -> None:
