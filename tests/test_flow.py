@@ -39,6 +39,7 @@ def no_thread_left() -> Iterator[None]:
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith(OURS)]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_thread_left")
 @pytest.mark.parametrize("suffix", [".npy", ".csv", ".parquet", ".las", ".laz"])
 @pytest.mark.parametrize("kind", [".bin", ".csv", ".npz"])
@@ -115,6 +116,7 @@ def test_an_input_that_vanishes_from_the_fingerprint_is_refused(
     assert os.listdir(tmp_path / "out") == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="limits of files")
 @pytest.mark.parametrize("suffix", [".npy", ".laz"])
 def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suffix: str) -> None:

@@ -30,6 +30,7 @@ def test_compiled_loops_know_the_compiler_by_kernels_alone() -> None:
             assert "from numba" not in text, path
 
 
+@pytest.mark.slow
 def test_no_function_is_too_wide_or_too_deep() -> None:
     """At most 12 parameters, ``*args`` and ``**options`` not counted; at most 5 compound statements in each other."""
     functions = [

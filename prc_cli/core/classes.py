@@ -176,7 +176,7 @@ LABEL_COLOURS: dict[Label, tuple[int, int, int]] = {
 """Colour of every label in pictures, charts, reports and the viewer [sRGB].
 
 The hues of QGIS and most programs for LAS files (ground brown, vegetation green, buildings red), shifted in lightness
-until the classes of a method differ for colour-blind readers too (``tests/core/test_palette.py``)."""
+until the classes of a method differ for colour-blind readers too (``tests/core/test_classes.py``)."""
 
 FIRST_USER_CODE = 64
 """LAS 1.4 table 17: codes from here on are defined by their users."""

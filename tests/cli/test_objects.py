@@ -38,6 +38,7 @@ def rows(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(text.splitlines()))
 
 
+@pytest.mark.slow
 def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
     result = prc("objects", forest / "walk.laz", "--preset", "fused-forest", "-o", forest / "o.csv", "--overwrite")
     assert result.code == 0, result.err

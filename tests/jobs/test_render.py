@@ -15,7 +15,7 @@ from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
-from prc_cli.jobs.render.colours import LABEL_TABLE, Vocabulary
+from prc_cli.jobs.render.colours import LABEL_TABLE, RecordClasses, Vocabulary
 from prc_cli.jobs.render.scan import draw_scan
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
@@ -138,6 +138,7 @@ def test_labels_of_another_length(urban: LoadedConfig, tmp_path: Path, n: int, s
     assert not (tmp_path / "a.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["top", "perspective"])
 @pytest.mark.parametrize("colour", [None, "class", "height", "range"])
 def test_clouds_of_static_scans(static: tuple[Path, Path], tmp_path: Path, view: str, colour: str | None) -> None:
@@ -160,3 +161,10 @@ def test_eight_codes_without_a_class_are_named(n: int, end: str) -> None:
     ) as said:
         words.turn(codes, "predicted")
     assert said.value.problem.endswith(end)
+
+
+def test_cells_without_a_record_have_no_class() -> None:
+    classes = RecordClasses("labels.npy", np.array([3, 4, 5], np.uint8))
+    assert classes.look_up(np.array([[0, -1], [2, 1]])).tolist() == [[3, 0], [5, 4]]
+    with pytest.raises(InputError, match="found 3 labels, but the input has record 3"):
+        classes.look_up(np.array([3]))

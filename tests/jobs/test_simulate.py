@@ -72,6 +72,7 @@ def test_neither_blocks_nor_threads_change_anything(drive: tuple[ScanBlock, Any]
         next(scan.blocks(0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".laz", ".csv", ".e57"])
 def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suffix: str) -> None:
     out, labels = tmp_path / f"a{suffix}", tmp_path / "labels.npy"
@@ -92,6 +93,7 @@ def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suf
         assert same(np.concatenate(list(open_codes(out).chunks())), codes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", REGISTERED)
 def test_ranges_from_the_trajectory_are_those_of_the_scanner(
     drive: tuple[ScanBlock, Any], tmp_path: Path, suffix: str
@@ -119,6 +121,7 @@ def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv", ".e57"])
 def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"station{suffix}"
@@ -136,6 +139,7 @@ def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffi
     assert horizontal[road].mean() > 0.8
 
 
+@pytest.mark.slow
 def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> None:
     settings = small("forest", sight_m=20.0)
     simulate("forest", tmp_path / "a.npz", settings, beside=Beside(stems=tmp_path / "stems.csv"))
@@ -153,6 +157,7 @@ def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> 
     assert 100 < len(rows) == len(set(rows))
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
     def peak(lines: int) -> int:
         settings = small("street", lines=lines, trajectory={"stop_every_m": 0.0, "speed_m_s": 1.0})

@@ -58,6 +58,7 @@ def expected(drive: Path, tmp_path: Path) -> Any:
 QUARTER = parse_rules(["ground=1/4"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".csv.gz", ".npz", ".npy", ".bin"])
 @pytest.mark.parametrize("source", [".npz", ".laz"])
 def test_what_is_dropped_is_missing(drive: Path, labelled: Path, tmp_path: Path, suffix: str, source: str) -> None:
@@ -190,6 +191,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(drive: Path, labelled: Path, t
     assert list(out.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".laz", ".csv"])
 def test_a_thinned_file_is_doubted_where_it_is_classified(labelled: Path, tmp_path: Path, suffix: str) -> None:
     """By the run record in the file or beside it, also of what was made of it."""

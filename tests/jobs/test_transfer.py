@@ -303,6 +303,7 @@ def test_times_overlap_where_they_touch_within_the_tolerance(times: tuple[float,
 # --- a real street
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_oakland_as_raw_text_and_as_shuffled_tiles(real_data: Path, tmp_path: Path, suffix: str) -> None:

@@ -82,6 +82,7 @@ def test_3_calibrate_never_makes_the_labels_worse(prc: Shell) -> None:
         assert calibrated[name] >= plain[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["laz", "ply", "pcd"])
 def test_4_another_program_finds_a_cloud_with_class_names(prc: Shell, suffix: str) -> None:
     prc(f"prc classify drive.npz cloud.{suffix} -q")

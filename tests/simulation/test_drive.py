@@ -99,6 +99,7 @@ KNOWN_STATIC = {
 KNOWN_DRIVE = (KNOWN_STATIC - {Label.HORIZONTAL, Label.VERTICAL}) | {Label.BUILDING, Label.POLE}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["drive", "static"])
 def test_what_every_scan_keeps(kind: str) -> None:
     is_drive = kind == "drive"
@@ -132,6 +133,7 @@ def scored(labels: U8, reference: U8, name: str) -> dict[str, ClassScores]:
     return {item.name: item for item in scores(matrix).classes}
 
 
+@pytest.mark.slow
 def test_classes_of_the_paper() -> None:
     scans = [classified(seed) for seed in (2, 21)]
     labels, reference = (np.concatenate([scan[i] for scan in scans]) for i in (0, 1))
@@ -143,6 +145,7 @@ def test_classes_of_the_paper() -> None:
         assert found[name].precision > precision, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines", [1, 7, 1000])
 def test_blocks_change_no_label(lines: int) -> None:
     whole, cut = classified(5, azimuth_step=1.0), classified(5, lines, azimuth_step=1.0)

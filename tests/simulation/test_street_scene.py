@@ -42,6 +42,7 @@ def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
     assert not np.array_equal(a.numbers, other.numbers)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("character", CHARACTERS)
 def test_the_count_of_bodies_stays_moderate(character: str) -> None:
     scene = StreetScene(StreetSceneParams(character=character), seed=8)  # type: ignore[arg-type]

@@ -42,6 +42,7 @@ def beams_of(source: ScanStream, config: InputConfig = AUTO) -> F64:
     return found[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_beams_do_not_depend_on_how_the_stream_is_cut(name: str) -> None:
     true = GEOMETRIES[name]
@@ -212,6 +213,7 @@ def hostile(rng: np.random.Generator) -> ScanBlock:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_any_lines_have_proper_beams_or_are_refused_in_one_line() -> None:
     rng = np.random.default_rng(8)

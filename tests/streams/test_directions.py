@@ -187,6 +187,7 @@ def room(step_deg: float, m: int, n_lines: int = 60, noise_m: float = 0.0, seed:
     return np.array(lines, np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step_deg", "m", "noise_m", "usual"),
     [
@@ -221,6 +222,7 @@ def test_bent_surfaces_do_not_move_the_step() -> None:
     assert math.degrees(found.step_rad) == pytest.approx(0.0714, rel=0.001)
 
 
+@pytest.mark.slow
 def test_real_push_brooms(real_data: Path) -> None:
     """Half a degree, on real roads, which have a crown."""
     assert real_data.is_dir()

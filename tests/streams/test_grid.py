@@ -230,6 +230,7 @@ class UncountedSource(MemorySource):
         return MemorySource(self.values, self.chunk_records).chunks(names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk_records", [1, 7, 1000])
 @pytest.mark.parametrize("kind", [MemorySource, UncountedSource])
 def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: type[MemorySource]) -> None:
@@ -254,6 +255,7 @@ def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: t
 SEVERAL = "scanner_channel"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk_records", [1, 7, 1000])
 @pytest.mark.parametrize("rule", [rule for rule in RULES if rule not in ("sensor xyz", "line and time")])
 def test_scanners_are_split(rule: str, chunk_records: int) -> None:

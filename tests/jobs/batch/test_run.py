@@ -286,6 +286,7 @@ def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
         assert ([item.name for item in summary.done], summary.exit_code) == (done, 0 if config is accepting else 4)
 
 
+@pytest.mark.slow
 def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: Path) -> None:
     archive = tmp_path / "in"
     archive.mkdir()

@@ -194,6 +194,7 @@ def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
     assert np.trace(found.matrix.counts[:3]) == 3
 
 
+@pytest.mark.slow
 def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_left_out(
     drive: Drive, folder: Path
 ) -> None:
@@ -271,6 +272,7 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
     assert act("time").match.n_matched == act("nearest", here, here).match.n_matched > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "expected"),
     [

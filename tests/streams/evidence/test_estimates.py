@@ -43,6 +43,7 @@ def test_period_of_a_street(m: int, n_lines: int) -> None:
     assert estimate.n_shots_used == m * n_lines
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("number", "m"), [(1, 229), (2, 226), (3, 240)])
 def test_oakland(real_data: Path, number: int, m: int) -> None:
