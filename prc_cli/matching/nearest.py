@@ -240,7 +240,7 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
         ours = left.read(tuple(box))
         if not len(ours["x"]):
             continue
-        theirs, distance, found, tree = nearest_of(_sample(ours, random), right, tuple(box), _FARTHEST_M)
+        theirs, distance, found, tree = nearest_of(sample_of(ours, random), right, tuple(box), _FARTHEST_M)
         if tree is not None and len(theirs["x"]) > _NEIGHBOURS:
             near = np.unique(found[np.isfinite(distance)])
             apart = np.full((len(theirs["x"]), 2), np.inf)
@@ -269,61 +269,10 @@ def _tolerance(apart: F64, spread: float, step: float) -> float:
     return float(f"{min(_MARGIN * tolerance, most):.2g}")
 
 
-SHIFT_VOXEL_M = 0.25
-_SHIFT_VOXELS = (192, 192, 96)
-_MOST_SHIFT_M = 12.0
-_CLEARER = 1.15
-"""Share of occupied voxels that fall on each other after a shift, over that before it, from which it is believed."""
-
-
-def shift_of(left: Cloud, right: Cloud) -> F64 | None:
-    """Return what the right cloud is shifted by against the left one (3,) [m]; None = not by more than a voxel.
-
-    The occupied voxels of the fullest tile of both are laid on each other at every shift (by Fourier transform).
-    """
-    from scipy import fft
-
-    boxes = tiles_of(left, right)
-    cells, n = left.counts()
-    if not boxes or not right.n:
-        return None
-    column, row = (place[int(np.argmax(n))] * CELL_M for place in cell_places(cells))
-    middle = np.array([column, row]) + CELL_M / 2
-    half = np.array(_SHIFT_VOXELS) * SHIFT_VOXEL_M / 2
-    box = (*(middle - half[:2]).tolist(), *(middle + half[:2]).tolist())
-    both = [cloud.read(box) for cloud in (left, right)]
-    if any(len(columns["z"]) < _SAMPLED_RECORDS // _NEIGHBOURS for columns in both):
-        return None
-    corner = np.append(middle, np.median(both[0]["z"])) - half
-    grids = []
-    for columns in both:
-        place = np.floor((xyz_of(columns) - corner) / SHIFT_VOXEL_M).astype(np.int64)
-        place = place[((place >= 0) & (place < _SHIFT_VOXELS)).all(axis=1)]
-        grid = np.zeros(_SHIFT_VOXELS, np.float32)
-        grid[tuple(place.T)] = 1.0
-        grids.append(fft.rfftn(grid))
-    score = fft.irfftn(np.conj(grids[0]) * grids[1], _SHIFT_VOXELS)
-    reach = int(_MOST_SHIFT_M / SHIFT_VOXEL_M)
-    for axis, size in enumerate(_SHIFT_VOXELS):
-        index = [slice(None)] * 3
-        index[axis] = slice(reach + 1, size - reach)
-        score[tuple(index)] = 0.0
-    peak = np.unravel_index(int(np.argmax(score)), score.shape)
-    steps = [at - size if at > size // 2 else at for at, size in zip(peak, _SHIFT_VOXELS, strict=True)]
-    if score[peak] < _CLEARER * score[0, 0, 0] or max(map(abs, steps)) < 2:
-        return None
-    # between the voxels: the parabola through the peak and its neighbours
-    exact = []
-    for axis, step in enumerate(steps):
-        around = [score[tuple(np.add(peak, np.eye(3, dtype=int)[axis] * k) % _SHIFT_VOXELS)] for k in (-1, 0, 1)]
-        bend = around[0] - 2 * around[1] + around[2]
-        exact.append((step + (0.5 * (around[0] - around[2]) / bend if bend else 0.0)) * SHIFT_VOXEL_M)
-    return np.array(exact)
-
-
-def _sample(columns: Columns, random: np.random.Generator) -> Columns:
+def sample_of(columns: Columns, random: np.random.Generator, most: int = _SAMPLED_RECORDS) -> Columns:
+    """Return coordinates of some of the points, in their order."""
     n = len(columns["x"])
-    chosen = np.sort(random.choice(n, _SAMPLED_RECORDS)) if n > _SAMPLED_RECORDS else np.arange(n)
+    chosen = np.sort(random.choice(n, most)) if n > most else np.arange(n)
     return {axis: columns[axis][chosen] for axis in AXES}
 
 
@@ -332,7 +281,8 @@ def xyz_of(columns: Columns) -> F64:
     return np.stack([columns[axis] for axis in AXES], axis=1)
 
 
-def _tree_of(xyz: F64) -> Any:
+def tree_of(xyz: F64) -> Any:
+    """Return a tree of points (n, 3)."""
     from scipy.spatial import cKDTree
 
     return cKDTree(xyz, **_TREE)
@@ -348,6 +298,8 @@ class Nearest:
     right: Columns
     to: I64
     """(n,) index in ``right``; -1 = none within the tolerance."""
+    distance: F64
+    """(n,) distance to the nearest right point, infinite beyond the reach [m]."""
     sparse: Mask
     """(n,) points without partner that the right cloud may have lost: they are no farther from it than its points
     there are from each other."""
@@ -362,7 +314,7 @@ def nearest_join(
     """
     reach = max(tolerance, reach or 0.0)
 
-    def join(box: Box) -> tuple[Nearest, F64, int]:
+    def join(box: Box) -> tuple[Nearest, int]:
         # right points of the tile can be partners of left points just outside
         ours = left.read(box, tolerance)
         core = _inside(ours, box)
@@ -377,13 +329,13 @@ def nearest_join(
         if len(lone):
             around = tree.query(tree.data[found[lone]], k=_NEIGHBOURS + 1)[0][:, -1]
             sparse[lone] = distance[lone] <= around
-        return Nearest(box, ours, theirs, to, sparse), distance, n_used
+        return Nearest(box, ours, theirs, to, distance, sparse), n_used
 
-    for item, distance, n_used in ordered(join, tiles_of(left, right), threads=default_threads()):
+    for item, n_used in ordered(join, tiles_of(left, right), threads=default_threads()):
         tally.n_right += n_used
         tally.n_left += len(item.to)
         tally.n_pairs += int(np.count_nonzero(item.to >= 0))
-        tally.add_distances(distance, item.to >= 0)
+        tally.add_distances(item.distance, item.to >= 0)
         if len(item.to):
             yield item
 
@@ -401,7 +353,7 @@ def nearest_of(
         return theirs, np.full(n, np.inf), np.zeros(n, np.int64), None
     # coordinates of a projection are millions of metres: the tree works beside the origin
     origin = np.array([theirs[axis][0] for axis in AXES])
-    tree = _tree_of(xyz_of(theirs) - origin)
+    tree = tree_of(xyz_of(theirs) - origin)
     timed = TIME in ours and TIME in theirs
     k = min(_TIES, len(theirs["x"])) if timed else 1
     limit = float(np.nextafter(bound, math.inf))  # it is exclusive

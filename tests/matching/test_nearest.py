@@ -10,7 +10,8 @@ import pytest
 
 from prc_cli.core.types import F64
 from prc_cli.matching.join import Columns, JoinTally
-from prc_cli.matching.nearest import Cloud, fit_of, nearest_join, shift_of, tiles_of
+from prc_cli.matching.nearest import Cloud, fit_of, nearest_join, tiles_of
+from prc_cli.matching.shift import shift_of
 
 
 def cloud(xyz: F64, seconds: F64 | None = None, step: int = 37) -> Cloud:

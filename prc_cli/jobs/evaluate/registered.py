@@ -20,12 +20,17 @@ from prc_cli.jobs.evaluate.cuts import Area, Cover, Ground, Trees
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.join import CODE, Columns, JoinTally, columns_of
 from prc_cli.matching.keys import AXES
-from prc_cli.matching.nearest import Cloud, Nearest, fit_of, nearest_join, nearest_of, shift_of
+from prc_cli.matching.nearest import Cloud, Nearest, fit_of, nearest_join, nearest_of
+from prc_cli.matching.shift import shift_of
 from prc_cli.matching.sides import FILE, SECONDS, UNKNOWN, Side
 
 GROUND, STEM = "ground", "stem"
 REACHES = 8.0
 """Shots without partner are compared with the spacing of the reference up to this many tolerances."""
+CLEAR = 1.5
+"""From this many tolerances on, shots without partner are noise: no thinning reaches so far. Nearer, noise is taken to
+be as dense as in the next tolerance, down to the tolerance, and to thin out evenly from there to the surface: in all as
+many shots as that next tolerance holds."""
 _OVERLAP_M = 0.5
 """Tiles that overlap by less are cut at one edge and rounded."""
 _DEGREES_SPAN = 0.1
@@ -48,8 +53,10 @@ class Registered:
         self._bounds: dict[int, tuple[F64, F64]] = {}
         self.tolerance = options.tolerance or 0.0
         self.n_cut = self.n_beside = self._n_left_out = 0
-        self._is_thinned = False
-        self._noise = dict.fromkeys(("reference", "predicted", "agreed", "sparse", "sparse_agreed"), 0)
+        self._is_thinned = self._is_narrow = False
+        self._noise = dict.fromkeys(
+            ("reference", "predicted", "agreed", "sparse", "sparse_agreed", "estimated", "estimated_agreed"), 0
+        )
         names = self._mapping.names("reference")
         asked = ((options.unmatched == NOISE, NOISE, "--unmatched noise"), (self._heights, GROUND, "heights"),
                  (self._trees is not None, STEM, "--trees"))  # fmt: skip
@@ -133,6 +140,7 @@ class Registered:
             )
         elif self._options.tolerance is None:
             self.tolerance = 1.0
+        self._is_narrow = fit is None or self.tolerance < fit.tolerance_m
         shift = shift_of(ours, theirs)
         if shift is not None:
             axes = ", ".join(f"{axis} {value:+.2f}" for axis, value in zip(AXES, shift, strict=True))
@@ -167,7 +175,7 @@ class Registered:
             chosen = partner | (covered & ~(item.sparse & self._is_thinned))
             self._n_left_out += int(np.count_nonzero(covered & ~chosen))
         one = {name: values[chosen] for name, values in item.left.items()}
-        to, sparse = item.to[chosen], item.sparse[chosen]
+        to, sparse, apart = item.to[chosen], item.sparse[chosen], item.distance[chosen]
         codes, paired = np.zeros(len(to), np.int64), to >= 0
         codes[paired] = item.right[CODE][to[paired]]
         rows = np.full(len(to), UNKNOWN)
@@ -187,8 +195,9 @@ class Registered:
                     f"{{n}} predicted shots are not from {low:g} to {high:g} m above ground: not scored",
                     int(np.count_nonzero(~kept)),
                 )
-                one, to, sparse, rows = {n: v[kept] for n, v in one.items()}, to[kept], sparse[kept], rows[kept]
-        self._count_noise(one, rows, to, sparse)
+                one, to, rows = {n: v[kept] for n, v in one.items()}, to[kept], rows[kept]
+                sparse, apart = sparse[kept], apart[kept]
+        self._count_noise(one, rows, sparse & (to < 0), np.where(to < 0, apart, 0.0))
         yield Compared(one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third))
 
     def _is_covered(self, columns: Columns, asked: Mask) -> Mask:
@@ -198,17 +207,21 @@ class Registered:
         covered[asked] = held | (self._area is not None)
         return covered
 
-    def _count_noise(self, one: Columns, rows: I64, to: I64, sparse: Mask) -> None:
+    def _count_noise(self, one: Columns, rows: I64, sparse: Mask, apart: F64) -> None:
+        """Count what is noise in the reference and what is called so; ``apart`` is 0 for shots with a partner."""
         if self._options.unmatched != NOISE:
             return
         names = self._mapping.names("predicted")
         column = self._mapping.class_indices(one[CODE], "predicted")
         said = column == (names.index(NOISE) if NOISE in names else len(names))
         noise = (rows == self._mapping.names("reference").index(NOISE)) & (column >= 0)
-        sparse = sparse & noise & (to < 0)
+        clear = noise & (apart > CLEAR * self.tolerance)
+        n = np.where(clear, 1 + (apart <= (CLEAR + 1) * self.tolerance), 0)
         for name, mask in (("reference", noise), ("predicted", said & (rows >= 0)), ("agreed", noise & said),
-                           ("sparse", sparse), ("sparse_agreed", sparse & said)):  # fmt: skip
+                           ("sparse", sparse & noise), ("sparse_agreed", sparse & noise & said)):  # fmt: skip
             self._noise[name] += int(np.count_nonzero(mask))
+        self._noise["estimated"] += int(n.sum())
+        self._noise["estimated_agreed"] += int(n[said].sum())
 
     def _thirds(self, one: Columns, item: Nearest, third: Cloud | None) -> I64 | None:
         if third is None:
@@ -262,6 +275,14 @@ class Registered:
             "{n} of these lie no farther from the reference than its points there from each other, so that thinning "
             f"may have taken their partner: noise {' and '.join(spans)}",
             found["sparse"],
+        )
+        if self._is_narrow:
+            return
+        recall = found["estimated_agreed"] / max(found["estimated"], 1)
+        precision = min(found["estimated_agreed"] / max(found["predicted"], 1), 1.0)
+        self._counts.note(
+            f"noise close to the reference estimated from that beyond {CLEAR * self.tolerance:.2g} m: noise recall "
+            f"{recall:.3f}, precision {precision:.3f}"
         )
 
 

@@ -36,7 +36,8 @@ from prc_cli.jobs.transfer.sides import TransferSides, check_paths, open_sides
 from prc_cli.jobs.transfer.verdict import TransferCounts, counts_of, notices_of, refuse_poor_match
 from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Joined, JoinTally, columns_of, merge_join
 from prc_cli.matching.keys import AXES, SPARE_LABELS, NearestLabel
-from prc_cli.matching.nearest import Cloud, fit_of, nearest_join, shift_of
+from prc_cli.matching.nearest import Cloud, fit_of, nearest_join
+from prc_cli.matching.shift import shift_of
 from prc_cli.matching.sides import CONFIDENCE
 
 

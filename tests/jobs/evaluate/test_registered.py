@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,11 @@ def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
         item = next(item for item in as_dict(found)["classes"].items() if item[0] == "noise")[1]
         assert (item["recall"], item["precision"]) == pytest.approx(true, abs=0.02)
         assert noted(found, "have no partner within 0.5 m: noise in the reference")
+    text = noted(run(folder, unmatched="noise"), "noise close to the reference")
+    estimate = re.search(r"noise recall ([.\d]+), precision ([.\d]+)$", text)
+    assert estimate is not None
+    assert not noted(run(folder, unmatched="noise", tolerance=0.02), "noise close to the reference")
+    assert [float(number) for number in estimate.groups()] == pytest.approx(true, abs=0.02)
     left = run(folder, tolerance=0.5)
     assert as_dict(left)["classes"]["noise"]["n_reference"] == 0
     assert noted(left, "--unmatched noise counts them as noise")

@@ -1,0 +1,144 @@
+"""What one registered cloud is shifted by against another: coarsely by occupied voxels, then by its planes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from prc_cli.core.types import F64
+from prc_cli.matching.nearest import CELL_M, Cloud, cell_places, sample_of, tiles_of, tree_of, xyz_of
+
+LEAST_SHIFT_M = 0.05
+"""Shifts below are what registered drives differ by."""
+_SURE = 4.0
+"""A component of a shift is named from this multiple of its standard error on."""
+_BOXES, _PAIRS, _GROUPS, _ROUNDS = 8, 2_500, 8, 5
+_AROUND, _FLAT, _REACH_M = 16, 0.2, 1.0
+"""Neighbours of a plane, the most that they rise above it as a share of their second extent (both squared), and how far
+planes are looked for."""
+_GATE = 3.0
+
+
+def shift_of(left: Cloud, right: Cloud) -> F64 | None:
+    """Return what the right cloud is shifted by against the left one (3,) [m]; None = not by a significant amount."""
+    coarse = _coarse_shift(left, right)
+    start = np.zeros(3) if coarse is None else coarse
+    random = np.random.default_rng(0)
+    parts: list[tuple[F64, Any]] = []
+    for x0, y0, x1, y1 in random.permutation(np.array(tiles_of(left, right)).reshape(-1, 4)).tolist():
+        ours = xyz_of(sample_of(left.read((x0, y0, x1, y1)), random, _PAIRS))
+        dx, dy = start[:2].tolist()
+        theirs = xyz_of(right.read((x0 + dx, y0 + dy, x1 + dx, y1 + dy), _REACH_M))
+        if len(ours) and len(theirs) > _AROUND:
+            parts.append((ours, tree_of(theirs)))
+        if len(parts) == _BOXES:
+            break
+    fitted = _fitted(parts, start)
+    if fitted is None or np.abs(fitted[0] - start).max() > _REACH_M:
+        return coarse
+    found, error = fitted
+    sure = np.abs(found) > np.maximum(_SURE * error, LEAST_SHIFT_M)
+    return np.where(sure, found, 0.0) if sure.any() else coarse
+
+
+def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
+    """Move points until they lie on the planes around them; return the shift (3,) and its standard error (3,).
+
+    The error comes from groups of points along the drive, each left out once (jackknife): errors of a trajectory are
+    alike for seconds.
+    """
+    for _ in range(_ROUNDS):
+        pairs = [_planes(points + shift, tree) for points, tree in parts]
+        if sum(len(pair[0]) for pair in pairs) < _GROUPS * _AROUND:
+            return None
+        place, normal, off = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        kept = _within(normal, off)
+        place, normal, off = place[kept], normal[kept], off[kept]
+        longer = int(np.argmax(np.ptp(place[:, :2], axis=0)))
+        group = np.argsort(np.argsort(place[:, longer])) * _GROUPS // len(place)
+        left = np.stack([normal[group == k].T @ normal[group == k] for k in range(_GROUPS)])
+        right = np.stack([normal[group == k].T @ off[group == k] for k in range(_GROUPS)])
+        shift = shift + np.linalg.lstsq(left.sum(axis=0), right.sum(axis=0))[0]
+    left, right = left.sum(axis=0) - left, right.sum(axis=0) - right
+    without = np.array([np.linalg.lstsq(*sums)[0] for sums in zip(left, right, strict=True)])
+    return shift, np.sqrt((_GROUPS - 1) / _GROUPS * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+
+
+def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
+    """Return points near a plane (n, 3), its normal (n, 3), and how far it lies from them along it (n,)."""
+    distance, near = tree.query(points, distance_upper_bound=_REACH_M)
+    points, near = points[np.isfinite(distance)], near[np.isfinite(distance)]
+    around = tree.data[tree.query(tree.data[near], k=_AROUND)[1]]
+    middle = around.mean(axis=1)
+    apart = around - middle[:, None]
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+    flat = spread[:, 0] < _FLAT * spread[:, 1]
+    normal = axes[flat, :, 0]
+    return points[flat], normal, ((middle[flat] - points[flat]) * normal).sum(axis=1)
+
+
+def _within(normal: F64, off: F64) -> Any:
+    """Return which pairs are no outliers among those whose planes face the same axis: ground does not outvote walls."""
+    facing = np.argmax(np.abs(normal), axis=1)
+    kept = np.zeros(len(off), np.bool_)
+    for axis in range(3):
+        mine = np.flatnonzero(facing == axis)
+        if len(mine):
+            signed = off[mine] * np.sign(normal[mine, axis])
+            middle = np.median(signed)
+            kept[mine] = np.abs(signed - middle) <= _GATE * 1.4826 * np.median(np.abs(signed - middle)) + 1e-6
+    return kept
+
+
+SHIFT_VOXEL_M = 0.25
+_SHIFT_VOXELS = (192, 192, 96)
+_MOST_SHIFT_M = 12.0
+_LEAST_RECORDS = 4_000
+_CLEARER = 1.15
+"""Share of occupied voxels that fall on each other after a shift, over that before it, from which it is believed."""
+
+
+def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
+    """Return a shift of more than a voxel (3,) [m]; None = there is none.
+
+    The occupied voxels of the fullest tile of both are laid on each other at every shift (by Fourier transform).
+    """
+    from scipy import fft
+
+    boxes = tiles_of(left, right)
+    cells, n = left.counts()
+    if not boxes or not right.n:
+        return None
+    column, row = (place[int(np.argmax(n))] * CELL_M for place in cell_places(cells))
+    middle = np.array([column, row]) + CELL_M / 2
+    half = np.array(_SHIFT_VOXELS) * SHIFT_VOXEL_M / 2
+    box = (*(middle - half[:2]).tolist(), *(middle + half[:2]).tolist())
+    both = [cloud.read(box) for cloud in (left, right)]
+    if any(len(columns["z"]) < _LEAST_RECORDS for columns in both):
+        return None
+    corner = np.append(middle, np.median(both[0]["z"])) - half
+    grids = []
+    for columns in both:
+        place = np.floor((xyz_of(columns) - corner) / SHIFT_VOXEL_M).astype(np.int64)
+        place = place[((place >= 0) & (place < _SHIFT_VOXELS)).all(axis=1)]
+        grid = np.zeros(_SHIFT_VOXELS, np.float32)
+        grid[tuple(place.T)] = 1.0
+        grids.append(fft.rfftn(grid))
+    score = fft.irfftn(np.conj(grids[0]) * grids[1], _SHIFT_VOXELS)
+    reach = int(_MOST_SHIFT_M / SHIFT_VOXEL_M)
+    for axis, size in enumerate(_SHIFT_VOXELS):
+        index = [slice(None)] * 3
+        index[axis] = slice(reach + 1, size - reach)
+        score[tuple(index)] = 0.0
+    peak = np.unravel_index(int(np.argmax(score)), score.shape)
+    steps = [at - size if at > size // 2 else at for at, size in zip(peak, _SHIFT_VOXELS, strict=True)]
+    if score[peak] < _CLEARER * score[0, 0, 0] or max(map(abs, steps)) < 2:
+        return None
+    # between the voxels: the parabola through the peak and its neighbours
+    exact = []
+    for axis, step in enumerate(steps):
+        around = [score[tuple(np.add(peak, np.eye(3, dtype=int)[axis] * k) % _SHIFT_VOXELS)] for k in (-1, 0, 1)]
+        bend = around[0] - 2 * around[1] + around[2]
+        exact.append((step + (0.5 * (around[0] - around[2]) / bend if bend else 0.0)) * SHIFT_VOXEL_M)
+    return np.array(exact)
