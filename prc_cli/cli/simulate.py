@@ -81,8 +81,9 @@ def _presets(kind: Kind) -> list[Any]:
 def simulate() -> None:
     """Simulate a scan of a street or a forest, with the reference class of every shot.
 
-    OUT is any format that prc convert writes: .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin or
-    .e57. The same parameters and seed give the same bytes. Parameters and version stand in OUT.prc.json.
+    OUT is any format that prc convert writes: .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin, .e57,
+    or a bag (.bag, .mcap, .db3). The same parameters and seed give the same bytes. Parameters and version stand in
+    OUT.prc.json.
 
     \b
     Examples:
@@ -108,6 +109,7 @@ def street(**options: Any) -> None:
       prc simulate street -o drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
       prc simulate street -o drive.e57 --config terraces.toml
       prc simulate street -o spin.npz --scanner vlp-16 --duration 5 --frames frames/
+      prc simulate street -o spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
     """
     _run("street", options)
 

@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
-import contextlib
-import re
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import read_small, suffix_of
+from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import ScanStream
+from prc_cli.formats.bags import METADATA, parts_of
 from prc_cli.formats.las import SUFFIXES as LAS_SUFFIXES
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import by_suffix
 
-_BAG_PARTS, _BAG_METADATA = (".db3", ".mcap"), "metadata.yaml"
+_BAG_PARTS = (".db3", ".mcap")
 """Files of a ROS 2 bag, which is a folder."""
 
 
 def scan_file(path: Path) -> Path:
-    """Return the file that stands for a folder: of a bag in one part, or of pulses; of others the folder itself."""
+    """Return the file that stands for a folder: of a bag, its metadata if it has several parts; or of pulses.
+
+    The folder itself for all others.
+    """
     if not path.is_dir():
         return path
     from prc_cli.formats.echopulse import count_file
 
-    found, bags = count_file(path), _files_with(path, _BAG_PARTS)
-    with contextlib.suppress(OSError):
-        # of a split bag, parts may be missing here
-        told = set(re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", read_small(path / _BAG_METADATA, 1 << 20)))
-        found = bags[0] if found is None and len(bags) == 1 and len(told) <= 1 else found
+    found = count_file(path)
+    parts, bags = parts_of(path / METADATA), _files_with(path, _BAG_PARTS)
+    if found is None and len(parts) > 1 and set(parts) <= set(bags):  # some may be missing here
+        found = path / METADATA
+    elif found is None and len(parts) == len(bags) == 1 and (path / METADATA).is_file():
+        found = bags[0]
     return path if found is None else found
 
 
@@ -36,6 +39,10 @@ def check_input(path: Path) -> str:
     """Return the suffix of an input; refuse what is absent, not a file, empty, or has an unknown suffix."""
     known = tuple(by_suffix("scans"))
     suffix = suffix_of(path)
+    if len(parts := parts_of(path)) > 1:
+        for part in parts:
+            suffix = check_input(part)
+        return suffix
     if path.is_dir():
         raise InputError(str(path), "is a folder, expected a file", _file_of_folder(path, known))
     if path.exists() and not path.is_file():
@@ -61,7 +68,7 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
     if (own := scan_file(path)) != path:
         return f"name the file in it: {own}"
     bags = _files_with(path, _BAG_PARTS)
-    if bags and (path / _BAG_METADATA).is_file():
+    if bags and (path / METADATA).is_file():
         more = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
         return f"name the file in this bag: {bags[0]}{more}"
     scans = _files_with(path, known)
@@ -80,7 +87,7 @@ def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
 
 def _not_a_scan(path: Path) -> str:
     """Return what to do with a file of an unknown suffix: its scan may lie beside it."""
-    if path.name == _BAG_METADATA and path.is_file():
+    if path.name == METADATA and path.is_file():
         bags = _files_with(path.parent, _BAG_PARTS)
         if bags:
             return f"this describes a bag: name the file beside it, {bags[0]}"
@@ -99,7 +106,7 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
 
 def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
     """Open a range image or organised scans, for which :func:`open_source` returns None; read such lines at once."""
-    return by_suffix("scans")[suffix_of(path)].open_images(path, config, lines_at_once)
+    return by_suffix("scans")[suffix_of(parts_of(path)[0])].open_images(path, config, lines_at_once)
 
 
 __all__ = ["LAS_SUFFIXES", "check_input", "open_images", "open_source", "scan_file"]

@@ -134,7 +134,7 @@ def example(form: Format, n_lines: int = 5, points_per_line: int = 12) -> tuple[
     line, column = np.indices((n_lines, points_per_line))
     range_m = (2.5 / np.maximum(np.abs(np.cos(angle)), 0.3) + 0.01 * line).astype(np.float32)
     range_m[(line + column) % 7 == 3] = np.nan
-    xyz = np.stack([0.1 * line, range_m * np.sin(angle), -range_m * np.cos(angle)], axis=-1).astype(np.float32)
+    xyz = np.stack([0.0 * line, range_m * np.sin(angle), -range_m * np.cos(angle)], axis=-1).astype(np.float32)
     xyz[np.isnan(range_m)] = np.nan
     block = ScanBlock(
         0, range_m, angle_rad=angle, time_s=(line * points_per_line + column) / 1000.0, xyz_m=xyz,

@@ -39,7 +39,7 @@ from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.lines import first_ranges
 from prc_cli.streams.open import open_input
-from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time
+from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time, take_turns
 from prc_cli.streams.rules import MEASURED, only_times_tell, trusting
 
 RATE_OFF = 1e-3
@@ -433,7 +433,7 @@ def _line_order(stream: ScanStream) -> OrderEvidence | None:
             return None
         watch = watches.setdefault(block.scanner, OrderWatch(stream.info.path, "trust", "time_s"))
         # lines of shots fired at other times begin at the first ring's
-        own = block.time_s[:, 0] if stream.info.facts.has_line_times else block.time_s.ravel()
+        own = block.time_s[:, 0] if stream.info.facts.has_line_times or take_turns(block) else block.time_s.ravel()
         watch.see(own, None)
     found = [watch.evidence() for watch in watches.values()]
     return max(found, key=lambda one: (one.n_back, one.n_steps), default=None)

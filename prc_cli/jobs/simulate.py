@@ -24,6 +24,7 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.bags import BAG
 from prc_cli.formats.raw_binary.frames import FrameFolder
 from prc_cli.formats.registry import format_of
 from prc_cli.formats.trajectory import SBET_SUFFIXES
@@ -106,8 +107,8 @@ def simulate(
     kind : {"street", "forest", "street-scan"}
         What is simulated.
     output : path
-        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57``. Where there is a return, the point clouds
-        and tables hold its registered coordinates from the true pose.
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57 .bag .db3 .mcap``. Where there is a return, the
+        point clouds and tables hold its registered coordinates from the true pose.
     settings : optional
         From :func:`load_settings`.
     beside : Beside, optional
@@ -139,12 +140,14 @@ def simulate(
     for path in (*outputs_of(output), *wanted.paths()):
         remove_stale(path)
     is_static = chosen.scanner.is_static
+    # where a ring looks cannot be told from its line alone
+    in_cells = chosen.scanner.spins and "relative" in form.holds and not form.holds_all
     simulation = open_simulation(
         kind,
         chosen,
         reference=reference,
         threads=threads,
-        with_xyz=is_static or form.makes_xyz or wanted.frames is not None,
+        with_xyz=is_static or form.makes_xyz or wanted.frames is not None or in_cells,
         with_world=not is_static and (form.holds_all or reference == "cylinders"),
     )
     with contextlib.ExitStack() as stack:
@@ -229,7 +232,7 @@ def _pose_of(simulation: Simulation, item: StreamItem) -> F64:
     """Return where the scanner is, and how it is turned, in the middle of a block's time, (4, 4) float64."""
     time_s = item.block.time_s
     assert time_s is not None
-    pose = simulation.scan.platform.pose(np.array([(time_s[0, 0] + time_s[-1, -1]) / 2.0]))
+    pose = simulation.scan.platform.pose(np.array([(time_s[0].min() + time_s[-1].max()) / 2.0]))
     found = np.eye(4)
     found[:3, :3], found[:3, 3] = pose.turn()[0], pose.position[0]
     return found
@@ -306,11 +309,14 @@ def check_simulation(
     kind: Kind, output: Path, scanner: Scanner, beside: Beside | None = None, *, overwrite: bool = False
 ) -> Beside:
     """Refuse outputs before any work is done."""
-    beside = beside or Beside()
+    beside, form = beside or Beside(), stream_format(output)
     # where no classes are held, or none that can be compared, they go to a file of their own
-    has_codes = "codes" in stream_format(output).holds and format_of(output, "codes") is not None
+    has_codes = "codes" in form.holds and format_of(output, "codes") is not None
     if beside.labels is None and not has_codes:
         beside = replace(beside, labels=reference_path(output))
+    if form.name == BAG and (scanner.is_static or beside.labels is not None):
+        refused = "a scan from a tripod" if scanner.is_static else "labels beside it, which it holds itself"
+        raise ConfigError(str(output), f"a bag, asked for {refused}", "write .npz, or leave out what it cannot hold")
     if beside.stems is not None and kind != "forest":
         raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
     if beside.trajectory is not None and kind == "street-scan":

@@ -240,11 +240,10 @@ def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
     if not scanner.turns:
         found: F32 = (range_m[..., None] * columns).astype(np.float32)
         return found
-    azimuth = np.deg2rad(
-        scanner.first_azimuth_deg + scanner.azimuth_step_deg * np.arange(first_line, first_line + len(range_m))
-    )
-    flat = range_m * columns[:, 0]
-    parts = (np.cos(azimuth)[:, None] * flat, np.sin(azimuth)[:, None] * flat, range_m * columns[:, 2])
+    azimuth = scanner.azimuth_rad(first_line, len(range_m))
+    along, across = range_m * columns[:, 0], range_m * columns[:, 1]
+    cosine, sine = np.cos(azimuth), np.sin(azimuth)
+    parts = (cosine * along - sine * across, sine * along + cosine * across, range_m * columns[:, 2])
     return np.stack(parts, axis=-1).astype(np.float32)
 
 

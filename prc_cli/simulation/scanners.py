@@ -9,8 +9,9 @@ The 1 MHz profiler is no make; its figures are those usual for pulsed mobile pro
 the Photon's raw stream at 48 Hz, nor the shares of lost shots, background light and reflections: these are chosen.
 
 The spinning ones turn ten times a second; rings, rated range, beam and noise are those of the Velodyne VLP-16, VLP-32C
-and HDL-64E (whose two halves of 32 rings are spaced evenly here). All rings of a firing look the same way: their
-azimuths are not staggered.
+and HDL-64E (whose two halves of 32 rings are spaced evenly here). The rings of a VLP-32C are staggered as its manual
+says, those of a VLP-16 are not; an HDL-64E is measured at the maker's, each differently, and is not staggered here.
+A line holds the shots that look one way, as the readers of packets put them, so its rings are fired in different turns.
 
 The dead angle. The raw stream of a profiler holds a shot for every step within the field of view and none for the
 dead angle: the Focus3D makes 5040 steps a turn, and 5040 * 305 / 360 = 4270 is the paper's M. So the columns leave
@@ -25,7 +26,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from prc_cli.core.config import Params
-from prc_cli.core.types import F64
+from prc_cli.core.types import F64, I64
 
 
 class Scanner(Params):
@@ -41,6 +42,9 @@ class Scanner(Params):
     spins: bool = Field(False, description="moved, and its head turns: a line is one firing of all rings")
     elevations_deg: tuple[float, ...] = Field(
         (), description="spinning: elevation of every ring, rising; none = even steps over the field [degrees]"
+    )
+    azimuths_deg: tuple[float, ...] = Field(
+        (), description="spinning: how far every ring looks ahead of the head, in its turn; none = all alike [degrees]"
     )
     line_hz: float = Field(gt=0, le=1e6, description="scan lines a second [Hz]")
     points_per_line: int = Field(ge=2, le=100_000, description="M, shots in a scan line")
@@ -105,6 +109,9 @@ class Scanner(Params):
         if rings and (len(rings) != self.points_per_line or list(rings) != sorted(rings) or not self.spins):
             problem = f"{self.points_per_line} rising elevations of a spinning scanner, one a ring"
             raise ValueError(problem)
+        if self.azimuths_deg and (len(self.azimuths_deg) != self.points_per_line or not self.spins):
+            problem = f"{self.points_per_line} azimuths of a spinning scanner, one a ring"
+            raise ValueError(problem)
         return self
 
     @property
@@ -127,6 +134,20 @@ class Scanner(Params):
         """Time from shot to shot within a line [s]."""
         return self.duty / self.line_hz / self.points_per_line
 
+    @property
+    def late_lines(self) -> I64:
+        """Lines by which every ring sees a direction after the one that looks ahead most, (M,) int64."""
+        ahead = np.rint(np.array(self.azimuths_deg or [0.0] * self.points_per_line) / self.azimuth_step_deg)
+        late: I64 = (ahead.max() - ahead).astype(np.int64)
+        return late
+
+    def azimuth_rad(self, first_line: int, n_lines: int) -> F64:
+        """Return the azimuth of the head at every shot of lines, (n_lines, M) float64 [rad]."""
+        within = self.spins * self.duty * np.arange(self.points_per_line) / self.points_per_line
+        line = np.arange(first_line, first_line + n_lines)[:, None] + self.late_lines + within
+        found: F64 = np.deg2rad(self.first_azimuth_deg + self.azimuth_step_deg * line)
+        return found
+
     def angle_rad(self) -> F64:
         """Return the angle of every column in the scan plane, (M,) float64, rising, 0 = down [rad]."""
         if self.elevations_deg:
@@ -140,7 +161,8 @@ class Scanner(Params):
         angle = self.angle_rad()
         zero = np.zeros_like(angle)
         if self.turns:
-            return np.stack([np.sin(angle), zero, -np.cos(angle)], axis=1)
+            ahead = np.deg2rad(self.azimuths_deg) if self.azimuths_deg else zero
+            return np.stack([np.sin(angle) * np.cos(ahead), np.sin(angle) * np.sin(ahead), -np.cos(angle)], axis=1)
         within = angle + np.deg2rad(self.roll_deg)
         slant, heading = np.deg2rad(self.slant_deg), np.deg2rad(self.heading_deg)
         down, left = np.cos(within), np.sin(within)
@@ -205,8 +227,8 @@ SCANNERS: dict[str, Scanner] = {
 ScanStation2, and a standard deviation of the range that is an order of magnitude below 1 cm (footnote 3): one preset
 has about 5 mm, the other 1 mm."""
 _SPINNING: dict[str, Any] = {
-    "spins": True, "centre_deg": 90.0, "duty": 1.0, "azimuth_step_deg": 0.2, "line_hz": 18_000.0, "height_m": 1.9,
-    "principle": "pulsed", "divergence_mrad": 3.0, "exit_mm": 9.5, "pulse_m": 1.0, "min_range_m": 0.9,
+    "spins": True, "centre_deg": 90.0, "duty": 36.864 / 55.296, "azimuth_step_deg": 0.2, "line_hz": 18_000.0,
+    "height_m": 1.9, "principle": "pulsed", "divergence_mrad": 3.0, "exit_mm": 9.5, "pulse_m": 1.0, "min_range_m": 0.9,
     "max_range_m": 100.0, "half_range_m": 110.0, "resolution_m": 0.002, "noise_m": 0.015, "noise_per_m": 0.0001,
     "lost_share": 0.005,
 }  # fmt: skip
@@ -219,6 +241,10 @@ SCANNERS |= {
             -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333, 3.333, 4.667, 7.0,
             10.333, 15.0,
         ),
+        azimuths_deg=(
+            1.4, -1.4, 1.4, -1.4, 1.4, -1.4, 4.2, 1.4, -1.4, -4.2, 4.2, 1.4, -1.4, -4.2, 4.2, 1.4, -1.4, -4.2, 4.2,
+            1.4, -1.4, -4.2, 4.2, 1.4, -1.4, -4.2, 1.4, -1.4, 1.4, -1.4, 1.4, -1.4,
+        ),
         **_SPINNING,
     ),
     "hdl-64e": Scanner(
@@ -226,7 +252,10 @@ SCANNERS |= {
         elevations_deg=(
             *(round(-24.33 + i / 2, 3) for i in range(32)), *(round(-8.33 + i / 3, 3) for i in range(32))
         ),
-        **{**_SPINNING, "azimuth_step_deg": 0.17, "line_hz": 21_180.0, "max_range_m": 120.0, "half_range_m": 130.0},
+        **{
+            **_SPINNING, "duty": 0.95, "azimuth_step_deg": 0.17, "line_hz": 21_180.0, "max_range_m": 120.0,
+            "half_range_m": 130.0,
+        },
     ),
 }  # fmt: skip
 SCANNERS["scanstation2-1mm"] = SCANNERS["scanstation2"].model_copy(update={"noise_m": 0.001})

@@ -228,7 +228,8 @@ class Simulation:
     def end_s(self) -> float:
         """When the last shot is made [s]."""
         scanner = self.scan.scanner
-        return float(scanner.line_time_s(self.scan.n_lines - 1, 1)[0]) + scanner.shot_s * (scanner.points_per_line - 1)
+        last = self.scan.n_lines - 1 + int(scanner.late_lines.max())
+        return float(scanner.line_time_s(last, 1)[0]) + scanner.shot_s * (scanner.points_per_line - 1)
 
 
 def open_simulation(

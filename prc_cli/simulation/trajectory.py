@@ -270,9 +270,12 @@ class Shots:
 def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> Shots:
     """Return the rays of consecutive lines, the same whatever lines are asked for together.
 
-    Poses are worked out every few milliseconds and shots are placed between them in a straight line.
+    Poses are worked out every few milliseconds and shots are placed between them in a straight line. Rings that look
+    ahead are shot with an earlier firing than the others of their line.
     """
-    m = scanner.points_per_line
+    m, late = scanner.points_per_line, scanner.late_lines
+    row, column = np.arange(n_lines)[:, None] + late, np.arange(m)
+    n_lines += int(late.max())
     line_s = scanner.shot_s * m
     n_knots = 1 if scanner.turns else max(int(np.ceil(line_s / _KNOT_S)), 1)
     start_s = scanner.line_time_s(first_line, n_lines)
@@ -280,13 +283,17 @@ def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> 
     pose = platform.pose(knot_s.ravel())
     turn = pose.turn().reshape(n_lines, n_knots + 1, 3, 3)
     if scanner.turns:
-        line = np.arange(first_line, first_line + n_lines)
-        azimuth = np.deg2rad(scanner.first_azimuth_deg + scanner.azimuth_step_deg * line)
-        zero = np.zeros(n_lines)
-        turn = turn @ _turn(zero, zero, azimuth)[:, None]
+        # a head that spins turns on while the rings fire
+        line = np.arange(first_line, first_line + n_lines)[:, None] + np.array([0.0, scanner.duty * scanner.spins])
+        azimuth = np.deg2rad(scanner.first_azimuth_deg + scanner.azimuth_step_deg * line).ravel()
+        zero = np.zeros(len(azimuth))
+        turn = turn @ _turn(zero, zero, azimuth).reshape(turn.shape)
     position = pose.position.reshape(n_lines, n_knots + 1, 3)
     origin, direction = kernels.aim_shots(position, np.ascontiguousarray(turn), scanner.directions())
-    return Shots(origin, direction, start_s[:, None] + np.arange(m) * scanner.shot_s)
+    time_s = start_s[:, None] + column * scanner.shot_s
+    if not late.any():
+        return Shots(origin, direction, time_s)
+    return Shots(origin[row, column], direction[row, column], time_s[row, column])
 
 
 _BATCH = 50_000

@@ -305,7 +305,7 @@ class WatchedStream:
             watch = watches.setdefault(
                 block.scanner, OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False)
             )
-            if info.facts.has_line_times:
+            if info.facts.has_line_times or take_turns(block):
                 lines = np.arange(block.first_line, block.first_line + block.n_lines, dtype=np.int64)
                 tally = watch.count(block.time_s[:, 0], lines * block.points_per_line)
             else:
@@ -313,6 +313,18 @@ class WatchedStream:
             yield replace(block, tally=block.tally + tally)
         for watch in watches.values():
             watch.finish()
+
+
+MAX_RINGS = 256
+"""Most rings of a spinning scanner."""
+
+
+def take_turns(block: ScanBlock) -> bool:
+    """Tell whether the rings of a spinning scanner fire in another order than they lie: the times of each rise."""
+    if block.time_s is None or block.xyz_m is None or block.points_per_line > MAX_RINGS:
+        return False
+    falls, falls_in_line = (bool((np.diff(block.time_s, axis=axis) < 0).any()) for axis in (0, 1))
+    return falls_in_line and not falls
 
 
 WEEK_S = 604_800.0

@@ -1,13 +1,34 @@
 """ROS 1 and ROS 2 bags and MCAP files, read in the order they were recorded; no ROS is needed."""
 
+import contextlib
+import re
+from pathlib import Path
+
+from prc_cli.core.files import read_small
 from prc_cli.formats.registry import Format
 
-_SUFFIXES = (".bag", ".db3", ".mcap")
+_SUFFIXES, BAG = (".bag", ".db3", ".mcap"), "bag"
+METADATA = "metadata.yaml"
+"""What makes a recording of ROS 2 of the files in a folder."""
+
+
+def parts_of(path: Path) -> list[Path]:
+    """Return the files of a recording, in order, where its metadata are named; of all else the file itself."""
+    told: list[bytes] = []
+    if path.name == METADATA:
+        with contextlib.suppress(OSError):
+            told = re.findall(rb"[^\s/\"']+\.(?:db3|mcap)", read_small(path, 1 << 20))
+    return [path.with_name(name.decode("utf-8", "replace")) for name in dict.fromkeys(told)] or [path]
+
+
 FORMATS = (
     Format(
-        name="bag",
+        name=BAG,
         scans=_SUFFIXES,
         images="prc_cli.formats.bags.read:open_bag",
+        streams=dict.fromkeys(_SUFFIXES, "laser scans of a profiler, clouds of a spinning scanner, with classes"),
+        write_stream="prc_cli.formats.bags.write:BagStream",
+        holds=frozenset(("codes", "relative", "angles", "times", "intensity")),
         labels=_SUFFIXES,
         write_labels="prc_cli.formats.bags.labels:BagRewriter",
         codes=_SUFFIXES,

@@ -18,6 +18,7 @@ from typing import Any
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read, suffix_of
 from prc_cli.core.process import bounded
+from prc_cli.formats.bags import parts_of
 
 MAX_MESSAGE = 1 << 28
 """Longest message of a database, also when unpacked [bytes]."""
@@ -62,32 +63,39 @@ class Bag:
     start_ns: int = 0
     """First and last time of a message."""
     end_ns: int = 0
+    packed: str = ""
+    """How its messages, or chunks of them, are compressed: ``bz2``, ``lz4`` or ``zstd``; empty if they are not."""
     problem: str = ""
     """Why it ends before the end of the recording; empty if it does not."""
 
     def __post_init__(self) -> None:
-        for _ in bounded(self.path, self._survey()):
-            pass
+        for part in parts_of(self.path):
+            for _ in bounded(part, self._survey(part)):
+                pass
 
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
         """Yield the messages of some topics, in the order they were recorded."""
-        return bounded(self.path, _rows(self, topics) if _is_database(self.path) else _decoded(self.path, topics))
+        for part in parts_of(self.path):
+            yield from bounded(part, _rows(self, part, topics) if _is_database(part) else _decoded(part, topics))
 
     def connections(self) -> list[Any]:
         """Return the connections as rosbags has them, in the order of the file."""
         with _library(self.path, ()) as reader:
             return list(reader.connections)
 
-    def _survey(self) -> Iterator[None]:
-        """Count messages, in steps."""
-        if _is_database(self.path):
-            yield from _count_rows(self)
+    def _survey(self, part: Path) -> Iterator[None]:
+        """Count the messages of a file, in steps."""
+        if _is_database(part):
+            yield from _count_rows(self, part)
             return
-        with _library(self.path, ()) as reader:
+        with _library(part, ()) as reader:
             topics = reader.topics
-            self.counts.update({topic_of(one): topics[one.topic].msgcount for one in reader.connections})
+            for topic, n in {topic_of(one): topics[one.topic].msgcount for one in reader.connections}.items():
+                self.counts[topic] = self.counts.get(topic, 0) + n
             if reader.message_count:
-                self.start_ns, self.end_ns = reader.start_time, reader.end_time - 1
+                self.start_ns = min(self.start_ns or reader.start_time, reader.start_time)
+                self.end_ns = max(self.end_ns, reader.end_time - 1)
+            self.packed = self.packed or _packed(reader)
         yield
 
 
@@ -101,7 +109,7 @@ def _kind(name: str) -> str:
 
 def _mend(path: Path) -> str:
     """Return what to do with a damaged bag."""
-    return _MEND[suffix_of(path)].format(shlex.quote(str(path)))
+    return _MEND.get(suffix_of(path), "copy it again").format(shlex.quote(str(path)))
 
 
 @contextlib.contextmanager
@@ -141,6 +149,18 @@ def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
         yield reader
 
 
+def _packed(reader: Any) -> str:
+    """Return how the first chunk of a bag is compressed, as rosbags has read it."""
+    if hasattr(reader, "storage"):
+        return next((str(chunk.compression) for chunk in reader.storage.chunks), "")
+    from rosbags.rosbag1.reader import decompressors
+
+    names = (
+        name for chunk in reader.chunks.values() for name, way in decompressors.items() if way is chunk.decompressor
+    )
+    return next(names, "").replace("none", "")
+
+
 def topic_of(connection: Any) -> Topic:
     """Return the topic of a connection of rosbags."""
     form = getattr(connection.ext, "serialization_format", "ros1")
@@ -160,9 +180,8 @@ def _decoded(path: Path, topics: Collection[Topic]) -> Iterator[Message]:
 
 
 @contextlib.contextmanager
-def _database(bag: Bag) -> Iterator[tuple[sqlite3.Connection, dict[int, Topic]]]:
-    """Open a database and read its topics."""
-    path = bag.path
+def _database(bag: Bag, path: Path) -> Iterator[tuple[sqlite3.Connection, dict[int, Topic]]]:
+    """Open a database of a bag and read its topics."""
     _check_pages(path)
     for suffix in ("-wal", "-journal"):
         beside = path.with_name(path.name + suffix)
@@ -240,9 +259,11 @@ def _walk(bag: Bag, rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]
         bag.problem = f"the database can be read up to message {n} ({said})"
 
 
-def _count_rows(bag: Bag) -> Iterator[None]:
-    with _database(bag) as (base, topics):
-        bag.counts.update(dict.fromkeys(topics.values(), 0))
+def _count_rows(bag: Bag, path: Path) -> Iterator[None]:
+    with _database(bag, path) as (base, topics):
+        bag.counts = dict.fromkeys(topics.values(), 0) | bag.counts
+        for (head,) in base.execute("SELECT substr(data, 1, 4) FROM messages NOT INDEXED LIMIT 1"):
+            bag.packed = "zstd" if head == _ZSTD_MAGIC else bag.packed
         for _, number, time_ns in _walk(
             bag, base.execute("SELECT rowid, topic_id, timestamp FROM messages NOT INDEXED")
         ):
@@ -253,13 +274,13 @@ def _count_rows(bag: Bag) -> Iterator[None]:
             yield
 
 
-def _rows(bag: Bag, topics: Collection[Topic]) -> Iterator[Message]:
-    with _database(bag) as (base, every):
+def _rows(bag: Bag, path: Path, topics: Collection[Topic]) -> Iterator[Message]:
+    with _database(bag, path) as (base, every):
         rows = base.execute("SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED")
         for n, (_, number, time_ns, data) in enumerate(_walk(bag, rows), 1):
             if every.get(number) not in topics:
                 continue
-            where = f"{bag.path}: message {n}"
+            where = f"{path}: message {n}"
             if not isinstance(data, bytes) or not isinstance(time_ns, int):
                 raise InputError(where, "found no bytes and time in it", "copy it again")
             data = _unpack(data, where) if data[:4] == _ZSTD_MAGIC else data

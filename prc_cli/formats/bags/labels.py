@@ -6,11 +6,9 @@ viewer draws them in colours at the place of the scan, and their stamps bring bo
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OutputError
-from prc_cli.core.files import remove_stale, suffix_of, temporary_name
+from prc_cli.core.files import suffix_of
 from prc_cli.core.types import I64, U8, Mask
 from prc_cli.formats.bags.cloud import CLOUD, TYPES
 from prc_cli.formats.bags.containers import Bag, Message, bag_errors, topic_of
 from prc_cli.formats.bags.laser import ECHOES, parse_laser, read_echoes
 from prc_cli.formats.bags.messages import PACKED, Cursor
 from prc_cli.formats.bags.read import LABELS, LASERS, BagStream, is_labels
+from prc_cli.formats.bags.write import BagOutput
 from prc_cli.formats.labels import CodeSource
 from prc_cli.formats.writing.base import ScatterWriter
 from prc_cli.formats.writing.columns import LabelOutput, asked_columns
@@ -32,7 +31,6 @@ from prc_cli.formats.writing.record import RunRecord
 
 FIELD, _UINT8 = "label", 2
 """Field of a point that holds its class code, and its type."""
-_DATABASE, _METADATA = ".db3", "metadata.yaml"
 
 Take: TypeAlias = Callable[[int], NDArray[Any]]
 """Gives the codes of the next n records, (n,) uint8; where records are left out (n,) int16, negative = left out."""
@@ -116,7 +114,7 @@ def _has_echo(n_echoes: I64) -> Mask:
     return found
 
 
-class BagRewriter(ScatterWriter):
+class BagRewriter(BagOutput, ScatterWriter):
     """Writer of a bag with everything that the input has, and the class codes of what was read."""
 
     def __init__(self, labels: LabelOutput) -> None:
@@ -125,6 +123,7 @@ class BagRewriter(ScatterWriter):
             problem = f"found {source.name}, expected a {path.suffix} to be written again with its classes"
             raise OutputError(str(path), problem, "write .npy, or another kind of file")
         self._stream = BagStream(source, labels.rules)
+        self._packed = self._stream.bag.packed
         packed = [topic.name for topic in self._stream.topics if topic.kind in PACKED]
         refused = f"{packed[0]} holds packets, which have no place for classes" if packed else self._stream.bag.problem
         refused = refused or ("a bag holds whole messages, not a window of them" if labels.is_part else "")
@@ -135,18 +134,7 @@ class BagRewriter(ScatterWriter):
         super().__init__(labels, (), labels.n_records)
         for column in asked_columns(labels.options):
             self._notice(f"bags hold class codes only; {column.what}s need .csv, .parquet, .las or .laz")
-        self._metadata: Path | None = None
-        if path.suffix.lower() == _DATABASE:
-            self._metadata = self._beside(path.with_name(_METADATA))
-
-    def _beside(self, metadata: Path) -> Path | None:
-        """Return the temporary name of what makes a bag of a folder; None where the folder has another one."""
-        others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
-        if others & {_DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
-            self._notice(f"no {_METADATA} was written: the folder has another bag; a folder of its own would get one")
-            return None
-        remove_stale(metadata)
-        return self._output(metadata)
+        self._name_metadata()
 
     def _write(self, record: RunRecord) -> RunRecord:
         total, n_done = self._total(record), 0
@@ -191,26 +179,6 @@ class BagRewriter(ScatterWriter):
             sink.write(own, message.time_ns, data)
             if beside is not None:
                 sink.write(beside, message.time_ns, codes)
-
-    @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        """Open a writer of rosbags, and bring what it wrote under the temporary names at the end."""
-        from rosbags import rosbag1, rosbag2
-
-        suffix = self.path.suffix.lower()
-        if suffix == ".bag":
-            with rosbag1.Writer(self._temporary) as first:
-                yield first
-            return
-        plugin = rosbag2.StoragePlugin.SQLITE3 if suffix == _DATABASE else rosbag2.StoragePlugin.MCAP
-        folder = temporary_name(self.path)
-        self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        # programs of ROS 2 from Humble on read this version
-        with rosbag2.Writer(folder / self.path.stem, version=8, storage_plugin=plugin) as sink:
-            yield sink
-        (sink.path / f"{self.path.stem}{suffix}").replace(self._temporary)
-        if self._metadata is not None:
-            (sink.path / _METADATA).replace(self._metadata)
 
 
 def _connect(sink: Any, one: Any, after: str = "") -> Any:

@@ -67,7 +67,7 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         intensity = cursor.array("f4")
     else:
         ranges, n_echoes = read_echoes(cursor)
-        intensity, n_of = read_echoes(cursor)
+        intensity, n_of = read_echoes(cursor, n_echoes)
         if not np.array_equal(n_of, n_echoes):
             intensity = np.empty(0, np.float32)
     m = len(ranges) if n_echoes is None else len(n_echoes)
@@ -84,12 +84,14 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     return LaserScan(stamp_s, frame, first, step, shot_s, ranges, intensity, n_echoes, n_beyond)
 
 
-def read_echoes(cursor: Cursor) -> tuple[F32, I64]:
-    """Read a list of lists; return their values in a row, and their lengths."""
+def read_echoes(cursor: Cursor, likely: I64 | None = None) -> tuple[F32, I64]:
+    """Read a list of lists, of lengths that are likely; return their values in a row, and their lengths."""
     n = cursor.number("I")
     expect(n <= len(cursor.data) // 4, f"says it holds {n} beams, which it is too short for")
     words = cursor.rest("u4")[: n * (1 + MAX_ECHOES)]
-    starts = _starts(words, n)
+    starts = np.empty(0, np.int64) if likely is None else np.cumsum(likely + 1) - (likely + 1)
+    if len(starts) != n or not n or starts[-1] >= len(words) or (words[starts] != likely).any():
+        starts = _starts(words, n)
     counts = words[starts[starts < len(words)]].astype(np.int64)
     found, most = f"holds {counts.max(initial=0)} echoes of a beam", f"at most {MAX_ECHOES}, and no more than there are"
     is_whole = len(counts) == n and (not n or starts[-1] + counts[-1] < len(words))

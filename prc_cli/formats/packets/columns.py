@@ -155,10 +155,15 @@ class ColumnLines:
         """Put columns where their rings belong."""
         row = columns.line - self._base
         self._held = self._longer(int(row[-1]) + 1 + self._span)
+        # a slice is copied faster than as many numbers
+        is_whole = int(row[-1] - row[0]) == len(row) - 1
         for behind, rings in self._rings.items():
-            at = row + behind if len(self._rings) == 1 else np.ix_(row + behind, rings)
+            at: Any = slice(row[0] + behind, row[-1] + behind + 1) if is_whole else row + behind
             for held, values in zip(self._held, columns.cells(), strict=True):
-                held[at] = values if len(self._rings) == 1 else values[:, rings]
+                if len(self._rings) == 1:
+                    held[at] = values
+                else:
+                    held[(at, rings) if is_whole else np.ix_(at, rings)] = values[:, rings]
 
     def _longer(self, n: int) -> list[NDArray[Any]]:
         """Return what is held, with empty cells up to line ``n``."""

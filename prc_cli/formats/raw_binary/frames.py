@@ -59,7 +59,7 @@ class FrameFolder:
             points.tofile(self._temporary / "velodyne" / f"{name}.bin")
             item.codes.T[seen].astype("<u4").tofile(self._temporary / "labels" / f"{name}.label")
         self._poses.append(pose)
-        self._times.append(float(block.time_s[0, 0]))
+        self._times.append(float(block.time_s[0].min()))
 
     def finish(self) -> None:
         """Write poses and times, and give the folder its name."""

@@ -48,7 +48,7 @@ def stream_suffix(path: Path) -> str:
     Traceback (most recent call last):
     ...
     prc_cli.core.errors.ConfigError: drive.xyz: found suffix '.xyz', expected one of .bin .csv .csv.gz .csv.zst .ply \
-.pcd .las .laz .npy .npz .e57 .parquet; choose an output name that ends in one of them
+.pcd .las .laz .npy .npz .e57 .bag .db3 .mcap .parquet; choose an output name that ends in one of them
     """
     suffix, known = suffix_of(path), by_suffix("streams")
     if suffix not in known:

@@ -14,6 +14,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
 
 from prc_cli.cli import cli
+from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import remove_stale, temporary_name
@@ -224,5 +225,49 @@ def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
     assert told.exit_code == 0, told.stderr
     assert '"accuracy": 1.0' in told.stdout
     (folder / "metadata.yaml").write_text("relative_file_paths:\n  - bag_0.db3\n  - bag_1.db3\n")
+    told = runner().invoke(cli, ["info", str(folder)])
+    assert "name the file in this bag" in told.stderr
+
+
+@pytest.mark.parametrize(
+    ("suffix", "packed"),
+    [
+        *((".bag", one) for one in ("", "bz2", "lz4")),
+        *((".mcap", one) for one in ("", "lz4", "zstd")),
+        (".db3", ""),
+        (".db3", "zstd"),
+    ],
+)
+def test_an_output_is_compressed_as_the_input_is(tmp_path: Path, suffix: str, packed: str) -> None:
+    source, output = tmp_path / f"in{suffix}", out_folder(tmp_path) / f"out{suffix}"
+    if suffix == ".bag":
+        made.write_bag(source, made.lasers(1), packed)
+    elif suffix == ".mcap":
+        made.write_mcap(source, made.lasers(2), packed or "none")
+    else:
+        made.write_db3(source, made.lasers(2), packed=packed == "zstd")
+    classify(source, output, load_config(preset="urban"))
+    assert Bag(source).packed == packed
+    assert Bag(output).packed == ("zstd" if packed and suffix != ".bag" else packed)
+    assert len(read_codes(output)) == made.N_LINES * made.M
+
+
+def test_a_recording_in_several_files_is_one_stream(tmp_path: Path) -> None:
+    sent = made.lasers(2)
+    whole, folder = made.write_db3(tmp_path / "whole.db3", sent), tmp_path / "split"
+    folder.mkdir()
+    names = [made.write_db3(folder / f"rec_{i}.db3", sent[5 * i : 5 * i + 5]).name for i in range(3)]
+    listed = "".join(f"    - {name}\n" for name in names)
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}")
+    given = load_config(preset="urban")
+    classify(whole, tmp_path / "whole.npy", given)
+    classify(folder, tmp_path / "split.npy", given)
+    assert np.array_equal(np.load(tmp_path / "whole.npy"), np.load(tmp_path / "split.npy"))
+    # each part is a bag of its own where it is named
+    classify(folder / names[2], tmp_path / "last.npy", given)
+    assert len(np.load(tmp_path / "last.npy")) == 2 * made.M
+    with pytest.raises(OutputError, match="found metadata.yaml"):
+        classify(folder, tmp_path / "out.db3", given)
+    (folder / names[1]).unlink()
     told = runner().invoke(cli, ["info", str(folder)])
     assert "name the file in this bag" in told.stderr

@@ -1,0 +1,227 @@
+"""Streams as bags: firings of spinning scanners as clouds, lines of profilers as laser scans; and how bags are written.
+
+A cloud has the shots of one block, missing ones included, in the order of their times: ``x y z intensity ring label
+time``. A laser scan is a line; its class codes are the intensities of the scan of the same stamp on the topic beside.
+"""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import OutputError
+from prc_cli.core.files import remove_stale, suffix_of, temporary_name
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F64
+from prc_cli.formats.bags.cloud import CLOUD, MAX_RINGS, TYPES
+from prc_cli.formats.bags.laser import LASER
+from prc_cli.formats.bags.read import LABELS
+from prc_cli.formats.writing.base import StagedWriter, StreamItem, StreamShape, StreamWriter
+
+_DATABASE, _METADATA = ".db3", "metadata.yaml"
+_SCAN, _POINTS, _FRAME = "/scan", "/points", "scanner"
+_REACH_M = 1e4
+"""Ranges beyond are none [m]."""
+_EVEN = 1e-3
+"""Directions of a column differ by less from line to line, and steps of the angle by this share, in a laser scan."""
+_PLACES = ("x", "y", "z", "intensity")
+_POINT = np.dtype([*((name, "<f4") for name in _PLACES), ("ring", "<u2"), ("label", "<u2"), ("time", "<f4")])
+
+
+class BagOutput(StagedWriter):
+    """What writers of bags have in common: a container, and what makes a bag of the folder that a database lies in."""
+
+    _metadata: Path | None = None
+    _packed = ""
+    """How the bag is compressed, as in the input; ROS 2 knows zstd alone."""
+
+    def _name_metadata(self) -> None:
+        """Register what makes a bag of the folder of a database; nothing where the folder has another one."""
+        if self.path.suffix.lower() != _DATABASE:
+            return
+        metadata = self.path.with_name(_METADATA)
+        others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
+        if others & {_DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
+            self._notice(f"no {_METADATA} was written: the folder has another bag; a folder of its own would get one")
+            return
+        remove_stale(metadata)
+        self._metadata = self._output(metadata)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        """Open a writer of rosbags, and bring what it wrote under the temporary names at the end."""
+        from rosbags import rosbag1, rosbag2
+
+        suffix = self.path.suffix.lower()
+        if suffix == ".bag":
+            first = rosbag1.Writer(self._temporary)
+            if self._packed:
+                first.set_compression(first.CompressionFormat[self._packed.upper()])
+            with first:
+                yield first
+            return
+        plugin = rosbag2.StoragePlugin.SQLITE3 if suffix == _DATABASE else rosbag2.StoragePlugin.MCAP
+        folder = temporary_name(self.path)
+        self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        # programs of ROS 2 from Humble on read this version
+        sink = rosbag2.Writer(folder / self.path.stem, version=8, storage_plugin=plugin)
+        if self._packed:
+            mode = rosbag2.CompressionMode.MESSAGE if suffix == _DATABASE else rosbag2.CompressionMode.STORAGE
+            sink.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+        with sink:
+            yield sink
+        (sink.path / f"{self.path.stem}{suffix}").replace(self._temporary)
+        if self._metadata is not None:
+            (sink.path / _METADATA).replace(self._metadata)
+
+
+class BagStream(BagOutput, StreamWriter):
+    """Writer of a stream as a bag."""
+
+    one_scanner = "a bag"
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        super().__init__(path, shape)
+        if not shape.times:
+            raise OutputError(str(path), "the stream has no times, which every message has", "write .npz")
+        self._is_first = path.suffix.lower() == ".bag"
+        self._store = get_typestore(Stores.ROS1_NOETIC if self._is_first else Stores.LATEST)
+        self._turns: bool | None = None
+        self._waiting = np.empty(0, [("at", "<f8"), *_POINT.descr])
+        """Shots of a cloud that is not written yet."""
+        self._name_metadata()
+
+    def _start(self) -> None:
+        self._messages = self._scratch()  # a database is written by one thread alone
+
+    def _add(self, item: StreamItem) -> None:
+        if self._turns is None:
+            self._turns = self._judged(item.block)
+        if self._turns:
+            self._add_cloud(item)
+        else:
+            self._add_scans(item)
+
+    def _judged(self, block: ScanBlock) -> bool:
+        """Return whether the head turns from line to line; refuse what no message can hold."""
+        turns = block.angle_rad is None
+        if block.xyz_m is not None:
+            with np.errstate(invalid="ignore"):
+                way = block.xyz_m / np.linalg.norm(block.xyz_m, axis=2, keepdims=True)
+            turns = bool(np.nanmax(np.abs(way - way[:1]), initial=0.0) > _EVEN)
+        if turns and (block.points_per_line > MAX_RINGS or block.xyz_m is None):
+            problem = (
+                f"lines of {block.points_per_line} shots turn, expected those of a profiler or of {MAX_RINGS} rings"
+            )
+            raise OutputError(str(self.path), problem, "write .npz")
+        if not turns and block.angle_rad is not None:
+            step = np.diff(block.angle_rad)
+            if len(step) and np.abs(step - step.mean()).max() > _EVEN * np.abs(step.mean()):
+                problem = "the angles of the beams have uneven steps, which laser scans cannot have"
+                raise OutputError(str(self.path), problem, "write .npz")
+        return turns
+
+    # -- profilers
+
+    def _add_scans(self, item: StreamItem) -> None:
+        block, codes = item.block, item.codes
+        assert block.time_s is not None
+        assert block.angle_rad is not None
+        angle, m = block.angle_rad, block.points_per_line
+        step = float(angle[-1] - angle[0]) / max(m - 1, 1)
+        ranges = np.where(np.isnan(block.range_m), np.float32(np.inf), block.range_m)
+        lit = None if block.intensity is None else np.nan_to_num(block.intensity).astype("f4")
+        for i, times in enumerate(block.time_s):
+            shot_s = float(times[-1] - times[0]) / max(m - 1, 1)
+            head = (
+                self._header(float(times[0])),
+                float(angle[0]),
+                float(angle[-1]),
+                step,
+                shot_s,
+                shot_s * m,
+                0.0,
+                _REACH_M,
+            )
+            none = np.empty(0, "f4")
+            self._send(_SCAN, LASER, times[-1], *head, ranges[i], none if lit is None else lit[i])
+            if codes is not None:
+                self._send(_SCAN + LABELS, LASER, times[-1], *head, ranges[i], codes[i].clip(0).astype("f4"))
+
+    # -- spinning scanners
+
+    def _add_cloud(self, item: StreamItem) -> None:
+        """Take a block; send the shots that were fired before any that may follow."""
+        block = item.block
+        assert block.time_s is not None
+        assert block.xyz_m is not None
+        fired = np.isfinite(block.time_s)
+        some = np.zeros(int(fired.sum()), self._waiting.dtype)
+        some["at"], some["ring"] = (
+            block.time_s[fired],
+            np.broadcast_to(np.arange(block.points_per_line), fired.shape)[fired],
+        )
+        for axis, name in enumerate("xyz"):
+            some[name] = block.xyz_m[..., axis][fired]
+        if block.intensity is not None:
+            some["intensity"] = np.nan_to_num(block.intensity[fired])
+        if item.codes is not None:
+            some["label"] = item.codes[fired].clip(0)
+        some = np.concatenate([self._waiting, some])
+        some = some[np.argsort(some["at"], kind="stable")]
+        # lasers of a line need not look the same way at one time: later lines begin before this one has ended
+        end = np.inf if block.is_last or not fired[-1].any() else float(block.time_s[-1][fired[-1]].min())
+        n = int(np.searchsorted(some["at"], end))
+        self._waiting = some[n:]
+        self._send_cloud(some[:n])
+
+    def _send_cloud(self, some: NDArray[np.void]) -> None:
+        if not len(some):
+            return
+        points = np.zeros(len(some), _POINT)
+        for name in _POINT.names or ():
+            points[name] = some[name if name != "time" else "at"] if name != "time" else some["at"] - some["at"][0]
+        kinds = {form: number for number, form in TYPES.items()}
+        field = self._store.types["sensor_msgs/msg/PointField"]
+        names = [name for name in _POINT.names or () if name != "label" or self.shape.codes]
+        forms = {name: _POINT.fields[name] for name in names}  # type: ignore[index]
+        fields = [field(name, int(form[1]), kinds[form[0].str[1:]], 1) for name, form in forms.items()]
+        step, head = _POINT.itemsize, self._header(float(some["at"][0]))
+        data = points.view(np.uint8)
+        self._send(_POINTS, CLOUD, some["at"][-1], head, 1, len(points), fields, False, step, len(data), data, False)
+
+    def _close(self) -> None:
+        """Write the messages that waited."""
+        self._send_cloud(self._waiting)
+        end = self._messages.tell()
+        self._messages.seek(0)
+        topics: dict[str, Any] = {}
+        with self._opened() as sink:
+            while self._messages.tell() < end:
+                topic, name, time_ns, data = pickle.load(self._messages)
+                if topic not in topics:
+                    topics[topic] = sink.add_connection(topic, name, typestore=self._store)
+                sink.write(topics[topic], time_ns, data)
+
+    # -- messages
+
+    def _header(self, time_s: float) -> Any:
+        nanoseconds = round(time_s * 1e9)
+        stamp = self._store.types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+        return self._store.types["std_msgs/msg/Header"](*([0] if self._is_first else []), stamp, _FRAME)
+
+    def _send(self, topic: str, kind: str, time_s: F64, *values: Any) -> None:
+        """Keep a message; the time is that of its last shot, when it is known as a whole."""
+        name = kind.replace("/", "/msg/")
+        pack = self._store.serialize_ros1 if self._is_first else self._store.serialize_cdr
+        data = bytes(pack(self._store.types[name](*values), name))
+        pickle.dump((topic, name, round(float(time_s) * 1e9), data), self._messages)

@@ -1,0 +1,121 @@
+"""Streams written as bags: simulated, classified and compared with their own classes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from prc_cli.cli import cli
+from prc_cli.config import load_config
+from prc_cli.core.errors import ConfigError, OutputError
+from prc_cli.formats.bags.read import BagStream
+from prc_cli.formats.options import InputConfig
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.convert import convert
+from prc_cli.jobs.simulate import Beside, simulate
+from prc_cli.simulation.settings import load_settings
+from tests.runner import runner
+
+SPIN = {"scanner": {"name": "vlp-32c", "azimuth_step_deg": 1.4, "line_hz": 2570.0}, "duration_s": 0.3, "seed": 5}
+WALK = {"scanner": {"points_per_line": 400}, "lines": 200, "trajectory": {"stop_every_m": 0.0}}
+SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+def whole(path: Path) -> dict[str, np.ndarray]:
+    blocks = list(BagStream(path, InputConfig()).blocks())
+    names = ("range_m", "time_s", "intensity")
+    return {name: np.concatenate([getattr(block, name) for block in blocks]) for name in names}
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_lines_of_a_profiler_come_back_bit_for_bit(tmp_path: Path, suffix: str) -> None:
+    settings = load_settings("street", options=WALK)
+    bag, archive = tmp_path / f"walk{suffix}", tmp_path / "walk.npz"
+    simulate("street", bag, settings)
+    simulate("street", archive, settings)
+    expected, found = np.load(archive), whole(bag)
+    assert np.array_equal(found["range_m"], expected["range_m"], equal_nan=True)
+    assert np.array_equal(found["intensity"], expected["intensity"], equal_nan=True)
+    assert found["time_s"] == pytest.approx(expected["time_s"], abs=2e-8)
+    given = load_config(options={"method": "prc"})
+    classify(bag, tmp_path / "bag.npy", given)
+    classify(archive, tmp_path / "archive.npy", given)
+    assert np.array_equal(np.load(tmp_path / "bag.npy"), np.load(tmp_path / "archive.npy"))
+    assert (bag.parent / "metadata.yaml").is_file() == (suffix == ".db3")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_simulated_scanner_is_classified_and_compared(tmp_path: Path, suffix: str) -> None:
+    bag, labels = tmp_path / f"spin{suffix}", tmp_path / "labels.npy"
+    made = simulate("street", bag, load_settings("street", options=SPIN))
+    done = runner().invoke(cli, ["classify", str(bag), str(labels), "-q"])
+    assert done.exit_code in (0, 4), done.output
+    compared = runner().invoke(cli, ["evaluate", str(labels), str(bag), "--json"])
+    assert compared.exit_code == 0, compared.output
+    scores = json.loads(compared.stdout)
+    assert scores["match"]["n_matched"] == made.counts.n_shots
+    assert scores["classes"]["ground"]["recall"] > 0.8
+    assert scores["classes"]["building"]["recall"] > 0.4
+
+
+def test_clouds_have_the_shots_in_the_order_of_their_times(tmp_path: Path) -> None:
+    bag = tmp_path / "spin.bag"
+    made = simulate("street", bag, load_settings("street", options={**SPIN, "flake_m": 50.0}))
+    with AnyReader([bag]) as reader:
+        (connection,) = reader.connections
+        assert (connection.topic, connection.msgtype) == ("/points", "sensor_msgs/msg/PointCloud2")
+        times, codes = [], []
+        for _, _, data in reader.messages():
+            cloud = reader.deserialize(data, connection.msgtype)
+            assert [field.name for field in cloud.fields] == ["x", "y", "z", "intensity", "ring", "label", "time"]  # type: ignore[attr-defined]
+            rows = cloud.data.reshape(-1, cloud.point_step)  # type: ignore[attr-defined]
+            stamp = cloud.header.stamp  # type: ignore[attr-defined]
+            times.append(stamp.sec + stamp.nanosec * 1e-9 + rows[:, 20:24].copy().view("<f4")[:, 0].astype(float))
+            codes.append(rows[:, 18:20].copy().view("<u2")[:, 0])
+    assert len(times) == 3
+    assert (np.diff(np.concatenate(times)) > -1e-7).all()
+    counts = {one.code: one.count for one in made.record.classes}
+    assert {int(code): int((np.concatenate(codes) == code).sum()) for code in counts} == counts
+    assert counts[7] > 1000, "snow"
+
+
+def test_staggered_rings_are_put_back_into_their_lines(tmp_path: Path) -> None:
+    settings = load_settings("street", options=SPIN)
+    bag, archive = tmp_path / "spin.mcap", tmp_path / "spin.npz"
+    simulate("street", bag, settings)
+    simulate("street", archive, settings)
+    expected, found = np.load(archive)["range_m"], whole(bag)["range_m"]
+    # firings of the first and last lines, whose other rings were not fired
+    inner = found[6:-6]
+    assert np.array_equal(np.isnan(inner), np.isnan(expected))
+    assert np.nanmax(np.abs(inner - expected)) < 1e-4
+
+
+def test_an_archive_of_a_spinning_scanner_is_in_order(tmp_path: Path) -> None:
+    simulate("street", tmp_path / "spin.npz", load_settings("street", options=SPIN))
+    done = runner().invoke(cli, ["info", str(tmp_path / "spin.npz")])
+    assert "yes, rings can classify it" in done.output
+    convert(tmp_path / "spin.npz", tmp_path / "again.bag", load_config())
+    expected, found = np.load(tmp_path / "spin.npz")["range_m"], whole(tmp_path / "again.bag")["range_m"]
+    assert np.count_nonzero(~np.isnan(found)) == np.count_nonzero(~np.isnan(expected))
+
+
+def test_what_no_message_can_hold(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="a scan from a tripod"):
+        simulate("street-scan", tmp_path / "a.bag", load_settings("street-scan", options={"lines": 9}))
+    with pytest.raises(ConfigError, match="which it holds itself"):
+        settings = load_settings("street", options=WALK)
+        simulate("street", tmp_path / "a.bag", settings, beside=Beside(labels=tmp_path / "a.npy"))
+    n, m = 6, 300
+    angle = np.linspace(-1.0, 1.0, m) ** 3
+    np.savez(tmp_path / "uneven.npz", range_m=np.full((n, m), 5.0, "f4"), angle_rad=angle, time_s=np.arange(n * 1.0))
+    with pytest.raises(OutputError, match="uneven steps"):
+        convert(tmp_path / "uneven.npz", tmp_path / "a.bag", load_config())
+    np.savez(tmp_path / "timeless.npz", range_m=np.full((n, m), 5.0, "f4"), angle_rad=np.linspace(-1.0, 1.0, m))
+    with pytest.raises(OutputError, match="no times"):
+        convert(tmp_path / "timeless.npz", tmp_path / "a.bag", load_config())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["timeless.npz", "uneven.npz"]
