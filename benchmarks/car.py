@@ -222,7 +222,7 @@ def oakland_section(folder: Path) -> str:
         "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on the registered points. CAR reads",
         "these points. PRC reads lines, angles and ranges that were recovered from them by fitting (.5 degrees, 1 cm):",
         "its side is no raw stream either, and its noise had been deleted. Strip 1 decided limits of the fused method,",
-        "strip 2 one of its rules, strip 3 nothing. Times include the start of Python, and other work ran beside them.\n",
+        "strip 2 one of its rules, strip 3 nothing. Times include the start of Python; other work ran beside them.\n",
         table(("strip and class", *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)), rows),
         table(("strip", *names), states),
         table(("strip", "points", "PRC [s]", "CAR [s]"), seconds),

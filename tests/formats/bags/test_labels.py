@@ -25,6 +25,7 @@ from prc_cli.formats.bags.labels import CloudCodec
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
+from prc_cli.jobs.classify import classify
 from tests.formats import common
 from tests.formats.bags import recordings as made
 from tests.formats.bags.test_cloud import drive, messages
