@@ -27,11 +27,12 @@ from prc_cli.methods.reasons import rule_of
 from tests.journeys.conftest import STREET, M
 from tests.journeys.shell import CLASSES, COMMAND, Shell
 
+pytestmark = pytest.mark.slow
+
 ALIKE = 0.01
 """F1 that two ways to the same labels may lie apart."""
 
 
-@pytest.mark.slow
 def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
     prc(f"prc simulate street -o drive.laz -q {STREET}")
     told = prc("prc info drive.laz").told("type")
@@ -47,7 +48,6 @@ def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
     assert min(found[name] for name in CLASSES) > 0.85
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [3 * M, 100 * M, M // 2, M // 3, M + 1])
 def test_2_a_wrong_number_is_refused_and_the_hint_gives_the_labels(prc: Shell, wrong: int) -> None:
     said = prc(f"prc classify drive.bin labels.npy -M {wrong}", code=1)
@@ -59,7 +59,6 @@ def test_2_a_wrong_number_is_refused_and_the_hint_gives_the_labels(prc: Shell, w
     assert min(found[name] for name in CLASSES) > 0.85
 
 
-@pytest.mark.slow
 def test_2_a_wrong_unit_too(prc: Shell) -> None:
     with np.load(prc.here / "drive.npz") as drive:
         np.savez(prc.here / "mm.npz", range_m=1000 * drive["range_m"], angle_deg=drive["angle_deg"])
@@ -72,7 +71,6 @@ def test_2_a_wrong_unit_too(prc: Shell) -> None:
     assert "radians" in prc("prc classify radians.npz more.npy", code=1).err
 
 
-@pytest.mark.slow
 def test_3_calibrate_never_makes_the_labels_worse(prc: Shell) -> None:
     prc("prc calibrate drive.npz -o calibrated.toml -q")
     prc("prc classify drive.npz plain.npy -q")
@@ -82,7 +80,6 @@ def test_3_calibrate_never_makes_the_labels_worse(prc: Shell) -> None:
         assert calibrated[name] >= plain[name]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["laz", "ply", "pcd"])
 def test_4_another_program_finds_a_cloud_with_class_names(prc: Shell, suffix: str) -> None:
     prc(f"prc classify drive.npz cloud.{suffix} -q")
@@ -105,7 +102,6 @@ def test_4_registered_coordinates_are_kept(prc: Shell, suffix: str) -> None:
     assert np.allclose(xyz, points_of(prc.here / "registered.laz")[0], rtol=0, atol=0.0006)
 
 
-@pytest.mark.slow
 def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
     (prc.here / "archive").mkdir()
     for name in "abcd":
@@ -136,7 +132,6 @@ def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
     assert all(np.array_equal(prc.labels(f"out/{name}.npz.labels.npy"), prc.labels("alone.npy")) for name in "abcd")
 
 
-@pytest.mark.slow
 def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
     registered(prc)
     car = laspy.read(prc.here / "registered.laz")
@@ -150,7 +145,6 @@ def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
     assert table["classes"]["ground"]["recall"] > 0.5
 
 
-@pytest.mark.slow
 @pytest.mark.data
 def test_7_a_bag_of_two_scanners_to_frames_of_points(prc: Shell, real_data: Path) -> None:
     shutil.copy(real_data / "cartographer/b0_short.bag", prc.here)
@@ -160,7 +154,6 @@ def test_7_a_bag_of_two_scanners_to_frames_of_points(prc: Shell, real_data: Path
     assert not np.isnan(xyz).any()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["", "--preset urban", "--preset forest"])
 def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> None:
     prc(f"prc classify drive.bin labels.npy -q -M {M} {preset}")
@@ -171,7 +164,6 @@ def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> 
     assert np.mean(live_labels == prc.labels("labels.npy")) > 0.999
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "drive", "lines"), [("urban", "drive", 40), ("forest", "forest", 40), ("street-scan", "scan", 6)]
 )
@@ -184,7 +176,6 @@ def test_9_the_papers_in_plain_numpy_have_the_same_labels(prc: Shell, preset: st
     assert np.array_equal(prc.labels("reference.npy"), prc.labels("compiled.npy"))
 
 
-@pytest.mark.slow
 def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
     prc("prc classify drive.npz labels.parquet -q --set output.reason=true")
     table = pq.read_table(prc.here / "labels.parquet")
@@ -197,7 +188,6 @@ def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
         assert told["sentence"] == rule_of(int(reasons[at]))[1].sentence
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drive", "preset", "name", "least"),
     [
