@@ -144,7 +144,7 @@ class Registered:
         shift = shift_of(ours, theirs)
         if shift is not None:
             self._counts.note(
-                f"the reference is shifted against the prediction {shift_told(shift)}: register both with one "
+                f"the reference is shifted {shift_told(shift)} against the prediction: register both with one "
                 "trajectory before you trust these scores"
             )
         for sentence in self._overlaps():
