@@ -196,7 +196,9 @@ def page(folder: Path, length: float, seed: int) -> str:
 
 def oakland_section(folder: Path) -> str:
     """Compare PRC on recovered lines with CAR on the registered points they came from, strip by strip."""
-    rows, states, seconds = [], [], []
+    rows: list[tuple[str, ...]] = []
+    states: list[tuple[str, ...]] = []
+    seconds: list[tuple[str, ...]] = []
     for strip in (1, 2, 3):
         scan = DATA / "oakland" / f"oakland_{strip}.csv.gz"
         labels, car = folder / f"prc_{strip}.npy", folder / f"car_{strip}.npy"
@@ -222,7 +224,7 @@ def oakland_section(folder: Path) -> str:
         "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on the registered points. CAR reads",
         "these points. PRC reads lines, angles and ranges that were recovered from them by fitting (.5 degrees, 1 cm):",
         "its side is no raw stream either, and its noise had been deleted. Strip 1 decided limits of the fused method,",
-        "strip 2 one of its rules, strip 3 nothing. Times include the start of Python; other work ran beside them.\n",
+        "strip 2 one of its rules, strip 3 nothing. Times include Python's start; other work ran beside them.\n",
         table(("strip and class", *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)), rows),
         table(("strip", *names), states),
         table(("strip", "points", "PRC [s]", "CAR [s]"), seconds),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.types import F64
+from prc_cli.matching.keys import AXES
 from prc_cli.matching.nearest import CELL_M, Cloud, cell_places, sample_of, tiles_of, tree_of, xyz_of
 
 LEAST_SHIFT_M = 0.05
@@ -135,10 +136,14 @@ def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
     steps = [at - size if at > size // 2 else at for at, size in zip(peak, _SHIFT_VOXELS, strict=True)]
     if score[peak] < _CLEARER * score[0, 0, 0] or max(map(abs, steps)) < 2:
         return None
-    # between the voxels: the parabola through the peak and its neighbours
-    exact = []
-    for axis, step in enumerate(steps):
-        around = [score[tuple(np.add(peak, np.eye(3, dtype=int)[axis] * k) % _SHIFT_VOXELS)] for k in (-1, 0, 1)]
-        bend = around[0] - 2 * around[1] + around[2]
-        exact.append((step + (0.5 * (around[0] - around[2]) / bend if bend else 0.0)) * SHIFT_VOXEL_M)
-    return np.array(exact)
+    return np.array(steps, np.float64) * SHIFT_VOXEL_M
+
+
+def shift_told(shift: F64) -> str:
+    """Return a shift for a sentence.
+
+    >>> shift_told(np.array([0.0, 0.3, -0.4]))
+    'by 0.50 m (x +0.00, y +0.30, z -0.40 m)'
+    """
+    axes = ", ".join(f"{axis} {value:+.2f}" for axis, value in zip(AXES, shift, strict=True))
+    return f"by {np.linalg.norm(shift):.2f} m ({axes} m)"

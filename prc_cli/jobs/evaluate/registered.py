@@ -21,7 +21,7 @@ from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.join import CODE, Columns, JoinTally, columns_of
 from prc_cli.matching.keys import AXES
 from prc_cli.matching.nearest import Cloud, Nearest, fit_of, nearest_join, nearest_of
-from prc_cli.matching.shift import shift_of
+from prc_cli.matching.shift import shift_of, shift_told
 from prc_cli.matching.sides import FILE, SECONDS, UNKNOWN, Side
 
 GROUND, STEM = "ground", "stem"
@@ -143,10 +143,9 @@ class Registered:
         self._is_narrow = fit is None or self.tolerance < fit.tolerance_m
         shift = shift_of(ours, theirs)
         if shift is not None:
-            axes = ", ".join(f"{axis} {value:+.2f}" for axis, value in zip(AXES, shift, strict=True))
             self._counts.note(
-                f"the reference is shifted by {np.linalg.norm(shift):.2f} m against the prediction ({axes} m): "
-                "register both with one trajectory before you trust these scores"
+                f"the reference is shifted {shift_told(shift)} against the prediction: register both with one "
+                "trajectory before you trust these scores"
             )
         for sentence in self._overlaps():
             self._counts.note(sentence)

@@ -37,7 +37,7 @@ from prc_cli.jobs.transfer.verdict import TransferCounts, counts_of, notices_of,
 from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Joined, JoinTally, columns_of, merge_join
 from prc_cli.matching.keys import AXES, SPARE_LABELS, NearestLabel
 from prc_cli.matching.nearest import Cloud, fit_of, nearest_join
-from prc_cli.matching.shift import shift_of
+from prc_cli.matching.shift import shift_of, shift_told
 from prc_cli.matching.sides import CONFIDENCE
 
 
@@ -191,8 +191,7 @@ def _partners(
     sides.assumptions.append(Assumption("transfer.tolerance_m", f"{sides.tolerance:g}", why))
     shift = shift_of(labels, points)
     if shift is not None:
-        axes = ", ".join(f"{axis} {value:+.2f}" for axis, value in zip(AXES, shift, strict=True))
-        sides.notices.append(f"the registered points are shifted by {np.linalg.norm(shift):.2f} m ({axes} m)")
+        sides.notices.append(f"the registered points are shifted {shift_told(shift)}")
     for item in nearest_join(points, labels, sides.tolerance, tally):
         at = np.flatnonzero(item.to >= 0)
         yield Joined(item.left, item.right, at, item.to[at])

@@ -19,6 +19,7 @@ from prc_cli.formats import (
 )
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.las.vlrs import same_crs
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import by_suffix, format_of
@@ -114,7 +115,9 @@ def open_sides(
             text += f"({sides.step_s:.2g} s): a point whose own label is missing gets its neighbour's"
             sides.notices.append(text)
     _refuse_apart(sides, options)
-    if isinstance(origin, LasSource) and (notice := _crs_notice(origin, target)):
+    one, other = origin.facts.crs_wkt, target.facts.crs_wkt
+    if isinstance(origin, LasSource) and one is not None and other is not None and not same_crs(one, other):
+        notice = "the coordinate systems of labels and points differ"
         if options.match == "nearest":
             raise InputError(sides.labels.path, notice, "reproject one of them, or match by time")
         sides.notices.append(f"{notice}; the match does not use coordinates")
@@ -264,18 +267,3 @@ def _scale_offset(labels: Survey, points: Survey) -> tuple[float, str] | None:
         if labels.low + offset <= points.high and points.low <= labels.high + offset:
             return offset, what
     return None
-
-
-def _crs_notice(origin: LasSource, target: LasSource) -> str | None:
-    """Warn that the coordinate systems differ; the match does not use coordinates."""
-    left, right = origin.crs_wkt, target.crs_wkt
-    if left is None or right is None or left == right:
-        return None
-    try:
-        import pyproj
-
-        if pyproj.CRS.from_user_input(left) == pyproj.CRS.from_user_input(right):
-            return None
-    except (ImportError, ValueError, RuntimeError):  # CRSError is a RuntimeError
-        pass
-    return "the coordinate systems of labels and points differ"
