@@ -227,18 +227,21 @@ def forest(seed: int, length_m: float) -> dict[str, float]:
         ours, (theirs, times) = stems_of(first, Path(folder))[0], stems_of(second, Path(folder))
     drift = Drift(second, seed, START_M, START_DEG)
     way, drifted = drift(second.way_m, second.way_s), drift(second.xyz_m, second.time_s)
-    result = {"before": off(way, second.way_m)}
-    for arm, codes in (("ICP, all points", None), ("ICP, − noise", CODE["noise"]), ("ICP, stems alone", -CODE["stem"])):
-        masks = (
-            np.ones(len(one.found), np.bool_) if codes is None else one.found == -codes if codes < 0
-            else one.found != codes for one in (first, second)
-        )  # fmt: skip
-        own, other = masks
-        result[arm] = off(moved(icp(first.xyz_m[own], drifted[other]), way), second.way_m)
-    result["best of all rigid moves"] = off(moved(_rigid(way, second.way_m), way), second.way_m)
+
+    def apart(matrix: F64) -> float:
+        # stems tell nothing of the height
+        return off(moved(matrix, way)[:, :2], second.way_m[:, :2])
+
+    result = {"before": apart(np.eye(4)), "best of all rigid moves": apart(_rigid(way, second.way_m))}
+    chosen: dict[str, Callable[[I64], Any]] = {
+        "ICP, all points": lambda codes: np.ones(len(codes), np.bool_),
+        "ICP, − noise": lambda codes: codes != CODE["noise"],
+        "ICP, points of stems alone": lambda codes: codes == CODE["stem"],
+    }
+    for arm, choose in chosen.items():
+        result[arm] = apart(icp(first.xyz_m[choose(first.found)], drifted[choose(second.found)]))
     matrix = matched(ours, drift(theirs, times))
-    result["stems by pattern"] = float("nan") if matrix is None else off(
-        moved(matrix, way)[:, :2], second.way_m[:, :2])  # fmt: skip
+    result["stems by their pattern, RANSAC"] = float("nan") if matrix is None else apart(matrix)
     return {**result, "stems, first pass": len(ours), "stems, second pass": len(theirs)}
 
 
@@ -266,7 +269,7 @@ def page(of_seeds: list[tuple[int, dict[str, list[float]], dict[str, float]]], s
         f"How far what stands still is off in strips of {STRIP_M:g} m, root mean square [m]: median (least–most).\n",
         table(("points", "off [m]", "strips"), rows),
         "## Walks in a forest\n",
-        "How far the second pass's trajectory is off, root mean square [m]; by stems in x and y.\n",
+        "How far the second pass's trajectory is off in x and y, root mean square [m], and stems of prc objects.\n",
         table(("way", *(f"seed {seed}" for seed in seeds)), of_walks),
     ))  # fmt: skip
 

@@ -48,8 +48,7 @@ from prc_cli.jobs.thin import thin as thin_file
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def thin(
-    source: Path, output: Path, keep: tuple[str, ...], spacing: tuple[str, ...], drop: tuple[str, ...],
-    keep_only: tuple[str, ...], labels: Path | None, min_confidence: int | None, keep_empty: bool, every_frame: bool,
+    source: Path, output: Path, labels: Path | None, min_confidence: int | None, keep_empty: bool, every_frame: bool,
     overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
@@ -67,6 +66,7 @@ def thin(
       prc thin drive.csv.gz drive_thin.npz --labels labels.npy --keep building=0.5
       prc thin velodyne/ still/ --keep-only ground,building,pole
     """
+    keep, spacing, drop, keep_only = (options.pop(name) for name in ("keep", "spacing", "drop", "keep_only"))
     loaded = config_from(options)
     rules = parse_rules(keep, spacing, drop, loaded.config.classes, keep_only=keep_only)
     classify = any(options[name] is not None for name in ("preset", "method", "config_file"))
