@@ -31,8 +31,8 @@ _REACH_M = 1e4
 """Ranges beyond are none [m]."""
 _EVEN = 1e-3
 """Directions of a column differ by less from line to line, and steps of the angle by this share, in a laser scan."""
-_PLACES = ("x", "y", "z", "intensity")
-_POINT = np.dtype([*((name, "<f4") for name in _PLACES), ("ring", "<u2"), ("label", "<u2"), ("time", "<f4")])
+_POINT = np.dtype("<f4, <f4, <f4, <f4, <u2, <u2, <f4")
+_POINT.names = ("x", "y", "z", "intensity", "ring", "label", "time")
 
 
 class BagOutput(StagedWriter):
@@ -82,7 +82,7 @@ class BagOutput(StagedWriter):
             (sink.path / _METADATA).replace(self._metadata)
 
 
-class BagStream(BagOutput, StreamWriter):
+class BagStreamWriter(BagOutput, StreamWriter):
     """Writer of a stream as a bag."""
 
     one_scanner = "a bag"
@@ -96,7 +96,7 @@ class BagStream(BagOutput, StreamWriter):
         self._is_first = path.suffix.lower() == ".bag"
         self._store = get_typestore(Stores.ROS1_NOETIC if self._is_first else Stores.LATEST)
         self._turns: bool | None = None
-        self._waiting = np.empty(0, [("at", "<f8"), *_POINT.descr])
+        self._waiting = np.empty(0, [*_POINT.descr[:-1], ("time", "<f8")])
         """Shots of a cloud that is not written yet."""
         self._name_metadata()
 
@@ -137,21 +137,12 @@ class BagStream(BagOutput, StreamWriter):
         assert block.time_s is not None
         assert block.angle_rad is not None
         angle, m = block.angle_rad, block.points_per_line
-        step = float(angle[-1] - angle[0]) / max(m - 1, 1)
+        angles = float(angle[0]), float(angle[-1]), float(angle[-1] - angle[0]) / max(m - 1, 1)
         ranges = np.where(np.isnan(block.range_m), np.float32(np.inf), block.range_m)
         lit = None if block.intensity is None else np.nan_to_num(block.intensity).astype("f4")
         for i, times in enumerate(block.time_s):
             shot_s = float(times[-1] - times[0]) / max(m - 1, 1)
-            head = (
-                self._header(float(times[0])),
-                float(angle[0]),
-                float(angle[-1]),
-                step,
-                shot_s,
-                shot_s * m,
-                0.0,
-                _REACH_M,
-            )
+            head = self._header(float(times[0])), *angles, shot_s, shot_s * m, 0.0, _REACH_M
             none = np.empty(0, "f4")
             self._send(_SCAN, LASER, times[-1], *head, ranges[i], none if lit is None else lit[i])
             if codes is not None:
@@ -166,10 +157,7 @@ class BagStream(BagOutput, StreamWriter):
         assert block.xyz_m is not None
         fired = np.isfinite(block.time_s)
         some = np.zeros(int(fired.sum()), self._waiting.dtype)
-        some["at"], some["ring"] = (
-            block.time_s[fired],
-            np.broadcast_to(np.arange(block.points_per_line), fired.shape)[fired],
-        )
+        some["time"], some["ring"] = block.time_s[fired], np.nonzero(fired)[1]
         for axis, name in enumerate("xyz"):
             some[name] = block.xyz_m[..., axis][fired]
         if block.intensity is not None:
@@ -177,27 +165,27 @@ class BagStream(BagOutput, StreamWriter):
         if item.codes is not None:
             some["label"] = item.codes[fired].clip(0)
         some = np.concatenate([self._waiting, some])
-        some = some[np.argsort(some["at"], kind="stable")]
+        some = some[np.argsort(some["time"], kind="stable")]
         # lasers of a line need not look the same way at one time: later lines begin before this one has ended
         end = np.inf if block.is_last or not fired[-1].any() else float(block.time_s[-1][fired[-1]].min())
-        n = int(np.searchsorted(some["at"], end))
+        n = int(np.searchsorted(some["time"], end))
         self._waiting = some[n:]
         self._send_cloud(some[:n])
 
     def _send_cloud(self, some: NDArray[np.void]) -> None:
         if not len(some):
             return
-        points = np.zeros(len(some), _POINT)
-        for name in _POINT.names or ():
-            points[name] = some[name if name != "time" else "at"] if name != "time" else some["at"] - some["at"][0]
+        head, end_s = self._header(float(some["time"][0])), some["time"][-1]
+        some["time"] -= some["time"][0]
+        data, step = some.astype(_POINT).view(np.uint8), _POINT.itemsize
         kinds = {form: number for number, form in TYPES.items()}
         field = self._store.types["sensor_msgs/msg/PointField"]
-        names = [name for name in _POINT.names or () if name != "label" or self.shape.codes]
-        forms = {name: _POINT.fields[name] for name in names}  # type: ignore[index]
-        fields = [field(name, int(form[1]), kinds[form[0].str[1:]], 1) for name, form in forms.items()]
-        step, head = _POINT.itemsize, self._header(float(some["at"][0]))
-        data = points.view(np.uint8)
-        self._send(_POINTS, CLOUD, some["at"][-1], head, 1, len(points), fields, False, step, len(data), data, False)
+        fields = [
+            field(name, int(_POINT.fields[name][1]), kinds[_POINT[name].str[1:]], 1)  # type: ignore[index]
+            for name in _POINT.names or ()
+            if name != "label" or self.shape.codes
+        ]
+        self._send(_POINTS, CLOUD, end_s, head, 1, len(some), fields, False, step, len(data), data, False)
 
     def _close(self) -> None:
         """Write the messages that waited."""
