@@ -53,6 +53,7 @@ def changed(limits: LimitsT, **tables: Any) -> LimitsT:
 STREET_STEPS: dict[str, Tables] = {
     "interlaced columns in step": {"interlace_rad": math.inf},
     "neighbours farther away where lines are close": {"spaced": None},
+    "trunks and posts along lines": {"columns": {"lines": -1}},
     "walls": {"walls": {"height_m": NEVER}},
     "roofs above walls": {"decision": {"roof_m": -NEVER}},
     "foliage rougher close to walls": {"decision": {"leaf_share_before_wall": "leaf_share"}},

@@ -23,6 +23,7 @@ from prc_cli.methods.fused.stems_loops import ground_profiles as ground_profiles
 from prc_cli.methods.fused.stems_loops import stem_shots as stem_shots
 from prc_cli.methods.fused.stems_loops import upright_runs as upright_runs
 from prc_cli.methods.fused.strips_loops import fill_strips as fill_strips
+from prc_cli.methods.fused.strips_loops import find_columns as find_columns
 from prc_cli.methods.fused.strips_loops import find_walls as find_walls
 from prc_cli.methods.fused.strips_loops import widen_levels as widen_levels
 from prc_cli.methods.fused.strips_loops import widen_slots as widen_slots

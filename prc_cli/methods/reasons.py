@@ -99,7 +99,7 @@ RULES: dict[Reason, Rule] = {
     Reason.TRUNK: Rule("thin and upright, and as thick and round as a trunk", ("decision.thick_m",)),
     Reason.POST: Rule(
         "upright and thin: lines beside it, or shots above and below, see past it",
-        ("decision.pole_m", "decision.far_m"),
+        ("decision.pole_m", "decision.far_m", "columns.tall_m", "columns.lines"),
     ),
     Reason.ARM: Rule("thin and high above the ground: an arm or a lamp", ("decision.arm_m", "decision.far_m")),
     Reason.BOX: Rule(

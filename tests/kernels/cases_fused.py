@@ -17,6 +17,7 @@ from prc_cli.methods.fused.confidence import MEASURES
 from prc_cli.methods.fused.thresholds import (
     AgainThresholds,
     ChordThresholds,
+    ColumnThresholds,
     CurbThresholds,
     DecisionThresholds,
     FanThresholds,
@@ -228,7 +229,39 @@ def strips_case(rng: Generator) -> tuple[Any, ...]:
         level_top_m=rng.choice([3.4, 0.5]),
         jump_m=rng.choice([1.0, 9.0]),
     )
-    return one.range_m, above, random_counts(rng, one), one.beams, one.step, chosen
+    columns = (rng.random(above.shape) < rng.choice([0.0, 0.3])).astype(np.uint8)
+    return one.range_m, above, random_counts(rng, one), columns, one.beams, one.step, chosen
+
+
+def columns_case(rng: Generator) -> tuple[Any, ...]:
+    """Return lines with round and flat things of several widths before a wall, stray shots and gaps."""
+    n_lines, around, m = int(rng.integers(3, 9)), int(rng.integers(2, 12)), 40
+    beam = np.linspace(0.4, 2.2, m)
+    window = np.full((n_lines + 2 * around, m), 9.0) + rng.choice([0.0, 0.3]) * rng.random((n_lines + 2 * around, m))
+    for _ in range(int(rng.integers(1, 4))):
+        first, wide, at = (int(rng.integers(low, high)) for low, high in ((0, len(window)), (1, 9), (0, m - 12)))
+        lines = np.arange(first, min(first + wide, len(window)))
+        off = (lines - first - (wide - 1) / 2) / (wide / 2)
+        bulge = rng.choice([0.0, 0.1, 0.2, 0.9]) * (1 - np.sqrt(1 - off**2))
+        window[lines, at : at + int(rng.integers(4, 30))] = (rng.choice([3.0, 7.0, 8.4]) + bulge)[:, None]
+    window[rng.random(window.shape) < rng.choice([0.0, 0.01, 0.1])] = rng.choice([np.nan, 2.0, 30.0])
+    window = (window / np.sin(beam)).astype(np.float32)
+    beams = np.sin(beam).astype(np.float32), np.cos(beam).astype(np.float32)
+    above = (np.float32(2) - window[around : len(window) - around] * beams[1]).astype(np.float32)
+    odd = rng.random(above.shape) < rng.choice([0.0, 0.02, 0.2])
+    counts = tuple(np.where(odd, one, other).astype(np.uint8) for one, other in ((1, 9), (2, 7), (0, 3), (0, 0)))
+    chosen = typed(
+        ColumnThresholds,
+        lines=rng.choice([3, 8, 60]),
+        foot_m=rng.choice([0.3, -9.0]),
+        shots=rng.choice([1, 6]),
+        share=rng.choice([0.2, 0.8]),
+        tall_m=rng.choice([0.2, 1.0]),
+        low_m=rng.choice([0.6, 3.0]),
+        thin_lines=rng.choice([1, 5]),
+        high_m=rng.choice([0.0, 2.2]),
+    )
+    return window, above, counts, beams, chosen
 
 
 def slots_case(rng: Generator) -> tuple[Any, ...]:
@@ -343,8 +376,8 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
     )
     return (
         window, above, counts, np.zeros(shape, np.bool_), np.ones((n_lines, m), np.float32), (strips, strips),
-        tuple(walls), np.zeros((n_lines, 2 * fused_strips.STRIPS), np.uint8), (sines, cosines), np.float32(0.0076),
-        chosen,
+        tuple(walls), np.zeros((n_lines, 2 * fused_strips.STRIPS), np.uint8), np.zeros((n_lines, m), np.uint8),
+        (sines, cosines), np.float32(0.0076), chosen,
     )  # fmt: skip
 
 
@@ -360,6 +393,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         one.range_m,
         above,
         counts,
+        alone := (rng.random(above.shape) < rng.choice([0.0, 0.1])).astype(np.uint8),
         one.beams,
         one.step,
         typed(
@@ -385,7 +419,8 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     cars |= ((rng.random(cars.shape) < rng.choice([0.0, 0.3])) * np.uint8(17)).astype(np.uint8)
     window = np.concatenate([one.window[more[0]], one.window, one.window[more[1]]])
     return (
-        window, above, counts, walked, texture, wide, walls, cars, one.beams, one.step, decision(rng),
+        window, above, counts, walked, texture, wide, walls, cars, alone[INNER:-INNER], one.beams, one.step,
+        decision(rng),
     )  # fmt: skip
 
 
@@ -512,6 +547,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "curb_labels": curb_case,
     "directions": directions_case,
     "fill_strips": strips_case,
+    "find_columns": columns_case,
     "find_walls": walls_case,
     "fan_cars": fan_case,
     "find_flanks": flanks_case,

@@ -31,6 +31,7 @@ class _Shot:
     slots: tuple[Slots, Slots]
     walls: tuple[F32, F32, F32]
     levels: U8
+    alone: U8
     step: np.float32
     thresholds: DecisionThresholds
     line: int
@@ -173,7 +174,13 @@ class _Shot:
             return False
         return bool(int((around % 16).sum()) >= (limits.car_bins_rough if rough else limits.car_bins))
 
+    @property
+    def is_column(self) -> bool:
+        return bool(self.alone[self.line, self.i] and self.strip is not None and self.thresholds.pole_m > 0)
+
     def is_standing(self, *, is_car: bool) -> bool:
+        if self.is_column:
+            return True
         if self.strip is None or not self.above > self.thresholds.foot_m:
             return False
         if self.level > 0 and not (self.above > self.thresholds.arm_m and self._is_free_across()):
@@ -183,7 +190,7 @@ class _Shot:
         return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
 
     def is_thin(self) -> bool:
-        return self._is_short_in_line() or self._is_narrow_across()
+        return self.is_column or self._is_short_in_line() or self._is_narrow_across()
 
     def _is_short_in_line(self) -> bool:
         ranges, heights = self.window[self.line + MARGIN], self.points[1][self.line + 2]
@@ -282,12 +289,12 @@ class _Shot:
     def _upright(self) -> Reason | None:
         if self.has_crown():
             return Reason.CROWN
-        is_long = not self._is_free_across(BESIDE)
+        is_long = not (self.is_column or self._is_free_across(BESIDE))
         if is_long or len(self.run()) < self.thresholds.pole_shots:
             return None
         if self.is_thick():
             return Reason.TRUNK
-        return Reason.POST if self.level == 0 else Reason.ARM
+        return Reason.POST if self.level == 0 or self.is_column else Reason.ARM
 
 
 def fused_labels(
@@ -299,6 +306,7 @@ def fused_labels(
     slots: tuple[Slots, Slots],
     walls: tuple[F32, F32, F32],
     levels: U8,
+    alone: U8,
     beams: tuple[F32, F32],
     step: np.float32,
     thresholds: DecisionThresholds,
@@ -309,7 +317,7 @@ def fused_labels(
     for line, i in zip(*np.nonzero(~np.isnan(window_m[MARGIN:-MARGIN])), strict=True):
         is_walked, soft = bool(walked[line + 2, i]), np.float32(texture[line, i])
         shot = _Shot(
-            window_m, points, counts, is_walked, soft, slots, walls, levels, step, thresholds, int(line), int(i)
+            window_m, points, counts, is_walked, soft, slots, walls, levels, alone, step, thresholds, int(line), int(i)
         )
         labels[line, i] = shot.rule()
     for line, row in enumerate(labels):
@@ -360,7 +368,7 @@ class _Line:
             else:
                 last, gap = j, 0
             j += way
-        return last, last
+        return last, -1 if gap > 3 else last
 
     def lines_beside(self, i: int, way: int) -> int | None:
         last, seen, others = self.ranges[i], 0, []

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, U8
-from prc_cli.methods.fused.thresholds import StripThresholds, WallThresholds
+from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, WallThresholds
 
 N, WIDTH, HALF_WIDTH, SLOT = 320, np.float32(0.5), np.float32(0.25), np.float32(0.25)
 NOTHING = np.float32(-1e9)
@@ -20,6 +21,7 @@ def fill_strips(
     range_m: F32,
     above_m: F32,
     counts: tuple[U8, U8, U8, U8],
+    columns: U8,
     beams: tuple[F32, F32],
     step: np.float32,
     thresholds: StripThresholds,
@@ -43,7 +45,7 @@ def fill_strips(
             rough[k, strip] |= bit
         stands_for = ranges[k, i] * step / max(abs(y) / ranges[k, i], np.float32(0.3))
         length[k, strip] += stands_for
-        if smooth[k, i] >= thresholds.smooth and upright[k, i] >= 2:
+        if smooth[k, i] >= thresholds.smooth and upright[k, i] >= 2 and not columns[k, i]:
             wall[k, strip] += stands_for
             place[k, strip] += stands_for * y
             top[k, strip] = max(top[k, strip], height[k, i])
@@ -106,3 +108,111 @@ def sum_around(values: F32) -> F32:
     padded = np.pad(lines, 1)
     total: F32 = (padded[:-2] + padded[1:-1]) + padded[2:]
     return total
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Lines, and those before and after them."""
+
+    window: F32
+    above: F32
+    near: U8
+    smooth: U8
+    beams: tuple[F32, F32]
+    limits: ColumnThresholds
+
+    @property
+    def margin(self) -> int:
+        return (len(self.window) - len(self.above)) // 2
+
+    def beyond(self, line: int, i: int, way: int) -> int | None:
+        """Return how far away the first line is that no longer sees the thing of a shot; None: it sees no end."""
+        k = line + self.margin
+        while 0 <= k + 2 * way < len(self.window):
+            own, there, beyond = (self.window[k + n * way, i] for n in range(3))
+            there = beyond if np.isnan(there) else there
+            k += way
+            if np.isnan(own) or np.abs(own - there) < self.limits.jump_m:
+                continue
+            return abs(k - line - self.margin) if not there <= own + self.limits.far_m else None
+        return None
+
+    def seen(self, line: int, i: int) -> range | None:
+        """Return the lines of the window that see the thing of a shot, if those beside them see past it."""
+        before, after = self.beyond(line, i, -1), self.beyond(line, i, 1)
+        if before is None or after is None or before + after - 1 > self.limits.lines:
+            return None
+        return range(line + self.margin - before + 1, line + self.margin + after)
+
+    def is_held(self, line: int, i: int) -> bool:
+        return bool(self.near[line, i] >= self.limits.least_near and self.above[line, i] > self.limits.foot_m)
+
+    def is_free(self, line: int, i: int) -> bool:
+        smooth = self.smooth[line, i] >= self.limits.smooth
+        return bool(smooth and self.is_held(line, i) and self.seen(line, i) is not None)
+
+    def runs(self, line: int) -> list[list[int]]:
+        """Return the shots of every run of a line."""
+        runs: list[list[int]] = []
+        ranges = self.window[line + self.margin]
+        for i in range(self.above.shape[1]):
+            if not self.is_held(line, i):
+                continue
+            goes_on = runs and runs[-1][-1] == i - 1 and np.abs(ranges[i] - ranges[i - 1]) < self.limits.jump_m
+            if goes_on:
+                runs[-1].append(i)
+            else:
+                runs.append([i])
+        return runs
+
+    def radius(self, line: int, i: int) -> np.float32:
+        lines, away = self.seen(line, i), self.window[line + self.margin, i]
+        assert lines is not None
+        n, q = len(lines), max(len(lines) // 4, 1)
+        if n < 3:
+            return np.float32(0)
+        there = self.window[lines.start : lines.stop, i]
+        left, right, middle = (_added(part) for part in (there[:q], there[n - q :], there[q : n - q]))
+        left, right, middle = left / np.float32(q), right / np.float32(q), middle / np.float32(n - 2 * q)
+        if not min(left, right) > middle:
+            return np.float32(0)
+        bulge = np.float32(0.5) * (left + right) - middle
+        return np.float32(bulge * (abs(away * self.beams[0][i]) / away) / np.float32(0.34))
+
+    def is_column(self, line: int, run: list[int], free: list[int]) -> bool:
+        limits = self.limits
+        n_smooth = sum(self.smooth[line, run] >= limits.smooth)
+        if len(free) < max(limits.shots, limits.share * np.float32(n_smooth)):
+            return False
+        above = self.above[line, free]
+        deep = np.ptp(np.abs(self.window[line + self.margin, free] * self.beams[0][free]))
+        if deep > limits.deep_m or above.min() > limits.low_m:
+            return False
+        if np.ptp(above) < limits.tall_m or above.max() < limits.high_m:
+            return False
+        if 2 * sum(len(self.seen(line, i) or ()) <= limits.thin_lines for i in free) > len(free):
+            return True
+        radii = np.array([self.radius(line, i) for i in free[:: max(len(free) // 8, 1)]], np.float32)
+        return bool(2 * ((radii >= limits.round_m) & (radii <= limits.deep_m)).sum() > len(radii))
+
+
+def _added(values: F32) -> np.float32:
+    """Add up one after the other, as the loop does."""
+    total = np.float32(0)
+    for value in values:
+        total = np.float32(total + value)
+    return total
+
+
+def find_columns(
+    window_m: F32, above_m: F32, counts: tuple[U8, U8, U8, U8], beams: tuple[F32, F32], thresholds: ColumnThresholds
+) -> U8:
+    """Find trunks and posts; see :func:`prc_cli.methods.fused.strips_loops.find_columns`."""
+    lines = _Lines(window_m, above_m, counts[0], counts[1], beams, thresholds)
+    found = np.zeros(above_m.shape, np.uint8)
+    for line in range(len(above_m)):
+        for run in lines.runs(line):
+            free = [i for i in run if lines.is_free(line, i)]
+            if free and lines.is_column(line, run, free):
+                found[line, free] = 1
+    return found

@@ -24,8 +24,10 @@ LINES, BINS = 12, 200
 """As in :mod:`fans_loops`."""
 ROOM_SHARE = 0.01
 """In a room a smaller share of the returns is as far away as streets are wide; in streets a quarter is, and more."""
-BESIDE_THIN_LINES = 20
-"""Lines before and after a line in which something is seen past a pole or a box."""
+BESIDE_THIN_LINES = 33
+"""Lines before and after a line in which something is seen past a trunk or a post."""
+THING_LINES = 20
+"""The same of a box; as MARGIN in :mod:`classes_loops`."""
 
 
 def is_room(range_m: F32, limits: Limits) -> bool:
@@ -101,9 +103,10 @@ def decide(
     8. in rough surroundings, and neither in or above a wall nor seen through its windows: vegetation;
     9. otherwise: building.
     """
+    beside = (len(window_m) - len(texture)) // 2 - THING_LINES
     labels: U8 = kernels.fused_labels(
-        window_m, ground.above_m, seen.counts, ground.walked, texture, standing.slots, standing.walls,
-        standing.levels, plane.beams, plane.step_rad, thresholds,
+        window_m[beside : len(window_m) - beside], ground.above_m, seen.counts, ground.walked, texture,
+        standing.slots, standing.walls, standing.levels, standing.columns, plane.beams, plane.step_rad, thresholds,
     )  # fmt: skip
     return labels
 

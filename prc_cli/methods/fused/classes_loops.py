@@ -475,6 +475,7 @@ def _label_things(
     bins: I32,
     found: tuple[F32, F32, F32, F32, F32],
     thin: U8,
+    alone: U8,
     thresholds: DecisionThresholds,
     labels: U8,
     poles: U8,
@@ -521,7 +522,8 @@ def _label_things(
         is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
         may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
         is_part = is_wall | (is_car & (thin[i] == 0))
-        poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
+        is_column = is_open & is_here & (alone[i] != 0)
+        poles[i] = np.uint8(((may_be_pole & (not is_part)) | is_column) & poles_wanted)
 
 
 @helper
@@ -532,6 +534,7 @@ def _label_poles(
     counts: tuple[U8, U8, U8, U8],
     points: tuple[F32, F32, F32],
     thin: U8,
+    alone: U8,
     rough: Slots,
     thresholds: DecisionThresholds,
     labels: U8,
@@ -548,17 +551,17 @@ def _label_poles(
         elif i >= end:
             end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
         is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
-        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
+        if is_short or alone[i] != 0 or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = _CROWN
             elif np.float32(n_shots) >= thresholds.pole_shots and (
-                thin[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
+                thin[i] != 0 or alone[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
             ):
                 is_thick = _is_round(deep, tall, thresholds)
                 beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
                 is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
-                upright = _POST if level[i] == 0 else _ARM
+                upright = _POST if level[i] == 0 or alone[i] != 0 else _ARM
                 labels[i] = _TRUNK if is_thick else upright
 
 
@@ -717,6 +720,7 @@ def fused_labels(
     slots: tuple[U64_2, U64_2],
     walls: tuple[F32_2, F32_2, F32_2],
     levels: U8_2,
+    alone: U8_2,
     beams: tuple[F32_1, F32_1],
     step: np.float32,
     thresholds: DecisionThresholds,
@@ -725,8 +729,8 @@ def fused_labels(
 
     ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres; ``counts`` tuple of (lines
     + 4, M) uint8; ``walked`` (lines + 4, M) bool; ``texture`` (lines, M) float32; ``slots`` tuple of (lines, STRIPS)
-    uint64; ``walls`` tuple of (lines, STRIPS) float32, metres; ``levels`` (lines, 2 STRIPS) uint8; ``beams`` tuple of
-    (M,) float32; returns (lines, M) uint8.
+    uint64; ``walls`` tuple of (lines, STRIPS) float32, metres; ``levels`` (lines, 2 STRIPS) uint8; ``alone`` (lines,
+    M) uint8; ``beams`` tuple of (M,) float32; returns (lines, M) uint8.
     """
     n_lines, m = texture.shape
     near, smooth, upright, level = counts
@@ -764,9 +768,9 @@ def fused_labels(
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
         _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
-        _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
+        _label_things(place, own, texture[line], bins, found, thin, alone[line], thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
-        _label_poles(shots[:n], window_m, line + MARGIN, own, place, thin, rough, thresholds, row)
+        _label_poles(shots[:n], window_m, line + MARGIN, own, place, thin, alone[line], rough, thresholds, row)
         _mark_tops(place[2], own, row, thresholds, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)

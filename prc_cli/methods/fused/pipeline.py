@@ -346,7 +346,8 @@ def _classify(
     streams = streams_of(wide, strides, plane, noise_m, limits)
     grounds = turn.hand_on(MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, limits))
     found = [
-        evidence_of(stream.seen, own.above_m, plane, limits) for stream, own in zip(streams, grounds.parts, strict=True)
+        evidence_of(stream.seen, stream.wide_m, own.above_m, plane, limits)
+        for stream, own in zip(streams, grounds.parts, strict=True)
     ]
     decided = [
         _decide(stream, own, evidence, plane, limits, with_reasons=wanted.reasons)
@@ -393,7 +394,7 @@ def _forest_evidence(range_m: F32, found: Found, scanner: FusedScanner) -> Evide
     seen = see(window, smooth, plane, limits)
     inner = slice(INNER_LINES, -INNER_LINES)
     above = np.pad(found.above_m, beyond, constant_values=np.float32(np.nan))[inner]
-    return evidence_of(seen, above, plane, limits)
+    return evidence_of(seen, window, above, plane, limits)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -536,7 +537,8 @@ def _woven_evidence(found: Sequence[Evidence], above_m: F32, streams: Sequence[S
     )  # fmt: skip
     every, rough = (wider(lambda each, k=k: each.standing.slots[k]) for k in range(2))  # type: ignore[misc]
     at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
-    standing = Standing((every, rough), (at, top, ahead), wider(lambda each: each.standing.levels))
+    levels, columns = (wider(lambda each, k=k: getattr(each.standing, k)) for k in ("levels", "columns"))  # type: ignore[misc]
+    standing = Standing((every, rough), (at, top, ahead), levels, columns)
     return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
 
 
@@ -597,13 +599,13 @@ def _follow(
     return follow_ground(seen.range_m, seen.neighbours, plane, memory, n_lines, limits.walk)
 
 
-def evidence_of(seen: Seen, above_m: F32, plane: ScanPlane, limits: Limits) -> Evidence:
+def evidence_of(seen: Seen, wide_m: F32, above_m: F32, plane: ScanPlane, limits: Limits) -> Evidence:
     """Measure how smooth places are, and find walls and cars above the ground.
 
-    ``above_m`` (lines, M) float32.
+    ``wide_m`` (lines + 2 n, M) float32; ``above_m`` (lines, M) float32.
     """
     texture = texture_of(seen.range_m, seen.neighbours, plane, limits)
-    standing = stand(seen.range_m, above_m, seen.neighbours, plane, limits)
+    standing = stand(wide_m, above_m, seen.neighbours, plane, limits)
     return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
 
 

@@ -25,16 +25,21 @@ class Standing:
     """(lines, strips) float32, distance and top of the wall in or before a strip; distance of the wall in or behind."""
     levels: U8
     """(lines, 2 strips) uint8, 1 = a low level surface."""
+    columns: U8
+    """(lines, M) uint8, shots on trunks and posts, which lines on both sides see past."""
 
 
 @stage("strips")
-def stand(range_m: F32, above_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits) -> Standing:
+def stand(window_m: F32, above_m: F32, seen: Neighbours, plane: ScanPlane, limits: Limits) -> Standing:
     """Sort shots above the ground into strips, and combine five lines.
 
-    ``range_m, above_m`` (lines + 4, M) float32, metres.
+    ``window_m`` (lines + 4 + 2 n, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres.
     """
+    columns = kernels.find_columns(window_m, above_m, seen.counts, plane.beams, limits.columns)
+    beside = (len(window_m) - len(above_m)) // 2
+    range_m = window_m[beside : len(window_m) - beside]
     every, rough, length, wall, place, top, levels = kernels.fill_strips(
-        range_m, above_m, seen.counts, plane.beams, plane.step_rad, limits.strips
+        range_m, above_m, seen.counts, columns, plane.beams, plane.step_rad, limits.strips
     )
     wide = kernels.widen_levels(levels)
     vehicles = np.zeros((len(wide), every.shape[1]), np.uint8)
@@ -43,4 +48,4 @@ def stand(range_m: F32, above_m: F32, seen: Neighbours, plane: ScanPlane, limits
             range_m, above_m, seen.upright, plane.beams, (length, wall, place), every, wide, limits.flanks
         )
     found = kernels.find_walls((length, wall, place, top), vehicles, limits.walls)
-    return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, wide)
+    return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, wide, columns[2:-2])

@@ -2,7 +2,7 @@
 
 A strip is :data:`STRIP_M` wide; heights above the ground are divided into slots of :data:`SLOT_M`, one bit each. Level
 surfaces are kept in bins of half the width. Strips of adjacent lines are combined: lines are close together, and
-upright things stay in their strip from line to line.
+upright things stay in their strip from line to line. Trunks and posts are no walls: lines on both sides see past them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2, U64_2
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.methods.fused.thresholds import StripThresholds, WallThresholds
+from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, WallThresholds
 
 Slots = NDArray[np.uint64]
 
@@ -28,16 +28,163 @@ LEAST_COSINE = np.float32(0.3)
 """Lower limit of the cosine by which a shot's height extent is computed."""
 UPRIGHT_CHORDS = 2
 """Least upright chords, of three, of a shot on an upright surface."""
-
-
 _FAR_BINS = np.float32(1e6)
 """Limit of bin numbers, so that they fit an integer."""
+NO_END = 255
+"""Lines to one side where a thing goes on, or something stands right beside it."""
+ROUND = np.float32(0.34)
+"""By how much of its radius the middle half of a round thing is nearer than its outer quarters."""
+SAMPLES = 8
+"""Shots of a run by which its depth is measured, at most."""
 
 
 @inlined
 def _bin(y: np.float32, width: np.float32) -> np.int32:
     """Return which of the bins to the left and right a shot is in, 0 = the first beside the scanner."""
     return np.int32(np.floor(min(max(y / width, -_FAR_BINS), _FAR_BINS)))
+
+
+@helper
+def _count_on(own: F32, beside: F32, beyond: F32, jump: np.float32, far: np.float32, lines: U8) -> None:
+    """Go on by a line: write how many lines see the thing of every shot, up to one that sees past it.
+
+    A single missing shot is no end.
+    """
+    for i in range(len(own)):
+        there = beside[i] if beside[i] == beside[i] else beyond[i]
+        goes_on, is_end = (own[i] != own[i]) | (abs(own[i] - there) < jump), not (there <= own[i] + far)
+        more = np.uint8(min(lines[i], np.uint8(NO_END - 1)) + np.uint8(1))
+        lines[i] = more if goes_on else (np.uint8(1) if is_end else np.uint8(NO_END))
+
+
+@helper
+def _mark_free(lines: tuple[U8, U8], above: F32, near: U8, smooth: U8, thresholds: ColumnThresholds, marks: U8) -> None:
+    """Mark the smooth shots of a line that few lines see, and lines on both sides see past."""
+    before, after = lines
+    most = np.int32(thresholds.lines)
+    for i in range(len(marks)):
+        is_free = np.int32(before[i]) + np.int32(after[i]) <= most + np.int32(1)
+        is_held = (np.float32(near[i]) >= thresholds.least_near) & (np.float32(smooth[i]) >= thresholds.smooth)
+        marks[i] = np.uint8(is_free & is_held & (above[i] > thresholds.foot_m))
+
+
+@inlined
+def _goes_on(ranges: F32, near: U8, above: F32, i: int, j: int, thresholds: ColumnThresholds) -> bool:
+    """Return whether an adjacent shot is of the same run."""
+    is_held = (np.float32(near[j]) >= thresholds.least_near) & (above[j] > thresholds.foot_m)
+    return bool(is_held & (abs(ranges[j] - ranges[i]) < thresholds.jump_m))
+
+
+@inlined
+def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) -> np.float32:
+    """Return by how much the middle half of the lines that see a thing is nearer than both outer quarters; else 0."""
+    first, n = line - int(before) + 1, int(before) + int(after) - 1
+    quarter = max(n // 4, 1)
+    if n < 3:
+        return np.float32(0.0)
+    left = right = middle = np.float32(0.0)
+    for k in range(n):
+        there = window_m[first + k, i]
+        left += there if k < quarter else np.float32(0.0)
+        right += there if k >= n - quarter else np.float32(0.0)
+        middle += there if (k >= quarter) & (k < n - quarter) else np.float32(0.0)
+    left, right, middle = left / np.float32(quarter), right / np.float32(quarter), middle / np.float32(n - 2 * quarter)
+    return np.float32(0.5) * (left + right) - middle if min(left, right) > middle else np.float32(0.0)
+
+
+@helper
+def _is_column(
+    window_m: F32,
+    line: int,
+    ends: tuple[int, int],
+    points: tuple[F32, F32],
+    lines: tuple[U8, U8],
+    smooth: U8,
+    marks: U8,
+    thresholds: ColumnThresholds,
+) -> bool:
+    """Return whether the run from one shot to before another is a trunk or a post."""
+    (first, end), (side, above), (before, after) = ends, points, lines
+    n = n_free = n_thin = 0
+    low = inner = np.float32(np.inf)
+    high = outer = -low
+    for j in range(first, end):
+        n += int(np.float32(smooth[j]) >= thresholds.smooth)
+        if marks[j] != 0:
+            n_free += 1
+            n_seen = np.float32(before[j]) + np.float32(after[j]) - np.float32(1)
+            n_thin += int(n_seen <= thresholds.thin_lines)
+            low, high = min(low, above[j]), max(high, above[j])
+            inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
+    if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
+        return False
+    if outer - inner > thresholds.deep_m or low > thresholds.low_m:
+        return False
+    if high - low < thresholds.tall_m or high < thresholds.high_m:
+        return False
+    if 2 * n_thin > n_free:
+        return True
+    n_asked = n_round = k = 0
+    stride = max(n_free // SAMPLES, 1)
+    for j in range(first, end):
+        if marks[j] == 0:
+            continue
+        if k % stride == 0:
+            across = abs(side[j]) / window_m[line, j]
+            radius = _bulge(window_m, line, j, before[j], after[j]) * across / ROUND
+            n_round += int((radius >= thresholds.round_m) & (radius <= thresholds.deep_m))
+            n_asked += 1
+        k += 1
+    return 2 * n_round > n_asked
+
+
+@kernel()
+def find_columns(
+    window_m: F32_2,
+    above_m: F32_2,
+    counts: tuple[U8_2, U8_2, U8_2, U8_2],
+    beams: tuple[F32_1, F32_1],
+    thresholds: ColumnThresholds,
+) -> U8_2:
+    """Mark the shots of upright things that stand alone: no wider than some lines, with something far on both sides.
+
+    ``window_m`` (lines + 2 n, M) float32, metres; ``above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines,
+    M) uint8; ``beams`` tuple of (M,) float32; returns (lines, M) uint8.
+    """
+    n_lines, m = above_m.shape
+    margin = (len(window_m) - n_lines) // 2
+    jump, far = thresholds.jump_m, thresholds.far_m
+    after, lines = np.empty((n_lines, m), np.uint8), np.full(m, np.uint8(NO_END))
+    for k in range(len(window_m) - 3, margin - 1, -1):
+        _count_on(window_m[k], window_m[k + 1], window_m[k + 2], jump, far, lines)
+        if k < margin + n_lines:
+            after[k - margin] = lines
+    found = np.zeros((n_lines, m), np.uint8)
+    marks, side = np.empty(m, np.uint8), np.empty(m, np.float32)
+    lines[:] = np.uint8(NO_END)
+    for k in range(2, margin + n_lines):
+        _count_on(window_m[k], window_m[k - 1], window_m[k - 2], jump, far, lines)
+        if k < margin:
+            continue
+        line, ranges = k - margin, window_m[k]
+        above, near, smooth = above_m[line], counts[0][line], counts[1][line]
+        _mark_free((lines, after[line]), above, near, smooth, thresholds, marks)
+        for i in range(m):
+            side[i] = ranges[i] * beams[0][i]
+        end = 0
+        for i in range(m):
+            if marks[i] == 0 or i < end:
+                continue
+            first, end = i, i + 1
+            while first > 0 and _goes_on(ranges, near, above, first, first - 1, thresholds):
+                first -= 1
+            while end < m and _goes_on(ranges, near, above, end - 1, end, thresholds):
+                end += 1
+            ends, place = (first, end), (side, above)
+            if _is_column(window_m, k, ends, place, (lines, after[line]), smooth, marks, thresholds):
+                for j in range(first, end):
+                    found[line, j] = marks[j]
+    return found
 
 
 @helper
@@ -88,6 +235,7 @@ def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
 def _mark_kinds(
     points: tuple[F32, F32],
     counts: tuple[U8, U8, U8, U8],
+    columns: U8,
     thresholds: StripThresholds,
     slots: U8,
     rough: U8,
@@ -107,7 +255,8 @@ def _mark_kinds(
         slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
     _mark_rough(pairs, most_rough, rough)
     for i in range(len(above)):
-        upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & (up[i] >= UPRIGHT_CHORDS))
+        is_wall = (up[i] >= UPRIGHT_CHORDS) & (columns[i] == 0)
+        upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & is_wall)
     for i in range(len(above)):
         level[i] = np.uint8(
             (np.float32(pairs[i]) >= least_level)
@@ -190,15 +339,16 @@ def fill_strips(
     range_m: F32_2,
     above_m: F32_2,
     counts: tuple[U8_2, U8_2, U8_2, U8_2],
+    columns: U8_2,
     beams: tuple[F32_1, F32_1],
     step: np.float32,
     thresholds: StripThresholds,
 ) -> tuple[U64_2, U64_2, F32_2, F32_2, F32_2, F32_2, U8_2]:
     """Sort shots above the ground into strips, line by line.
 
-    ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8; ``beams`` tuple of (M,)
-    float32; returns every, rough : (lines, STRIPS) uint64, length_m, wall_m, place, top_m : (lines, STRIPS) float32,
-    ``levels`` (lines, 2 STRIPS) uint8.
+    ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8; ``columns`` (lines, M) uint8;
+    ``beams`` tuple of (M,) float32; returns every, rough : (lines, STRIPS) uint64, length_m, wall_m, place, top_m :
+    (lines, STRIPS) float32, ``levels`` (lines, 2 STRIPS) uint8.
     """
     n_lines, m = range_m.shape
     side, height = np.empty(m, np.float32), np.empty(m, np.float32)
@@ -223,7 +373,7 @@ def fill_strips(
             height[i] = -(own[i] * beams[1][i])
         n = _list_counted(own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots)
         seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
-        _mark_kinds((height, above), seen, thresholds, slot, marks[0], marks[1], marks[2])
+        _mark_kinds((height, above), seen, columns[k], thresholds, slot, marks[0], marks[1], marks[2])
         _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
         sums = length[k], wall[k], place[k], top[k]
         _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)

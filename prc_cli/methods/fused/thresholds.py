@@ -103,6 +103,39 @@ class WalkThresholds(NamedTuple):
     """Where no place is known, the ground is searched up to this far to the side, if anything is level there [m]."""
 
 
+class ColumnThresholds(NamedTuple):
+    """What trunks and posts are, where lines run along them."""
+
+    lines: np.float32 = f32(60)
+    """So many lines see them, at most ..."""
+    least_near: np.float32 = LEAST_NEAR
+    """... in shots with so many near neighbours ..."""
+    smooth: np.float32 = f32(3)
+    """... and so many smooth pairs ..."""
+    foot_m: np.float32 = f32(0.3)
+    """... higher than this above the ground [m] ..."""
+    jump_m: np.float32 = f32(0.5)
+    """... that differ by less than this in range [m] ..."""
+    far_m: np.float32 = f32(1)
+    """... and what lines beside them see is farther by more than this [m]."""
+    shots: np.float32 = f32(6)
+    """Fewest such shots of a run ..."""
+    share: np.float32 = f32(0.8)
+    """... and their share in its smooth shots."""
+    tall_m: np.float32 = f32(1)
+    """They reach from one height to another at least as far apart [m] ..."""
+    low_m: np.float32 = f32(3)
+    """... begin below this [m] ..."""
+    high_m: np.float32 = f32(2.2)
+    """... go up to this at least: people and cars are lower [m] ..."""
+    deep_m: np.float32 = f32(0.6)
+    """... and are no deeper than this [m]."""
+    thin_lines: np.float32 = f32(3)
+    """Most of their shots are seen by so few lines, too few to see whether they are round ..."""
+    round_m: np.float32 = f32(0.03)
+    """... or are of something round with at least this radius [m]."""
+
+
 class StripThresholds(NamedTuple):
     """Which shots count in a strip, and as what."""
 
@@ -366,6 +399,7 @@ class Limits(NamedTuple):
     spaced: Spaced | None = Spaced()
     chords: ChordThresholds = ChordThresholds()
     walk: WalkThresholds = WalkThresholds()
+    columns: ColumnThresholds = ColumnThresholds()
     strips: StripThresholds = StripThresholds()
     walls: WallThresholds = WallThresholds()
     flanks: FlankThresholds | None = FlankThresholds()

@@ -95,6 +95,20 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
 
 
+@pytest.mark.parametrize(("radius_m", "label"), [(0.3, Label.VEGETATION), (0.08, Label.POLE), (None, Label.BUILDING)])
+def test_what_stands_alone_is_a_wall_only_if_flat(street: tuple[F32, U8], radius_m: float | None, label: Label) -> None:
+    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
+    for line in range(18, 30):  # between the car's lines and the ends
+        off = (line - 23.5) / 6
+        thing = surface(-3.3 + (radius_m * np.sqrt(1 - off**2) if radius_m else 0.0), 0.0, 4.0)
+        hit[line] = np.isfinite(thing)
+        ranges[line, hit[line]] = thing[hit[line]]
+    high = hit & (HEIGHT_M - ranges * DOWN > 0.5)
+    ranges += np.random.default_rng(2).normal(0, 0.002, ranges.shape).astype(np.float32)
+    assert (classified(ranges)[high] == label).mean() > 0.9
+    assert (classified(ranges, columns={"lines": -1})[high] == Label.BUILDING).mean() > 0.9
+
+
 def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:
     ranges, hit = van(street[0])
     near = np.where(ranges < 5.8, ranges, np.float32(np.nan))

@@ -16,7 +16,7 @@ from prc_cli.methods.fused import texture_loops as fused_texture
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
     assert plane.INNER_LINES == fused_neighbours.LINES
     assert plane.WIDE_LINES == fused_strips.LINES == fused_texture.LINES == fused_classes.LINES
-    assert classes.BESIDE_THIN_LINES == fused_classes.MARGIN
+    assert classes.THING_LINES == fused_classes.MARGIN
     assert range_noise.PART_LINES <= pipeline.SPACED_LINES
     assert plane.INNER_LINES + plane.WIDE_LINES + plane.VOTE_LINES == plane.AROUND_LINES
 
