@@ -109,10 +109,11 @@ def _is_column(
     low = inner = np.float32(np.inf)
     high = outer = -low
     for j in range(first, end):
-        n += np.float32(smooth[j]) >= thresholds.smooth
+        n += int(np.float32(smooth[j]) >= thresholds.smooth)
         if marks[j] != 0:
             n_free += 1
-            n_thin += np.float32(before[j]) + np.float32(after[j]) <= thresholds.thin_lines + np.float32(1)
+            n_seen = np.float32(before[j]) + np.float32(after[j]) - np.float32(1)
+            n_thin += int(n_seen <= thresholds.thin_lines)
             low, high = min(low, above[j]), max(high, above[j])
             inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
     if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
@@ -131,7 +132,7 @@ def _is_column(
         if k % stride == 0:
             across = abs(side[j]) / window_m[line, j]
             radius = _bulge(window_m, line, j, before[j], after[j]) * across / ROUND
-            n_round += (radius >= thresholds.round_m) & (radius <= thresholds.deep_m)
+            n_round += int((radius >= thresholds.round_m) & (radius <= thresholds.deep_m))
             n_asked += 1
         k += 1
     return 2 * n_round > n_asked
