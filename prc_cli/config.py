@@ -131,7 +131,7 @@ class MethodChoice:
     lacks: str = ""
     """What is missing for a better method; empty where nothing is."""
     others: tuple[str, ...] = ()
-    """Topics of the scanners that lack nothing, where one does."""
+    """Topics of the other scanners, where one lacks something."""
 
     @property
     def method(self) -> MethodName:
@@ -148,9 +148,12 @@ class MethodChoice:
             return ()
         found = f"PRC as published was taken: {self.lacks}"
         expected = "the angles of the beams, with which fused labels streets (mean F1 0.96 there, of PRC 0.59)"
-        hint = "give them: --set input.angle_start=DEG --set input.angle_step=DEG; or name the method: --preset urban"
-        alone = f"read the other scanners alone: --topic {','.join(self.others)}; or " if self.others else ""
-        return (Finding("method", Verdict.DOUBTFUL, found, expected, alone + hint),)
+        give = "give them: --set input.angle_start=DEG --set input.angle_step=DEG"
+        if "no vertical direction known" in self.lacks:
+            give = "give the angle that points straight down: --set input.nadir=DEG"
+        alone = f"; or try the other scanners alone: --topic {','.join(self.others)}" if self.others else ""
+        hint = f"{give}{alone}; or name the method: --preset urban"
+        return (Finding("method", Verdict.DOUBTFUL, found, expected, hint),)
 
     @property
     def assumption(self) -> Assumption:

@@ -141,9 +141,9 @@ def is_dump(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether classes are written into whole recordings under such a name, of inputs of the same kind alone."""
+    """Whether such a name is that of a recording of messages, which has no columns."""
     form = format_of(path, "labels")
-    return form is not None and bool(form.images) and not form.streams
+    return form is not None and bool(form.images) and not form.columns
 
 
 def is_cloud(path: Path) -> bool:

@@ -9,7 +9,7 @@ method.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,10 @@ RIVAL_RAD = math.radians(40.0)
 """Directions farther away than this contradict the best one."""
 SURE_RATIO = 1.5
 """Least score over that of a direction that contradicts it."""
+LEAST_LEVEL = 0.25
+"""Least share of what is seen around a direction that a floor or a ceiling fills, in the lines that show it."""
+OPPOSITE_RAD = math.radians(10.0)
+"""Floor and ceiling are level: one lies as near as this to the opposite direction of the other."""
 
 _TURN = 2 * math.pi
 
@@ -199,7 +203,8 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
 
     Every direction gets a score: the angle filled by the plane across it, over the root of the plane's distance, times
     the share of lines that show this plane by themselves (facades come and go), times the share of missing shots
-    around the opposite direction. A dead angle may be sky or not, and counts half.
+    around the opposite direction. A dead angle may be sky or not, and counts half. Where the other side is
+    level, too, one is a floor and one its ceiling: the guess is sure only if it is the nearer one.
     """
     if len(range_m) < LEAST_LINES:
         return None
@@ -222,7 +227,14 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
         plane = _Plane(float(score[at]) * share, *_fit_plane(angle[columns], middle[columns]), float(fill[at]))
         if plane.score > 0:
             found.append(plane)
-    return _choose(sorted(found, key=lambda plane: -plane.score))
+    guess = _choose(sorted(found, key=lambda plane: -plane.score))
+    if guess is None:
+        return None
+    # the sky above one of two level planes may be a dead angle alone: then the nearer one must be what was found
+    own, other = (_level(guess.down_rad + turn, angle, lines, middle) for turn in (0.0, math.pi))
+    if not other or own >= SURE_RATIO * other:
+        return guess
+    return replace(guess, rival_rad=math.remainder(guess.down_rad + math.pi, _TURN), ratio=own / other)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,6 +245,19 @@ class _Plane:
     down_rad: float
     depth_m: float
     fill_rad: float
+
+
+def _level(direction_rad: float, angle_rad: F64, range_m: F32, middle_m: F64) -> float:
+    """Return how much of what is seen around a direction a level plane fills, over the root of its distance."""
+    ways = direction_rad + np.arange(-OPPOSITE_RAD, OPPOSITE_RAD, SEARCH_STEP_RAD)
+    along = np.cos(ways[:, None] - angle_rad)
+    fill, depth, inside = _planes(along, middle_m, 1.0)
+    at = int(np.argmax(fill))
+    n_seen = np.count_nonzero((along[at] > math.cos(REACH_RAD)) & np.isfinite(middle_m))
+    if not fill[at]:
+        return 0.0
+    share = fill[at] / n_seen * _share_of_lines(range_m[:, inside[at]] * along[at, inside[at]], float(depth[at]))
+    return float(share) / math.sqrt(float(depth[at])) if share >= LEAST_LEVEL else 0.0
 
 
 def _choose(found: list[_Plane]) -> DownGuess | None:

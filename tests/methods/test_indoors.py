@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prc_cli.cli import cli
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import CHECK_NAMES
-from prc_cli.jobs.classify import classify, classify_ranges
+from prc_cli.jobs.classify import classify_ranges
 from prc_cli.simulation.settings import load_settings, open_simulation
+from tests.runner import runner
 
 LINES = 512
 
@@ -67,9 +69,15 @@ def test_an_alley_between_high_houses_keeps_its_curbs(street: tuple[np.ndarray, 
 
 
 @pytest.mark.data
-def test_a_backpack_in_a_museum_sees_no_curbs(real_data: Path, tmp_path: Path) -> None:
-    bag = real_data / "cartographer" / "b0_short.bag"
-    given = load_config(options={"input": {"topic": "vertical_laser_2d"}})
-    found = classify(bag, tmp_path / "labels.npy", given)
-    assert found.counts.labels[Label.CURB] == 0
-    assert found.counts.labels[Label.GROUND] > 100_000
+def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(real_data: Path, tmp_path: Path) -> None:
+    """The scanner's angle 0 points up, and its dead angle down: 1.2 m to the floor, 3.8 m to the ceiling."""
+    bag, labels = str(real_data / "cartographer" / "b0_short.bag"), str(tmp_path / "labels.npy")
+    words = ["classify", bag, labels, "--topic", "vertical_laser_2d", "--overwrite"]
+    told = runner().invoke(cli, words)
+    assert told.exit_code == 4
+    assert "at -1 deg of the scan angle or at 179 (one the floor, the other a ceiling)" in told.stderr
+    assert "--set input.nadir=DEG" in told.stderr
+    for nadir, n_ground in ((179, 40_000), (-1, 100_000)):
+        told = runner().invoke(cli, [*words, "--set", f"input.nadir={nadir}"])
+        assert told.exit_code in {0, 4}
+        assert np.count_nonzero(np.load(labels) == 2) > n_ground
