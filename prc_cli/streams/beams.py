@@ -231,7 +231,7 @@ class BeamFinder:
         if not guess.is_sure and guess.rival_rad is not None:
             ways = [f"{math.degrees(one):.0f}" for one in (guess.down_rad, guess.rival_rad)]
             problem = f"level ground may be at {ways[0]} deg of the scan angle or at {ways[1]}"
-            weaker = f"only {guess.ratio:.1f} times weaker" if guess.ratio > 1 else "one the floor, the other a ceiling"
+            weaker = "one the floor, the other a ceiling" if guess.is_room else f"only {guess.ratio:.1f} times weaker"
             problem = f"no vertical direction known: {problem} ({weaker})"
             hint = f"give the one that points straight down, --set {KEY}={ways[0]} or --set {KEY}={ways[1]}"
             raise InputError(self._where(scanner), problem, hint)

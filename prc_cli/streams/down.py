@@ -185,6 +185,11 @@ class DownGuess:
         """Whether no other direction comes near."""
         return self.ratio >= SURE_RATIO
 
+    @property
+    def is_room(self) -> bool:
+        """Whether the other direction is the opposite one: a floor and its ceiling."""
+        return self.rival_rad is not None and math.cos(self.rival_rad - self.down_rad) < -math.cos(OPPOSITE_RAD)
+
     def shown(self) -> str:
         """Return a text for messages.
 
