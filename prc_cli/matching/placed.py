@@ -17,6 +17,7 @@ from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.records import RecordChunk
 from prc_cli.formats.writing.disk import DiskColumn
+from prc_cli.methods.rings.pipeline import is_fan
 from prc_cli.streams.trajectory import Trajectory
 
 _NAMES = ("x", "y", "z", "time", "range", "scan_line")
@@ -104,5 +105,8 @@ class PlacedSource:
             problem = "neither scan angles nor coordinates relative to the scanner, expected them to place shots by"
             raise InputError(self.path, problem, "classify it with input.angle_start and input.angle_step set")
         angle = angle - np.deg2rad(self.nadir_deg)
+        if is_fan(angle):
+            problem = "the beams are a fan as the rings of a spinning scanner are, and their azimuths are not known"
+            raise InputError(self.path, problem, "give a file with x, y, z relative to the scanner")
         unit = np.stack([np.zeros_like(angle), np.sin(angle), -np.cos(angle)], axis=1)
         return np.broadcast_to(unit, (block.n_lines, *unit.shape))

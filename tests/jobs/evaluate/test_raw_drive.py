@@ -115,6 +115,17 @@ def test_what_cannot_place_shots_is_refused(drive: Path, arguments: tuple[str, .
     assert message in f"{done.output} {done.exception}"
 
 
+def test_rings_without_azimuths_are_refused(drive: Path, tmp_path: Path) -> None:
+    with np.load(drive / "drive.npz") as kept:
+        fan = {**kept, "angle_deg": np.linspace(65, 105, M)}
+    np.savez(tmp_path / "drive.npz", **fan)
+    for name in ("labels.npy", "registered.laz", "poses.csv"):
+        (tmp_path / name).symlink_to(drive / name)
+    done = evaluate(tmp_path)
+    assert done.exit_code == 1
+    assert "their azimuths are not known" in f"{done.output} {done.exception}"
+
+
 def test_a_wrong_mount_is_refused_or_scores_nothing(drive: Path) -> None:
     done = evaluate(drive, "--max-distance", "0.05")
     assert done.exit_code == 1
