@@ -236,13 +236,14 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     steps = np.array([scan.time_increment for scan in scans])
     np.testing.assert_allclose(block.time_s, stamps[:, None] + steps[:, None] * np.arange(541), atol=5e-7)
     assert float(np.mean(~inside)) == pytest.approx(0.129, abs=1e-3)
-    told = runner().invoke(cli, ["info", "--json", str(path), "--method", "fused"])
+    told_down = ("--set", "input.nadir=0")  # a room has a ceiling, too
+    told = runner().invoke(cli, ["info", "--json", str(path), "--method", "fused", *told_down])
     found = json.loads(told.output)
     assert found["classifiable"] is True
     assert found["header"]["topic /sick_lms_1xx/scan"] == "sensor_msgs/LaserScan, 89 messages"
     assert counts["/sick_lms_1xx/scan"] == 89
     output = tmp_path / "labels.npy"
-    result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused"])
+    result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", *told_down])
     assert result.exit_code == 4, result.output  # it was recorded in a room
     assert len(np.load(output)) == 89 * 541
 
