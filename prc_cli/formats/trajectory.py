@@ -55,7 +55,8 @@ def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
         delimiter = next((mark for mark in ",;\t" if mark in first), None)
         cells = _cells(first.lstrip("#"), delimiter)
         left: Iterator[tuple[int, str]] = rows
-        if first.startswith("#") or len(cells) != len(_NAMES) or any(_number(cell) is None for cell in cells):
+        is_bare = names is _NAMES and len(cells) == len(names) and all(_number(cell) is not None for cell in cells)
+        if first.startswith("#") or not is_bare:
             columns = _find_columns(f"{path}: line {number}", cells, names)
         else:
             columns = list(range(len(names)))

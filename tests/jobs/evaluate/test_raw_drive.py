@@ -47,6 +47,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     by_compass = [(t, x, y, z, r, -p, (90 - w) % 360) for t, x, y, z, r, p, w in rows]
     np.savetxt(folder / "compass.csv", by_compass, "%.6f", ",", header=head.replace("yaw", "heading"), comments="")
     np.savetxt(folder / "positions.csv", [row[:4] for row in rows], "%.6f", ",", header=head[:10], comments="")
+    np.savetxt(folder / "bare.csv", [row[:4] for row in rows], "%.6f", ",")
     beam = np.stack([np.zeros(M), np.sin(np.deg2rad(ANGLE_DEG)), -np.cos(np.deg2rad(ANGLE_DEG))])
     mounted = turn(3, 25, -10) @ beam
     xyz = np.concatenate(
@@ -105,6 +106,7 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
         (("--mount", "0,25"), "poses.csv", "expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"),
         (("--mount", "up"), "poses.csv", "expected numbers with commas"),
         ((), "positions.csv", "no column for roll"),
+        ((), "bare.csv", "no column for roll"),
         ((), "missing.csv", "cannot be read"),
         (("--match", "order"), "poses.csv", "give --match nearest"),
     ],
