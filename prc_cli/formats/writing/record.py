@@ -150,10 +150,15 @@ def dropped_of(record: Any) -> str:
     return ""
 
 
+def read_record(output: Path) -> Any:
+    """Return the run record beside an output as it stands there; raises OSError, ValueError or RecursionError."""
+    return json.loads(read_small(record_path(output), LARGEST_RECORD))
+
+
 def dense_line_beside(path: Path) -> int | None:
     """Return M where the run record beside labels says that there is one for every cell, in order; else None."""
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
-        record = json.loads(read_small(record_path(path), LARGEST_RECORD))
+        record = read_record(path)
         stream, tally = record["stream"], record["tally"]
         m, others = stream["points_per_line"], ("n_collisions", "n_extra_returns", "n_unplaced")
         if record["program"] == PROGRAM and m * stream["n_lines"] == stream["n_records"] and m:
@@ -164,7 +169,7 @@ def dense_line_beside(path: Path) -> int | None:
 def reading_beside(path: Path) -> dict[str, Any]:
     """Return how the input of a run was read, as the run record beside its labels says; empty without a record."""
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
-        record = json.loads(read_small(record_path(path), LARGEST_RECORD))
+        record = read_record(path)
         if record["program"] == PROGRAM:
             return {name: record["config"][name] for name in ("input", "layout") if record["config"].get(name)}
     return {}
@@ -173,7 +178,7 @@ def reading_beside(path: Path) -> dict[str, Any]:
 def dropped_beside(path: Path) -> str:
     """Return :func:`dropped_of` the run record beside a file."""
     with suppress(OSError, ValueError, RecursionError):
-        return dropped_of(json.loads(read_small(record_path(path), LARGEST_RECORD)))
+        return dropped_of(read_record(path))
     return ""
 
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.core.errors import PrcError
-from prc_cli.core.files import atomic_output, read_own, read_small, remove_stale
+from prc_cli.core.files import atomic_output, read_own, remove_stale
 from prc_cli.core.pages import render_page
 from prc_cli.evaluation.html import Curve, class_colour, line_chart
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import scores
-from prc_cli.formats.writing.record import LARGEST_RECORD, record_path
+from prc_cli.formats.writing.record import read_record
 from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary
 from prc_cli.jobs.batch.types import OWN_FOLDER, Compared, own_name
 from prc_cli.jobs.drive import output_name
@@ -100,7 +100,7 @@ def _pictures(one: Compared, summary: BatchSummary, to: str, found: BatchEvaluat
         return []
     predicted, mapping = summary.out / output_name(one.name, to), load_mapping(found.settings.mapping_name)
     with contextlib.suppress(PrcError, OSError, ValueError, KeyError, TypeError):
-        record = json.loads(read_small(record_path(predicted), LARGEST_RECORD))
+        record = read_record(predicted)
         drawn = class_pictures(
             predicted, found.settings.tree / one.reference, mapping, record["stream"]["points_per_line"],
             points=(summary.archive / one.name, None),

@@ -17,9 +17,9 @@ from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table, refuse_window
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
-from prc_cli.core.files import is_same, parts_of, read_small, suffix_of
+from prc_cli.core.files import is_same, parts_of, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
-from prc_cli.formats.writing.record import LARGEST_RECORD, RunRecord, fingerprint, record_path
+from prc_cli.formats.writing.record import RunRecord, fingerprint, read_record, record_path
 from prc_cli.jobs.batch.discovery import Found, Patterns, collisions
 from prc_cli.jobs.batch.types import (
     BatchSettings,
@@ -432,7 +432,7 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
     tells.
     """
     try:
-        record = json.loads(read_small(record_path(task.output), LARGEST_RECORD))
+        record = read_record(task.output)
         trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
         content = fingerprint(task.source)
         records = [

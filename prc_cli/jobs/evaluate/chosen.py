@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from prc_cli.core.files import read_small
 from prc_cli.formats.labels import KITTI_SUFFIX
-from prc_cli.formats.writing.record import LARGEST_RECORD, PROGRAM, record_path
+from prc_cli.formats.writing.record import PROGRAM, read_record
 
 DEFAULT_MAPPING = "prc"
 """Where no run record says otherwise."""
@@ -33,7 +31,7 @@ def mapping_of_runs(predicted: Sequence[Path], reference: Sequence[Path] = ()) -
 def _asked_by(path: Path) -> tuple[str, str]:
     """Return the preset for one file and its method; a record that is missing or damaged asks for nothing."""
     try:
-        record = json.loads(read_small(record_path(path), LARGEST_RECORD))
+        record = read_record(path)
         config = record["config"]
         method = config["method"]
         forest = method == "fused" and config["fused"]["environment"] == "forest"
