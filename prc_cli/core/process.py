@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,6 +42,10 @@ def is_own_process() -> bool:
     return _State.own
 
 
+_HIDING = threading.RLock()
+"""Held while modules are hidden: two threads at once would each bring back what the other hides."""
+
+
 @contextlib.contextmanager
 def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
     """Let modules seem not to be installed while a package is loaded that does without them.
@@ -48,15 +53,16 @@ def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
     Those that are unneeded are only hidden in the command's own process, and where nobody has loaded them.
     """
     modules: dict[str, Any] = sys.modules
-    hidden = always + tuple(name for name in unneeded if is_own_process() and name not in modules)
-    before = {name: modules[name] for name in hidden if name in modules}
-    modules.update(dict.fromkeys(hidden))
-    try:
-        yield
-    finally:
-        for name in hidden:
-            modules.pop(name, None)
-        modules.update(before)
+    with _HIDING:
+        hidden = always + tuple(name for name in unneeded if is_own_process() and name not in modules)
+        before = {name: modules[name] for name in hidden if name in modules}
+        modules.update(dict.fromkeys(hidden))
+        try:
+            yield
+        finally:
+            for name in hidden:
+                modules.pop(name, None)
+            modules.update(before)
 
 
 STEP_CPU_S = 60

@@ -12,6 +12,7 @@ import pytest
 
 from prc_cli import kernels
 from prc_cli.core.interrupts import held, raise_or_hold
+from prc_cli.core.process import absent
 from prc_cli.core.profile import peak_memory, profiling, timed
 from tests import patience
 from tests.patience import HANGS_S
@@ -73,6 +74,21 @@ def burn(seconds: float) -> None:
     end = time.thread_time() + seconds
     while time.thread_time() < end:
         pass
+
+
+def test_modules_that_two_threads_hide_come_back() -> None:
+    """The second one begins while the first one hides, and ends after it."""
+    second = threading.Thread(target=lambda: hide_for(0.1))
+    with absent(always=("module_of_a_test",)):
+        second.start()
+        time.sleep(0.05)
+    second.join(HANGS_S)
+    assert "module_of_a_test" not in sys.modules
+
+
+def hide_for(seconds: float) -> None:
+    with absent(always=("module_of_a_test",)):
+        time.sleep(seconds)
 
 
 def test_a_stage_inside_another_is_not_counted_twice() -> None:
