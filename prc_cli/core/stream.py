@@ -21,6 +21,8 @@ from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 
 FAR_M = 20_000.0
 """Beyond the range of any terrestrial scanner [m]: a sign of a wrong origin, unit or coordinate system."""
+MAX_RINGS = 256
+"""Most rings of a spinning scanner."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
+from prc_cli.config import LoadedConfig, RunConfig, load_config, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64
 from prc_cli.formats import open_source
+from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.writing.base import NO_CODE
 from prc_cli.formats.writing.coordinates import SPACING_M, LinesApart, Placement
 from prc_cli.formats.writing.disk import DiskColumn
+from prc_cli.formats.writing.record import reading_beside
 from prc_cli.matching.placed import PlacedSource
 from prc_cli.streams.beams import BeamStream, with_beams
 from prc_cli.streams.open import grid_of, open_input
@@ -36,10 +38,15 @@ _FIRST_LINES = 64
 
 
 def placed_source(
-    drive: Path, loaded: LoadedConfig, trajectory: Path, mount: tuple[float, ...] = (), *, crs: str | None = None
-) -> PlacedSource:
-    """Open a raw drive whose shots get their coordinates from poses; ``mount`` is empty, 3 angles, or these and 3 m."""
-    config = with_layout_beside(drive, loaded).config
+    drive: Path, labels: Path, trajectory: Path, mount: tuple[float, ...] = (),
+    *, crs: str | None = None, layout: Layout | None = None,
+) -> PlacedSource:  # fmt: skip
+    """Open a raw drive whose shots get their coordinates from poses; ``mount`` is empty, 3 angles, or these and 3 m.
+
+    It is read as the run record beside its labels says, but for a layout that is given.
+    """
+    told = {} if layout is None else {"layout": layout.model_dump()}
+    config = with_layout_beside(drive, load_config(options=reading_beside(labels) | told)).config
     reading = config.input
     if len(mount) not in (0, 3, 6) or not all(map(math.isfinite, mount)):
         problem = f"found {', '.join(f'{one:g}' for one in mount)}, expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OrderError
-from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import MAX_RINGS, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.formats.writing.disk import scratch_errors, scratch_file
@@ -315,16 +315,12 @@ class WatchedStream:
             watch.finish()
 
 
-MAX_RINGS = 256
-"""Most rings of a spinning scanner."""
-
-
 def take_turns(block: ScanBlock) -> bool:
     """Tell whether the rings of a spinning scanner fire in another order than they lie: the times of each rise."""
     if block.time_s is None or block.xyz_m is None or block.points_per_line > MAX_RINGS:
         return False
-    falls, falls_in_line = (bool((np.diff(block.time_s, axis=axis) < 0).any()) for axis in (0, 1))
-    return falls_in_line and not falls
+    falls_in_line = (np.diff(block.time_s, axis=1) < 0).any()
+    return bool(falls_in_line and not (np.diff(block.time_s, axis=0) < 0).any())
 
 
 WEEK_S = 604_800.0

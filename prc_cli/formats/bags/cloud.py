@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.stream import ScanBlock
+from prc_cli.core.stream import MAX_RINGS, ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.bags.messages import Cursor, expect
 from prc_cli.formats.options import InputConfig
@@ -26,7 +26,6 @@ CLOUD = "sensor_msgs/PointCloud2"
 RINGS = ("ring", "channel", "laser_id")
 TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
 LIGHTS = ("intensity", "reflectivity", "signal", "i")
-MAX_RINGS = 256
 _WIDTHS = (4, 8, 16, 32, 40, 64, 80, 128, MAX_RINGS)
 """Rings of scanners: a ring that does not return in the first message has its place."""
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}

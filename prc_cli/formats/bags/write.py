@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import remove_stale, suffix_of, temporary_name
-from prc_cli.core.stream import ScanBlock
+from prc_cli.core.stream import MAX_RINGS, ScanBlock
 from prc_cli.core.types import F64
-from prc_cli.formats.bags.cloud import CLOUD, MAX_RINGS, TYPES
+from prc_cli.formats.bags import METADATA
+from prc_cli.formats.bags.cloud import CLOUD, TYPES
 from prc_cli.formats.bags.laser import LASER
 from prc_cli.formats.bags.read import LABELS
 from prc_cli.formats.writing.base import StagedWriter, StreamItem, StreamShape, StreamWriter
 
-_DATABASE, _METADATA = ".db3", "metadata.yaml"
+_DATABASE = ".db3"
 _SCAN, _POINTS, _FRAME = "/scan", "/points", "scanner"
 _REACH_M = 1e4
 """Ranges beyond are none [m]."""
@@ -46,10 +47,10 @@ class BagOutput(StagedWriter):
         """Register what makes a bag of the folder of a database; nothing where the folder has another one."""
         if self.path.suffix.lower() != _DATABASE:
             return
-        metadata = self.path.with_name(_METADATA)
+        metadata = self.path.with_name(METADATA)
         others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
         if others & {_DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
-            self._notice(f"no {_METADATA} was written: the folder has another bag; a folder of its own would get one")
+            self._notice(f"no {METADATA} was written: the folder has another bag; a folder of its own would get one")
             return
         remove_stale(metadata)
         self._metadata = self._output(metadata)
@@ -79,7 +80,7 @@ class BagOutput(StagedWriter):
             yield sink
         (sink.path / f"{self.path.stem}{suffix}").replace(self._temporary)
         if self._metadata is not None:
-            (sink.path / _METADATA).replace(self._metadata)
+            (sink.path / METADATA).replace(self._metadata)
 
 
 class BagStreamWriter(BagOutput, StreamWriter):

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.writing.record import reading_beside
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.keys import AXES, KeyRule
@@ -70,8 +68,7 @@ def _placed(file: SideFile, options: EvaluateOptions, crs: str | None) -> SideFi
     assert options.trajectory is not None
     labels = Path(file.codes.path)
     drive = labels if file.points is None else Path(file.points.path)
-    loaded = load_config(options=reading_beside(labels))
-    source = placed_source(drive, loaded, options.trajectory, options.mount, crs=crs)
+    source = placed_source(drive, labels, options.trajectory, options.mount, crs=crs)
     return replace(file, table=None, points=source)
 
 

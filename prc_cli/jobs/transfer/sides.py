@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import Assumption
@@ -23,7 +22,6 @@ from prc_cli.formats.las.vlrs import same_crs
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import by_suffix, format_of
-from prc_cli.formats.writing.record import reading_beside
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.matching.keys import AXES, KeyRule
@@ -90,8 +88,8 @@ def open_sides(
         problem = "gives coordinates to the shots of --points, expected these and --match nearest"
         raise ConfigError("--trajectory", problem, "or leave it out")
     else:
-        loaded = load_config(options=reading_beside(labels) | ({"layout": layout.model_dump()} if layout else {}))
-        origin = placed_source(points, loaded, options.trajectory, options.mount, crs=target.facts.crs_wkt)
+        crs = target.facts.crs_wkt
+        origin = placed_source(points, labels, options.trajectory, options.mount, crs=crs, layout=layout)
     assumptions: list[Assumption] = []
     rules = _rules(options, _same(origin, target, options, assumptions))
     for source, rule in zip((origin, target), rules, strict=True):
