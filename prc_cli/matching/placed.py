@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,14 @@ class PlacedSource:
         """Number of records; None if it is not known before reading."""
         return self.stream.info.n_records
 
+    @cached_property
+    def _mount(self) -> F64:
+        """Turn of the scanner on the vehicle, (3, 3) float64."""
+        from scipy.spatial.transform import Rotation
+
+        matrix: F64 = Rotation.from_euler("ZYX", self.mount_deg[::-1], degrees=True).as_matrix()
+        return matrix
+
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Place all shots, then yield them in the order of the records; NaN where there is no return."""
         fill = (np.nan,) * (len(_NAMES) - 1) + (-1.0,)
@@ -82,13 +91,9 @@ class PlacedSource:
     def _put(
         self, record: I64, unit: F64, range_m: F32, time_s: F64, line: NDArray[Any], block: ScanBlock, rows: DiskColumn
     ) -> None:  # fmt: skip
-        from scipy.spatial.transform import Rotation
-
         found = np.isfinite(range_m) & np.isfinite(time_s) & np.isfinite(unit).all(axis=1) & (record >= 0)
         values = np.empty(int(np.count_nonzero(found)), _KEPT)
-        roll, pitch, yaw = self.mount_deg
-        mount = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
-        vector = (unit[found] * range_m[found, None].astype(np.float64)) @ mount.T + np.array(self.arm_m)
+        vector = (unit[found] * range_m[found, None].astype(np.float64)) @ self._mount.T + np.array(self.arm_m)
         values["x"], values["y"], values["z"] = self.track.places(time_s[found], vector).T
         values["time"], values["range"] = time_s[found], range_m[found]
         values["scan_line"] = block.first_line + line[found]

@@ -236,8 +236,11 @@ def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> Down
     if guess is None:
         return None
     # the sky above one of two level planes may be a dead angle alone: then the nearer one must be what was found
-    own, other = (_level(guess.down_rad + turn, angle, lines, middle) for turn in (0.0, math.pi))
-    if not other or own >= SURE_RATIO * other:
+    other = _level(guess.down_rad + math.pi, angle, lines, middle)
+    if not other:
+        return guess
+    own = _level(guess.down_rad, angle, lines, middle)
+    if own >= SURE_RATIO * other:
         return guess
     return replace(guess, rival_rad=math.remainder(guess.down_rad + math.pi, _TURN), ratio=own / other)
 

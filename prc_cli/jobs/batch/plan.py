@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import groupby
@@ -275,16 +275,8 @@ def make_plan(settings: BatchSettings, files: Sequence[Found], config: BatchConf
     refused: list[Failed] = []
     n_beyond_limit = 0
     for some in drives:
-        tasks: list[Task] = []
         try:
-            for item in some:
-                if names[item.name] in twice:
-                    problem = (
-                        "two inputs would write this output (upper and lower case may be the same on another disk)"
-                    )
-                    where = str(settings.out / names[item.name])
-                    raise OutputExistsError(where, problem, "rename one of them, or --exclude it")
-                tasks.append(_task(item, some, settings.out.absolute() / names[item.name], config, settings))
+            tasks = list(_tasks(some, names, twice, config, settings))
             found = [
                 _decide(item, task, known.get(item.name), settings) for item, task in zip(some, tasks, strict=True)
             ]
@@ -312,14 +304,24 @@ def make_plan(settings: BatchSettings, files: Sequence[Found], config: BatchConf
     )  # fmt: skip
 
 
-def _task(item: Found, some: Sequence[Found], output: Path, config: BatchConfig, settings: BatchSettings) -> Task:
-    """Return the task of a file, one of those of a drive or alone."""
-    (loaded, digest), (_, first) = config.of(item.name, item.path), config.of(some[0].name, some[0].path)
-    if digest != first:
-        problem = f"has another configuration than {some[0].name}, expected one for all files of a drive"
-        raise ConfigError(item.name, problem, "look at the tables [[override]] and at the name of the trajectory")
+def _tasks(
+    some: Sequence[Found], names: Mapping[str, str], twice: Collection[str], config: BatchConfig,
+    settings: BatchSettings,
+) -> Iterator[Task]:  # fmt: skip
+    """Yield the tasks of the files of a drive, or of one alone; refuse another configuration than the first one's."""
     drive = tuple(one.name for one in some) if len(some) > 1 else ()
-    return Task(item.name, item.path, output, loaded, digest, settings.overwrite, drive)
+    first = ""
+    for item in some:
+        output = settings.out / names[item.name]
+        if names[item.name] in twice:
+            problem = "two inputs would write this output (upper and lower case may be the same on another disk)"
+            raise OutputExistsError(str(output), problem, "rename one of them, or --exclude it")
+        loaded, digest = config.of(item.name, item.path)
+        first = first or digest
+        if digest != first:
+            problem = f"has another configuration than {some[0].name}, expected one for all files of a drive"
+            raise ConfigError(item.name, problem, "look at the tables [[override]] and at the name of the trajectory")
+        yield Task(item.name, item.path, output.absolute(), loaded, digest, settings.overwrite, drive)
 
 
 def _together(some: Sequence[Found], tasks: Sequence[Task], found: Sequence[Planned | Done | None]) -> list[Planned]:
