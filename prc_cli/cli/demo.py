@@ -95,5 +95,6 @@ def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
         return
     click.echo("\na drive along a street: labels against those of the simulator")
     print_evaluation(drive.matrix, scores(drive.matrix))
-    for name, what in ((name, what) for name, what in OTHERS.items() if name in parts):
-        click.echo(f"{what}: {overall_line(scores(parts[name].matrix), NO_INTERVALS)}")
+    for name, what in OTHERS.items():
+        if name in parts:
+            click.echo(f"{what}: {overall_line(scores(parts[name].matrix), NO_INTERVALS)}")

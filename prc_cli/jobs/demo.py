@@ -103,7 +103,8 @@ def run_demo(
     _prepare(folder, overwrite=overwrite)
     (folder / MORE).mkdir(exist_ok=True)
     found: dict[str, DemoPart] = {}
-    for name, part in ((name, PARTS[name]) for name in parts):
+    for name in parts:
+        part = PARTS[name]
         options = {**part.options, "seed": seed}
         if name == "drive" and lines is not None:
             options["lines"] = lines

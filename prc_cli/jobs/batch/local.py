@@ -314,7 +314,7 @@ def _how_ended(code: int, printed: str) -> str:
 
 def remove_left(task: Task) -> None:
     """Remove the temporary files of a task whose worker died."""
-    for output in (one.output for one in task.files):
-        for path in (output, record_path(output)):
+    for one in task.files:
+        for path in (one.output, record_path(one.output)):
             with contextlib.suppress(OSError):
                 remove_stale(path)
