@@ -49,7 +49,7 @@ def archive(folder: Path) -> Path:
     place = folder / "archive"
     place.mkdir()
     first = place / "00.laz"
-    subprocess.run([*PRC, "simulate", "street", "-q", "-o", str(first), "--lines", str(LINES)], check=True)
+    subprocess.run([*PRC, "simulate", "street", "-q", str(first), "--lines", str(LINES)], check=True)
     for path in place.iterdir():
         if path != first:
             path.unlink()

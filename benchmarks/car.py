@@ -112,7 +112,7 @@ def make(folder: Path, length: float, seed: int) -> dict[str, tuple[float, float
     """Write the drive, what the office delivers with the true classes, and the CAR; return time and memory."""
     used = {}
     drive = folder / "drive.laz"
-    used["simulate"] = prc("simulate", "street", "-o", drive, "--length", length, "--seed", seed, "-q")[1:]
+    used["simulate"] = prc("simulate", "street", drive, "--length", length, "--seed", seed, "-q")[1:]
     las = laspy.read(drive)
     xyz, codes = registered(las), np.asarray(las.classification).astype(np.int64)
     kept = delivered(xyz, codes != NOISE)

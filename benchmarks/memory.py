@@ -63,7 +63,7 @@ def measure_methods(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
     """Yield every preset on a simulated LAZ file, and its peak [MiB]."""
     for kind, presets in (("street", ("urban", "street-scan", "fused")), ("forest", ("forest", "fused-forest"))):
         drive = folder / f"{kind}.laz"
-        peak_mib(["simulate", kind, "-o", str(drive), "--lines", str(n_lines), "--seed", "7", "-q"])
+        peak_mib(["simulate", kind, str(drive), "--lines", str(n_lines), "--seed", "7", "-q"])
         doubts = [word for name in ("units", "indoors", "line-length", "down") for word in ("--accept-doubt", name)]
         for preset in presets:
             yield preset, peak_mib(["classify", str(drive), str(folder / "o.laz"), "--preset", preset, "-q",

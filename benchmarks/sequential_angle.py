@@ -207,7 +207,7 @@ def simulated(folder: Path) -> None:
     print("The classifier is told the noise; that of the paper's scanner is about 1 mm (footnote 3). Rows that name no")
     print("noise have 5 mm. Last row:")
     print("Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n")
-    print(f"```console\n$ prc simulate street-scan -o scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46")
+    print(f"```console\n$ prc simulate street-scan scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46")
     print("$ prc classify scan.npz labels.npy --preset street-scan")
     print("$ prc evaluate labels.npy scan.npz --mapping street_scan --format markdown\n```\n")
     print_scores(sums, names)

@@ -185,7 +185,7 @@ def urban(folder: Path) -> None:
     Shares of all streets together, the smallest and the largest of a single street in brackets; the paper's figure in
     italics.""")
     commands(
-        f"prc simulate street -o street.npz --length {STREET_M:g} --seed {FIRST_SEED}",
+        f"prc simulate street street.npz --length {STREET_M:g} --seed {FIRST_SEED}",
         "prc classify street.npz labels.npy --preset urban --set prc.support.zeta_p=0.1",
         "prc evaluate labels.npy street.npz --mapping lehtola_urban",
     )
@@ -229,7 +229,7 @@ def kinds(folder: Path) -> None:
     print("### Kinds of street\n")
     say(f"""{MORE_STREETS} streets of {MORE_M:g} m of each kind, A = 30, γ = 2; recall, and the share of buildings that
     is taken for ground.""")
-    commands(f"prc simulate street -o street.npz --scene terraces --length {MORE_M:g} --seed {FIRST_SEED}")
+    commands(f"prc simulate street street.npz --scene terraces --length {MORE_M:g} --seed {FIRST_SEED}")
     print_diagonals(folder, {name: {"name": name} for name in CHARACTERS})
 
 
@@ -238,7 +238,7 @@ def set_back(folder: Path) -> None:
     print("### Distance of the facades\n")
     say("""Residential streets again, their facades farther and farther behind the usual line (which is 8.8 m to 12.8 m
     from the middle of the road).""")
-    commands("prc simulate street -o street.npz --scene residential --set scene.setback_m=12")
+    commands("prc simulate street street.npz --scene residential --set scene.setback_m=12")
     scenes: dict[str, dict[str, Any]] = {
         f"{m:g} m farther": {"name": "residential", "setback_m": m} for m in SET_BACK_M
     }  # fmt: skip
@@ -316,7 +316,7 @@ def forest(folder: Path) -> None:
     plot in brackets; the paper's figure in
     italics. Other vegetation counts as noise on both sides, as in the table.""")
     commands(
-        f"prc simulate forest -o walk.npz --length {WALK_M:g} --seed {FIRST_SEED} --reference cylinders",
+        f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED} --reference cylinders",
         "prc classify walk.npz labels.npy --preset forest --set prc.support.zeta_s=1 --set prc.support.zeta_p=0.1",
         "prc evaluate labels.npy walk.npz --mapping lehtola_forest",
     )
@@ -338,7 +338,7 @@ def unsupported(folder: Path) -> None:
     say("""The paper gives the share of all points that get no support. Here it is the noise of PRC without its ground
     columns, which would take some of it back.""")
     commands(
-        f"prc simulate forest -o walk.npz --length {WALK_M:g} --seed {FIRST_SEED}",
+        f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED}",
         "prc classify walk.npz labels.npy --preset forest --set prc.forest.noise_in_ground_columns=false",
     )
     print("| forest | ζ_s, ζ_p | without support |\n|---|---|---:|")
@@ -409,7 +409,7 @@ def static(folder: Path) -> None:
     as horizontal, curbs as vertical, as there. The classifier was tuned on another, simpler simulator and never on
     this one: a first independent test. The smallest and the largest of a single scan in brackets.""")
     commands(
-        f"prc simulate street-scan -o station.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg={COARSE_DEG}",
+        f"prc simulate street-scan station.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg={COARSE_DEG}",
         "prc classify station.npz labels.npy --preset street-scan",
         "prc evaluate labels.npy station.npz --mapping street_scan",
     )
@@ -543,7 +543,7 @@ def oakland(folder: Path) -> None:
     models of the strips. Steps are differences of ranges between neighbours that both have a return, by class where
     both have that class. PRC with `sample_configs/sick_push_broom.toml`.""")
     commands(
-        f"prc simulate street -o strip.npz --scanner sick-push-broom --lines {OAKLAND_LINES} \\\n"
+        f"prc simulate street strip.npz --scanner sick-push-broom --lines {OAKLAND_LINES} \\\n"
         f"      --speed {OAKLAND_SPEED_M_S:.3g} --set trajectory.stop_every_m=0 --seed {FIRST_SEED}",
         "prc classify strip.npz labels.npy --config sample_configs/sick_push_broom.toml",
     )

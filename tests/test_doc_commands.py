@@ -60,7 +60,7 @@ def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
         result = runner().invoke(cli, [word.replace("@", f"{folder}/") for word in shlex.split(words)])
         assert result.exit_code in DONE, f"{words}\n{result.stderr}"
 
-    prc("simulate street -o @drive.npz --lines 72 --seed 3 --set scanner.points_per_line=2154 -q")
+    prc("simulate street @drive.npz --lines 72 --seed 3 --set scanner.points_per_line=2154 -q")
     with np.load(folder / "drive.npz") as drive:
         codes = drive[next(name for name in drive.files if name in ("class", "codes", "label", "labels"))]
         ranges = drive["range_m"]
@@ -73,7 +73,7 @@ def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     prc("classify @drive.npz @labels.npy -q")
     prc("classify @drive.npz @labels.csv -q")
     prc("classify @drive.laz @out.laz -q")
-    prc("simulate street-scan -o @scan.e57 --set station.turn_deg=40 --set scanner.azimuth_step_deg=0.5 -q")
+    prc("simulate street-scan @scan.e57 --set station.turn_deg=40 --set scanner.azimuth_step_deg=0.5 -q")
     for name in ("drive_classified.laz", "classified.laz"):
         shutil.copy(folder / "out.laz", folder / name)
     shutil.copy(folder / "drive.laz", folder / "reference.laz")

@@ -105,7 +105,7 @@ def test_bag(here: Path, real_data: Path) -> None:
 
 
 def test_text_in_millimetres_with_decimal_commas(here: Path) -> None:
-    assert runner().invoke(cli, shlex.split("simulate street -o truth.csv --lines 48 --seed 3 -q")).exit_code == 0
+    assert runner().invoke(cli, shlex.split("simulate street truth.csv --lines 48 --seed 3 -q")).exit_code == 0
     with (here / "truth.csv").open() as truth, (here / "drive.csv").open("w") as drive:
         drive.write("line;column;angle_deg;range_mm;time_s\n")
         for row in csv.DictReader(truth):
@@ -207,7 +207,7 @@ def test_styles_of_viewers_hold_every_code() -> None:
 
 @pytest.mark.parametrize("crs", ["", "EPSG:32635"])
 def test_a_simulated_cloud_carries_the_coordinate_system_that_it_announces(tmp_path: Path, crs: str) -> None:
-    words = ["simulate", "street", "-o", str(tmp_path / "drive.laz"), "--lines", "2"]
+    words = ["simulate", "street", str(tmp_path / "drive.laz"), "--lines", "2"]
     result = runner().invoke(cli, [*words, *(["--set", f"frame.crs={crs}"] if crs else [])])
     assert result.exit_code == 0
     assert ("coordinates are those of" in result.stderr) == bool(crs)

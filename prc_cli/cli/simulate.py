@@ -25,7 +25,7 @@ _option = click.option
 
 
 _OUTPUT = [
-    _option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="File to write."),
+    click.argument("output", type=click.Path(path_type=Path), metavar="OUT"),
     _option("--labels", type=click.Path(path_type=Path), metavar="FILE.npy",
             help="Reference class of every record; written by itself where OUT cannot hold it."),
 ]  # fmt: skip
@@ -87,9 +87,9 @@ def simulate() -> None:
 
     \b
     Examples:
-      prc simulate street -o drive.laz --length 900 --seed 7
-      prc simulate forest -o walk.npz --length 120 --stems stems.csv
-      prc simulate street-scan -o station.npz
+      prc simulate street drive.laz --length 900 --seed 7
+      prc simulate forest walk.npz --length 120 --stems stems.csv
+      prc simulate street-scan station.npz
       prc simulate scanners
       prc simulate parameters forest
     """
@@ -105,11 +105,11 @@ def street(**options: Any) -> None:
 
     \b
     Examples:
-      prc simulate street -o drive.laz --length 900 --seed 7 --trajectory drive.csv
-      prc simulate street -o drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
-      prc simulate street -o drive.e57 --config terraces.toml
-      prc simulate street -o spin.npz --scanner vlp-16 --duration 5 --frames frames/
-      prc simulate street -o spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
+      prc simulate street drive.laz --length 900 --seed 7 --trajectory drive.csv
+      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
+      prc simulate street drive.e57 --config terraces.toml
+      prc simulate street spin.npz --scanner vlp-16 --duration 5 --frames frames/
+      prc simulate street spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
     """
     _run("street", options)
 
@@ -124,8 +124,8 @@ def forest(**options: Any) -> None:
 
     \b
     Examples:
-      prc simulate forest -o walk.laz --length 120 --stems stems.csv
-      prc simulate forest -o walk.npz --reference cylinders --scene dense-spruce
+      prc simulate forest walk.laz --length 120 --stems stems.csv
+      prc simulate forest walk.npz --reference cylinders --scene dense-spruce
     """
     _run("forest", options)
 
@@ -138,8 +138,8 @@ def street_scan(**options: Any) -> None:
 
     \b
     Examples:
-      prc simulate street-scan -o station.npz
-      prc simulate street-scan -o station.e57 --set station.turn_deg=90 --set station.along_m=200
+      prc simulate street-scan station.npz
+      prc simulate street-scan station.e57 --set station.turn_deg=90 --set station.along_m=200
     """
     _run("street-scan", options)
 

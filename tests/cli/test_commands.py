@@ -87,7 +87,7 @@ def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[ob
 def test_info_doubts_what_classify_doubts_where_heights_explain_it(prc: Prc, tmp_path: Path) -> None:
     """Ranges in feet beside heights in metres look like a leaning plane; PRC does not ask for directions."""
     made, feet = tmp_path / "drive.laz", tmp_path / "feet.laz"
-    assert prc("simulate", "street", "-o", made, "--lines", 60, "--seed", 72, "-q").code == 0
+    assert prc("simulate", "street", made, "--lines", 60, "--seed", 72, "-q").code == 0
     points = laspy.read(made)
     points["range"] = points["range"] / 0.3048
     points.write(feet)

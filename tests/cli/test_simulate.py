@@ -18,7 +18,7 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
 def test_options_win_over_set_and_file(prc: Prc, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('lines = 30\n[scanner]\nname = "sick-push-broom"\nslant_deg = 5\n')
     options = ("--config", tmp_path / "a.toml", "--set", "scanner.slant_deg=6", "--mount-slant", "7", "--speed", "2")
-    result = prc("simulate", "street", "-o", tmp_path / "a.npz", *options, "--sight", "20", "--json", "-q")
+    result = prc("simulate", "street", tmp_path / "a.npz", *options, "--sight", "20", "--json", "-q")
     table = json.loads(result.out)["config"]["simulation"]
     assert (table["lines"], table["scanner"]["slant_deg"]) == (30, 7.0)
     assert (table["scanner"]["points_per_line"], table["trajectory"]["speed_m_s"]) == (361, 2.0)
@@ -43,17 +43,17 @@ def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: P
 def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
     (tmp_path / "there.npz").write_text("mine")
     for options, code, said in (
-        (["street", "-o", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .bin"),
-        (["street", "-o", tmp_path / "there.npz"], 2, "exists already"),
-        (["street", "-o", tmp_path / "none" / "a.npz"], 1, "output folder does not exist"),
-        (["street", "-o", tmp_path / "a.npz", "--trajectory", tmp_path / "w.txt"], 2, ".csv or .sbet or .out"),
-        (["forest", "-o", tmp_path / "a.npz", "--stems", tmp_path / "s.txt"], 2, "found suffix '.txt', expected .csv"),
-        (["street"], 2, "Missing option '-o'"),
-        (["street", "-o", tmp_path / "a.npz", "--length", "5", "--lines", "3"], 2, "--length and --lines contradict"),
-        (["street", "-o", tmp_path / "a.npz", "--scanner", "scanstation2"], 2, "is not one of 'photon-80'"),
-        (["street", "-o", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'trees'?"),
-        (["street", "-o", tmp_path / "a.npz", "--set", "scene.trees=9"], 2, "see `prc simulate parameters street`"),
-        (["meadow", "-o", tmp_path / "a.npz"], 2, "No such command 'meadow'"),
+        (["street", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .bin"),
+        (["street", tmp_path / "there.npz"], 2, "exists already"),
+        (["street", tmp_path / "none" / "a.npz"], 1, "output folder does not exist"),
+        (["street", tmp_path / "a.npz", "--trajectory", tmp_path / "w.txt"], 2, ".csv or .sbet or .out"),
+        (["forest", tmp_path / "a.npz", "--stems", tmp_path / "s.txt"], 2, "found suffix '.txt', expected .csv"),
+        (["street"], 2, "Missing argument 'OUT'"),
+        (["street", tmp_path / "a.npz", "--length", "5", "--lines", "3"], 2, "--length and --lines contradict"),
+        (["street", tmp_path / "a.npz", "--scanner", "scanstation2"], 2, "is not one of 'photon-80'"),
+        (["street", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'trees'?"),
+        (["street", tmp_path / "a.npz", "--set", "scene.trees=9"], 2, "see `prc simulate parameters street`"),
+        (["meadow", tmp_path / "a.npz"], 2, "No such command 'meadow'"),
     ):
         result = prc("simulate", *options)
         assert (result.code, result.err.count("\n")) == (code, 1), result.err

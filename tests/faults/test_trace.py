@@ -92,7 +92,7 @@ def check_order(found: list[tuple[str, list[str]]], out: Path) -> set[str]:
                 (("convert", "{seeds}/a.csv", "{out}/o.e57", "--trust-order"), ("o.e57",)),
                 (("convert", "{seeds}/a.csv", "{out}/o.npz", "--trust-order"), ("o.npz",)),
                 (("transfer", "{seeds}/pf6.las", "{seeds}/pf6.laz", "{out}/o.laz"), ("o.laz",)),
-                (("simulate", "street", "-o", "{out}/o.npz", "--lines", "3"), ("o.npz",)),
+                (("simulate", "street", "{out}/o.npz", "--lines", "3"), ("o.npz",)),
             )
         ),
     ],

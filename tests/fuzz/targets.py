@@ -220,7 +220,7 @@ TARGETS: dict[str, Target] = {
         ),
     ),
     "simulate": Target(
-        ("simulate.toml",), (("simulate", "street", "-o", "{out}/o.npz", "--config", "{case}", "--lines", "3", "-q"),)
+        ("simulate.toml",), (("simulate", "street", "{out}/o.npz", "--config", "{case}", "--lines", "3", "-q"),)
     ),
     "stream": Target(
         ("a.bin", "f4.bin", "a.npz"),

@@ -75,7 +75,7 @@ def _tables() -> Iterator[tuple[str, str]]:
             f"info {source} {options} ; classify {source} o.npy {options} ; convert {source} b.csv {options}",
         )
         yield f"convert-las-{suffix}", f"convert {LAS} o.{suffix} --json"
-        yield f"simulate-{suffix}", f"simulate street -o s.{suffix} --lines 12 --scanner sick-push-broom -q"
+        yield f"simulate-{suffix}", f"simulate street s.{suffix} --lines 12 --scanner sick-push-broom -q"
     for suffix in ("npz", "las", "laz", "csv", "csv.gz", "parquet", "npy"):
         yield f"labels-{suffix}", f"classify ../sim-forest/f.npz o.{suffix} --preset forest --segment-ids -q"
     for key, value in (

@@ -61,7 +61,7 @@ def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
 @pytest.mark.parametrize("preset", ["urban", "forest", "street-scan", "street-scan-published"])
 def test_both_engines_give_the_same_labels_and_segments(tmp_path: Path, preset: str) -> None:
     source = tmp_path / "scan.npz"
-    assert prc("simulate", *SIMULATED[preset.removesuffix("-published")].split(), "-o", source, "-q") == 0
+    assert prc("simulate", *SIMULATED[preset.removesuffix("-published")].split(), source, "-q") == 0
     # too coarse for the forest preset: nearly all is noise, by both engines
     compiled, plain = by_both(source, ".csv", "--preset", preset, "--segment-ids", "--accept-doubt", "noise-share")
     assert compiled.read_bytes() == plain.read_bytes()

@@ -18,9 +18,9 @@ M = 2154
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A street (``drive.npz``, its ranges alone ``drive.bin``) a forest and a static scan, with reference classes."""
     shell = Shell(tmp_path_factory.mktemp("drives"))
-    shell(f"prc simulate street -o drive.npz -q {STREET}")
-    shell("prc simulate forest -o forest.npz -q --lines 240 --seed 8802")
-    shell("prc simulate street-scan -o scan.npz -q --seed 8804 --set scanner.azimuth_step_deg=0.6")
+    shell(f"prc simulate street drive.npz -q {STREET}")
+    shell("prc simulate forest forest.npz -q --lines 240 --seed 8802")
+    shell("prc simulate street-scan scan.npz -q --seed 8804 --set scanner.azimuth_step_deg=0.6")
     with np.load(shell.here / "drive.npz") as drive:
         drive["range_m"].astype("<f4").tofile(shell.here / "drive.bin")
     return shell.here

@@ -34,7 +34,7 @@ ALIKE = 0.01
 
 
 def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
-    prc(f"prc simulate street -o drive.laz -q {STREET}")
+    prc(f"prc simulate street drive.laz -q {STREET}")
     told = prc("prc info drive.laz").told("type")
     said = prc(told)
     prc(said.told("draw it"))
@@ -216,7 +216,7 @@ def test_12_python_and_the_command_line_are_one(prc: Shell) -> None:
 
 def registered(prc: Shell) -> None:
     """Write the street as an office has it: coordinates, times and classes, and the way of the scanner beside them."""
-    prc(f"prc simulate street -o whole.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}")
+    prc(f"prc simulate street whole.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}")
     cloud = laspy.read(prc.here / "whole.laz")
     cloud.remove_extra_dims(list(cloud.point_format.extra_dimension_names))
     cloud.scan_angle[:] = 0

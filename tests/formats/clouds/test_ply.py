@@ -233,7 +233,7 @@ def run(words: list[str]) -> int:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated drive, as an archive of arrays, with its labels."""
     folder = tmp_path_factory.mktemp("drive")
-    told = ["simulate", "street", "-o", str(folder / "s.npz"), "--lines", "40", "--scanner", "sick-push-broom", "-q"]
+    told = ["simulate", "street", str(folder / "s.npz"), "--lines", "40", "--scanner", "sick-push-broom", "-q"]
     assert run([*told, "--seed", "5"]) == 0
     assert run(["classify", str(folder / "s.npz"), str(folder / "s.npy"), "--preset", "urban", "-q"]) in (0, 4)
     return folder

@@ -137,7 +137,7 @@ def test_a_wrong_mount_is_refused_or_scores_nothing(drive: Path) -> None:
 def test_sbet_and_csv_of_one_drive_turn_alike(tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     for name in ("a.csv", "a.sbet"):
-        arguments = ["simulate", "street", "-o", str(tmp_path / f"{name}.npz"), "--lines", "6", "--seed", "3", "-q"]
+        arguments = ["simulate", "street", str(tmp_path / f"{name}.npz"), "--lines", "6", "--seed", "3", "-q"]
         arguments += ["--set", "frame.crs=EPSG:32635", "--trajectory", str(tmp_path / name)]
         done = runner().invoke(cli, arguments)
         assert done.exit_code == 0, done.output
