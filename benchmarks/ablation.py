@@ -1,18 +1,16 @@
 """What every step of the fused method is worth: F1 without it, one step after the other.
 
-    python -m benchmarks.ablation            # scans that chose limits and steps: docs/figures/fused.md
-    python -m benchmarks.ablation held-out   # the method itself on scans that decided nothing
+    python -m benchmarks.ablation
 
+The scans are those that chose limits and steps; ``benchmarks.labels`` judges on others.
 A step that costs less than .003 of the mean F1 in every group and .01 in no class does not stay.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import Any, TypeVar
 from unittest import mock
 
@@ -86,19 +84,17 @@ FOREST_STEPS: dict[str, Tables] = {
 }
 
 
-def scans(*, held_out: bool) -> Iterator[tuple[str, Scan]]:
+def scans() -> Iterator[tuple[str, Scan]]:
     """Yield scans with the name of their group."""
-    more = 2400 if held_out else 0
-    for spec in data.TEST_STREETS if held_out else data.TRAIN:
-        yield "streets", data.simulated(replace(spec, seed=spec.seed + more))
+    for spec in data.TRAIN:
+        yield "streets", data.simulated(spec)
     for i, scene in enumerate(slow.SCENES):
-        scan = data.simulated(Simulated(scene, (9641 if held_out else 9021) + i, slow.LENGTH_M, scene, noise=0.0))
+        scan = data.simulated(Simulated(scene, 9021 + i, slow.LENGTH_M, scene, noise=0.0))
         for drive in ("1/4", "stop and go"):
             yield "slow drives", slow.slowed(scan, slow.DRIVES[drive](len(scan.range_m)), i)
-    for spec in data.TEST_FORESTS if held_out else data.TRAIN_FOREST:
-        yield "forests", data.simulated(replace(spec, seed=spec.seed + more))
-    for strip in (2, 3) if held_out else (1,):
-        yield "Oakland", data.oakland(strip)
+    for spec in data.TRAIN_FOREST:
+        yield "forests", data.simulated(spec)
+    yield "Oakland", data.oakland(1)
 
 
 def f1_of(scan: Scan) -> dict[str, float]:
@@ -113,10 +109,9 @@ def f1_of(scan: Scan) -> dict[str, float]:
 
 def main() -> None:
     """Print the table."""
-    held_out = "held-out" in sys.argv[1:]
     rows: dict[str, dict[str, list[dict[str, float]]]] = {}
-    for group, scan in scans(held_out=held_out):
-        steps = {} if held_out else FOREST_STEPS if group == "forests" else STREET_STEPS
+    for group, scan in scans():
+        steps = FOREST_STEPS if group == "forests" else STREET_STEPS
         for name in ("all steps", *steps):
             with ExitStack() as patches:
                 if name in FOREST_STEPS:
@@ -124,20 +119,7 @@ def main() -> None:
                 elif name in STREET_STEPS:
                     patches.enter_context(mock.patch.object(pipeline, "STREET", changed(STREET, **steps[name])))
                 rows.setdefault(name, {}).setdefault(group, []).append(f1_of(scan))
-    whole = rows["all steps"]
-    if held_out:
-        print_classes(whole)
-    else:
-        print_steps(rows, whole)
-
-
-def print_classes(whole: dict[str, list[dict[str, float]]]) -> None:
-    """Print the mean F1 of every class."""
-    names = sorted({one for found in whole.values() for scores in found for one in scores})
-    print(f"| | {' | '.join(whole)} |\n|---|{'---:|' * len(whole)}")
-    for name in names:
-        own = {group: [scores[name] for scores in found if name in scores] for group, found in whole.items()}
-        print(f"| {name} | {' | '.join(f'{np.mean(some):.3f}' if some else '' for some in own.values())} |")
+    print_steps(rows, rows["all steps"])
 
 
 def print_steps(rows: dict[str, dict[str, list[dict[str, float]]]], whole: dict[str, list[dict[str, float]]]) -> None:

@@ -26,7 +26,7 @@ from benchmarks.contest_chains import CHAINS
 from benchmarks.contest_data import ROOT, Scan
 from benchmarks.contest_drives import print_drives
 from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, pooled
-from benchmarks.contest_methods import DEFAULT, FUSED, PAPERS, TO_THE_TOP, Method, fused, label, label_scan
+from benchmarks.contest_methods import FUSED, PAPERS, TO_THE_TOP, Method, fused, label, label_scan
 from benchmarks.contest_pictures import failures
 from benchmarks.contest_runs import (
     FOREST,
@@ -207,7 +207,6 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             print(f"| {group} | {name} | {cells} |")
     print()
     print_lost(groups.get(SLOW, []), runs)
-    print_wins(contest, runs)
 
 
 def scores_of(own: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
@@ -238,44 +237,12 @@ def print_lost(items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
     print()
 
 
-def print_wins(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Number of scans on which a fused method is the best of the stream, overall and by class."""
-    for method in fused():
-        own = runs.get(method.name, {})
-        same = {method.name, *(other.name for other in TO_THE_TOP if other.preset == method.preset)}
-        there = [item for item in contest.items if item.how in own]
-        lost: list[str] = []
-        n_classes = 0
-        for item in there:
-            mine = {"macro": own[item.how].verdict.macro, **own[item.how].verdict.f1()}
-            n_classes += len(mine) - 1
-            for score, value in mine.items():
-                others = {
-                    name: _score(each[item.how].verdict, score)
-                    for name, each in runs.items()
-                    if name not in same and item.how in each
-                }
-                rival = max(others, key=lambda name: others[name], default="")
-                if rival and others[rival] > value:
-                    lost.append(f"{title_of(item)}, {score}: {value:.3f}, {rival} {others[rival]:.3f}")
-        if not there:
-            continue
-        n_macro = sum(", macro: " in each for each in lost)
-        say(f"""{method.name} has the highest macro F1 of all methods of the stream on {len(there) - n_macro} of
-        {len(there)} scans, and the highest F1 of a class in {n_classes - len(lost) + n_macro} of {n_classes} cases.
-        {"Not best: " + "; ".join(lost) + "." if lost else ""}""")
-
-
-def _score(verdict: Verdict, name: str) -> float:
-    return verdict.macro if name == "macro" else float(np.nan_to_num(verdict.f1().get(name, 0.0)))
-
-
 def _yes(reached: bool) -> str:
     return "yes" if reached else "no"
 
 
 def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Every scan, and every class with intervals."""
+    """Every scan."""
     print("## Scan by scan\n\nMacro F1, and the class that is worst.\n")
     street = [name for name in runs if any(item.how in runs[name] for item in contest.items if not _is_forest(item))]
     forest = [name for name in runs if any(item.how in runs[name] for item in contest.items if _is_forest(item))]
@@ -295,17 +262,6 @@ def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             ]
             print(f"| {title_of(item)} | {own[0].returns if own else 0:,} | {' | '.join(cells)} |")
         print()
-    print("## Every class\n")
-    say("""All returns of a group together. In brackets the 95 % interval of the block jackknife over 20 blocks of lines
-    per scan, as in <code>prc evaluate --intervals</code>.""")
-    for group, items in contest.groups().items():
-        print(f"### {group}\n")
-        print("| | class | precision | recall | F1 | IoU |\n|---|---|---:|---:|---:|---:|")
-        for name, own in runs.items():
-            verdicts = of_group(own, items)
-            if verdicts:
-                print_scores(name, pooled(verdicts))
-        print()
 
 
 def _is_forest(item: DataSet) -> bool:
@@ -314,19 +270,6 @@ def _is_forest(item: DataSet) -> bool:
 
 def _low(verdict: Verdict) -> float:
     return float(np.nan_to_num(verdict.f1()[verdict.worst]))
-
-
-def print_scores(name: str, verdict: Verdict) -> None:
-    """One row per class."""
-    intervals = verdict.intervals()
-    for each in verdict.present:
-        cells = []
-        for score in ("precision", "recall", "f1", "iou"):
-            value = verdict.score(f"{score}.{each}")
-            between = intervals.get(f"{score}.{each}")
-            spread = f" ({between.low:.2f}–{between.high:.2f})" if between is not None and score == "f1" else ""
-            cells.append(f"{printed_at(value)}{spread}")
-        print(f"| {name} | {each} | {' | '.join(cells)} |")
 
 
 def confusion(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
@@ -444,16 +387,6 @@ def things(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     say("""First returns, all shots with a known reference. A curb is right if one of the reference is within 10 cm. A
     scan counts if it holds 100 shots of the thing. Methods that never find it are left out.""")
     print_things(contest.groups(), runs)
-
-
-def default(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """What a user gets who types nothing."""
-    print("## Nothing told\n")
-    say("""<code>prc classify IN OUT</code> chooses the method. Macro F1, mean over the scans of a group, worst scan in
-    brackets, beside the fused presets by name.""")
-    chosen = contest.all_runs((DEFAULT,)).get(DEFAULT.name, {})
-    groups = contest.groups()
-    print_macros(groups, {DEFAULT.name: chosen, **{m.name: runs[m.name] for m in fused() if m.name in runs}})
 
 
 def drives(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
@@ -605,7 +538,6 @@ PARTS: dict[str, Part] = {
     "goals": goals,
     "tables": tables,
     "things": things,
-    "default": default,
     "peers": against_peers,
     "confusion": confusion,
     "speed": speed,

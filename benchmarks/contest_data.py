@@ -116,6 +116,7 @@ class Simulated:
     name: str
     seed: int
     length_m: float
+    """Of a static scan: scan lines."""
     scene: str = "mixed"
     scanner: str = "photon-80"
     mount: dict[str, Any] = field(default_factory=dict)
@@ -133,11 +134,13 @@ class Simulated:
         if self.setback_m:
             scene["setback_m"] = self.setback_m
         scanner = {"name": self.scanner, **background(self.scanner, self.noise), **self.mount}
+        if self.kind == "street-scan":
+            return {"seed": self.seed, "lines": int(self.length_m), "scene": scene, "scanner": scanner}
         motion = {"trajectory": {"stop_every_m": 0.0}}
         return {"seed": self.seed, "length_m": self.length_m, "scene": scene, "scanner": scanner, **motion}
 
 
-PULSED = ("sick-push-broom", "profiler-1mhz")
+PULSED = ("sick-push-broom", "profiler-1mhz", "scanstation2")
 DARK: dict[str, Any] = {"pane_share": 1.0, "ghost_share": 0.0}
 """Glass returns the pulse itself, so that no range comes from a reflection; mixed ranges at edges remain."""
 OWN_NOISE = 0.01
@@ -191,7 +194,7 @@ def simulated(spec: Simulated) -> Scan:
         np.concatenate([block.range_m for block in blocks]),
         angle_rad - (down_rad or 0.0),
         np.concatenate([lookup[part.labelled.labels] for part in parts]).astype(np.int64),
-        "cylinders" if spec.cylinders else "street" if spec.kind == "street" else "forest",
+        "cylinders" if spec.cylinders else spec.kind.replace("-", "_"),
         time_s=np.concatenate([block.time_s for block in blocks if block.time_s is not None]),
         intensity=np.concatenate([block.intensity for block in blocks if block.intensity is not None]),
         cos_tilt=simulation.scan.info.cos_tilt,
@@ -200,6 +203,7 @@ def simulated(spec: Simulated) -> Scan:
         extra=joined(extras),
         extra_codes=np.concatenate([lookup[part.labelled.extra_labels] for part in parts]).astype(np.int64),
         extra_world_m=np.concatenate(extra_world),
+        is_upright=spec.kind == "street-scan",
         height_m=settings.scanner.height_m,
         range_noise_m=max(settings.scanner.noise_m, 0.005),
     )

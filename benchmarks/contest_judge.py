@@ -16,7 +16,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.confusion import GroupedCounts, cells_of
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.scores import Interval, all_scores, block_intervals
+from prc_cli.evaluation.scores import all_scores
 
 FOLDER = Path(__file__).resolve().parent
 MAPPINGS = {
@@ -61,7 +61,7 @@ CURB = "curb, 10 cm"
 CURB_M = 0.1
 """Tolerance of curbs [m]."""
 BLOCKS = 20
-"""Number of blocks of lines for the intervals."""
+"""Number of blocks of lines that are counted apart."""
 LEAST_SHARE = 0.005
 """Least share of judged returns for a class to exist in a scan: below it, the score depends on a few shots."""
 
@@ -110,10 +110,6 @@ class Verdict:
         """The class with the lowest F1."""
         found = self.f1()
         return min(found, key=lambda name: found[name])
-
-    def intervals(self) -> dict[str, Interval]:
-        """Return block jackknife intervals, 95 %."""
-        return block_intervals(self.blocks, (self.rows, self.columns))
 
     def __add__(self, other: Verdict) -> Verdict:
         """Pool two verdicts of the same classes."""

@@ -114,10 +114,6 @@ TO_THE_TOP = (
 plane tilted by 20°. Higher parts of a stem are noise in that reference by definition."""
 
 
-DEFAULT = Method("nothing told", mappings=STREETS | FORESTS)
-"""``prc classify IN OUT`` without a preset: the program chooses the method."""
-
-
 def fused() -> tuple[Method, ...]:
     """Return the fused presets that exist."""
     found = []

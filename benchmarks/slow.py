@@ -114,16 +114,6 @@ def f1_of(scan: Scan, limits: Limits) -> list[float]:
     return [scores.get(name, np.nan) for name in NAMES]
 
 
-def carried(scan: Scan, places: F64, seed: int) -> list[float]:
-    """Return the F1 of the labels of the normal drive, every line as often as in the slow one: what can be kept."""
-    normal = slowed(scan, np.arange(len(scan.range_m) - 1.0), seed)
-    labels = label(normal, load_config(preset="fused")).codes
-    lines = np.minimum(np.rint(places).astype(np.int64), len(labels) - 1)
-    repeated = replace(normal, range_m=normal.range_m[lines], codes=normal.codes[lines])
-    scores = judge(repeated, labels[lines], np.empty(0, np.int64)).f1()
-    return [scores.get(name, np.nan) for name in NAMES]
-
-
 def cells(f1: F64, normal: F64) -> str:
     """Return the mean over streets, the lowest, and the most that is lost on one street beside its normal drive."""
     loss = np.nanmax(normal - f1, axis=0)
@@ -144,11 +134,6 @@ def main() -> None:
             rows = np.array([f1_of(drive, limits) for drive in drives])
             normal = rows if normal is None else normal
             print(f"| {name} {suffix} | {cells(rows, normal)} |")
-    assert normal is not None
-    rows = np.array([
-        carried(scan, stop_and_go(len(scan.range_m)), seed) for scan, seed in zip(scans, seeds, strict=True)
-    ])  # fmt: skip
-    print(f"| stop and go, labels of the normal drive | {cells(rows, normal)} |")
 
 
 if __name__ == "__main__":
