@@ -113,11 +113,7 @@ def _wait(future: Future[_B]) -> _B:
 
 
 class Relay(Generic[_A]):
-    """A value passed from job to job in a fixed order across threads, such as the state between blocks.
-
-    Jobs have turns 0, 1, 2 ... and must start in that order, as :func:`ordered` starts them; then the job that the
-    others wait for is always running.
-    """
+    """A value handed from job to job across threads; jobs start in the order of their turns 0, 1, 2 ..."""
 
     def __init__(self, value: _A) -> None:
         self._value = value

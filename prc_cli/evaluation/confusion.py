@@ -17,10 +17,7 @@ from prc_cli.evaluation.mapping import OTHER, ClassMapping, scored_names
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ConfusionMatrix(Brief):
-    """Counts of records by reference class (rows) and predicted class (columns).
-
-    Rows and columns may differ: classes of one side only are kept, and never agree.
-    """
+    """Counts by reference class (rows) and predicted class (columns); names of one side alone never agree."""
 
     reference_names: tuple[str, ...]
     """Class names of the rows."""

@@ -165,10 +165,7 @@ _AT_ONCE = 1 << 22
 
 
 def block_intervals(blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]) -> dict[str, Interval]:
-    """Compute intervals of every score that is defined, by the block jackknife (Kuensch 1989).
-
-    The spread of the score without one block at a time, times Student's t: shots beside each other err together.
-    """
+    """Compute intervals of all scores by block jackknife (Kuensch 1989): shots beside each other err together."""
     if len(blocks) < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
         raise InputError("intervals", problem, "make the blocks shorter with --interval-lines, or give -M")

@@ -26,13 +26,7 @@ from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import Held, format_of, is_cloud
-from prc_cli.formats.writing import (
-    check_stream_output,
-    open_stream_writer,
-    outputs_of,
-    stream_format,
-    stream_suffix,
-)
+from prc_cli.formats.writing import check_stream_output, open_stream_writer, outputs_of, stream_format, stream_suffix
 from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
 from prc_cli.formats.writing.coordinates import LinesApart
 from prc_cli.formats.writing.disk import DiskColumn

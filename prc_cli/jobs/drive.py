@@ -72,22 +72,7 @@ def classify_drive(
     engine: Engine = "compiled",
     loading: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> Iterator[RunSummary]:
-    """Classify the files of one drive, and yield a summary for every file.
-
-    Parameters
-    ----------
-    parts : sequence of Path
-        In the order in which they were recorded; lists of records (no range images, no organised scans).
-    outputs : Path or sequence of Path
-        A folder, made if it is not there; or the output of every file.
-    config, overwrite, progress, threads, engine, loading
-        As for :func:`prc_cli.jobs.classify.classify`.
-
-    Raises
-    ------
-    InputError, OutputError, ConfigError
-        Outputs that were finished before stay: of streams before a gap, and of files before the one that failed.
-    """
+    """Classify the files of one drive in the order of recording; what was finished before an error stays."""
     outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
         raise ConfigError("input", "found a window, expected none where several files are one drive", "leave it out")
@@ -177,14 +162,7 @@ class _Run:
 
 
 class DividedWriter:
-    """Gives every file's writer the labels of its records.
-
-    Parameters
-    ----------
-    writers : sequence of StagedWriter
-    firsts : sequence of int
-        Number of the first record of every file, and the number of all records.
-    """
+    """Gives every file's writer the labels of its records; ``firsts`` are their first numbers, and the end."""
 
     def __init__(self, writers: Sequence[StagedWriter], firsts: Sequence[int]) -> None:
         self._writers = writers

@@ -294,10 +294,7 @@ def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
 
 
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
-    """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them.
-
-    If only the beam directions are refused, the stream is returned without them.
-    """
+    """Open a stream as ``prc classify`` would, counting breaks of the order; without beams if these are refused."""
     try:
         inputs = trusting(open_source(path, loaded.config.layout), loaded.config.input)
         # as prc classify does: what a method does not need is not read, and tells the checks nothing

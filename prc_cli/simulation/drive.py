@@ -48,10 +48,7 @@ class SimulatedBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedScan:
-    """A simulated scan; a :class:`prc_cli.core.stream.ScanStream` whose reference labels are known.
-
-    Nothing is kept: every call of :meth:`blocks` simulates again, some lines at a time.
-    """
+    """A simulated stream with known labels; every call of :meth:`blocks` simulates again, in pieces."""
 
     name: str
     bodies_near: BodiesNear
@@ -232,10 +229,7 @@ def _counts(power: F32, range_m: F32) -> F32:
 
 
 def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
-    """Return the coordinates of returns relative to the scanner, x forward, y left, z up, (lines, M, 3) float32 [m].
-
-    Where the head turns, x points where its azimuth is 0.
-    """
+    """Return returns relative to the scanner: x forward (azimuth 0), y left, z up, (lines, M, 3) float32 [m]."""
     columns = scanner.directions()
     if not scanner.turns:
         found: F32 = (range_m[..., None] * columns).astype(np.float32)

@@ -122,11 +122,7 @@ class StampState:
 
 
 def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, I64, StampState]:
-    """Spread shots with equal time stamps over the time that follows.
-
-    Many files round times more coarsely than the time between shots; shots with equal stamps were fired one after
-    another from that time on.
-    """
+    """Spread shots with equal, coarse time stamps over the time until the next stamp."""
     n = len(time_s)
     if not n:
         return time_s, np.empty(0, np.int64), state

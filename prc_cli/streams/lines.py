@@ -472,10 +472,7 @@ def _last_lines(
 
 
 def _check_late(path: str, state: ScanState) -> None:
-    """Refuse an input in which too many shots belong to lines already complete.
-
-    An earlier drive appended to a later one has a single step back in time, which the share of steps does not show.
-    """
+    """Refuse too many shots of complete lines, as where an earlier drive is appended to a later one."""
     n_late, n_seen = state.lines.n_late, state.lines.n_seen
     if n_late > MAX_LATE * n_seen:
         problem = f"{n_late} of {n_seen} shots go back to lines before those that they follow"
@@ -486,10 +483,7 @@ def _check_late(path: str, state: ScanState) -> None:
 def first_records(
     source: RecordSource, scanner: str | None, names: tuple[str, ...], limit: int, *, to_end: bool
 ) -> dict[int, Table]:
-    """Return the first ``limit`` records of every scanner, independent of chunks.
-
-    Unless ``to_end``, reading stops after ``limit`` records of the input, which may miss later scanners.
-    """
+    """Return the first ``limit`` records of every scanner; or of the input, unless ``to_end``."""
     parts: dict[int, Table] = {}
     n_seen = 0
     for chunk in source.chunks(names):

@@ -182,10 +182,7 @@ def _viewpoint(header: PcdHeader) -> list[float]:
 
 
 def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
-    """Open a PCD file.
-
-    An organised cloud (height above 1) has a line in every row, and NaN where a shot has no return.
-    """
+    """Open a PCD file; an organised one has a line in every row, and NaN where a shot has no return."""
     header = read_pcd_header(path)
     fields = _fields(header)
     data = " ".join(header.words("DATA"))

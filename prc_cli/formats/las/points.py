@@ -293,11 +293,7 @@ def extra_bytes_vlr(dimensions: Sequence[ExtraDimension]) -> Vlr:
 def with_extra_dimensions(
     header: LasHeader, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension], hint: str
 ) -> list[Vlr]:
-    """Return the VLRs with descriptors of new dimensions behind those present.
-
-    Undescribed extra bytes get an undocumented entry, so that readers find the new ones. ``hint`` is the hint of
-    errors.
-    """
+    """Return the VLRs with new dimensions behind those present; bytes that none describes get an entry."""
     if not dimensions:
         return vlrs
     where = str(header.path)

@@ -194,10 +194,7 @@ def _names_chunks(source: Source, pages: Iterable[tuple[int, int]], chunks: LazR
 def splice_classes(
     source: Source, target: Target, splice: Splice, codes: Iterator[U8], kept: ClassContexts | None = None
 ) -> dict[int, tuple[int, int]]:
-    """Write all chunks with new classes, and their table; the target is then positioned behind it.
-
-    Returns the new position and length of every chunk by its old position.
-    """
+    """Write all chunks with new classes and their table; return new position and length by old position."""
     chunks = splice.chunks
     sizes, places = chunks.sizes()[:, 0].tolist(), chunks.table.first_byte.tolist()
     # some chunks per core where they are equal
@@ -222,10 +219,7 @@ def splice_classes(
 
 @contextlib.contextmanager
 def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, int]]]:
-    """Leave room for the position of the chunk table, and write the table behind the chunks.
-
-    Gives the table to fill: records and bytes of every chunk. The target is then positioned behind it.
-    """
+    """Leave room for the table's position, give the table of records and bytes to fill, write it behind."""
     start = target.tell()
     target.write(struct.pack("<q", 0))
     table: list[tuple[int, int]] = []
@@ -240,10 +234,7 @@ def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, 
 
 
 def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
-    """Yield the contexts of the classes, kept or decoded.
-
-    Layers that nobody has decoded yet are decoded with them: a damaged one is refused here.
-    """
+    """Yield the contexts of the classes, kept or decoded; a damaged layer is refused here."""
     las = chunks.header
     n, is_sound = batch_records(las, compressed=True), kept is not None and kept.n_checked == las.n_records
     if kept is not None and is_sound and kept.n_seen == las.n_records:

@@ -66,10 +66,7 @@ Notice: TypeAlias = Callable[[str], None]
 
 
 class StoppedError(BaseException):
-    """The run was stopped while a worker had this file.
-
-    Not an Exception, so that no handler takes it for an error of the file.
-    """
+    """The run was stopped while a worker had this file; no Exception, which handlers would take."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -243,10 +243,7 @@ class _Pool:
                 raise PrcError("worker process", found, "prc doctor checks the installation")
 
     def _watch(self) -> Iterator[Event]:
-        """Kill workers that have been silent for too long; the reader threads then report their end.
-
-        Time in which this process was paused, as after Ctrl-Z, does not count as silence.
-        """
+        """Kill workers silent for too long, not counting time in which this process was paused (Ctrl-Z)."""
         now, stall_s = time.monotonic(), self._settings.stall_s
         paused_s = max(0.0, now - self._checked - LONGEST_CHECK_S)
         self._checked = now

@@ -35,14 +35,7 @@ from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record
-from prc_cli.jobs.convert import (
-    OpenedItems,
-    find_losses,
-    how_to_read,
-    open_items,
-    prepare_output,
-    record_of_scanners,
-)
+from prc_cli.jobs.convert import OpenedItems, find_losses, how_to_read, open_items, prepare_output, record_of_scanners
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.frames import frames_of, labels_of, thin_frames
 from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without

@@ -11,11 +11,7 @@ import numpy as np
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import Assumption
-from prc_cli.formats import (
-    LAS_SUFFIXES,
-    check_input,
-    open_source,
-)
+from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.vlrs import same_crs
@@ -25,13 +21,7 @@ from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.matching.keys import AXES, KeyRule
-from prc_cli.matching.sides import (
-    CONFIDENCE,
-    CodesAlone,
-    KeyedSource,
-    Survey,
-    survey,
-)
+from prc_cli.matching.sides import CONFIDENCE, CodesAlone, KeyedSource, Survey, survey
 from prc_cli.streams.order import WEEK_S, WeekSource
 
 GPS_EPOCH_SHIFT_S = 1e9

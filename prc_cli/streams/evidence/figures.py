@@ -278,10 +278,7 @@ def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
 
 
 def pieces(windows: tuple[Window, ...]) -> list[Window]:
-    """Cut a few lines out of the windows, at uneven distances.
-
-    At even distances a wrong length that shifts the lines by whole turns between two pieces would look right.
-    """
+    """Cut a few lines at uneven distances: at even ones a wrong length may shift them by whole turns."""
     each = -(-FOLD_PIECES // max(len(windows), 1))
     found: list[Window] = []
     for window in windows:
