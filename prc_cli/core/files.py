@@ -202,13 +202,7 @@ def make_folder(folder: Path) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic).
-
-    It holds the machine and the process id, so that files left by a killed process can be recognised.
-
-    >>> len(temporary_name(Path("n" * NAME_BYTES)).name) <= NAME_BYTES
-    True
-    """
+    """Return a fresh hidden name beside ``path``, on its file system, with the machine and the process id in it."""
     _note(path)
     return path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}.part")
 
@@ -277,11 +271,7 @@ def is_same(first: Path, second: Path) -> bool:
 
 
 def is_left_behind(part: Path) -> bool | None:
-    """Tell whether a file is a temporary one whose process is dead; None if it is of another machine.
-
-    >>> is_left_behind(Path("drive.laz")), is_left_behind(Path(".drive.laz.0123abcd-77-89abcdef.part"))
-    (False, None)
-    """
+    """Tell whether a file is a temporary one whose process is dead; None if it is of another machine."""
     found = _TEMPORARY.fullmatch(part.name)
     if found is None:
         return False
@@ -327,15 +317,7 @@ def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
 
 @contextlib.contextmanager
 def atomic_output(path: Path, *, overwrite: bool | None = None) -> Iterator[Path]:
-    """Give a temporary path to write; give it its name on success, remove it on any failure.
-
-    >>> import tempfile
-    >>> target = Path(tempfile.mkdtemp()) / "labels.bin"
-    >>> with atomic_output(target) as temporary:
-    ...     _ = temporary.write_bytes(b"abc")
-    >>> target.read_bytes()
-    b'abc'
-    """
+    """Give a temporary path to write; give it its name on success, remove it on any failure."""
     with atomic_outputs(path, overwrite=overwrite) as (temporary,):
         yield temporary
 

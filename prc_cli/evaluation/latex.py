@@ -44,11 +44,7 @@ def as_latex(found: Found) -> str:
 
 
 def escape(text: str) -> str:
-    r"""Return text of users so that LaTeX prints it as it is, on one line.
-
-    >>> print(escape("50%_a&b"))
-    50\%\_a\&b
-    """
+    """Return text of users so that LaTeX prints it as it is, on one line."""
     return "".join(_SPECIAL.get(character, character if character.isprintable() else " ") for character in text)
 
 

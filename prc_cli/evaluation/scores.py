@@ -110,13 +110,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
 
 
 def gate_value(found: Scores, name: str) -> float:
-    """Look up one score by its name as in ``--fail-under``.
-
-    >>> import numpy as np
-    >>> matrix = ConfusionMatrix(("ground",), ("ground", "noise"), np.array([[3, 1]]))
-    >>> gate_value(scores(matrix), "recall.ground")
-    0.75
-    """
+    """Look up one score by its name as in ``--fail-under``."""
     score, dot, class_name = name.partition(".")
     if not dot and score in OVERALL_SCORES:
         return float(getattr(found, score))
@@ -259,12 +253,7 @@ class GateResult:
 
 
 def parse_gate(text: str, mapping: ClassMapping) -> Gate:
-    """Parse a gate; refuse a score that an evaluation with this mapping cannot have.
-
-    >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": [2]})
-    >>> parse_gate("recall.ground=0.95", mapping)
-    Gate(name='recall.ground', limit=0.95)
-    """
+    """Parse a gate; refuse a score that an evaluation with this mapping cannot have."""
     name, _, value = text.partition("=")
     try:
         limit = float(value)

@@ -42,7 +42,7 @@ from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.methods.base import LABELS_ALONE, MethodParams, UsualLabels, Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.result import ResultWatch
-from prc_cli.streams.evidence.watch import watched
+from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
@@ -339,14 +339,9 @@ def _classify(
             overwrite=overwrite,
         ) as writer,
     ):
-        result = ResultWatch(usual_labels(loaded.config, stream.info))
-        counts = write_labels(stream, writer, loaded.config, threads, progress, result)
-        found = (*stream.findings(), *accept(result.findings(), stream.accepted))
-        refuse(str(source), found)
+        counts, found, told = write_labels(stream, writer, loaded.config, threads, progress, str(source))
         record = run_record(stream.info, counts, loaded, beside.result())
-        segments = loaded.config.output.segment_ids
-        missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
-        record = replace(record, notices=(*record.notices, *missed, *notices(found)), engine=engine)
+        record = replace(record, notices=(*record.notices, *told), engine=engine)
         check_unchanged(source, before)
         with timed("finishing the output"):
             record = writer.finish(record)
@@ -367,11 +362,10 @@ def user_names(config: RunConfig) -> dict[int, str]:
 
 
 def write_labels(
-    stream: ScanStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None,
-    result: ResultWatch,
-) -> Counts:  # fmt: skip
-    """Read, classify and write in parallel; all threads have ended when this returns or raises."""
-    counts = Counts.none()
+    stream: EvidenceStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None, where: str
+) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
+    """Read, classify and write in parallel, until all threads have ended; return counts, findings and notices."""
+    counts, result = Counts.none(), ResultWatch(usual_labels(config, stream.info))
 
     def write(item: LabelledBlock) -> None:
         nonlocal counts
@@ -394,7 +388,10 @@ def write_labels(
         for item in labelled:
             put(item)
             advance(progress, item.block, info, config.input.window)
-    return counts
+    found = (*stream.findings(), *accept(result.findings(), stream.accepted))
+    refuse(where, found)
+    missed = config.classifier.method().notices(counts.labels, counts.tally, segments=config.output.segment_ids)
+    return counts, found, (*missed, *notices(found))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -648,15 +645,3 @@ def run_record(
         tally=counts.tally,
         notices=(*loaded.notes, *info.facts.notes),
     )
-
-
-__all__ = [
-    "ClassifiedRanges",
-    "Counts",
-    "Progress",
-    "RunSummary",
-    "classify",
-    "classify_ranges",
-    "label_blocks",
-    "open_stream",
-]

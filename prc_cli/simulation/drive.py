@@ -68,7 +68,7 @@ class SimulatedScan:
     @property
     def lines_at_once(self) -> int:
         """Lines that are simulated together: a turn of a spinning scanner, else :data:`LINES_AT_ONCE`."""
-        return self.scanner.lines_per_turn if self.scanner.spins else LINES_AT_ONCE
+        return max(1, round(360.0 / self.scanner.azimuth_step_deg)) if self.scanner.spins else LINES_AT_ONCE
 
     @property
     def info(self) -> StreamInfo:

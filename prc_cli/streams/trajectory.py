@@ -72,11 +72,6 @@ class Trajectory:
         object.__setattr__(self, "_gaps", np.flatnonzero(steps > limit))
 
     @property
-    def n_positions(self) -> int:
-        """Number of positions."""
-        return len(self.time_s)
-
-    @property
     def span(self) -> tuple[float, float]:
         """First and last time [s], offset included."""
         return float(self.time_s[0]), float(self.time_s[-1])

@@ -38,13 +38,7 @@ _SHORT = 32
 
 
 def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
-    """Unpack data of a known size.
-
-    Three bytes as they are, then six that repeat them:
-
-    >>> decode_lzf(memoryview(bytes([2, 97, 98, 99, 0b100_00000, 2])), 9)
-    bytearray(b'abcabcabc')
-    """
+    """Unpack data of a known size."""
     out = bytearray()
     at, end = 0, len(data)
     while at < end:

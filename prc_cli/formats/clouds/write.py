@@ -239,7 +239,7 @@ class CloudRewriter(ScatterWriter):
                     found[column.name] = self._spools[column.name].span(first, first + n)
                 found[_CLASS] = self._code_spool.span(first, first + n)
                 if self._is_part:
-                    found = found[self._holds(first, first + n)]
+                    found = found[self._code_spool.span(first, first + n) != NO_CODE]
                 self._count(np.ascontiguousarray(found[_CLASS]))
                 handle.write(found.data)
                 total -= len(found)

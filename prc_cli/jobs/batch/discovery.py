@@ -248,15 +248,7 @@ class Patterns:
 
 
 class Drives:
-    """Patterns of files that are parts of drives.
-
-    The last wildcards of a name stand for the part; all else in the names of one drive is the same.
-
-    >>> Drives(["drive_*_??.laz"]).of("monday/drive_7_02.laz")
-    ('monday/drive_7_??.laz', ('', 2, ''))
-    >>> Drives(["drive_*_??.laz"]).of("monday/walk.laz")
-    ('monday/walk.laz', ())
-    """
+    """Patterns of files of drives: the last wildcards stand for the part, all else is the same in one drive."""
 
     def __init__(self, patterns: Iterable[str]) -> None:
         self._patterns: list[tuple[Patterns, str, str, str]] = []

@@ -114,11 +114,7 @@ class _Worker:
 
 
 class LocalEngine:
-    """Runs tasks in processes of this machine.
-
-    >>> list(LocalEngine().run([], EngineSettings()))
-    []
-    """
+    """Runs tasks in processes of this machine."""
 
     def run(self, tasks: Iterable[Task | Comparison], settings: EngineSettings) -> Generator[Event, None, None]:
         """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`), or compare outputs with references."""

@@ -406,12 +406,6 @@ def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> st
     the records that would have to change class. A file is odd if its distance from the median of the earlier files is
     above :data:`FLOOR` and above the median of their own distances by :data:`SPREADS` robust standard deviations,
     and there is no small group of earlier files within :data:`FLOOR` of it.
-
-    >>> street = [{"GROUND": 600 + i, "OBJECT": 400 - i} for i in range(20)]
-    >>> drift({"GROUND": 590, "OBJECT": 410}, street) is None
-    True
-    >>> drift({"GROUND": 150, "OBJECT": 850}, street)
-    'GROUND is 15.0 % of the records, in 20 earlier files 60.9 % (60.2 to 61.7 % in most)'
     """
     known = [histogram for histogram in earlier if sum(histogram.values()) > 0]
     if len(known) < MIN_EARLIER:

@@ -187,11 +187,7 @@ def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
 
 
 def with_values(config: RunConfig, values: dict[str, Any]) -> RunConfig:
-    """Return a configuration with dotted keys replaced.
-
-    >>> with_values(RunConfig(), {"prc.surfaces.gamma": 3.0}).prc.surfaces.gamma
-    3
-    """
+    """Return a configuration with dotted keys replaced."""
     table = config.to_table()
     for key, value in values.items():
         nested: Any = int(value) if isinstance(value, float) and key.endswith("gamma") else value

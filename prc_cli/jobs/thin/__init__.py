@@ -381,7 +381,8 @@ class _Run:
 
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
-            given = None if self.labels is None else self._read_labels(self.labels, stack)
+            given = None if self.labels is None else self._read_values(self.labels, None, stack)
+            self._n_labels = 0 if given is None else len(given)
             if self.min_confidence is not None and not self.classify:
                 self._sure = self._read_values(self.labels or self.source, CONFIDENCE, stack)
             items_of = open_items(
@@ -405,12 +406,6 @@ class _Run:
                         yield item
 
             yield opened, items()
-
-    def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> DiskColumn:
-        """Load the codes of a label file for access by record."""
-        values = self._read_values(path, None, stack)
-        self._n_labels = len(values)
-        return values
 
     def _read_values(self, path: Path, dimension: str | None, stack: contextlib.ExitStack) -> DiskColumn:
         """Load codes, or another dimension of whole numbers, for access by record."""

@@ -154,7 +154,7 @@ def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: Tr
 def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) -> None:
     if not found.n_records:
         raise InputError(side.path, "no record has a class, expected classes to transfer", "check --dimension")
-    if found.all_equal:
+    if found.n_records > 1 and found.low == found.high:
         key = "gps_time" if options.match == "time" else side.rule.dimension
         problem = f"all {found.n_records:,} values of {key} are {found.low:g}, expected one a shot"
         raise InputError(side.path, problem, "match by something else with --match")

@@ -36,18 +36,13 @@ class Window:
     """(lines, M) float32, ranges [m]; NaN = missing."""
 
 
-def lines_of_window(points_per_line: int) -> int:
-    """Return the number of lines of a window."""
-    usual = min(max(WINDOW_SHOTS // points_per_line, LEAST_LINES), MOST_LINES)
-    return max(min(usual, MOST_SHOTS // points_per_line), 1)
-
-
 class LineSample:
     """Collects the windows of one scanner."""
 
     def __init__(self, points_per_line: int) -> None:
         self._points_per_line = points_per_line
-        self._n_lines = lines_of_window(points_per_line)
+        usual = min(max(WINDOW_SHOTS // points_per_line, LEAST_LINES), MOST_LINES)
+        self._n_lines = max(min(usual, MOST_SHOTS // points_per_line), 1)
         self._stride = 1
         self._first: int | None = None
         """Number of the first line of the stream."""
