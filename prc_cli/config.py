@@ -140,10 +140,7 @@ class MethodChoice:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """A doubt where the method was taken because a better one could not be.
-
-        The figures are those of `python -m benchmarks.contest`, streets of photon-80, mean of all classes.
-        """
+        """A doubt where a better method could not be; figures of `python -m benchmarks.contest`, photon-80."""
         if not self.lacks:
             return ()
         found = f"PRC as published was taken: {self.lacks}"

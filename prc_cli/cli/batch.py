@@ -411,6 +411,3 @@ def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
     except (click.ClickException, click.exceptions.Exit, OSError, ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(str(path), "cannot be used, expected what the last run was asked for", hint) from None
     return folder, typed, context.params
-
-
-__all__ = ["batch"]

@@ -41,17 +41,7 @@ _CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGKILL", "SIGS
 
 
 def begin(arguments: list[str], commands: frozenset[str]) -> None:
-    """Go on in a child process; the parent waits for its end and never returns.
-
-    Nothing happens where it is not needed or not possible.
-
-    Parameters
-    ----------
-    arguments : list of str
-        Of the command line.
-    commands : frozenset of str
-        Names of all commands.
-    """
+    """Go on in a child process and never return; do nothing where that is not needed or not possible."""
     name = next((word for word in arguments if not word.startswith("-")), "")
     if name not in commands - UNGUARDED or not {"-h", "--help"}.isdisjoint(arguments):
         return

@@ -127,10 +127,7 @@ LIST_THEM = " (--checks lists them)"
 
 
 def _command(inspection: Inspection, options: dict[str, Any]) -> str:
-    """Return the command that classifies the file: the options given, and those that mend what was found.
-
-    Empty where no option is known that would do.
-    """
+    """Return the command that classifies the file: the options given and those that mend it; may be empty."""
     doubts = inspection.doubts
     mends = [one.option for one in doubts if one.option]
     if inspection.mend:

@@ -16,17 +16,7 @@ _NEGLIGIBLE_S = 1e-5
 
 
 def profile_of(profile: Profile, n_shots: int, threads: int) -> dict[str, Any]:
-    """Return a profile as plain values.
-
-    Parameters
-    ----------
-    profile : Profile
-        Ended.
-    n_shots : int
-        Shots that were classified.
-    threads : int
-        Classifying threads; with more than one, reading, writing and hashing have threads of their own.
-    """
+    """Return an ended profile as plain values; ``threads`` are those that classify ``n_shots``."""
     return {
         "wall_s": profile.wall_s,
         "cpu_s": profile.cpu_s,

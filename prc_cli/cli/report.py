@@ -75,10 +75,7 @@ def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
 
 @contextlib.contextmanager
 def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
-    """Show a progress bar of scan lines on a terminal; nothing elsewhere.
-
-    Per cent and time left are shown where the number of lines or records is known.
-    """
+    """Show a bar of scan lines on a terminal, nothing elsewhere; per cent where the number is known."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -89,12 +86,7 @@ def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
 
 
 class LineBar:
-    """Moves a bar of tqdm by lines; its end follows from the share that is done.
-
-    Parameters
-    ----------
-    bar : tqdm
-    """
+    """Moves a bar of tqdm by lines; its end follows from the share that is done."""
 
     def __init__(self, bar: Any) -> None:
         self._bar = bar

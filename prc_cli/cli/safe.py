@@ -4,23 +4,12 @@ from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    r"""Return a text as one printable line: control characters and bytes that are not UTF-8 are escaped.
-
-    >>> printable("a\x1b[2Jb\nc.las")
-    'a\\x1b[2Jb\\nc.las'
-    >>> import os
-    >>> printable(os.fsdecode(b"stra\xdfe.laz"))
-    'stra\\xdfe.laz'
-    """
+    """Return a text as one printable line: control characters and bytes that are not UTF-8 are escaped."""
     return "".join(_shown(character) for character in text)
 
 
 def printable_lines(text: str) -> str:
-    r"""Return a text of several lines, each made :func:`printable`.
-
-    >>> printable_lines("a\x1b[2J\nb")
-    'a\\x1b[2J\nb'
-    """
+    """Return a text of several lines, each made :func:`printable`."""
     return "".join(character if character == "\n" else _shown(character) for character in text)
 
 

@@ -20,13 +20,7 @@ MOST_WAITING = 1 << 26
 
 
 def look_ahead_lines(points_per_line: int) -> int:
-    """Lines that must follow a block so that every shot of it sees its neighbours i + M + 1 and i + 4.
-
-    One line and one shot (Lehtola et al. 2019, eqs. 7 and 8), hence two lines; more if a line is very short.
-
-    >>> [look_ahead_lines(m) for m in (1, 2, 3, 2154)]
-    [4, 2, 2, 2]
-    """
+    """Lines that must follow a block for its shots to have neighbours i + M + 1 and i + 4 (2019, eqs. 7, 8)."""
     reach = max(points_per_line + LOOK_AHEAD_SHOTS, 4)
     return -(-reach // points_per_line)
 

@@ -13,11 +13,7 @@ _SMALL = 16
 
 
 def count_bytes(values: U8) -> I64:
-    """Return how often every value occurs, five times as fast as :func:`numpy.bincount` where most are below 16.
-
-    >>> count_bytes(np.array([[1, 1], [7, 200]], np.uint8))[[1, 7, 200]].tolist()
-    [2, 1, 1]
-    """
+    """Return how often every value occurs, five times as fast as :func:`numpy.bincount` where most are below 16."""
     flat = values.ravel()
     if len(flat) < _FEW:
         return np.bincount(flat, minlength=256)
@@ -31,11 +27,7 @@ def count_bytes(values: U8) -> I64:
 
 
 def recode(values: U8, table: U8) -> U8:
-    """Look up every value in a table: ``table[values]`` in half the time.
-
-    >>> recode(np.array([2, 0], np.uint8), np.arange(256, dtype=np.uint8)[::-1]).tolist()
-    [253, 255]
-    """
+    """Look up every value in a table: ``table[values]`` in half the time."""
     if not values.size:
         return np.empty(values.shape, np.uint8)
     return np.frombuffer(bytearray(values.tobytes()).translate(table.tobytes()), np.uint8).reshape(values.shape)

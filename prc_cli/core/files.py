@@ -66,11 +66,7 @@ def read_small(path: Path, limit: int) -> bytes:
 
 
 def read_own(path: Path, limit: int) -> bytes:
-    """Return the content of a small file that nobody but this user wrote, in a folder that is his.
-
-    Folder and file are opened once and asked by their descriptors, so that nobody exchanges them in between; links
-    are not followed.
-    """
+    """Return the content of a small file that only this user wrote, in a folder that is his; never of a link."""
     if not hasattr(os, "getuid"):
         return read_small(path, limit)
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -100,10 +96,7 @@ def refuse_links(*paths: Path) -> None:
 
 
 def file_state(path: Path | int) -> tuple[int, int, int, int]:
-    """Return what changes when a file does: size, time of its content, time of any change, number.
-
-    Who edits a file in place can put the first time back, but not the second.
-    """
+    """Return what changes when a file does, even if times are put back: size, mtime, ctime, number."""
     found = os.fstat(path) if isinstance(path, int) else path.stat()
     return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
 
@@ -209,13 +202,7 @@ def make_folder(folder: Path) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic).
-
-    It holds the machine and the process id, so that files left by a killed process can be recognised.
-
-    >>> len(temporary_name(Path("n" * NAME_BYTES)).name) <= NAME_BYTES
-    True
-    """
+    """Return a fresh hidden name beside ``path``, on its file system, with the machine and the process id in it."""
     _note(path)
     return path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}.part")
 
@@ -234,10 +221,7 @@ _notes: list[int] = []
 
 
 def note_temporaries(descriptor: int) -> None:
-    """Note from now on in an open file what has temporary files, for a process that removes them after a crash.
-
-    Every name ends with a null byte, that of a folder with a slash before it.
-    """
+    """Note temporary files in an open file, each with a null behind it, to be removed after a crash."""
     _notes[:] = [descriptor]
 
 
@@ -287,11 +271,7 @@ def is_same(first: Path, second: Path) -> bool:
 
 
 def is_left_behind(part: Path) -> bool | None:
-    """Tell whether a file is a temporary one whose process is dead; None if it is of another machine.
-
-    >>> is_left_behind(Path("drive.laz")), is_left_behind(Path(".drive.laz.0123abcd-77-89abcdef.part"))
-    (False, None)
-    """
+    """Tell whether a file is a temporary one whose process is dead; None if it is of another machine."""
     found = _TEMPORARY.fullmatch(part.name)
     if found is None:
         return False
@@ -337,15 +317,7 @@ def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
 
 @contextlib.contextmanager
 def atomic_output(path: Path, *, overwrite: bool | None = None) -> Iterator[Path]:
-    """Give a temporary path to write; give it its name on success, remove it on any failure.
-
-    >>> import tempfile
-    >>> target = Path(tempfile.mkdtemp()) / "labels.bin"
-    >>> with atomic_output(target) as temporary:
-    ...     _ = temporary.write_bytes(b"abc")
-    >>> target.read_bytes()
-    b'abc'
-    """
+    """Give a temporary path to write; give it its name on success, remove it on any failure."""
     with atomic_outputs(path, overwrite=overwrite) as (temporary,):
         yield temporary
 
@@ -440,10 +412,7 @@ def output_errors(path: Path) -> Iterator[None]:
 
 
 def begin_flush(handle: IO[bytes], first: int, stop: int) -> None:
-    """Ask the system to start writing part of a file to the disk, without waiting; does nothing where unsupported.
-
-    The final flush then has less to wait for. No guarantee is given.
-    """
+    """Ask the system to start writing part of a file to the disk, so that the final flush waits less."""
     advise = getattr(os, "posix_fadvise", None)
     if advise is not None:
         # DONTNEED makes Linux start writing dirty pages; only pages already written leave the cache

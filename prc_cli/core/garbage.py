@@ -9,11 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def no_collecting() -> Iterator[None]:
-    """Switch the garbage collector off inside the ``with`` block.
-
-    Loading packages and the compiler creates hundreds of thousands of permanent objects. Scanning them again and
-    again takes a tenth of the time of a short command.
-    """
+    """Switch the garbage collector off, as while packages are loaded: their many objects stay."""
     collecting = gc.isenabled()
     gc.disable()
     try:

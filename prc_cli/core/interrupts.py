@@ -35,16 +35,7 @@ def raise_or_hold(error: BaseException) -> None:
 
 
 def held(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Wrap a function so that interrupts are raised only after it has ended.
-
-    >>> def work() -> str:
-    ...     raise_or_hold(SystemExit(143))
-    ...     return "done, though the caller never gets it"
-    >>> held(work)()
-    Traceback (most recent call last):
-    ...
-    SystemExit: 143
-    """
+    """Wrap a function so that interrupts are raised only after it has ended."""
 
     @wraps(function)
     def call(*arguments: _P.args, **named: _P.kwargs) -> _T:

@@ -23,11 +23,7 @@ class _State:
 
 
 def claim_process() -> None:
-    """Say that this process is the command's own; for the command line.
-
-    Then packages may be loaded without what prc never uses of them. In the process of somebody else they are loaded
-    whole, since he may use the rest.
-    """
+    """Say that this process is the command's own: packages may be loaded without what prc never uses."""
     _State.own = True
     # pydantic then does not look through all installed packages for plugins
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
@@ -48,10 +44,7 @@ _HIDING = threading.RLock()
 
 @contextlib.contextmanager
 def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
-    """Let modules seem not to be installed while a package is loaded that does without them.
-
-    Those that are unneeded are only hidden in the command's own process, and where nobody has loaded them.
-    """
+    """Hide modules while a package is loaded; unneeded ones in the command's own process alone."""
     modules: dict[str, Any] = sys.modules
     with _HIDING:
         hidden = always + tuple(name for name in unneeded if is_own_process() and name not in modules)
@@ -135,10 +128,7 @@ def return_memory() -> None:
 
 
 def keep_memory() -> None:
-    """Let the C library keep up to 64 MiB of freed memory for the next arrays.
-
-    Requesting the pages of a block again takes longer than the computation on images of a few hundred kilobytes.
-    """
+    """Let the C library keep up to 64 MiB of freed memory: requesting its pages again takes longer."""
     _tell(_M_ARENA_MAX, 1)
     _tell(_M_MMAP_THRESHOLD, _LARGE)
     _tell(_M_TRIM_THRESHOLD, _KEPT)

@@ -90,14 +90,7 @@ class _Active:
 
 @contextmanager
 def profiling() -> Iterator[Profile]:
-    """Time the stages that run inside the ``with`` block, in all threads.
-
-    >>> with profiling() as profile:
-    ...     with timed("adding"):
-    ...         _ = sum(range(1000))
-    >>> [(found.name, found.calls) for found in profile.stages()]
-    [('adding', 1)]
-    """
+    """Time the stages that run inside the ``with`` block, in all threads."""
     before, _Active.profile = _Active.profile, Profile()
     try:
         yield _Active.profile

@@ -8,11 +8,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def samples_folder(package: Path = _PACKAGE) -> Path:
-    """Return the folder of the sample configurations: inside an installed package, beside the package in a checkout.
-
-    >>> (samples_folder() / "urban.toml").is_file()
-    True
-    """
+    """Return the folder of the sample configurations: inside an installed package, beside the package in a checkout."""
     installed = package / "sample_configs"
     return installed if installed.is_dir() else package.parent / "sample_configs"
 

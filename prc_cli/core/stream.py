@@ -135,11 +135,7 @@ class ExtraReturns(Brief):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ScanBlock(Brief):
-    """Consecutive scan lines of one scanner.
-
-    Readers yield blocks of any number of lines (at least one); :func:`prc_cli.core.blocks.regroup` turns
-    them into blocks of k lines with look-ahead.
-    """
+    """Consecutive scan lines of one scanner, at least one; :func:`prc_cli.core.blocks.regroup` cuts them anew."""
 
     first_line: int
     """Index of the block's first line in the stream of its scanner."""
@@ -219,13 +215,7 @@ class ScanStream(Protocol):
         """Properties known before reading."""
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; yields blocks of any size, chronological for each scanner.
-
-        Raises
-        ------
-        InputError
-            When the input is damaged or out of order; nothing after the damage is yielded.
-        """
+        """Read from the start, chronological for each scanner; InputError where the input is damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,10 +249,7 @@ class StageLabels:
 
 @dataclass(frozen=True, slots=True)
 class CriticalZetas:
-    """Range differences from which on a shot has the support of its neighbours (Lehtola et al. 2019, V-A).
-
-    A shot is supported when both values are below their threshold.
-    """
+    """Range differences that both thresholds must exceed for a shot to have support (Lehtola et al. 2019, V-A)."""
 
     in_line_m: F32
     """(lines, M) float32, compared with zeta_p [m]; infinite = too few neighbours, NaN = missing."""

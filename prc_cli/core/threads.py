@@ -60,11 +60,7 @@ def _quota(folder: Path) -> float | None:
 def ordered(
     function: Callable[[_A], _B], items: Iterable[_A], *, threads: int, ahead: int | None = None
 ) -> Iterator[_B]:
-    """Apply a function to items in worker threads; yield the results in the order of the items.
-
-    >>> list(ordered(lambda n: n * n, range(5), threads=2))
-    [0, 1, 4, 9, 16]
-    """
+    """Apply a function to items in worker threads; yield the results in the order of the items."""
     source = iter(items)
     try:
         if threads <= 1:
@@ -113,11 +109,7 @@ def _wait(future: Future[_B]) -> _B:
 
 
 class Relay(Generic[_A]):
-    """A value passed from job to job in a fixed order across threads, such as the state between blocks.
-
-    Jobs have turns 0, 1, 2 ... and must start in that order, as :func:`ordered` starts them; then the job that the
-    others wait for is always running.
-    """
+    """A value handed from job to job across threads; jobs start in the order of their turns 0, 1, 2 ..."""
 
     def __init__(self, value: _A) -> None:
         self._value = value
@@ -209,11 +201,7 @@ class _Channel(Generic[_A]):
 
 
 def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIENCE_S) -> Iterator[_A]:
-    """Run an iterator in its own thread, a few items ahead of the consumer.
-
-    >>> list(read_ahead(iter("abc")))
-    ['a', 'b', 'c']
-    """
+    """Run an iterator in its own thread, a few items ahead of the consumer."""
     channel: _Channel[_A] = _Channel(depth)
 
     def run() -> None:
@@ -240,15 +228,7 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
 
 
 class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
-    """Pass items to a sink that runs in its own thread.
-
-    >>> written: list[int] = []
-    >>> with write_behind(written.append) as queue:
-    ...     for n in range(3):
-    ...         queue.put(n)
-    >>> written
-    [0, 1, 2]
-    """
+    """Pass items to a sink that runs in its own thread."""
 
     def __init__(self, sink: Callable[[_A], object], *, depth: int = 2) -> None:
         self._channel: _Channel[_A] = _Channel(depth)

@@ -36,14 +36,7 @@ class Window:
 
 
 def parse_window(only_lines: str | None, only_time: str | None, first: str | None) -> Window | None:
-    """Read a window; at most one text may be given.
-
-    >>> parse_window("200:", None, None)
-    Window(option='--only-lines 200:', in_lines=True, first=200.0, stop=inf, first_is_relative=False, \
-stop_is_relative=False)
-    >>> parse_window(None, None, "2min").bounds(1000.0)
-    (1000.0, 1120.0)
-    """
+    """Read a window; at most one text may be given."""
     given = [text for text in (only_lines, only_time, first) if text is not None]
     if len(given) > 1:
         message = "one of only_lines, only_time and first, not several"

@@ -17,10 +17,7 @@ from prc_cli.evaluation.mapping import OTHER, ClassMapping, scored_names
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ConfusionMatrix(Brief):
-    """Counts of records by reference class (rows) and predicted class (columns).
-
-    Rows and columns may differ: classes of one side only are kept, and never agree.
-    """
+    """Counts by reference class (rows) and predicted class (columns); names of one side alone never agree."""
 
     reference_names: tuple[str, ...]
     """Class names of the rows."""
@@ -97,14 +94,7 @@ def accumulate(
     reference_codes: NDArray[np.integer],
     mapping: ClassMapping,
 ) -> ConfusionMatrix:
-    """Return the matrix with one more chunk of records.
-
-    >>> mapping = ClassMapping(ignore=[0], predicted={"ground": [2]}, reference={"ground": [2], "car": [65]})
-    >>> matrix = accumulate(ConfusionMatrix.empty(mapping), np.array([2, 2, 0]), np.array([2, 65, 0]), mapping)
-    >>> matrix.counts, matrix.n_ignored
-    (array([[1],
-           [1]]), 1)
-    """
+    """Return the matrix with one more chunk of records."""
     predicted, reference = np.ravel(predicted_codes), np.ravel(reference_codes)
     refuse_poor_match(predicted.size, reference.size)
     n_cells = state.counts.size
@@ -223,12 +213,7 @@ class GroupedCounts:
 
 
 def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], rows: I64) -> I64:
-    """Return the cell of the confusion matrix that every pair falls in, by predicted code and reference class.
-
-    >>> mapping = ClassMapping(ignore=[0], predicted={"ground": [2]}, reference={"ground": [2], "car": [65]})
-    >>> cells_of(mapping, np.array([2, 2, 0]), mapping.class_indices(np.array([2, 65, 2]), "reference"))
-    array([0, 1, 2])
-    """
+    """Return the cell of the confusion matrix that every pair falls in, by predicted code and reference class."""
     column = mapping.class_indices(predicted, "predicted")
     n_rows, n_columns = len(mapping.names("reference")), len(mapping.names("predicted"))
     return np.where((rows >= 0) & (column >= 0), rows * n_columns + column, n_rows * n_columns)

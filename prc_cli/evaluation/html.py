@@ -258,17 +258,14 @@ def as_html(
         "place": lambda score: f"{100 * min(max(score, 0.0), 1.0):.1f}",
         "thousands": "{:,}".format,
     }
-    return render_page("prc_cli.evaluation", "evaluation.html", values, filters, {"known": _is_known})
+    tests = {"known": lambda score: not math.isnan(score)}
+    return render_page("prc_cli.evaluation", "evaluation.html", values, filters, tests)
 
 
 def check_picture(name: str, content: bytes) -> None:
     """Refuse pictures that are not PNG."""
     if not content.startswith(_PNG):
         raise InputError(name, "is no PNG picture", "give pictures as prc render writes them")
-
-
-def _is_known(score: float) -> bool:
-    return not math.isnan(score)
 
 
 def _gates_line(gates: Sequence[GateResult]) -> str:

@@ -29,11 +29,7 @@ _TITLES = {"f1": "F1", "iou": "IoU"}
 
 
 def as_latex(found: Found) -> str:
-    r"""Return tables of counts, of row shares (recall on the diagonal) and of scores, and one for each split.
-
-    Classes that no record has on either side are left out. The tables need ``\usepackage{booktabs}`` and, for
-    letters beyond ASCII in file names, a LaTeX that reads UTF-8 (any since 2018).
-    """
+    """Return tables (booktabs, UTF-8) of counts, row shares and scores, and one a split, without empty classes."""
     shown = matrix_of(found).trimmed()
     evaluation = found if isinstance(found, Evaluation) else None
     blocks = [
@@ -48,11 +44,7 @@ def as_latex(found: Found) -> str:
 
 
 def escape(text: str) -> str:
-    r"""Return text of users so that LaTeX prints it as it is, on one line.
-
-    >>> print(escape("50%_a&b"))
-    50\%\_a\&b
-    """
+    """Return text of users so that LaTeX prints it as it is, on one line."""
     return "".join(_SPECIAL.get(character, character if character.isprintable() else " ") for character in text)
 
 

@@ -110,11 +110,7 @@ def as_csv(found: Found) -> str:
 
 
 def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
-    """Return two Markdown tables (the matrix with row shares, the scores) and a line of overall scores.
-
-    Classes that no record has on either side are left out. Of an evaluation a table for each split, the gates, and
-    how the records were matched follow.
-    """
+    """Return the matrix with row shares, the scores, and splits, gates and match; without empty classes."""
     shown = matrix_of(found).trimmed()
     intervals = found.intervals if isinstance(found, Evaluation) else NO_INTERVALS
     result = scores(shown)
@@ -171,11 +167,7 @@ def match_line(match: MatchReport) -> str:
 
 
 def doubts(found: Evaluation) -> tuple[str, ...]:
-    """Return reasons to doubt the evaluation itself, one sentence each; usually none.
-
-    Files with equal numbers of records in different order, or a wrong mapping, give plausible reports whose agreement
-    is only that of chance.
-    """
+    """Return reasons to doubt the evaluation itself, such as agreement that is only that of chance."""
     result = scores(found.matrix)
     names = [item for item in result.classes if item.recall + item.precision >= 0]
     if len(names) < 2 or result.n_scored < _ENOUGH or not result.kappa < _CHANCE:

@@ -110,13 +110,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
 
 
 def gate_value(found: Scores, name: str) -> float:
-    """Look up one score by its name as in ``--fail-under``.
-
-    >>> import numpy as np
-    >>> matrix = ConfusionMatrix(("ground",), ("ground", "noise"), np.array([[3, 1]]))
-    >>> gate_value(scores(matrix), "recall.ground")
-    0.75
-    """
+    """Look up one score by its name as in ``--fail-under``."""
     score, dot, class_name = name.partition(".")
     if not dot and score in OVERALL_SCORES:
         return float(getattr(found, score))
@@ -165,10 +159,7 @@ _AT_ONCE = 1 << 22
 
 
 def block_intervals(blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]]) -> dict[str, Interval]:
-    """Compute intervals of every score that is defined, by the block jackknife (Kuensch 1989).
-
-    The spread of the score without one block at a time, times Student's t: shots beside each other err together.
-    """
+    """Compute intervals of all scores by block jackknife (Kuensch 1989): shots beside each other err together."""
     if len(blocks) < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
         raise InputError("intervals", problem, "make the blocks shorter with --interval-lines, or give -M")
@@ -262,12 +253,7 @@ class GateResult:
 
 
 def parse_gate(text: str, mapping: ClassMapping) -> Gate:
-    """Parse a gate; refuse a score that an evaluation with this mapping cannot have.
-
-    >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": [2]})
-    >>> parse_gate("recall.ground=0.95", mapping)
-    Gate(name='recall.ground', limit=0.95)
-    """
+    """Parse a gate; refuse a score that an evaluation with this mapping cannot have."""
     name, _, value = text.partition("=")
     try:
         limit = float(value)

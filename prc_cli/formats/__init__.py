@@ -18,10 +18,7 @@ _BAG_PARTS = (".db3", ".mcap")
 
 
 def scan_file(path: Path) -> Path:
-    """Return the file that stands for a folder: of a bag, its metadata if it has several parts; or of pulses.
-
-    The folder itself for all others.
-    """
+    """Return the file that stands for a folder: a bag's metadata, or its only file; else the folder itself."""
     if not path.is_dir():
         return path
     from prc_cli.formats.echopulse import count_file

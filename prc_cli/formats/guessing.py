@@ -263,10 +263,7 @@ def _is_large(known: F64) -> bool:
 
 
 def _coordinates(others: list[tuple[int, str, F64]]) -> list[str]:
-    """Return three neighbouring columns that are coordinates; none where no three are.
-
-    At least one of them is large or goes below 0, as no range does, and none is whole.
-    """
+    """Return three neighbouring columns, none of them whole, one large or below 0: coordinates; () = none are."""
     for i in range(len(others) - 2):
         three = others[i : i + 3]
         is_row = three[2][0] == three[0][0] + 2 and not any(np.all(one == np.floor(one)) for _, _, one in three)

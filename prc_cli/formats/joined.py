@@ -91,20 +91,7 @@ class JoinedSource:
 
 
 def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSource:
-    """Open several files as one list of records.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        In the order in which they were recorded.
-    layout : Layout, optional
-        Of raw dumps and text files.
-
-    Raises
-    ------
-    InputError
-        For range images and organised scans, which are no lists of records.
-    """
+    """Open files, in the order of recording, as one list of records; range images and organised scans are none."""
     parts: list[RecordSource] = []
     for path in paths:
         source = open_source(path, layout)

@@ -16,10 +16,7 @@ from prc_cli.core.files import open_to_read, suffix_of
 from prc_cli.core.types import I64
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.registry import Format, by_suffix
-from prc_cli.formats.writing.base import (
-    Columns,
-    ScatterWriter,
-)
+from prc_cli.formats.writing.base import Columns, ScatterWriter
 from prc_cli.formats.writing.columns import LabelOutput, Values, asked_columns
 from prc_cli.formats.writing.disk import npy_header
 from prc_cli.formats.writing.record import RunRecord

@@ -304,13 +304,7 @@ UNITS = {
 
 
 def record_dtype(layout: Layout) -> np.dtype[np.void]:
-    """Return a layout as a numpy record type.
-
-    >>> layout = Layout(endian="big", record_bytes=8, fields=(LayoutField(name="range", type="u2", scale=0.01),))
-    >>> dtype = record_dtype(layout)
-    >>> dtype.itemsize, dtype["range"].str
-    (8, '>u2')
-    """
+    """Return a layout as a numpy record type."""
     if not layout.fields:
         raise ConfigError("layout.fields", "none given, expected at least one field", "add a [[layout.fields]] table")
     check_fields(layout)

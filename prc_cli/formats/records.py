@@ -80,10 +80,7 @@ class RecordSource(Protocol):
         """What the file says of itself beside its records."""
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions from the start, in bounded memory, in the order of the input.
-
-        A damaged file is an ``InputError`` that names the position, what was found and what was expected.
-        """
+        """Decode dimensions in order, in bounded memory; an ``InputError`` names the position of damage."""
 
 
 def check_names(source: RecordSource, names: tuple[str, ...]) -> None:

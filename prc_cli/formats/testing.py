@@ -53,10 +53,7 @@ def check_reads(form: Format, sample: Path, layout: Layout | None = None, config
 def check_damage(
     form: Format, sample: Path, folder: Path, layout: Layout | None = None, n_cases: int = 60, seed: int = 0
 ) -> int:
-    """Read damaged copies: each is read, or refused in one line that names it; return how many were refused.
-
-    They are read in another process: a library that ends it counts as refusing, for so does the guard of ``prc``.
-    """
+    """Read damaged copies in another process: each is read, or refused in one line; return how many were."""
     context, first, n_refused = get_context("spawn"), 0, 0
     while first < n_cases:
         receiver, sender = context.Pipe(duplex=False)

@@ -39,10 +39,7 @@ _MAX_ROW = 65_536
 
 
 def read_text(path: Path) -> tuple[F64, F64]:
-    """Read time and position from the columns of these names; other columns are ignored.
-
-    Four columns without names are time, x, y and z.
-    """
+    """Read time and position from columns of these names, or from four columns without names."""
     values = _columns(path, _NAMES)
     return values[:, 0].copy(), values[:, 1:].copy()
 

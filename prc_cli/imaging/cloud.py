@@ -69,10 +69,7 @@ class Sample:
 
 
 def bounds(sample: F64) -> tuple[F64, F64]:
-    """Return the box that a view frames, two (3,) float64 [m], from points (n, 3) float64 [m].
-
-    Far and stray points are left out, evenly spread ones are held whole.
-    """
+    """Return the box, two (3,) float64 [m], that a view of points (n, 3) frames, without far and stray ones."""
     ends = [np.percentile(sample[:, axis], FRAMED[axis]) for axis in range(3)]
     low, high = np.array(ends).T
     more = (high - low) * np.array(WIDENED)
@@ -80,10 +77,7 @@ def bounds(sample: F64) -> tuple[F64, F64]:
 
 
 def fullest_azimuth(sample: F64, elevation_deg: float, width: int, height: int) -> float:
-    """Return the azimuth from which points fill a perspective best, clockwise from north [deg].
-
-    ``sample`` (n, 3) float64.
-    """
+    """Return the azimuth whose view a sample (n, 3) fills best, clockwise from north [deg]."""
     points = sample[:: max(1, len(sample) // _TRIED)]
     coarse = 160, max(1, 160 * height // width)
 
@@ -161,10 +155,7 @@ class Perspective:
 
     @classmethod
     def around(cls, sample: F64, azimuth_deg: float, elevation_deg: float, width: int, height: int) -> Perspective:
-        """Return the view from a direction that holds nearly all points of a sample.
-
-        ``sample`` (n, 3) float64.
-        """
+        """Return the view from a direction that holds nearly all points of a sample (n, 3) float64."""
         low, high = bounds(sample)
         inside = sample[((sample >= low) & (sample <= high)).all(axis=1)]
         inside = inside if len(inside) else sample
@@ -213,10 +204,7 @@ class DepthBuffer:
         self.n_inside = 0
 
     def add(self, xyz: F64, colours: U8) -> None:
-        """Draw points.
-
-        ``xyz`` (n, 3) float64; ``colours`` (n, 3) uint8.
-        """
+        """Draw points: ``xyz`` (n, 3) float64, ``colours`` (n, 3) uint8."""
         width, height = self._size
         right, down, depth = self._camera.project(xyz)
         with np.errstate(invalid="ignore"):

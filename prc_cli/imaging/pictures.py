@@ -38,10 +38,7 @@ def range_limits(range_m: NDArray[np.floating]) -> tuple[float, float]:
 
 
 def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] | None = None) -> U8:
-    """Colour ranges from near (bright yellow) to far (dark blue) on a logarithmic scale.
-
-    ``range_m`` (lines, M) float; returns (lines, M, 3) uint8.
-    """
+    """Colour ranges (lines, M) from near, bright yellow, to far, dark blue, by logarithm; (lines, M, 3) uint8."""
     seen = np.isfinite(range_m) & (range_m > 0)
     near, far = range_limits(range_m) if limits_m is None else limits_m
     if not 0 < near < far:
@@ -78,10 +75,7 @@ def value_limits(values: NDArray[np.floating]) -> tuple[float, float]:
 
 
 def value_picture(values: NDArray[np.floating], limits: tuple[float, float]) -> U8:
-    """Colour any quantity linearly from low (dark blue) to high (bright yellow); NaN = white.
-
-    ``values`` (...) float; returns (..., 3) uint8.
-    """
+    """Colour a quantity from low, dark blue, to high, bright yellow; NaN = white; (..., 3) uint8."""
     seen = np.isfinite(values)
     low, high = limits
     place = (np.where(seen, values, low) - low) / (high - low)
@@ -115,10 +109,7 @@ NOT_SCORED_COLOUR = (196, 180, 224)
 
 
 def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int | None = None) -> U8:
-    """Show where two classifications differ.
-
-    ``predicted, reference`` (lines, M) uint8; ``colours`` (n, 3) uint8; returns (lines, M, 3) uint8.
-    """
+    """Show where two labellings (lines, M) uint8 differ, in colours (n, 3); (lines, M, 3) uint8."""
     picture = colours[predicted]
     picture[predicted == reference] = AGREE_COLOUR
     if unscored is not None:
@@ -128,10 +119,7 @@ def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int 
 
 
 def segment_picture(segments: NDArray[np.integer]) -> U8:
-    """Colour segments by id, the same in every picture; 0 = none is black.
-
-    ``segments`` (lines, M) integer; returns (lines, M, 3) uint8.
-    """
+    """Colour ids (lines, M) alike in every picture, 0 = none is black; (lines, M, 3) uint8."""
     # golden-ratio steps separate the hues of consecutive ids; two more sequences vary saturation and value
     hue, saturation, value = (np.mod(segments * step, 1.0) for step in (0.6180339887, 0.7548776662, 0.5698402910))
     picture = _from_hsv(hue, 0.45 + 0.5 * saturation, 0.6 + 0.4 * value)
@@ -202,10 +190,7 @@ TRIGGER_CELLS = 2
 
 
 def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]) -> U8:
-    """Colour critical thresholds from low (dark blue) to high (bright yellow) on a logarithmic scale.
-
-    ``zeta_m`` (lines, M) float; returns (lines, M, 3) uint8.
-    """
+    """Colour thresholds [m] from low, dark blue, to high, bright yellow, by logarithm; (lines, M, 3) uint8."""
     low, high = limits_m
     never = np.isposinf(zeta_m)
     shown = np.where(never, np.nan, zeta_m)

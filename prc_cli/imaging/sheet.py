@@ -120,13 +120,7 @@ def number_text(value: float, step: float = 1.0) -> str:
 
 
 def zoom_for(width: int, height: int, least: tuple[int, int] = (1000, 180), most: int = 2200) -> tuple[int, int]:
-    """Return integer factors that enlarge a small picture to a readable size.
-
-    A picture that is small in both directions keeps its aspect ratio.
-
-    >>> zoom_for(229, 389), zoom_for(2154, 99), zoom_for(2083, 64)
-    ((5, 1), (1, 2), (1, 3))
-    """
+    """Return integer factors that enlarge a small picture to a readable size."""
     across, down = (max(1, -(-limit // max(size, 1))) for limit, size in zip(least, (width, height), strict=True))
     across = min(across, max(1, most // max(width, 1)))
     down = min(down, max(1, most // max(height, 1)))

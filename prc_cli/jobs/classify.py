@@ -34,13 +34,7 @@ from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
-from prc_cli.formats.writing.record import (
-    Fingerprint,
-    FingerprintBeside,
-    RunRecord,
-    fingerprint,
-    record_path,
-)
+from prc_cli.formats.writing.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint, record_path
 from prc_cli.jobs.choice import choice_by_beams, choice_by_request, choose, decide_stream, decided_by
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
@@ -48,7 +42,7 @@ from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.methods.base import LABELS_ALONE, MethodParams, UsualLabels, Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.result import ResultWatch
-from prc_cli.streams.evidence.watch import watched
+from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
@@ -84,10 +78,7 @@ class Counts(Brief):
         return cls(0, 0, 0, np.zeros(len(Label), np.int64), ReadTally())
 
     def add(self, item: LabelledBlock | ScanBlock, *, only_records: bool = False) -> Counts:
-        """Return the counts with one more block; of one without labels the missing shots alone are counted as such.
-
-        ``only_records``: leave out cells, and lines, that no record stands for.
-        """
+        """Return the counts with one more block; ``only_records`` leaves out cells and lines without a record."""
         block = item.block if isinstance(item, LabelledBlock) else item
         where: Any = block.records() >= 0 if only_records else ...
         ranges, extra = block.range_m[where], block.extra.record >= 0 if only_records else ...
@@ -157,11 +148,7 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
 def _open(
     path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False, parts: Sequence[Path] = ()
 ) -> ScanStream:
-    """Open an input.
-
-    ``geometry``: find angles even if the classifier does not need them; ``only_ranges``: times and intensities may be
-    left out.
-    """
+    """Open an input, with angles that the method does not need (``geometry``), or with ranges alone."""
     stream = open_input(
         path, config.input, config.layout, lines_at_once=config.classifier.method().needs.lines_per_block or 1,
         geometry=geometry or config.needs_beams, only_ranges=only_ranges, parts=parts,
@@ -234,10 +221,7 @@ expected fused; give --preset fused or fused-forest (they need the angles of the
 
 
 def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled") -> None:
-    """Load the loops of the classifier; after installation they are compiled once, which takes a while.
-
-    Where no method is named, those of all methods that an input may decide on are loaded.
-    """
+    """Load the loops of the method, or of all that an input may decide on; compiled at the first time."""
     chosen = LoadedConfig.of(config).config
     methods = [chosen.classifier]
     if not chosen.is_decided and choice_by_request(chosen, engine=engine) is None:
@@ -355,14 +339,9 @@ def _classify(
             overwrite=overwrite,
         ) as writer,
     ):
-        result = ResultWatch(usual_labels(loaded.config, stream.info))
-        counts = write_labels(stream, writer, loaded.config, threads, progress, result)
-        found = (*stream.findings(), *accept(result.findings(), stream.accepted))
-        refuse(str(source), found)
+        counts, found, told = write_labels(stream, writer, loaded.config, threads, progress, str(source))
         record = run_record(stream.info, counts, loaded, beside.result())
-        segments = loaded.config.output.segment_ids
-        missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
-        record = replace(record, notices=(*record.notices, *missed, *notices(found)), engine=engine)
+        record = replace(record, notices=(*record.notices, *told), engine=engine)
         check_unchanged(source, before)
         with timed("finishing the output"):
             record = writer.finish(record)
@@ -383,14 +362,10 @@ def user_names(config: RunConfig) -> dict[int, str]:
 
 
 def write_labels(
-    stream: ScanStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None,
-    result: ResultWatch,
-) -> Counts:  # fmt: skip
-    """Read, classify and write in parallel; with one thread one after the other.
-
-    All threads have stopped when this returns or raises, so that the writer's temporary file can be removed.
-    """
-    counts = Counts.none()
+    stream: EvidenceStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None, where: str
+) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
+    """Read, classify and write in parallel, until all threads have ended; return counts, findings and notices."""
+    counts, result = Counts.none(), ResultWatch(usual_labels(config, stream.info))
 
     def write(item: LabelledBlock) -> None:
         nonlocal counts
@@ -413,7 +388,10 @@ def write_labels(
         for item in labelled:
             put(item)
             advance(progress, item.block, info, config.input.window)
-    return counts
+    found = (*stream.findings(), *accept(result.findings(), stream.accepted))
+    refuse(where, found)
+    missed = config.classifier.method().notices(counts.labels, counts.tally, segments=config.output.segment_ids)
+    return counts, found, (*missed, *notices(found))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -667,15 +645,3 @@ def run_record(
         tally=counts.tally,
         notices=(*loaded.notes, *info.facts.notes),
     )
-
-
-__all__ = [
-    "ClassifiedRanges",
-    "Counts",
-    "Progress",
-    "RunSummary",
-    "classify",
-    "classify_ranges",
-    "label_blocks",
-    "open_stream",
-]

@@ -26,13 +26,7 @@ from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import Held, format_of, is_cloud
-from prc_cli.formats.writing import (
-    check_stream_output,
-    open_stream_writer,
-    outputs_of,
-    stream_format,
-    stream_suffix,
-)
+from prc_cli.formats.writing import check_stream_output, open_stream_writer, outputs_of, stream_format, stream_suffix
 from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
 from prc_cli.formats.writing.coordinates import LinesApart
 from prc_cli.formats.writing.disk import DiskColumn
@@ -234,11 +228,6 @@ class OpenedItems:
     """What the user has to know of the coordinates."""
 
     @property
-    def n_odd_codes(self) -> int:
-        """Number of class codes that are not integers of at most 32 bits; complete once the items are."""
-        return 0 if self.carried is None else self.carried.n_odd
-
-    @property
     def grid(self) -> GridStream | None:
         """The stream if lines and columns were found by rules; None for range images, organised scans and rings."""
         return grid_of(self.stream)
@@ -342,7 +331,7 @@ def _item(item: StreamItem, carried: Carried | None, made_up: LinesApart | None,
 
 def find_losses(output: Path, opened: OpenedItems, counts: Counts, written: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Return what the output does not hold of the input, one sentence each, those of the writer first."""
-    n_odd = opened.n_odd_codes
+    n_odd = 0 if opened.carried is None else opened.carried.n_odd  # complete once the items are
     odd = (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",) if n_odd else ()
     return (*written, *odd, *_losses(output, opened, counts))
 
@@ -431,6 +420,3 @@ def how_to_read(output: Path, opened: OpenedItems, counts: Counts) -> tuple[str,
         lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
         told.append(f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}")
     return tuple(told)
-
-
-__all__ = ["ConversionSummary", "convert"]

@@ -41,10 +41,7 @@ def placed_source(
     drive: Path, labels: Path, trajectory: Path, mount: tuple[float, ...] = (),
     *, crs: str | None = None, layout: Layout | None = None,
 ) -> PlacedSource:  # fmt: skip
-    """Open a raw drive whose shots get their coordinates from poses; ``mount`` is empty, 3 angles, or these and 3 m.
-
-    It is read as the run record beside its labels says, but for a layout that is given.
-    """
+    """Open a drive, as the record beside its labels says, whose shots are placed by poses and a mount."""
     told = {} if layout is None else {"layout": layout.model_dump()}
     config = with_layout_beside(drive, load_config(options=reading_beside(labels) | told)).config
     reading = config.input
@@ -76,10 +73,7 @@ def axes_of(records: RecordSource | None, stream: ScanStream, first: ScanBlock, 
 
 @contextlib.contextmanager
 def placement(source: Path, output: Path, loaded: LoadedConfig, stream: ScanStream) -> Iterator[Placement | None]:
-    """Give where returns lie in a new cloud: as the input's records say, else made up; None = relative to the scanner.
-
-    Coordinates of records are kept in a temporary file beside ``output``.
-    """
+    """Give where returns lie in a new cloud: as records say, else made up; None = relative to the scanner."""
     plain = stream.source if isinstance(stream, BeamStream) else stream
     first = next(iter(plain.blocks()), None)
     records = open_source(source, loaded.config.layout)

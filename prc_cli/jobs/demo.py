@@ -96,10 +96,7 @@ def run_demo(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DemoResult:
-    """Simulate the scans of some of :data:`PARTS`, then classify, evaluate and draw them.
-
-    The folder holds the drive, classified by default; everything else is in its folder :data:`MORE`.
-    """
+    """Simulate, classify, evaluate and draw some of :data:`PARTS`: the drive here, all else in :data:`MORE`."""
     _prepare(folder, overwrite=overwrite)
     (folder / MORE).mkdir(exist_ok=True)
     found: dict[str, DemoPart] = {}
@@ -113,10 +110,7 @@ def run_demo(
 
 
 def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, progress: Progress | None) -> DemoPart:
-    """Simulate, classify into LAZ and labels, compare the labels with the simulator's, draw.
-
-    The scan of an earlier part exists already, and its LAZ file is not written again.
-    """
+    """Simulate what is not there, classify into LAZ and labels, compare with the simulator's labels, draw."""
     more = folder / MORE
     scan, shown = PARTS[part.scan_of] if part.scan_of else part, _folder_of(part, folder)
     stream, reference = _folder_of(scan, folder) / f"{scan.stem}.npz", more / f"{scan.stem}_reference.npy"

@@ -15,9 +15,8 @@ import numpy as np
 from prc_cli.config import LoadedConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import check_unchanged, file_state, make_folder, prepare_outputs
-from prc_cli.core.findings import accept, notices, refuse
 from prc_cli.core.process import return_memory
-from prc_cli.core.stream import ExtraReturns, LabelledBlock, ReadTally
+from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64
 from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.joined import JoinedSource, find_break, open_joined
@@ -34,11 +33,9 @@ from prc_cli.jobs.classify import (
     run_record,
     threads_of,
     user_names,
-    usual_labels,
     write_labels,
 )
 from prc_cli.kernels import Engine, use_engine
-from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched
 
 SAME = "same"
@@ -72,22 +69,7 @@ def classify_drive(
     engine: Engine = "compiled",
     loading: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> Iterator[RunSummary]:
-    """Classify the files of one drive, and yield a summary for every file.
-
-    Parameters
-    ----------
-    parts : sequence of Path
-        In the order in which they were recorded; lists of records (no range images, no organised scans).
-    outputs : Path or sequence of Path
-        A folder, made if it is not there; or the output of every file.
-    config, overwrite, progress, threads, engine, loading
-        As for :func:`prc_cli.jobs.classify.classify`.
-
-    Raises
-    ------
-    InputError, OutputError, ConfigError
-        Outputs that were finished before stay: of streams before a gap, and of files before the one that failed.
-    """
+    """Classify the files of one drive in the order of recording; what was finished before an error stays."""
     outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
         raise ConfigError("input", "found a window, expected none where several files are one drive", "leave it out")
@@ -151,40 +133,21 @@ class _Run:
                 )
                 for part, output, start, stop in zip(self.parts, self.outputs, firsts[:-1], firsts[1:], strict=True)
             ]  # fmt: skip
-            result = ResultWatch(usual_labels(loaded.config, stream.info))
             divided = DividedWriter(writers, firsts)
-            counts = write_labels(stream, divided, loaded.config, threads, progress, result)
-            found = (*stream.findings(), *accept(result.findings(), stream.accepted))
-            refuse(str(self.parts[0]), found)
+            _, found, told = write_labels(stream, divided, loaded.config, threads, progress, str(self.parts[0]))
             for part, state in zip(self.parts, before, strict=True):
                 check_unchanged(part, state)
-            missed = loaded.config.classifier.method().notices(
-                counts.labels, counts.tally, segments=loaded.config.output.segment_ids
-            )
             for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
                 own = divided.counts[number]
                 record = run_record(stream.info, own, loaded, fingerprint(part))
-                told = (
-                    *loaded.notes,
-                    *joined.parts[number].facts.notes,
-                    *missed,
-                    *notices(found),
-                    *self.notes[-1 if number else 0 :],
-                )
+                notes = (*loaded.notes, *joined.parts[number].facts.notes, *told, *self.notes[-1 if number else 0 :])
                 n_records = firsts[number + 1] - firsts[number]
-                record = writer.finish(replace(record, n_records=n_records, notices=told, engine=engine))
+                record = writer.finish(replace(record, n_records=n_records, notices=notes, engine=engine))
                 yield RunSummary(self.outputs[number], record, own, found)
 
 
 class DividedWriter:
-    """Gives every file's writer the labels of its records.
-
-    Parameters
-    ----------
-    writers : sequence of StagedWriter
-    firsts : sequence of int
-        Number of the first record of every file, and the number of all records.
-    """
+    """Gives every file's writer the labels of its records; ``firsts`` are their first numbers, and the end."""
 
     def __init__(self, writers: Sequence[StagedWriter], firsts: Sequence[int]) -> None:
         self._writers = writers
@@ -207,7 +170,7 @@ class DividedWriter:
                 block=replace(
                     scan,
                     record=_within(records, start, stop),
-                    extra=replace_records(scan.extra, _within(extra, start, stop)),
+                    extra=replace(scan.extra, record=_within(extra, start, stop)),
                     tally=scan.tally if number == low else ReadTally(),
                 ),
             )
@@ -219,11 +182,6 @@ def _within(records: I64, start: int, stop: int) -> I64:
     """Return numbers of records counted from the begin of a file, -1 outside it."""
     inside = (records >= start) & (records < stop)
     return np.where(inside, records - start, -1)
-
-
-def replace_records(extra: ExtraReturns, records: I64) -> ExtraReturns:
-    """Return further returns with other numbers of records."""
-    return ExtraReturns(extra.line, extra.column, extra.range_m, records)
 
 
 def output_name(name: str, to: str) -> str:

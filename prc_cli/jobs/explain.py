@@ -161,6 +161,3 @@ def _limits(rule: Rule, config: RunConfig, block: ScanBlock) -> dict[str, Any]:
         value = attrgetter(name)(config if is_key else constants)
         found[name] = float(f"{value:.7g}") if isinstance(value, float) or hasattr(value, "dtype") else value
     return found
-
-
-__all__ = ["Explanation", "explain"]

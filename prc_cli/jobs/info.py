@@ -104,19 +104,15 @@ class Inspection(Doubted):
     missing: tuple[str, ...] = ()
     """Every option of the command line that is still needed, with what was measured."""
 
-    @property
-    def not_asked(self) -> tuple[str, ...]:
-        """Names of the checks of the input that could not be answered: short streams, no times, no scan angles."""
-        told = {*LABEL_CHECKS, *(one.check for one in self.findings)}
-        return tuple(name for name in CHECK_NAMES if name not in told)
-
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
         table: dict[str, Any] = finite(asdict(self))
         table["contents"] = None if self.contents is None else self.contents.as_dict()
         table["classifiable"] = not self.problem
         table["doubts"] = [one.check for one in self.doubts]
-        table["checks_not_asked"] = list(self.not_asked)
+        told = {*LABEL_CHECKS, *(one.check for one in self.findings)}
+        # those of short streams, or without times or scan angles
+        table["checks_not_asked"] = [name for name in CHECK_NAMES if name not in told]
         for finding in table["findings"]:
             finding["verdict"] = Verdict(finding["verdict"]).name.lower()
         if self.order is not None:
@@ -294,10 +290,7 @@ def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
 
 
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
-    """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them.
-
-    If only the beam directions are refused, the stream is returned without them.
-    """
+    """Open a stream as ``prc classify`` would, counting breaks of the order; without beams if these are refused."""
     try:
         inputs = trusting(open_source(path, loaded.config.layout), loaded.config.input)
         # as prc classify does: what a method does not need is not read, and tells the checks nothing

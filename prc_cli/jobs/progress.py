@@ -35,13 +35,7 @@ def tell_share(progress: object, share: float | None) -> None:
 
 
 def share_done(block: ScanBlock, info: StreamInfo, window: Window | None = None) -> float | None:
-    """Return how much of the input is done after a block, above 0 and at most 1; None = not known.
-
-    >>> import numpy as np
-    >>> block = ScanBlock(30, np.zeros((10, 8), np.float32))
-    >>> share_done(block, StreamInfo("d.npy", "array", 8, 640, 80))
-    0.5
-    """
+    """Return how much of the input is done after a block, above 0 and at most 1; None = not known."""
     done = block.first_line + block.n_lines
     if window is not None:
         if not window.in_lines or not math.isfinite(window.stop):

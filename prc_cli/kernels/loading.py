@@ -112,10 +112,7 @@ def reference_home(name: str) -> str:
 
 
 def load_kernels(modules: frozenset[str] | None = None) -> None:
-    """Compile kernels, on all cores and in one process at a time, or load them from the cache.
-
-    Call it before worker processes or threads start.
-    """
+    """Compile kernels on all cores, one process at a time, or load them; call it before threads start."""
     wanted = {name: home for name, home in KERNELS.items() if modules is None or _is_in(home, modules)}
     with no_collecting():
         if _engine.get() == "compiled":

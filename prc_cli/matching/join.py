@@ -250,10 +250,7 @@ def _in_steps(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
 
 
 def _is_worthwhile(sides: tuple[_Window, _Window], low: float, high: float) -> bool:
-    """Return whether a window decides at least half of the records it holds.
-
-    Many records within the tolerance would otherwise be matched again and again in small steps.
-    """
+    """Tell whether a window decides half of its records, else most would be matched again and again."""
     decided = sum(side.count(low, high) for side in sides)
     return 2 * decided >= sum(side.n_held for side in sides)
 

@@ -308,10 +308,7 @@ class Nearest:
 def nearest_join(
     left: Cloud, right: Cloud, tolerance: float, tally: JoinTally, reach: float | None = None
 ) -> Iterator[Nearest]:
-    """Find the nearest right point of every left one, tile by tile.
-
-    ``reach`` is the distance to which points without partner are compared with the spacing of the right cloud.
-    """
+    """Find the nearest right point of every left one, by tiles; up to ``reach``, its spacing there."""
     reach = max(tolerance, reach or 0.0)
 
     def join(box: Box) -> tuple[Nearest, int]:
@@ -343,10 +340,7 @@ def nearest_join(
 def nearest_of(
     ours: Columns, cloud: Cloud, box: Box, bound: float, margin: float = 0.0
 ) -> tuple[Columns, F64, I64, Any]:
-    """Return the points of a cloud around a box, the distance to and the index of the nearest one, and their tree.
-
-    Points of ours may lie up to ``margin`` outside the box. The distance is infinite where none is within ``bound``.
-    """
+    """Return points of a cloud around a box, distance (inf beyond ``bound``), index of the nearest, their tree."""
     theirs = cloud.read(box, margin + bound)
     n = len(ours["x"])
     if not len(theirs["x"]):

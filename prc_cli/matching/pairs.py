@@ -12,10 +12,7 @@ _SHOWN = 4
 
 
 def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False) -> tuple[tuple[Path, Path], ...]:
-    """Pair two files, or the files of two folders with the same name except the suffix.
-
-    Files of a folder that cannot hold class codes, by their suffix, are left alone; folders inside it too.
-    """
+    """Pair two files, or the files of two folders by name, those with suffixes that hold class codes."""
     if not (predicted.is_dir() or reference.is_dir()):
         return ((predicted, reference),)
     for side, other in ((predicted, reference), (reference, predicted)):

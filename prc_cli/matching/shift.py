@@ -101,10 +101,7 @@ _CLEARER = 1.15
 
 
 def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
-    """Return a shift of more than a voxel (3,) [m]; None = there is none.
-
-    The occupied voxels of the fullest tile of both are laid on each other at every shift (by Fourier transform).
-    """
+    """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile of both; None = none."""
     from scipy import fft
 
     boxes = tiles_of(left, right)

@@ -162,11 +162,6 @@ class Survey:
     in_order: bool
     """Whether the keys never go back."""
 
-    @property
-    def all_equal(self) -> bool:
-        """Whether there is one key for several records."""
-        return self.n_records > 1 and self.low == self.high
-
 
 def survey(source: KeyedSource) -> Survey:
     """Read all keys and codes once."""
@@ -267,11 +262,6 @@ class SideFile:
         return self.find((_LINE,)) is not None and self.find((_COLUMN,)) is not None
 
     @property
-    def is_las(self) -> bool:
-        """Whether the file is LAS: its records may have been filtered or reordered since the run."""
-        return isinstance(self.table, LasSource)
-
-    @property
     def crs(self) -> str | None:
         """Coordinate system of the coordinates, None where the file does not say."""
         found = self.find(("x",))
@@ -307,27 +297,17 @@ class Side:
     key: KeyRule | None = None
     points_per_line: int | None = None
     tally: SideTally = field(default_factory=SideTally)
+    format: str = "class codes"
+    facts: SourceFacts = field(default_factory=SourceFacts)
+    """The files are asked one by one: see :class:`SideFile`."""
+    n_records: int | None = None
+    """Not known before reading."""
 
     @property
     def path(self) -> str:
         """First file, for messages."""
         more = f" and {len(self.files) - 1} more" if len(self.files) > 1 else ""
         return f"{self.files[0].codes.path}{more}"
-
-    @property
-    def format(self) -> str:
-        """Reader name."""
-        return "class codes"
-
-    @property
-    def facts(self) -> SourceFacts:
-        """The files are asked one by one: see :class:`SideFile`."""
-        return SourceFacts()
-
-    @property
-    def n_records(self) -> int | None:
-        """Not known before reading."""
-        return None
 
     @property
     def dimensions(self) -> tuple[str, ...]:
@@ -344,7 +324,7 @@ class Side:
     def check(self) -> None:
         """Refuse files without the key."""
         for file in self.files:
-            for name in self._key_names:
+            for name in () if self.key is None else self.key.key_names:
                 if self._place(file, name) is None:
                     has = ", ".join(dict.fromkeys(name for source in file.sources for name in source.dimensions[:30]))
                     problem = f"no {name!r} to match by in the file, which has: {has or 'class codes alone'}"
@@ -385,16 +365,13 @@ class Side:
                 finite &= np.abs(values[name]) < FARTHEST_M if is_place else np.isfinite(values[name])
         return finite
 
-    @property
-    def _key_names(self) -> tuple[str, ...]:
-        return () if self.key is None else self.key.key_names
-
     def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
         """Return the source of a column and its name there; a source of None = the column is counted."""
         if name == LINE and self.points_per_line is not None:
             return file.find(_NAMES[LINE]) or (None, _INDEX)
         found = file.find(_NAMES.get(name, (name,)))
-        if found is None and name == RECORD and self.key == KeyRule("dimension", RECORD) and not file.is_las:
+        by_index = name == RECORD and self.key == KeyRule("dimension", RECORD)
+        if found is None and by_index and not isinstance(file.table, LasSource):  # LAS may have been filtered since
             return None, _INDEX
         return found
 
@@ -402,7 +379,7 @@ class Side:
         """Yield the columns of one file, without :data:`FILE` and :data:`ROW`, and the index of every record."""
         wanted = {name: name for name in names if name not in (CODE, FILE, ROW)}
         by_cell = KEY in wanted and self.key is not None and self.key.kind == "cell"
-        own_cells = by_cell and file.find((_LINE,)) is not None and file.find((_COLUMN,)) is not None
+        own_cells = by_cell and file.has_cells
         if by_cell:
             del wanted[KEY]
             wanted |= {_LINE: _LINE, _COLUMN: _COLUMN} if own_cells else {}

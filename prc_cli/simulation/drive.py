@@ -48,10 +48,7 @@ class SimulatedBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedScan:
-    """A simulated scan; a :class:`prc_cli.core.stream.ScanStream` whose reference labels are known.
-
-    Nothing is kept: every call of :meth:`blocks` simulates again, some lines at a time.
-    """
+    """A simulated stream with known labels; every call of :meth:`blocks` simulates again, in pieces."""
 
     name: str
     bodies_near: BodiesNear
@@ -71,7 +68,7 @@ class SimulatedScan:
     @property
     def lines_at_once(self) -> int:
         """Lines that are simulated together: a turn of a spinning scanner, else :data:`LINES_AT_ONCE`."""
-        return self.scanner.lines_per_turn if self.scanner.spins else LINES_AT_ONCE
+        return max(1, round(360.0 / self.scanner.azimuth_step_deg)) if self.scanner.spins else LINES_AT_ONCE
 
     @property
     def info(self) -> StreamInfo:
@@ -232,10 +229,7 @@ def _counts(power: F32, range_m: F32) -> F32:
 
 
 def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
-    """Return the coordinates of returns relative to the scanner, x forward, y left, z up, (lines, M, 3) float32 [m].
-
-    Where the head turns, x points where its azimuth is 0.
-    """
+    """Return returns relative to the scanner: x forward (azimuth 0), y left, z up, (lines, M, 3) float32 [m]."""
     columns = scanner.directions()
     if not scanner.turns:
         found: F32 = (range_m[..., None] * columns).astype(np.float32)

@@ -120,11 +120,6 @@ class Scanner(Params):
         return self.is_static or self.spins
 
     @property
-    def lines_per_turn(self) -> int:
-        """Lines of a whole turn of the head."""
-        return max(1, round(360.0 / self.azimuth_step_deg))
-
-    @property
     def step_rad(self) -> float:
         """Angle from column to column [rad]."""
         return float(np.deg2rad(self.field_deg)) / self.points_per_line

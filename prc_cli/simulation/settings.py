@@ -114,11 +114,7 @@ KINDS: tuple[Kind, ...] = tuple(_MODELS)
 
 
 def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[str, Any] | None = None) -> Settings:
-    """Build the parameters of a simulation.
-
-    >>> load_settings("street", options={"scanner": {"name": "profiler-1mhz", "slant_deg": 30}}).scanner.line_hz
-    200.0
-    """
+    """Build the parameters of a simulation."""
     if kind not in _MODELS:
         raise ConfigError("kind", f"found {kind!r}, expected one of: {', '.join(KINDS)}")
     where = "simulation" if path is None else str(path)
@@ -241,12 +237,7 @@ def open_simulation(
     with_xyz: bool | None = None,
     with_world: bool = False,
 ) -> Simulation:
-    """Prepare a simulation; nothing is simulated before its blocks are asked for.
-
-    >>> found = open_simulation("street", load_settings("street", options={"lines": 2}))
-    >>> [block.range_m.shape for block in found.scan.blocks()]
-    [(2, 2154)]
-    """
+    """Prepare a simulation; nothing is simulated before its blocks are asked for."""
     chosen = load_settings(kind) if settings is None else settings
     scanner, seed = chosen.scanner, chosen.seed
     sight_m = min(chosen.sight_m if chosen.sight_m is not None else SIGHT_M[kind], scanner.max_range_m)

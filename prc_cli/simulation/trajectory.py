@@ -302,10 +302,7 @@ _COLUMNS = ("time", "x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
 class Frame(Params):
-    """A coordinate system in metres, x to the east and y to the north, and where the simulated world lies in it.
-
-    The default is UTM zone 35 north on WGS 84, near the test sites of Lehtola et al. (2019, III).
-    """
+    """A coordinate system in metres, x to the east and y to the north, and where the simulated world lies in it."""
 
     crs: str = Field("EPSG:32635", description="as pyproj takes it")
     easting_m: float = Field(363_000.0, description="of the world's origin [m]")

@@ -169,10 +169,7 @@ def _peak(curvature: F64, error: F64, at: float) -> float:
 
 
 def curvatures(pieces: F64, bent: float) -> tuple[F64, F64]:
-    """Return ``-u''/u`` amid windows of inverse ranges that a quadratic fits, (n,), and its standard error, (n,).
-
-    Windows of one range are left out: it is a code, such as 60 m for no return.
-    """
+    """Return ``-u''/u`` amid windows of inverse ranges, and its standard error, (n,); not of one range (a code)."""
     window = pieces.shape[1]
     design, fit = _quadratic(window)
     found = pieces @ fit.T

@@ -13,15 +13,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import RecordSource
-from prc_cli.streams.columns import (
-    MAX_COLUMN,
-    AngleGrid,
-    Table,
-    begins_line,
-    columns_by_angle,
-    spread_columns,
-    take,
-)
+from prc_cli.streams.columns import MAX_COLUMN, AngleGrid, Table, begins_line, columns_by_angle, spread_columns, take
 
 FULL_TURN = 0.9
 """Lines that span at least this share of a turn count as whole turns."""
@@ -145,10 +137,7 @@ def find_angle_grid(
     step_rad: float | None = None,
     whole_turn: bool = False,
 ) -> AngleGrid:
-    """Estimate columns from the angles of the first shots.
-
-    The step between neighbours is refined over increasing distances, so that it fits whole lines.
-    """
+    """Estimate columns from the first angles; the step is refined over distances, so that it fits whole lines."""
     finite = np.isfinite(angle)
     value, line = np.asarray(angle, np.float64)[finite], line[finite]
     within = ~begins_line(line)

@@ -316,10 +316,7 @@ class BeamFinder:
 
 
 def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
-    """Add the direction of every column's beam to a stream.
-
-    Reads the first lines of the stream where directions come from coordinates or ranges.
-    """
+    """Add the direction of every column's beam, found in the first lines where it comes from their values."""
     split_by = None if config.scanner == "none" else config.scanner
     finder = BeamFinder(stream.info, config.nadir, split_by, config.angles == "measured")
     known: dict[int, Found] = {}

@@ -100,14 +100,14 @@ def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I6
         column = columns_by_angle(shots["angle"], rule.grid)
         return spread_columns(column, line) if rule.grid.is_spread else column
     if rule.shot_hz is None:
-        return columns_by_order(line)
+        return np.arange(len(line), dtype=np.int64) - first_of_line(line)
     spread: F64 = shots[SPREAD]
     stamp = np.asarray(shots["time"], np.float64)
     if rule.line_hz is not None and origin_s is not None:
         # subtract the origin first: line / HZ then keeps full resolution in long drives
         spread, start = spread - origin_s, line / rule.line_hz
     else:
-        start = line_starts(spread, line)
+        start = spread[first_of_line(line)]
     return columns_by_time(spread, stamp, shots[ORDINAL], line, rule.shot_hz, start)
 
 
@@ -122,11 +122,7 @@ class StampState:
 
 
 def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, I64, StampState]:
-    """Spread shots with equal time stamps over the time that follows.
-
-    Many files round times more coarsely than the time between shots; shots with equal stamps were fired one after
-    another from that time on.
-    """
+    """Spread shots with equal, coarse time stamps over the time until the next stamp."""
     n = len(time_s)
     if not n:
         return time_s, np.empty(0, np.int64), state
@@ -159,12 +155,6 @@ def columns_by_dimension(number: NDArray[Any]) -> I64:
 def is_within(number: I64, stop: int) -> bool:
     """Whether all numbers are in [0, ``stop``); faster than a search for exceptions."""
     return not len(number) or bool(number.min() >= 0 and number.max() < stop)
-
-
-def columns_by_order(line: I64) -> I64:
-    """Count the shots of every line."""
-    position = np.arange(len(line), dtype=np.int64)
-    return position - np.maximum.accumulate(np.where(begins_line(line), position, 0))
 
 
 def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
@@ -227,10 +217,9 @@ def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_h
     return rising
 
 
-def line_starts(time_s: F64, line: I64) -> F64:
-    """Return the time of the first shot of the line of every shot, (n,) [s]."""
-    first = np.maximum.accumulate(np.where(begins_line(line), np.arange(len(line)), 0))
-    return time_s[first]
+def first_of_line(line: I64) -> I64:
+    """Return the index of the first shot of the line of every shot, (n,)."""
+    return np.maximum.accumulate(np.where(begins_line(line), np.arange(len(line)), 0))
 
 
 def begins_line(line: I64) -> Mask:

@@ -154,10 +154,7 @@ def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
 
 
 def _planes(unit: F64, seen: Mask) -> tuple[F64, F64, F64]:
-    """Fit a plane through the scanner to every line, without outliers.
-
-    Returns normals, arcs of the lines [rad] and median distances of shots from the plane [rad].
-    """
+    """Fit planes through the scanner to lines; return normals, arcs [rad], median distances of shots [rad]."""
     weight = seen.astype(np.float64)
     for _ in range(N_TRIMS):
         moments = np.einsum("lm,lmi,lmj->lij", weight, unit, unit)

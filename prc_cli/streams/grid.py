@@ -210,7 +210,7 @@ class GridStream(Brief):
             cells["time"] = np.full(n_cells, np.nan)
         if rules.has("intensity") and not rules.only_ranges:
             cells[INTENSITY] = np.full(n_cells, np.nan, np.float32)
-        if rules.ranges.gives_xyz:
+        if rules.ranges.sensor_xyz or rules.ranges.dimension is None:  # ranges come with coordinates
             cells[XYZ] = np.full((n_cells, 3), np.nan, np.float32)
         extra, tally = ExtraReturns.none(), ReadTally()
         if n_rows(records):

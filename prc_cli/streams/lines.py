@@ -136,7 +136,9 @@ def find_lines(shots: Table, time_s: F64 | None, n_shots: int, state: LineState,
         if rules.sweep is not None:
             line, wrap = lines_by_wrap(shots["angle"], rules.sweep, state.wrap)
             return line, np.ones(len(line), np.bool_), replace(state, wrap=wrap)
-        return lines_fixed(n_shots, rules.points_per_line or 1, state)
+        stop = state.n_shots + n_shots
+        line = np.arange(state.n_shots, stop, dtype=np.int64) // (rules.points_per_line or 1)
+        return line, np.ones(n_shots, np.bool_), replace(state, n_shots=stop)
     time_s = time_s if time_s is not None else np.asarray(shots["time"], np.float64)
     since = None
     if rules.column_dimension is not None:
@@ -164,12 +166,6 @@ def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> Fo
     if state.offset is None and known.any():
         state = replace(state, offset=int(line[int(np.argmax(known))]))
     return line - (state.offset or 0), known, state
-
-
-def lines_fixed(n_shots: int, points_per_line: int, state: LineState) -> Found:
-    """Begin a line every ``points_per_line`` shots."""
-    line = np.arange(state.n_shots, state.n_shots + n_shots, dtype=np.int64) // points_per_line
-    return line, np.ones(n_shots, np.bool_), replace(state, n_shots=state.n_shots + n_shots)
 
 
 def lines_by_time(
@@ -472,10 +468,7 @@ def _last_lines(
 
 
 def _check_late(path: str, state: ScanState) -> None:
-    """Refuse an input in which too many shots belong to lines already complete.
-
-    An earlier drive appended to a later one has a single step back in time, which the share of steps does not show.
-    """
+    """Refuse too many shots of complete lines, as where an earlier drive is appended to a later one."""
     n_late, n_seen = state.lines.n_late, state.lines.n_seen
     if n_late > MAX_LATE * n_seen:
         problem = f"{n_late} of {n_seen} shots go back to lines before those that they follow"
@@ -486,10 +479,7 @@ def _check_late(path: str, state: ScanState) -> None:
 def first_records(
     source: RecordSource, scanner: str | None, names: tuple[str, ...], limit: int, *, to_end: bool
 ) -> dict[int, Table]:
-    """Return the first ``limit`` records of every scanner, independent of chunks.
-
-    Unless ``to_end``, reading stops after ``limit`` records of the input, which may miss later scanners.
-    """
+    """Return the first ``limit`` records of every scanner; or of the input, unless ``to_end``."""
     parts: dict[int, Table] = {}
     n_seen = 0
     for chunk in source.chunks(names):

@@ -123,10 +123,7 @@ def widen_pipe(handle: ByteStream) -> None:
 
 
 def open_pipe(handle: ByteStream, config: InputConfig, layout: Layout | None = None) -> tuple[PipeSource, ScanStream]:
-    """Open a pipe as a stream of blocks; see :func:`prc_cli.streams.open.open_input`.
-
-    The source must be sealed (:meth:`PipeSource.seal`) before the blocks are read to their end.
-    """
+    """Open a pipe as a stream, as :func:`prc_cli.streams.open.open_input`; seal it before the end is read."""
     layout = RANGES_ONLY if layout is None else layout
     layout = layout if layout.fields else layout.model_copy(update={"fields": RANGES_ONLY.fields})
     config = with_layout(config, layout)

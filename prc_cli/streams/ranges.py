@@ -48,17 +48,12 @@ class RangeRule:
         if self.trajectory is None:
             return scale_told(self.scale)
         first, last = self.trajectory.span
-        value = f"trajectory of {self.trajectory.n_positions} positions from {first:.3f} to {last:.3f} s"
+        value = f"trajectory of {len(self.trajectory.time_s)} positions from {first:.3f} to {last:.3f} s"
         why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
         if self.trajectory.lever_arm_m is not None:
             shown = ", ".join(f"{one:g}" for one in self.trajectory.lever_arm_m)
             why = f"straight lines between the positions of a trajectory, moved by the lever arm {shown} m"
         return (Assumption("input.range", value, why),)
-
-    @property
-    def gives_xyz(self) -> bool:
-        """Whether :func:`measure_ranges` returns coordinates."""
-        return self.sensor_xyz or self.dimension is None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -103,11 +103,7 @@ class Estimates:
 def set_up(
     source: RecordSource, rules: GridRules, end: WindowEnd | None = None
 ) -> tuple[dict[int, ScannerSetup], ScannerSetup | None, int | None, tuple[Assumption, ...]]:
-    """Estimate what the rules need for every scanner.
-
-    Returns the setups, that of scanners that are met while reading (where M is known), the number of lines (where all
-    were counted), and what is assumed.
-    """
+    """Return what the rules need of known and of later scanners, the lines if counted, what is assumed."""
     m = rules.points_per_line
     if m is not None and rules.config.points_per_line is None:
         check_found_columns(rules.path, m, source.n_records)

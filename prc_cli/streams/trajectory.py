@@ -41,10 +41,7 @@ _PLAIN_S = 1e15
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Positions of the sensor over time, interpolated linearly except across gaps.
-
-    Held in memory: 32 bytes per position, 23 MB per hour at 200 Hz.
-    """
+    """Positions of the sensor over time, linear but across gaps; 32 bytes each, 23 MB an hour at 200 Hz."""
 
     path: str
     """File name, for messages."""
@@ -73,11 +70,6 @@ class Trajectory:
             limit = max(_GAP_S, _GAP_STEPS * float(np.partition(steps, middle)[middle])) if len(steps) else _GAP_S
         object.__setattr__(self, "gap_limit_s", limit)
         object.__setattr__(self, "_gaps", np.flatnonzero(steps > limit))
-
-    @property
-    def n_positions(self) -> int:
-        """Number of positions."""
-        return len(self.time_s)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -176,10 +168,7 @@ def load_trajectory(
     lever_arm_m: tuple[float, float, float] | None = None,
     with_turns: bool = False,
 ) -> Trajectory:
-    """Read a trajectory: ``.sbet`` and ``.out`` are SBET, ``.bag``, ``.db3``, ``.mcap`` bags; anything else is text.
-
-    With turns, the orientation must be known as well; it is read of text and SBET for them alone.
-    """
+    """Read a trajectory by its suffix: SBET, bag, else text; with turns its orientation, too."""
     quaternion: F64 | None = None
     try:
         size = path.stat().st_size

@@ -236,10 +236,7 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
 
 
 def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
-    """Return why rows are rings and lines are columns; empty where rows are lines.
-
-    Rings keep their elevation while they go round; lines do not.
-    """
+    """Return why rows are rings, whose elevation stays while they go round; empty where rows are lines."""
     header = file.headers[name]
     n_rows, n_columns = (*header.shape, 0, 0)[:2]
     if not 1 < n_rows < n_columns or config.points_per_line not in (None, n_rows) or n_rows > MOST_RINGS:

@@ -38,10 +38,7 @@ class NpyStream(StreamWriter):
 
 
 class NpzStream(StreamWriter):
-    """Writer of ``range_m``, ``angle_deg``, ``time_s``, ``xyz``, ``intensity`` and ``class``, as far as there are some.
-
-    ``class`` holds class codes, (lines, M) int32; -1 = none.
-    """
+    """Writer of ``range_m``, ``angle_deg``, ``time_s``, ``xyz``, ``intensity``, ``class`` (int32, -1 = none)."""
 
     one_scanner = "a range image"
 

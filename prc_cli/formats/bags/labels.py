@@ -65,10 +65,7 @@ class CloudCodec:
         return rows.reshape(-1, cloud.point_step).copy()
 
     def label(self, data: bytes, take: Take) -> bytes:
-        """Return a message with the codes of its points; a field of this name keeps its place and type.
-
-        Points with a negative code are left out, which makes the rest one row.
-        """
+        """Return a message with codes in a field of this name; points with a negative code are left out."""
         cloud, points = self.points(data, FIELD)
         if points is None:
             # points of whole words stay aligned to them
@@ -182,10 +179,7 @@ class BagRewriter(BagOutput, ScatterWriter):
 
 
 def _connect(sink: Any, one: Any, after: str = "") -> Any:
-    """Add a connection as it was in the input, its topic with something behind its name.
-
-    The writers' own way refuses two of one publisher, and those without a definition, which older bags do not have.
-    """
+    """Add a connection as in the input; the writers refuse two of one publisher, and missing definitions."""
     added = one._replace(id=len(sink.connections) + 1, topic=one.topic + after, msgcount=0, owner=sink)
     if hasattr(sink, "chunks"):
         sink.write_connection(added, sink.chunks[-1].data)

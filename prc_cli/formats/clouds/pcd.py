@@ -38,13 +38,7 @@ _SHORT = 32
 
 
 def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
-    """Unpack data of a known size.
-
-    Three bytes as they are, then six that repeat them:
-
-    >>> decode_lzf(memoryview(bytes([2, 97, 98, 99, 0b100_00000, 2])), 9)
-    bytearray(b'abcabcabc')
-    """
+    """Unpack data of a known size."""
     out = bytearray()
     at, end = 0, len(data)
     while at < end:
@@ -182,10 +176,7 @@ def _viewpoint(header: PcdHeader) -> list[float]:
 
 
 def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
-    """Open a PCD file.
-
-    An organised cloud (height above 1) has a line in every row, and NaN where a shot has no return.
-    """
+    """Open a PCD file; an organised one has a line in every row, and NaN where a shot has no return."""
     header = read_pcd_header(path)
     fields = _fields(header)
     data = " ".join(header.words("DATA"))

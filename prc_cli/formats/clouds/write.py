@@ -15,21 +15,8 @@ from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.raw_binary.read import CHUNK_RECORDS
 from prc_cli.formats.tables.write import stream_rows
-from prc_cli.formats.writing.base import (
-    NO_CODE,
-    ScatterWriter,
-    StagedWriter,
-    StreamItem,
-    StreamShape,
-)
-from prc_cli.formats.writing.columns import (
-    RANGE,
-    ExtraDimension,
-    LabelOutput,
-    OptionalColumn,
-    Values,
-    asked_columns,
-)
+from prc_cli.formats.writing.base import NO_CODE, ScatterWriter, StagedWriter, StreamItem, StreamShape
+from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, OptionalColumn, Values, asked_columns
 from prc_cli.formats.writing.coordinates import LinesApart
 from prc_cli.formats.writing.record import RunRecord
 
@@ -125,10 +112,7 @@ def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
 
 
 class CloudWriter(StagedWriter):
-    """Writer of a cloud, a point per cell, NaN where a shot has no return, and one per further return.
-
-    Where only returns are wanted, as of classified inputs of other formats, shots without one have no point.
-    """
+    """Writer of a point per cell, NaN without a return unless only returns are wanted, and per further return."""
 
     def __init__(self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None) -> None:
         super().__init__(path, labels)
@@ -217,10 +201,7 @@ _RANGE = OptionalColumn(
 
 
 class CloudRewriter(ScatterWriter):
-    """Writer of a cloud with all its properties, and class, line, column and range of every point added.
-
-    A point without cell has line and column 4294967295. Properties of these names are replaced.
-    """
+    """Writer of all properties of a cloud, with class, line, column (4294967295 = none) and range added."""
 
     def __init__(self, labels: LabelOutput, source: CloudSource) -> None:
         asked = [column for column in asked_columns(labels.options) if column.dimension is not RANGE]
@@ -258,7 +239,7 @@ class CloudRewriter(ScatterWriter):
                     found[column.name] = self._spools[column.name].span(first, first + n)
                 found[_CLASS] = self._code_spool.span(first, first + n)
                 if self._is_part:
-                    found = found[self._holds(first, first + n)]
+                    found = found[self._code_spool.span(first, first + n) != NO_CODE]
                 self._count(np.ascontiguousarray(found[_CLASS]))
                 handle.write(found.data)
                 total -= len(found)

@@ -38,10 +38,7 @@ _POINT_FORMAT = 6
 
 
 class LasBuilder(StagedWriter):
-    """Writer of a new LAS or LAZ file, of labels or of a stream; missing shots have no record.
-
-    In a stream the chosen return of a shot comes first, whatever its number: reading the file chooses it again.
-    """
+    """Writer of a new LAS or LAZ file; of several returns the chosen one comes first, so readers choose it again."""
 
     def __init__(self, path: Path, shape: StreamShape | None = None, labels: LabelOutput | None = None) -> None:
         # every built file has the range

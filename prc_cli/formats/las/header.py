@@ -402,10 +402,7 @@ def check_decodable(header: LasHeader) -> None:
 
 
 def refused_by_laspy(header: LasHeader) -> str:
-    """Return why laspy refuses a header or its VLRs, which are copied as they are; empty if it does not.
-
-    Waveforms are an EVLR that laspy would read whole.
-    """
+    """Return why laspy refuses a header or VLRs (without waveforms, which it reads whole), empty if not."""
     laspy = load_laspy()
     logging.getLogger("laspy").addHandler(logging.NullHandler())  # else its warnings are printed
     try:

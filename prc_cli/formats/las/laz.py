@@ -432,10 +432,7 @@ def read_batches(
 
 
 def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
-    """Yield all raw records, ``n`` at a time, (n, bytes) uint8; the caller may change them.
-
-    Compressed records are decoded ahead in a thread; close the iterator before the source.
-    """
+    """Yield raw records, ``n`` at a time, (n, bytes) uint8, decoded ahead in a thread; close before the source."""
     batches = recut((raw for _, raw in read_batches(source, header, n)), repeat(n))
     # uncompressed records are read faster than one thread can hand them to another
     yield from read_ahead(batches, depth=1) if header.compressed and header.n_records > n else batches
@@ -461,10 +458,7 @@ def recut(parts: Iterable[U8], sizes: Iterable[int]) -> Generator[U8]:
 
 
 def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
-    """Return the first byte and the end of what follows the points: EVLRs, waveforms, unknown bytes.
-
-    Behind compressed points this is the end of the chunk table, found by encoding the table again.
-    """
+    """Return begin and end of what follows the points, or their chunk table: EVLRs, waveforms, unknown bytes."""
     if not header.compressed:
         return header.data_offset + header.n_records * header.record_bytes, header.file_bytes
     if header.file_bytes < header.data_offset + 8:
@@ -524,11 +518,7 @@ PointSink: TypeAlias = LasSink | LazSink
 
 
 def batch_size(record_bytes: int, *, compressed: bool) -> int:
-    """Return the number of records per batch, limited in number and bytes.
-
-    Compression takes several chunks at a time to keep every core busy; uncompressed records are faster in a buffer that
-    fits the processor's cache.
-    """
+    """Return the records per batch: chunks for every core, or a buffer that fits the processor's cache."""
     return max(1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_bytes))
 
 

@@ -293,11 +293,7 @@ def extra_bytes_vlr(dimensions: Sequence[ExtraDimension]) -> Vlr:
 def with_extra_dimensions(
     header: LasHeader, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension], hint: str
 ) -> list[Vlr]:
-    """Return the VLRs with descriptors of new dimensions behind those present.
-
-    Undescribed extra bytes get an undocumented entry, so that readers find the new ones. ``hint`` is the hint of
-    errors.
-    """
+    """Return the VLRs with new dimensions behind those present; bytes that none describes get an entry."""
     if not dimensions:
         return vlrs
     where = str(header.path)
@@ -328,16 +324,7 @@ def with_extra_dimensions(
 
 
 def set_classes(records: U8, point_format: int, codes: U8) -> None:
-    """Set the class codes of records in place; flag bits in the same byte stay.
-
-    Format 0, class 31 and the withheld flag (bit 7) become class 2 and the withheld flag:
-
-    >>> records = np.zeros((1, 20), np.uint8)
-    >>> records[0, 15] = 0b1001_1111
-    >>> set_classes(records, 0, np.array([2], np.uint8))
-    >>> bin(records[0, 15])
-    '0b10000010'
-    """
+    """Set the class codes of records in place; flag bits in the same byte stay."""
     if point_format >= 6:
         records[:, 16] = codes
         return

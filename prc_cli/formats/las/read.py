@@ -137,10 +137,7 @@ class LasSource:
         )
 
     def skip_intensity(self) -> None:
-        """Decode ``intensity`` only where a shot may have several returns; elsewhere its values are undefined.
-
-        Its layer takes a fifth of the time for decompression, because intensities are noisy.
-        """
+        """Decode ``intensity`` only where a shot may have several returns: it is a fifth of the time."""
         self._spares_intensity = True
 
     def check_layers(self) -> None:
@@ -148,11 +145,7 @@ class LasSource:
         self._checks_layers = self.laz_contexts is not None
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions from the start, in bounded memory, in the order of the file.
-
-        From the second chunk of a compressed file on, a thread decodes the next one ahead; reading only the first chunk
-        starts no thread.
-        """
+        """Decode dimensions from the start, in the order of the file; LAZ is read ahead after the first chunk."""
         fields = self._layout.fields
         unknown = [name for name in names if name not in fields]
         if unknown:

@@ -61,13 +61,7 @@ from prc_cli.formats.las.points import (
 from prc_cli.formats.las.splice import COPC_USER, find_chunks, move_index, splice_classes
 from prc_cli.formats.las.vlrs import with_lookup, with_record, with_wkt
 from prc_cli.formats.writing.base import Columns, ScatterWriter, StagedWriter
-from prc_cli.formats.writing.columns import (
-    FIVE_BIT_LIMIT,
-    OPTIONAL_COLUMNS,
-    LabelOutput,
-    OptionalColumn,
-    asked_columns,
-)
+from prc_cli.formats.writing.columns import FIVE_BIT_LIMIT, OPTIONAL_COLUMNS, LabelOutput, OptionalColumn, asked_columns
 from prc_cli.formats.writing.record import RunRecord
 
 Masks: TypeAlias = Callable[[int], Iterator[Mask]]
@@ -240,10 +234,7 @@ class _Points:
             fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
 
     def check(self, written: Path, output: Path) -> None:
-        """Decompress what was written and compare its CRC-32, where it has waveform packets (formats 9 and 10).
-
-        Version 3 of laszip's coder damages those of several scanner channels (seen with lazrs 0.8.2).
-        """
+        """Decompress what was written and compare its CRC-32: lazrs 0.8.2 damages packets of several channels."""
         if not self._plan.is_checked:
             return
         las, found = read_header(written), 0
@@ -496,10 +487,7 @@ def changed(records: U8, columns: Columns, plan: Plan) -> U8:
 
 
 class LasRecoder(LasRewriter):
-    """Writer of a LAS or LAZ file from another one, with a class code for every record.
-
-    Use it as a context manager: :meth:`put` every record once, then :meth:`finish`; without it no output is left.
-    """
+    """Writer of a LAS file from another: in its ``with`` block :meth:`put` every record, then :meth:`finish`."""
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
         super().__init__(LabelOutput(path=path, source=source, n_records=None, points_per_line=0, codes=ClassCodes()))

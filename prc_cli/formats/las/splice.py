@@ -60,15 +60,7 @@ _ENTRY = struct.Struct("<4iQii")
 
 
 def contexts_of(records: U8) -> U8:
-    """Return the contexts of raw records.
-
-    Return 1 of 1 in channel 2, return 1 of 3 in channel 0:
-
-    >>> records = np.zeros((2, 30), np.uint8)
-    >>> records[:, 14], records[:, 15] = (0x11, 0x31), (0x20, 0x00)
-    >>> contexts_of(records)
-    array([6, 0], dtype=uint8)
-    """
+    """Return the contexts of raw records."""
     # return 1 of at most 1
     only = (records[:, _RETURNS_AT] & np.uint8(0xEF)) == 1
     channel = (records[:, _CHANNEL_AT] >> np.uint8(4)) & np.uint8(3)
@@ -85,18 +77,7 @@ def records_of(contexts: U8) -> U8:
 
 
 class LazContexts:
-    """Contexts of the records of one file, from the first record on, as far as read and within the memory limit.
-
-    They are known once a file was decoded for its ranges; keeping them saves the writer a second decompression of
-    coordinates and returns, the slowest layer. Nobody takes them before reading has finished.
-
-    >>> kept = LazContexts()
-    >>> kept.see(0, np.array([4, 4, 4], np.uint8))
-    >>> kept.see(3, np.array([4, 0, 1], np.uint8))
-    >>> kept.see(0, np.array([7], np.uint8))  # read a second time
-    >>> kept.n_seen, list(kept.take(4))
-    (6, [array([4, 4, 4, 4], dtype=uint8), array([0, 1], dtype=uint8)])
-    """
+    """Contexts of the first records of a file, kept from reading: the writer need not decompress returns again."""
 
     def __init__(self) -> None:
         self.n_seen = 0
@@ -194,10 +175,7 @@ def _names_chunks(source: Source, pages: Iterable[tuple[int, int]], chunks: LazR
 def splice_classes(
     source: Source, target: Target, splice: Splice, codes: Iterator[U8], kept: ClassContexts | None = None
 ) -> dict[int, tuple[int, int]]:
-    """Write all chunks with new classes, and their table; the target is then positioned behind it.
-
-    Returns the new position and length of every chunk by its old position.
-    """
+    """Write all chunks with new classes and their table; return new position and length by old position."""
     chunks = splice.chunks
     sizes, places = chunks.sizes()[:, 0].tolist(), chunks.table.first_byte.tolist()
     # some chunks per core where they are equal
@@ -222,10 +200,7 @@ def splice_classes(
 
 @contextlib.contextmanager
 def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, int]]]:
-    """Leave room for the position of the chunk table, and write the table behind the chunks.
-
-    Gives the table to fill: records and bytes of every chunk. The target is then positioned behind it.
-    """
+    """Leave room for the table's position, give the table of records and bytes to fill, write it behind."""
     start = target.tell()
     target.write(struct.pack("<q", 0))
     table: list[tuple[int, int]] = []
@@ -240,10 +215,7 @@ def _chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, 
 
 
 def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
-    """Yield the contexts of the classes, kept or decoded.
-
-    Layers that nobody has decoded yet are decoded with them: a damaged one is refused here.
-    """
+    """Yield the contexts of the classes, kept or decoded; a damaged layer is refused here."""
     las = chunks.header
     n, is_sound = batch_records(las, compressed=True), kept is not None and kept.n_checked == las.n_records
     if kept is not None and is_sound and kept.n_seen == las.n_records:

@@ -11,16 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 from prc_cli.core.classes import FIRST_USER_CODE
-from prc_cli.formats.las.header import (
-    GEO_KEYS_KEY,
-    RECORD_KEY,
-    WKT_KEY,
-    LasHeader,
-    Vlr,
-    make_vlr,
-    read_header,
-    text_of,
-)
+from prc_cli.formats.las.header import GEO_KEYS_KEY, RECORD_KEY, WKT_KEY, LasHeader, Vlr, make_vlr, read_header, text_of
 from prc_cli.formats.writing.record import RunRecord
 
 VLR_LIMIT = 65_535
@@ -129,10 +120,7 @@ def _horizontal(keys: dict[int, int]) -> int | None:
 
 
 def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]:
-    """Return the VLRs with a WKT coordinate system, which point formats 6-10 need, and the notices about it.
-
-    GeoTIFF keys stay; a WKT is derived from their EPSG codes where pyproj is installed.
-    """
+    """Return the VLRs with a WKT, which formats 6-10 need, by pyproj from EPSG codes, and the notices about it."""
     keys = {vlr.key: vlr for vlr in vlrs}
     if WKT_KEY in keys:
         return vlrs, "the coordinate system is now read from the file's own WKT"

@@ -545,10 +545,7 @@ def _scaled(intensity: F64, table: E57Scan) -> NDArray[np.float32]:
 
 
 def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterator[NDArray[Any]]:
-    """Bring points of any order together by groups of ``lines`` lines, through a temporary file.
-
-    The size of every group is known, and so its position in the file; within a group, points keep their order.
-    """
+    """Gather points of any order in groups of ``lines`` lines, through a file with a place for each."""
     with scratch_file("the points of a scan") as handle:
         filled = edges[:-1].copy()
         for chunk in points:

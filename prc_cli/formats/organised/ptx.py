@@ -123,11 +123,7 @@ class _Scan:
 
 
 class PtxStream:
-    """A PTX file as a :class:`prc_cli.core.stream.ScanStream`.
-
-    Points whose coordinates are all zero are missing shots. The header's transformation turns the points so that z
-    is up; the scanner's position in the header is the origin.
-    """
+    """A PTX file as a stream; points at 0, 0, 0 are missing shots, the header turns z up and has the origin."""
 
     def __init__(self, path: Path, config: InputConfig) -> None:
         check_rules(path, config)

@@ -264,10 +264,7 @@ _Further: TypeAlias = tuple[F32 | None, I64 | None]
 
 
 def choose(range_m: F32, light: F32, record: I64, rule: str) -> tuple[F32, F32, I64, _Further]:
-    """Return range, light and record of the return that stands for every shot, range and record of the other one.
-
-    All arrays are (n, M, returns); returns are at most two.
-    """
+    """Return range, light and record of every shot's main return, range and record of the other one."""
     own, lit, at = range_m[..., 0], light[..., 0], record[..., 0]
     if range_m.shape[-1] == 1:
         return own, lit, at, (None, None)

@@ -240,10 +240,7 @@ class OusterDecoder:
         return line - self._first_line
 
     def _place(self, range_m: F32, number: I64) -> F32:
-        """Return coordinates relative to the lidar's axis, on the sensor's axes [m].
-
-        Ouster firmware user manual, "Lidar range to XYZ".
-        """
+        """Return coordinates on the sensor's axes [m] (Ouster firmware user manual, "Lidar range to XYZ")."""
         meta = self._meta
         encoder = 2 * math.pi * (1.0 - number / meta.frame_columns)
         altitude = np.deg2rad(meta.altitude_deg[self._order])

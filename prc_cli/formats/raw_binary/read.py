@@ -85,10 +85,7 @@ class RawBinarySource(FieldSource):
         self.facts = SourceFacts(describe=self.describe, align_chunks=self.align_chunks)
 
     def align_chunks(self, n_records: int) -> None:
-        """Decode a multiple of this many records at a time, where the limits allow.
-
-        Chunks that end with a block of lines need not be joined later; values stay the same.
-        """
+        """Decode a multiple of this many records at a time, so that chunks end with a block of lines."""
         n_at_once = self.body.n_at_once
         self.body.chunk_records = max(1, n_at_once // n_records) * min(n_records, n_at_once)
 

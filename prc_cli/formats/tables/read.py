@@ -168,10 +168,7 @@ class ParquetTable:
 
 
 class FeatherTable(ParquetTable):
-    """Reader of the numeric columns of a Feather file (Arrow IPC), such as a sweep of rings, as records.
-
-    Points with a ring, and x, y, z from the scanner, or from what ``input.range`` says, are frames of rings.
-    """
+    """Reader of the numeric columns of a Feather file; a ring and coordinates are frames of rings."""
 
     format = "Feather"
     """Reader name."""

@@ -18,12 +18,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import I64
-from prc_cli.formats.writing.base import (
-    NO_CODE,
-    StreamItem,
-    StreamShape,
-    StreamWriter,
-)
+from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape, StreamWriter
 
 ROWS_AT_ONCE = 1 << 17
 """Rows converted at a time."""

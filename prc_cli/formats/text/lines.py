@@ -40,10 +40,7 @@ class Lines:
 def iter_lines(
     path: Path, block_bytes: int = BLOCK_BYTES, *, span: tuple[int, int] | None = None, line: int = 1
 ) -> Iterator[Lines]:
-    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines.
-
-    ``span``: only these bytes of it, of which the first is in this ``line``.
-    """
+    """Read text, compressed or not, in blocks of whole lines; of ``span`` bytes alone, from ``line`` on."""
     rest, at_start, n_bytes = b"", span is None, 0
     with _open(path) as handle:
         most = max(LEAST_BYTES, MAX_RATIO * path.stat().st_size) if path.suffix.lower() in _CODECS else None

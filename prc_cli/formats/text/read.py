@@ -50,10 +50,7 @@ class TextBody:
         self._comments = re.compile(run, re.MULTILINE) if text.comment else None
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, dict[str, F64], int]]:
-        """Yield index of the first record, numbers by column, and number of records.
-
-        Cells of other columns are ignored, but every row must have as many cells as the first.
-        """
+        """Yield first record, numbers by column, number of records; every row needs as many cells as the first."""
         first = 0
         for columns in self._blocks([int(key) for key in keys]):
             n = len(columns[0])

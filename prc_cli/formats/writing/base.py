@@ -20,7 +20,7 @@ from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
-from prc_cli.core.types import F64, I64, U8, Mask
+from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.writing.columns import (
     HIGH_NOISE_CODE,
     LabelOutput,
@@ -394,11 +394,6 @@ class ScatterWriter(StagedWriter):
                 problem = f"found labels for {len(self._code_spool)} records, expected {n}"
                 raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
         return n
-
-    def _holds(self, first: int, stop: int) -> Mask:
-        """Return which records the output of a part has, (stop - first,) bool."""
-        held: Mask = self._code_spool.span(first, stop) != NO_CODE
-        return held
 
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
         """Codes and optional columns in record order, in chunks; of a part, those of its records."""

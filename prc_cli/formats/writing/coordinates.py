@@ -69,10 +69,7 @@ class LinesApart:
 
 
 def behind(along_m: NDArray[Any], angle: NDArray[Any], range_m: NDArray[Any], *, is_upright: bool = True) -> F64:
-    """Return shots of scan planes that follow each other, (..., 3) float64 [m].
-
-    Upright planes follow along x, angles are those from straight down; others lie flat, one above the other.
-    """
+    """Return shots of planes behind each other, upright ones along x, others one above the other, (..., 3) [m]."""
     r = np.asarray(range_m, np.float64)
     along = np.broadcast_to(along_m, r.shape)
     down, side = r * np.cos(angle), r * np.sin(angle)

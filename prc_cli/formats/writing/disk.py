@@ -105,10 +105,7 @@ class DiskColumn:
         return self._values(rows).reshape(record.shape)
 
     def chunks(self, n: int, *, first: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
-        """Read the column in arrays of up to ``n`` values, records ``first`` to ``stop`` (default: all).
-
-        ``stop`` may lie beyond the last record written: what follows reads as the fill value.
-        """
+        """Read arrays of up to ``n`` values, records ``first`` to ``stop``; beyond the last one: the fill value."""
         stop = len(self) if stop is None else stop
         for start in range(first, stop, n):
             yield self.span(start, min(start + n, stop))

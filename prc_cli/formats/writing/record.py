@@ -192,14 +192,7 @@ def record_path(output: Path) -> Path:
 
 
 def fingerprint(path: Path, *, hashes: bool = True) -> Fingerprint:
-    """Return name, size and, unless it is not to be read whole, SHA-256 of a file, read in pieces.
-
-    >>> import tempfile
-    >>> path = Path(tempfile.mkdtemp()) / "a.bin"
-    >>> _ = path.write_bytes(b"abc")
-    >>> fingerprint(path).size, fingerprint(path).sha256[:8]
-    (3, 'ba7816bf')
-    """
+    """Return name, size and, unless it is not to be read whole, SHA-256 of a file, read in pieces."""
     with FingerprintBeside(path, threads=1, hashes=hashes) as beside:
         return beside.result()
 

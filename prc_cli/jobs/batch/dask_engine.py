@@ -66,10 +66,7 @@ Notice: TypeAlias = Callable[[str], None]
 
 
 class StoppedError(BaseException):
-    """The run was stopped while a worker had this file.
-
-    Not an Exception, so that no handler takes it for an error of the file.
-    """
+    """The run was stopped while a worker had this file; no Exception, which handlers would take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +238,8 @@ def _examine(client: Any, first: Task) -> None:
     except Exception as error:
         version = error
     _check_version("scheduler", version)
-    token = _out_of(first) / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
+    out = first.output.parents[len(PurePosixPath(first.name).parts) - 1]
+    token = out / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
     token.parent.mkdir(parents=True, exist_ok=True)
     try:
         token.write_bytes(b"")
@@ -309,14 +307,16 @@ class _Run:
         self._workers: dict[str, int] = {}
         self._checked = 0.0
         self._workers_seen = time.monotonic()
-        self._client.subscribe_topic(self._topic, self._queue_event)
+        self._client.subscribe_topic(self._topic, lambda event: self._messages.put(("event", event[1])))
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
         """Keep the workers busy and yield what happens."""
         more = True
         while True:
             self._check_cluster()
-            while more and len(self._pending) < self._capacity():
+            slots = sum(self._workers.values())
+            # a few more orders than workers have threads, so that none is idle
+            while more and len(self._pending) < (self._settings.jobs or slots + max(1, slots // 8)):
                 task = next(tasks, None)
                 if task is None:
                     more = False
@@ -339,11 +339,6 @@ class _Run:
                         self._running.pop(message[1], None)
             self._client.unsubscribe_topic(self._topic)
         self._pending.clear()
-
-    def _capacity(self) -> int:
-        """Return how many orders may be pending: a few more than workers have threads, so that none is idle."""
-        slots = sum(self._workers.values())
-        return self._settings.jobs or slots + max(1, slots // 8)
 
     def _check_cluster(self) -> None:
         """Ask for the workers; raise when the scheduler is gone, or there is no worker for too long."""
@@ -373,10 +368,6 @@ class _Run:
         future = self._client.submit(do_order, self._order(task), key=key, pure=False)
         self._pending[key] = _Job(task, future)
         future.add_done_callback(self._queue_future)
-
-    def _queue_event(self, event: tuple[float, Any]) -> None:
-        """Queue the report of a worker; called in Dask's thread."""
-        self._messages.put(("event", event[1]))
 
     def _queue_future(self, future: Any) -> None:
         """Queue the key of an order that has ended; called in Dask's thread."""
@@ -502,11 +493,6 @@ def _absolute(task: Task) -> Task:
     """Return a task with absolute paths, which are the same on every machine."""
     others = tuple(map(_absolute, task.others))
     return replace(task, source=task.source.absolute(), output=task.output.absolute(), others=others)
-
-
-def _out_of(task: Task) -> Path:
-    """Return the output tree that the output of a task is in."""
-    return task.output.parents[len(PurePosixPath(task.name).parts) - 1]
 
 
 def _one_line(error: object) -> str:

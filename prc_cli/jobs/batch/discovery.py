@@ -189,10 +189,7 @@ def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool)
 
 
 def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Iterator[_ItemT]:
-    """Run an iterator in a thread, and raise when it yields nothing for too long.
-
-    A thread that hangs in a system call cannot be ended; as a daemon it does not keep the program alive.
-    """
+    """Run an iterator in a daemon thread, which may hang in a system call; raise if nothing comes for long."""
     answers: queue.SimpleQueue[tuple[_ItemT] | BaseException | None] = queue.SimpleQueue()
 
     def run() -> None:
@@ -251,15 +248,7 @@ class Patterns:
 
 
 class Drives:
-    """Patterns of files that are parts of drives.
-
-    The last wildcards of a name stand for the part; all else in the names of one drive is the same.
-
-    >>> Drives(["drive_*_??.laz"]).of("monday/drive_7_02.laz")
-    ('monday/drive_7_??.laz', ('', 2, ''))
-    >>> Drives(["drive_*_??.laz"]).of("monday/walk.laz")
-    ('monday/walk.laz', ())
-    """
+    """Patterns of files of drives: the last wildcards stand for the part, all else is the same in one drive."""
 
     def __init__(self, patterns: Iterable[str]) -> None:
         self._patterns: list[tuple[Patterns, str, str, str]] = []
@@ -271,10 +260,7 @@ class Drives:
             self._patterns.append((Patterns([text]), found[1], found[2], found[3]))
 
     def of(self, name: str) -> tuple[str, tuple[str | int, ...]]:
-        """Return the drive of a file, and which part it is, to be sorted by: numbers by their value.
-
-        The name itself and nothing for a file that is no part of any drive.
-        """
+        """Return the drive of a file and its part, numbers by their value; the name and () for one by itself."""
         folder, slash, last = name.rpartition("/")
         for pattern, before, part, after in self._patterns:
             middle = last.removesuffix(after)

@@ -145,10 +145,7 @@ class Journal:
             self._database.execute(_START, values)
 
     def finish(self, outcome: Outcome) -> None:
-        """Record the outcome of a file, or that a file was refused before any work.
-
-        An output that belongs to somebody else does not become ours.
-        """
+        """Record the outcome of a file, tried or refused; an output of somebody else does not become ours."""
         foreign = isinstance(outcome, Failed) and outcome.problem.kind == "OutputExistsError"
         entry = None if isinstance(outcome, Done) else self.entry(outcome.name)
         known = isinstance(outcome, Done) or (entry is not None and entry.owns_output)
@@ -175,10 +172,7 @@ class Journal:
         return [found[name] for name in sorted(found)]
 
     def forget(self, names: Iterable[str]) -> int:
-        """Remove files from every journal of the folder; return how many were in one.
-
-        The caller holds the lock of the whole archive if there are journals of shards.
-        """
+        """Remove files from all journals, whose locks the caller holds; return how many were in one."""
         known = {entry.name for entry in self.entries()}.intersection(names)
         keys = [(os.fsencode(name),) for name in known]
         for path in journal_paths(self._folder):

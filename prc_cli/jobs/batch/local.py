@@ -114,11 +114,7 @@ class _Worker:
 
 
 class LocalEngine:
-    """Runs tasks in processes of this machine.
-
-    >>> list(LocalEngine().run([], EngineSettings()))
-    []
-    """
+    """Runs tasks in processes of this machine."""
 
     def run(self, tasks: Iterable[Task | Comparison], settings: EngineSettings) -> Generator[Event, None, None]:
         """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`), or compare outputs with references."""
@@ -243,10 +239,7 @@ class _Pool:
                 raise PrcError("worker process", found, "prc doctor checks the installation")
 
     def _watch(self) -> Iterator[Event]:
-        """Kill workers that have been silent for too long; the reader threads then report their end.
-
-        Time in which this process was paused, as after Ctrl-Z, does not count as silence.
-        """
+        """Kill workers silent for too long, not counting time in which this process was paused (Ctrl-Z)."""
         now, stall_s = time.monotonic(), self._settings.stall_s
         paused_s = max(0.0, now - self._checked - LONGEST_CHECK_S)
         self._checked = now

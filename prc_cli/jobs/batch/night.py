@@ -33,10 +33,7 @@ _LARGEST = 1 << 22
 
 
 def write_night(summary: BatchSummary, to: str) -> Path | None:
-    """Write ``report.html`` into the output folder, and keep the night's scores for the next ones.
-
-    ``to`` is the format of the outputs. None where nothing was compared.
-    """
+    """Write ``report.html`` and keep the scores for the next nights; None where nothing was compared."""
     found = summary.evaluation
     if found is None or not any(one.matrix is not None for one in found.files):
         return None

@@ -428,11 +428,7 @@ def _is_changed(output: Path, written: os.stat_result, before: Done, settings: B
 
 
 def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -> Done | None:
-    """Return the outcome of an existing output if its run record equals the one that would be written.
-
-    Doubts that are accepted are not compared. Whether the output is still the one that was recorded, :func:`is_whole`
-    tells.
-    """
+    """Return the outcome of an output whose record is as it would be written, but for accepted doubts."""
     try:
         record = read_record(task.output)
         trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)

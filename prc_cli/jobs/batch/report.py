@@ -114,10 +114,7 @@ class BatchSummary:
 
     @property
     def exit_code(self) -> int:
-        """0 done, 1 a file failed, 3 a gate failed, 4 a file is doubted or its classes drifted; the first of these.
-
-        Failures and doubts are those of the archive, whichever run met them.
-        """
+        """0 done, 1 a file of the archive failed, 3 a gate did, 4 doubt or drift; the first of these."""
         if self.failed or self.standing:
             return FAILED
         if self.evaluation is not None and not self.evaluation.passed:
@@ -141,10 +138,7 @@ EXIT_CODES: dict[int, str] = {
 
 
 def as_dict(summary: BatchSummary) -> dict[str, Any]:
-    """Return a run as plain values, as in ``summary.json``.
-
-    Names are exact: bytes that are no UTF-8 are surrogates, which JSON holds escaped.
-    """
+    """Return a run as plain values, as in ``summary.json``; bytes that are no UTF-8 are surrogates."""
     return {
         "schema": SCHEMA,
         "program": "prc-cli",
@@ -352,10 +346,7 @@ def evaluate_tree(outputs: Sequence[Output], settings: ReferenceSettings, *, job
 
 
 def _reference_of(output: Output, tree: Path, folders: dict[Path, dict[str, list[Path]]]) -> Path | None:
-    """Return the file of reference classes of an output, None if there is none; folders are listed once.
-
-    A reference has the name of the output, as another run would write it, or that of the input; but for the suffix.
-    """
+    """Return the reference named as the input, or as any run's output, but for the suffix; None = none is."""
     name = PurePosixPath(output.name)
     place = tree / name.parent
     if place not in folders:
@@ -415,12 +406,6 @@ def drift(labels: Mapping[str, int], earlier: Iterable[Mapping[str, int]]) -> st
     the records that would have to change class. A file is odd if its distance from the median of the earlier files is
     above :data:`FLOOR` and above the median of their own distances by :data:`SPREADS` robust standard deviations,
     and there is no small group of earlier files within :data:`FLOOR` of it.
-
-    >>> street = [{"GROUND": 600 + i, "OBJECT": 400 - i} for i in range(20)]
-    >>> drift({"GROUND": 590, "OBJECT": 410}, street) is None
-    True
-    >>> drift({"GROUND": 150, "OBJECT": 850}, street)
-    'GROUND is 15.0 % of the records, in 20 earlier files 60.9 % (60.2 to 61.7 % in most)'
     """
     known = [histogram for histogram in earlier if sum(histogram.values()) > 0]
     if len(known) < MIN_EARLIER:

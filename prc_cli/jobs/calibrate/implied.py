@@ -26,11 +26,7 @@ PER_DECADE = 10
 
 
 def thresholds(*also: float) -> F64:
-    """Return ascending thresholds from 1 mm to 100 m, logarithmically spaced, including the given ones [m].
-
-    >>> thresholds(0.7)[[0, -1]], 0.7 in thresholds(0.7)
-    (array([1.e-03, 1.e+02]), True)
-    """
+    """Return ascending thresholds from 1 mm to 100 m, logarithmically spaced, including the given ones [m]."""
     first, last = DECADES
     tenths = np.arange(first * PER_DECADE, last * PER_DECADE + 1)
     # 10 ** n of whole numbers is exact, so that 1 m is there as 1.0
@@ -212,7 +208,7 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
     for name, configured, grid, shares in rows:
         plateau = float(shares[np.searchsorted(grid, PLATEAU_M)])
         good = (shares >= need * plateau) & (grid >= ZETA_SIGMAS * noise)
-        at = float(shares[np.searchsorted(grid, _on(grid, configured))])
+        at = float(shares[np.searchsorted(grid, configured if configured in grid else grid[0])])  # zero is not on it
         if plateau < LEAST_PLATEAU:
             value = configured
             reason = (
@@ -236,11 +232,6 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
         reason = f"raised to zeta_p, as zeta_s >= zeta_p is advisable (II-B); by itself: {zeta_s.reason}"
         zeta_s = replace(zeta_s, value=zeta_p.value, reason=reason)
     return zeta_s, zeta_p
-
-
-def _on(grid: F64, value: float) -> float:
-    """Return a value on the grid; zero is not on it."""
-    return value if value in grid else float(grid[0])
 
 
 def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice:

@@ -111,10 +111,7 @@ class Searcher:
     _best: float = -math.inf
 
     def run(self, starts: tuple[dict[str, float], ...]) -> dict[str, float | int]:
-        """Search from the best of the starts, one parameter after the other, on finer and finer steps.
-
-        d_c and A affect the same shots, so all their pairs are tried first.
-        """
+        """Search from the best start, all pairs of d_c and A first, then one parameter after the other, ever finer."""
         axes = self.axes
         best = max((self._advisable(values, ZETA_P) for values in starts), key=self._try)
         if axes[:2] == PRC_AXES[:2]:
@@ -138,10 +135,7 @@ class Searcher:
                 return best
 
     def _advisable(self, values: dict[str, float], key: str) -> dict[str, float]:
-        """Let zeta_s and zeta_p keep the order that the paper advises (II-B) where one of them has changed.
-
-        The other one follows; where only one of them is searched, it stops at the other.
-        """
+        """Let zeta_s and zeta_p keep the order of the paper (II-B): the other follows, or stops a lone one."""
         support = self.config.prc.support
         zeta_s, zeta_p = values.get(ZETA_S, support.zeta_s), values.get(ZETA_P, support.zeta_p)
         if zeta_s >= zeta_p or not {ZETA_S, ZETA_P} & values.keys():
@@ -193,11 +187,7 @@ def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
 
 
 def with_values(config: RunConfig, values: dict[str, Any]) -> RunConfig:
-    """Return a configuration with dotted keys replaced.
-
-    >>> with_values(RunConfig(), {"prc.surfaces.gamma": 3.0}).prc.surfaces.gamma
-    3
-    """
+    """Return a configuration with dotted keys replaced."""
     table = config.to_table()
     for key, value in values.items():
         nested: Any = int(value) if isinstance(value, float) and key.endswith("gamma") else value
@@ -208,10 +198,7 @@ def with_values(config: RunConfig, values: dict[str, Any]) -> RunConfig:
 
 
 def confusion(groups: tuple[Group, ...], config: RunConfig, mapping: ClassMapping) -> ConfusionMatrix:
-    """Classify groups of lines, each as a stream of its own, and compare them with their reference.
-
-    Further returns of a shot are left out.
-    """
+    """Classify groups of lines, each as a stream, and compare them with their reference; first returns alone."""
     names = mapping.names("reference"), mapping.names("predicted")
     n_classes = len(names[0])
     counts = np.zeros((len(Label), n_classes + 1), dtype=np.int64)

@@ -29,14 +29,7 @@ from prc_cli.jobs.evaluate.cuts import ScoredWindow
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.evaluate.plan import StatePlan
 from prc_cli.matching.join import CODE, Columns
-from prc_cli.matching.sides import (
-    CONFIDENCE,
-    FILE,
-    LINE,
-    RANGE,
-    ROW,
-    SCANNER,
-)
+from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SCANNER
 
 MOST_CONFIDENCE = 100
 TOP_SHARE = 0.9
@@ -240,10 +233,7 @@ def confidence_parts(counts: GroupedCounts, edges: Sequence[int]) -> tuple[Split
 
 
 def reliability_notes(counts: GroupedCounts) -> tuple[str, ...]:
-    """Return how well confidence tells the share of right pairs: both means, and their mean difference.
-
-    Pairs count as right whose classes have one name on both sides.
-    """
+    """Tell how well confidence meets the share of right pairs, those of one class name: means, difference."""
     n, right = np.zeros(MOST_CONFIDENCE + 1), np.zeros(MOST_CONFIDENCE + 1)
     for group in counts.groups:
         if group != UNKNOWN:

@@ -9,9 +9,7 @@ from pathlib import Path
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.window import Window
-from prc_cli.evaluation.confusion import (
-    check_edges,
-)
+from prc_cli.evaluation.confusion import check_edges
 
 TIME_TOLERANCE_S = 6e-7
 """Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s. Shots of scanners up to 1 MHz

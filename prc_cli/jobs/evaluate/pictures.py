@@ -38,11 +38,7 @@ def class_pictures(
     dimensions: tuple[str | None, str | None] = (None, None),
     points: tuple[Path | None, Path | None] = (None, None),
 ) -> tuple[tuple[str, bytes], ...]:
-    """Draw the first scan lines of a dense stream as predicted, as in the reference, and where they differ.
-
-    Time runs to the right. As in ``prc render``, the sky is at the top if one of the files, or its points, holds the
-    vertical direction; otherwise column 0 is at the top. Long lines are thinned.
-    """
+    """Draw the first lines as predicted, as in the reference, and where they differ; time to the right, sky up."""
     names = mapping.names("reference")
     names += tuple(name for name in mapping.names("predicted") if name not in names)
     paths = zip((predicted, reference), dimensions, strict=True)

@@ -10,10 +10,7 @@ from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.keys import AXES, KeyRule
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
-from prc_cli.matching.sides import (
-    Side,
-    SideFile,
-)
+from prc_cli.matching.sides import Side, SideFile
 
 
 def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOptions) -> list[tuple[Side, Side]]:

@@ -185,10 +185,7 @@ def _check_options(options: RenderOptions) -> None:
 
 
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
-    """Read all points once; return a sample, whether the cloud has classes, and how many have no coordinates.
-
-    The sample has seven columns: x, y, z, range, intensity, confidence, record.
-    """
+    """Return a sample (x, y, z, range, intensity, confidence, record), if it has classes, points without place."""
     sample = Sample(7)
     has_classes, n_without = False, 0
     for points in cloud.points((*_VALUES, "classification") if cloud.has_own_classes else _VALUES):

@@ -35,14 +35,7 @@ from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record
-from prc_cli.jobs.convert import (
-    OpenedItems,
-    find_losses,
-    how_to_read,
-    open_items,
-    prepare_output,
-    record_of_scanners,
-)
+from prc_cli.jobs.convert import OpenedItems, find_losses, how_to_read, open_items, prepare_output, record_of_scanners
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.frames import frames_of, labels_of, thin_frames
 from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without
@@ -388,7 +381,8 @@ class _Run:
 
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
-            given = None if self.labels is None else self._read_labels(self.labels, stack)
+            given = None if self.labels is None else self._read_values(self.labels, None, stack)
+            self._n_labels = 0 if given is None else len(given)
             if self.min_confidence is not None and not self.classify:
                 self._sure = self._read_values(self.labels or self.source, CONFIDENCE, stack)
             items_of = open_items(
@@ -412,12 +406,6 @@ class _Run:
                         yield item
 
             yield opened, items()
-
-    def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> DiskColumn:
-        """Load the codes of a label file for access by record."""
-        values = self._read_values(path, None, stack)
-        self._n_labels = len(values)
-        return values
 
     def _read_values(self, path: Path, dimension: str | None, stack: contextlib.ExitStack) -> DiskColumn:
         """Load codes, or another dimension of whole numbers, for access by record."""

@@ -53,10 +53,7 @@ def labels_of(folder: Path, frames: list[Path]) -> dict[Path, Path]:
 def thin_frames(
     frames: list[Path], output: Path, thin_one: Callable[[Path, Path], Summary], *, every_frame: bool
 ) -> Iterator[list[Summary]]:
-    """Thin frames into a folder that gets its name at the end; a dump of no bytes stays one, and gives nothing.
-
-    Frames keep their names, or with ``every_frame`` are numbered from 000000 on.
-    """
+    """Thin frames into a folder; an empty dump stays one; with ``every_frame`` they are numbered from 000000."""
     for path in (output, record_path(output)):
         if path.exists() or path.is_symlink():
             raise OutputExistsError(str(path), "exists already", "frames go to a new folder: choose another name")

@@ -180,11 +180,7 @@ def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
 
 
 def choose(item: StreamItem, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
-    """Mark the returns of a block to keep.
-
-    A further return follows the share of its own class at its own cell; with a spacing, it follows the main return of
-    its shot.
-    """
+    """Mark the returns to keep; further ones by their own class, with a spacing as the main return."""
     block, extra, codes, extra_codes = item.block, item.block.extra, item.codes, item.extra_codes
     assert codes is not None
     assert extra_codes is not None

@@ -24,12 +24,7 @@ from prc_cli.formats.las.rewrite import LasRecoder
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import Layout
 from prc_cli.formats.writing.disk import scratch_file
-from prc_cli.formats.writing.record import (
-    Fingerprint,
-    RunRecord,
-    fingerprint,
-    record_path,
-)
+from prc_cli.formats.writing.record import Fingerprint, RunRecord, fingerprint, record_path
 from prc_cli.jobs.progress import tell_share
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.jobs.transfer.sides import TransferSides, check_paths, open_sides

@@ -9,9 +9,7 @@ from typing import Any
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.las.rewrite import CARRIED
-from prc_cli.matching.sides import (
-    MAX_SAME,
-)
+from prc_cli.matching.sides import MAX_SAME
 
 
 @dataclass(frozen=True, slots=True)

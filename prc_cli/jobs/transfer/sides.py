@@ -11,11 +11,7 @@ import numpy as np
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import Assumption
-from prc_cli.formats import (
-    LAS_SUFFIXES,
-    check_input,
-    open_source,
-)
+from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.vlrs import same_crs
@@ -25,13 +21,7 @@ from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.matching.keys import AXES, KeyRule
-from prc_cli.matching.sides import (
-    CONFIDENCE,
-    CodesAlone,
-    KeyedSource,
-    Survey,
-    survey,
-)
+from prc_cli.matching.sides import CONFIDENCE, CodesAlone, KeyedSource, Survey, survey
 from prc_cli.streams.order import WEEK_S, WeekSource
 
 GPS_EPOCH_SHIFT_S = 1e9
@@ -164,7 +154,7 @@ def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: Tr
 def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) -> None:
     if not found.n_records:
         raise InputError(side.path, "no record has a class, expected classes to transfer", "check --dimension")
-    if found.all_equal:
+    if found.n_records > 1 and found.low == found.high:
         key = "gps_time" if options.match == "time" else side.rule.dimension
         problem = f"all {found.n_records:,} values of {key} are {found.low:g}, expected one a shot"
         raise InputError(side.path, problem, "match by something else with --match")

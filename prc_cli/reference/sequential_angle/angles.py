@@ -11,10 +11,7 @@ from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 
 
 def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
-    """Measure signed angles, sV; see :func:`angles_loops.signed_angles`.
-
-    The angle of a shot's chord with the vertical, negative where the chord turns back on the one before.
-    """
+    """Measure sV: angles of chords with the vertical, negative where a chord turns back on the one before."""
     signed_deg = np.full(range_m.shape, np.nan, np.float32)
     ahead = np.full(range_m.shape, -1, np.int32)
     for row in range(len(range_m)):

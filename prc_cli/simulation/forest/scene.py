@@ -34,10 +34,7 @@ class _Cell:
 
 
 class ForestScene:
-    """An endless forest with a walker's rows through it; see :data:`prc_cli.simulation.world.BodiesNear`.
-
-    It is made in square cells, each from its own random numbers, when they come into sight; those seen last are kept.
-    """
+    """An endless forest of cells (:data:`prc_cli.simulation.world.BodiesNear`), each of own random numbers."""
 
     def __init__(self, params: ForestSceneParams, seed: int) -> None:
         self.params = params

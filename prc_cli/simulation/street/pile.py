@@ -17,10 +17,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A place in the world with the axes u (forward), v (to the left, or mirrored) and w (up).
-
-    Slopes tilt the ground under it: they lift points in proportion to u and v and leave uprights upright.
-    """
+    """A place with axes u (forward), v (left, or mirrored), w (up); slopes lift points and keep uprights."""
 
     x: float
     y: float

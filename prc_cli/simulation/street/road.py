@@ -14,16 +14,7 @@ import numpy as np
 
 from prc_cli.core.types import F64
 from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
-from prc_cli.simulation.street.plan import (
-    BUILDING_LINE_M,
-    CORNER_M,
-    DROP_M,
-    PIECE_M,
-    ROAD_HALF_M,
-    Junction,
-    Plan,
-    Side,
-)
+from prc_cli.simulation.street.plan import BUILDING_LINE_M, CORNER_M, DROP_M, PIECE_M, ROAD_HALF_M, Junction, Plan, Side
 from prc_cli.simulation.world import Material
 
 LANE_M = -1.75

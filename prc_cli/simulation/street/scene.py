@@ -27,11 +27,7 @@ _FIRST = 2.0**38
 
 
 class StreetScene:
-    """A street without end.
-
-    Pieces of 30 m are made when they are looked at, each from generators of its own that are keyed by the seed and
-    its number, so that nothing depends on how a place was reached.
-    """
+    """A street without end, in pieces of 30 m, each made by its number and the seed alone."""
 
     def __init__(self, params: StreetSceneParams | None = None, seed: int = 1) -> None:
         self.params = params if params is not None else StreetSceneParams()

@@ -36,18 +36,13 @@ class Window:
     """(lines, M) float32, ranges [m]; NaN = missing."""
 
 
-def lines_of_window(points_per_line: int) -> int:
-    """Return the number of lines of a window."""
-    usual = min(max(WINDOW_SHOTS // points_per_line, LEAST_LINES), MOST_LINES)
-    return max(min(usual, MOST_SHOTS // points_per_line), 1)
-
-
 class LineSample:
     """Collects the windows of one scanner."""
 
     def __init__(self, points_per_line: int) -> None:
         self._points_per_line = points_per_line
-        self._n_lines = lines_of_window(points_per_line)
+        usual = min(max(WINDOW_SHOTS // points_per_line, LEAST_LINES), MOST_LINES)
+        self._n_lines = max(min(usual, MOST_SHOTS // points_per_line), 1)
         self._stride = 1
         self._first: int | None = None
         """Number of the first line of the stream."""
@@ -278,10 +273,7 @@ def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
 
 
 def pieces(windows: tuple[Window, ...]) -> list[Window]:
-    """Cut a few lines out of the windows, at uneven distances.
-
-    At even distances a wrong length that shifts the lines by whole turns between two pieces would look right.
-    """
+    """Cut a few lines at uneven distances: at even ones a wrong length may shift them by whole turns."""
     each = -(-FOLD_PIECES // max(len(windows), 1))
     found: list[Window] = []
     for window in windows:

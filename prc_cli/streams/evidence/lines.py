@@ -157,10 +157,7 @@ def other_reading(path: Path, points_per_line: int | None = None) -> Reading | N
 
 
 def _as_ranges(values: np.ndarray) -> tuple[float, float]:
-    """Return the unit in which numbers would be ranges, and how alike neighbours are beside random ones.
-
-    Likeness is infinite where the numbers are no ranges.
-    """
+    """Return the unit in which numbers would be ranges, and their likeness, infinite where they are none."""
     with np.errstate(all="ignore"):  # nearly every reading is wrong
         numbers = values.astype(np.float64)
         there = (numbers != 0) & ~np.isnan(numbers)
@@ -440,10 +437,7 @@ def _is_as_alike(seen: Seen, period: int) -> bool:
 
 
 def _exact(seen: Seen, period: int) -> int:
-    """Return the multiple or part of M that a period is, else the length near it that agrees best along the stream.
-
-    A scene that shifts from line to line moves the period by a few shots.
-    """
+    """Return the multiple or part of M that a period is, else the length near it that agrees best all along."""
     m = seen.points_per_line
     times = round(max(m / period, period / m))
     for length in (m // times, m * times):

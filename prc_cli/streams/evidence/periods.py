@@ -54,10 +54,6 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
 
     The correlation at a lag uses only pairs with two valid ranges, in products and energies. The smallest lag that
     rises almost as high above the dip before it as any other is the fundamental; its visible multiples refine it.
-
-    >>> line = 10 + np.random.default_rng(0).random(120).cumsum()
-    >>> estimate_points_per_line(np.tile(line, 20).astype(np.float32)).points_per_line
-    120
     """
     flat = np.ravel(range_m)[:MAX_SHOTS].astype(np.float64)
     with np.errstate(invalid="ignore"):
@@ -262,15 +258,7 @@ class TimedScan:
 
 
 def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
-    """Measure the rates of a scanner.
-
-    Lines of 100 shots, of which 60 return:
-
-    >>> shot = np.arange(100 * 50)
-    >>> found = measure_rates(shot[shot % 100 < 60] / 5000.0)
-    >>> round(found.shot_hz, 3), round(found.line_hz, 2), found.points_per_line
-    (5000.0, 50.0, 100)
-    """
+    """Measure the rates of a scanner."""
     use = np.isfinite(time_s)
     time_s = time_s[use]
     if len(time_s) < LEAST_RETURNS or np.any(np.diff(time_s) < 0):

@@ -93,10 +93,7 @@ def _smooth(range_m: F32, beam_rad: F64, k: int, step: float) -> tuple[np.ndarra
 
 
 def place_of_blocks(blocks: Iterator[ScanBlock]) -> Place:
-    """Tell the place from the first lines of a stream's first scanner; the blocks must have beam directions.
-
-    What is asked depends on the lines alone, not on how they are cut into blocks.
-    """
+    """Tell the place from the first lines of the first scanner, however cut; needs beam directions."""
     rows: list[F32] = []
     beam_rad: F64 | None = None
     scanner, n_cells = None, 0
