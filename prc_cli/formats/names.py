@@ -100,18 +100,7 @@ def find_columns(
 
     All other columns keep their name, or their number if they have none. Where no column has a name, fields without a
     source are the columns in order.
-
-    Parameters
-    ----------
-    where : str
-        File and line, for messages.
-    names : sequence of str
-        What the file calls its columns.
-    layout : Layout or None
-    keys : sequence of str
-        What the body calls them; default: as the file does.
-    hint : str
-        What else to say of a column that is not there.
+    The body calls the columns ``keys``, by default as the file does.
     """
     keys = keys or names
     found: dict[str, Column] = {}
