@@ -7,6 +7,7 @@ Limits are switched on in processes that a crash may end: the child of :mod:`prc
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import sys
 import threading
@@ -56,6 +57,18 @@ def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
             for name in hidden:
                 modules.pop(name, None)
             modules.update(before)
+
+
+@contextlib.contextmanager
+def no_collecting() -> Iterator[None]:
+    """Switch the garbage collector off, as while packages are loaded: their many objects stay."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 STEP_CPU_S = 60

@@ -99,8 +99,7 @@ def find_columns(
     """Return the dimensions of a file: the fields of a layout decide; without fields, usual names become standard ones.
 
     All other columns keep their name, or their number if they have none. Where no column has a name, fields without a
-    source are the columns in order.
-    The body calls the columns ``keys``, by default as the file does.
+    source are the columns in order. The body calls the columns ``keys``, by default as the file does.
     """
     keys = keys or names
     found: dict[str, Column] = {}
