@@ -97,18 +97,10 @@ def _keep_for_parent(printed: int, notes: int) -> None:
 
 
 def _wait(child: int, passed: set[signal.Signals], patience_s: float) -> tuple[int, list[int], bool]:
-    """Wait for the end of the child, and pass signals on: a second one, or one without effect, kills it.
+    """Wait for the child, pass signals on, kill it at the second; return status, signals, whether it was killed.
 
     A signal from the terminal reaches the child by itself, one that a process sent to this one alone does not. The
     child takes two of a kind within a moment for one.
-
-    Returns
-    -------
-    status : int
-    sent : list of int
-        Signals that were to end it.
-    killed : bool
-        Whether it had to be killed.
     """
     awaited = {*passed, signal.SIGCHLD}
     sent: list[int] = []

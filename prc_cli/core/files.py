@@ -246,11 +246,7 @@ def parts_of(path: Path, machine: str = "*") -> Iterator[Path]:
 
 
 def remove_stale(path: Path) -> tuple[Path, ...]:
-    """Remove temporary files of ``path`` left by dead processes of this machine; return what was removed.
-
-    Files of other machines that share the folder, and of running processes, are kept. A ``path`` that is the same file
-    as one of them is removed, too: its process died between giving it its name and finishing, see :func:`place`.
-    """
+    """Remove temporary files of ``path`` by dead processes here, and ``path`` itself if it is one; return them."""
     removed = []
     for part in parts_of(path, _machine()):
         if is_left_behind(part):
@@ -303,10 +299,7 @@ def _is_running(process: int) -> bool:
 
 
 def is_younger(process: int, path: Path, by_s: float = 0.0) -> bool:
-    """Tell whether a process began after a file was last written, by more than some seconds: it is not its writer.
-
-    Systems give numbers of processes again, after a restart from the first one on. False where that cannot be told.
-    """
+    """Tell whether a process began some seconds after a file was last written: numbers are given again."""
     try:
         ticks = int(Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[19])
         runs_s = float(Path("/proc/uptime").read_text().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")

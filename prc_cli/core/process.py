@@ -7,6 +7,7 @@ Limits are switched on in processes that a crash may end: the child of :mod:`prc
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import sys
 import threading
@@ -56,6 +57,18 @@ def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
             for name in hidden:
                 modules.pop(name, None)
             modules.update(before)
+
+
+@contextlib.contextmanager
+def no_collecting() -> Iterator[None]:
+    """Switch the garbage collector off, as while packages are loaded: their many objects stay."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 STEP_CPU_S = 60
@@ -116,12 +129,7 @@ _SMALL, _LARGE, _KEPT = 1 << 17, (1 << 25) - (1 << 16), 1 << 26
 
 
 def return_memory() -> None:
-    """Let the C library return every large array as it is freed; the first time before any thread.
-
-    What is read to look at an input does not stay beside the blocks then. The library also keeps a separate arena per
-    thread, up to eight per core, which would add up; threads started after this call share one. Other C libraries are
-    not affected.
-    """
+    """Let the C library return large arrays as they are freed; threads started afterwards share one arena."""
     _tell(_M_ARENA_MAX, 1)
     _tell(_M_MMAP_THRESHOLD, _SMALL)
     _tell(_M_TRIM_THRESHOLD, _SMALL)

@@ -99,19 +99,7 @@ def find_columns(
     """Return the dimensions of a file: the fields of a layout decide; without fields, usual names become standard ones.
 
     All other columns keep their name, or their number if they have none. Where no column has a name, fields without a
-    source are the columns in order.
-
-    Parameters
-    ----------
-    where : str
-        File and line, for messages.
-    names : sequence of str
-        What the file calls its columns.
-    layout : Layout or None
-    keys : sequence of str
-        What the body calls them; default: as the file does.
-    hint : str
-        What else to say of a column that is not there.
+    source are the columns in order. The body calls the columns ``keys``, by default as the file does.
     """
     keys = keys or names
     found: dict[str, Column] = {}

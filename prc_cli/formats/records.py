@@ -55,6 +55,12 @@ class RecordChunk:
     record: I64 | None = None
     """(n,) int64 index in the input of every record; None = ``first_record + 0..n-1`` (input order)."""
 
+    def records(self) -> I64:
+        """Return the index in the input of every record, (n,) int64."""
+        if self.record is not None:
+            return self.record
+        return np.arange(self.first_record, self.first_record + self.n, dtype=np.int64)
+
 
 class RecordSource(Protocol):
     """A file of records, decoded on demand."""

@@ -134,13 +134,7 @@ def mask_picture(mask: Mask) -> U8:
 
 @cache
 def colour_map() -> U8:
-    """Return 256 colours from dark blue over green to bright yellow whose lightness rises evenly.
-
-    Equal steps of lightness in the OKLab space (Ottosson 2020) and a constant change of hue, so that the order is
-    visible without a legend and to colour-blind readers.
-
-    Returns (256, 3) uint8.
-    """
+    """Return 256 colours, (256, 3) uint8, dark blue to bright yellow, evenly lighter in OKLab (Ottosson 2020)."""
     place = np.linspace(0.0, 1.0, 256)
     lightness = 0.22 + 0.74 * place
     hue = np.deg2rad(285.0 - 178.0 * place)

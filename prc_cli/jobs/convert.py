@@ -192,9 +192,9 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
             advance(progress, block, info, loaded.config.input.window)
 
         def masks(n: int) -> Iterator[Mask]:
-            return (part.view(np.bool_) for part in stays.chunks(n, stop=-(-stop // n) * n))
+            return (part.view(np.bool_) for part in stays.chunks(n, stop=min(-(-stop // n) * n, las.n_records)))
 
-        told = copy_las(las, output, temporary, lambda n: _cut_last(masks(n), n, las.n_records))
+        told = copy_las(las, output, temporary, masks)
         check_unchanged(source, before)
         found = stream.findings()
         record_of_run = run_record(stream.info, counts, loaded)
@@ -204,14 +204,6 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
     return ConversionSummary(
         output, record_of_run, (), counts.n_lines, counts.n_shots, counts.n_shots - counts.n_missing, found
     )
-
-
-def _cut_last(masks: Iterator[Mask], n: int, n_records: int) -> Iterator[Mask]:
-    """Yield the masks of whole batches; the last batch of the file may be shorter."""
-    first = 0
-    for mask in masks:
-        yield mask[: n_records - first]
-        first += n
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,11 +236,7 @@ def open_items(
     xyz: bool = True,
     points: bool = False,
 ) -> Iterator[OpenedItems]:
-    """Open a stream whose blocks come with the classes and registered coordinates of their records.
-
-    ``blocks_of`` may watch the blocks, or label them: then items have their labels, too. Values that blocks do not
-    hold are read separately and kept in a temporary file beside ``output``.
-    """
+    """Open a stream with codes and coordinates of its records; ``blocks_of`` may watch or label the blocks."""
     loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
     found: Iterator[ScanBlock | LabelledBlock] = stream.blocks() if blocks_of is None else blocks_of(stream)

@@ -17,13 +17,13 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, Verdict, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32
 from prc_cli.formats import LAS_SUFFIXES, open_source
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
-from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import Contents, DerivedSource, RecordChunk, RecordSource, watched_contents
 from prc_cli.jobs.choice import decide_and_open
+from prc_cli.streams.angles import shots_in_time
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.periods import (
     PeriodEstimate,
@@ -241,24 +241,11 @@ def _shown_rates(rates: TimedScan) -> str:
 
 def _measured_rates(source: RecordSource) -> TimedScan | None:
     """Measure the rates from the first shots."""
-    has_returns = {"return_number", "number_of_returns"} <= set(source.dimensions)
-    names = ("time", *(("z",) if "z" in source.dimensions else ()))
-    names += ("return_number", "number_of_returns") if has_returns else ()
-    times: list[F64] = []
-    heights: list[F64] = []
-    kept = 0
-    for chunk in source.chunks(names):
-        values = chunk.values
-        first = np.ones(chunk.n, np.bool_)
-        if has_returns:
-            first = mark_shots(continues_run((values["time"],), values["number_of_returns"]), values["return_number"])
-        times.append(np.asarray(values["time"], np.float64)[first])
-        if "z" in values:
-            heights.append(np.asarray(values["z"], np.float64)[first])
-        kept += len(times[-1])
-        if kept >= SAMPLE_SHOTS:
-            break
-    return measure_rates(np.concatenate(times), np.concatenate(heights) if heights else None) if times else None
+    names = ("time", "z") if "z" in source.dimensions else ("time",)
+    parts = [
+        [np.asarray(shots[name], np.float64) for name in names] for shots in shots_in_time(source, names, SAMPLE_SHOTS)
+    ]
+    return measure_rates(*(np.concatenate(columns) for columns in zip(*parts, strict=True))) if parts else None
 
 
 def _with_estimate(path: Path, loaded: LoadedConfig, refused: Inspection, period: PeriodEstimate) -> Inspection:

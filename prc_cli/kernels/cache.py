@@ -70,11 +70,7 @@ def _signature(function: Callable[..., Any]) -> Any:
 
 
 def numba_type(annotation: Any) -> Any:
-    """Return the numba type of an annotation.
-
-    It is ``float``, ``int``, ``bool``, a type of NumPy, a contiguous array with its number of dimensions
-    (``Annotated[F32, 2]``), or a tuple or a ``NamedTuple`` of such.
-    """
+    """Return the numba type of an annotation: a number, a contiguous array (``Annotated[F32, 2]``), a tuple."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated and get_origin(inner[0]) is np.ndarray:
         return _types.Array(numba.from_dtype(np.dtype(get_args(get_args(inner[0])[1])[0])), inner[1], "C")
@@ -126,11 +122,7 @@ def _surroundings() -> tuple[str, ...]:
 
 
 def loops_folder(folder: Path, source: Path) -> Path:
-    """Return the folder of the compiled loops of a module, which is another one for all that they are made of.
-
-    Numba alone looks at the module's own file, and knows a NamedTuple by its name and the number of its fields: after
-    an upgrade it would read fields in the places where others were.
-    """
+    """Return the folder of a module's compiled loops, another one for all that they are made of."""
     files = [path for path in (source, source.with_name("thresholds.py")) if path.exists()]
     known = (_surroundings(), str(source), source.stat().st_mtime_ns, *(path.read_bytes() for path in files))
     return folder / f"{source.parent.name}-{source.stem}-{sha256(repr(known).encode()).hexdigest()[:16]}"
@@ -138,11 +130,7 @@ def loops_folder(folder: Path, source: Path) -> Path:
 
 @cache
 def writable_cache() -> Path | None:
-    """Return the folder for compiled kernels: as configured, in the user's cache, temporary and private, or none.
-
-    Compiled code is loaded from pickles, which run what is in them: only this user may be able to write there, and the
-    folder is used by the name that was checked, without links.
-    """
+    """Return the folder for compiled kernels, which only this user may write to: configured, cache, temporary."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
         folder = Path(given).resolve()
@@ -159,11 +147,7 @@ def writable_cache() -> Path | None:
 
 
 def open_to_others(folder: Path) -> str:
-    """Return why others may change what lies in a folder, given without links; empty if they may not.
-
-    Folders above it count, too: who owns one may exchange what is in it. Others may write into those that protect what
-    is in them (the sticky bit, as in /tmp).
-    """
+    """Return why others may change what lies in a folder, or exchange one above it; empty if they may not."""
     try:
         if why := who_may_change(folder):
             return why

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import llvmlite.binding  # type: ignore[import-untyped]
 import numba
 
-from prc_cli.core.garbage import no_collecting
+from prc_cli.core.process import no_collecting
 from prc_cli.core.threads import default_threads
 from prc_cli.kernels import KERNELS
 from prc_cli.kernels.cache import loops_folder, writable_cache

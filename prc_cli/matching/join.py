@@ -35,12 +35,7 @@ def columns_of(
         source = sorted_by_time(source, run_records=SORT_RECORDS, merge_records=2 * SORT_RECORDS)
     for chunk in source.chunks(names):
         values = {name: chunk.values[name] for name in names}
-        if not with_record:
-            yield values
-            continue
-        first = chunk.first_record
-        record = np.arange(first, first + chunk.n, dtype=np.int64) if chunk.record is None else chunk.record
-        yield {**values, RECORD: record}
+        yield {**values, RECORD: chunk.records()} if with_record else values
 
 
 def in_step(

@@ -30,11 +30,7 @@ class Hits(NamedTuple):
 def cast(
     bodies: Bodies, origin_m: F64, direction: F64, time_s: F64, first_shot: int = 0, t_min_m: F64 | None = None
 ) -> Hits:
-    """Find the nearest surface of every shot.
-
-    Results do not depend on how lines are cut into blocks, nor on bodies that no shot can meet; of surfaces at the
-    very same range, that of the first body is met. The work is done with the lock of the interpreter released.
-    """
+    """Find the nearest surface of every shot, of several the first body's; blocks make no difference."""
     shape = origin_m.shape[:2]
     times = np.asarray(time_s, dtype=np.float64)
     times = np.broadcast_to(times[:, None] if times.ndim == 1 else times, shape)

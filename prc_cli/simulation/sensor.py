@@ -60,11 +60,7 @@ class Measured:
 
 
 def goes_behind(hits: Hits, bodies: Bodies, scanner: Scanner, first_line: int, seed: int) -> Mask:
-    """Mark the shots for which what lies behind the first surface matters.
-
-    They see through glass, or pass by a leaf with a scanner of several returns. Cast them again from just behind
-    their first surface and give the result to :func:`scan`, ranges counted from the scanner.
-    """
+    """Mark shots through glass, or past a leaf: cast them again from there and give the result to :func:`scan`."""
     _, kind = _about(bodies)
     mask: Mask = kernels.goes_behind((*hits,), kind, _model(scanner), first_line, seed)
     return mask

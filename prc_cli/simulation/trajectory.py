@@ -268,11 +268,7 @@ class Shots:
 
 
 def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> Shots:
-    """Return the rays of consecutive lines, the same whatever lines are asked for together.
-
-    Poses are worked out every few milliseconds and shots are placed between them in a straight line. Rings that look
-    ahead are shot with an earlier firing than the others of their line.
-    """
+    """Return the rays of consecutive lines; poses are worked out every few ms, shots lie between them."""
     m, late = scanner.points_per_line, scanner.late_lines
     row, column = np.arange(n_lines)[:, None] + late, np.arange(m)
     n_lines += int(late.max())
@@ -328,13 +324,7 @@ def write_trajectory(
     frame: Frame = WORLD,
     into: Path | None = None,
 ) -> None:
-    """Write where a scanner is from time 0 on, batch by batch.
-
-    A file ending in ``.sbet`` or ``.out`` becomes SBET: 17 little-endian doubles a record, angles in radians, heights
-    above the ellipsoid, heading from true north, velocities to the north, east and down; accelerations and rates are
-    left at 0. Any other becomes CSV with a header, angles in degrees as in
-    :mod:`prc_cli.simulation.trajectory`.
-    """
+    """Write where a scanner is from time 0 on: SBET (``.sbet``, ``.out``), else CSV with angles in degrees."""
     is_sbet = path.suffix.lower() in SBET_SUFFIXES
     earth = _earth(path, frame) if is_sbet else None
     target = atomic_output(path) if into is None else contextlib.nullcontext(into)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -95,11 +96,7 @@ class WrapState:
 
 
 def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: WrapState) -> tuple[I64, WrapState]:
-    """Begin a line where the angle jumps back against the sweep by more than half the span.
-
-    The span is the larger one of the ending line and the line before: at the edges of a flight or behind an obstacle,
-    lines are much shorter than the longest.
-    """
+    """Begin a line where the angle jumps back by more than half the span of this or the last line."""
     value = np.asarray(angle, np.float64)
     position = np.flatnonzero(np.isfinite(value))
     begins = np.zeros(len(value), np.int64)
@@ -275,6 +272,22 @@ def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Tabl
         continues = continues_run(tuple(values[key] for key in keys), values["number_of_returns"])
         values = take(values, mark_shots(continues, values.get("return_number")))
     return values
+
+
+def shots_in_time(source: RecordSource, names: tuple[str, ...], most: int) -> Iterator[Table]:
+    """Yield times and other dimensions of the first shots, about ``most``; of returns at one time the first."""
+    returns = ("return_number", "number_of_returns")
+    several = set(returns) <= set(source.dimensions)
+    n = 0
+    for chunk in source.chunks(tuple(dict.fromkeys((*names, "time", *(returns if several else ()))))):
+        values = chunk.values
+        if several:
+            continues = continues_run((values["time"],), values["number_of_returns"])
+            values = take(values, mark_shots(continues, values["return_number"]))
+        yield values
+        n += len(values["time"])
+        if n >= most:
+            return
 
 
 def has_sweeps(shots: Table, path: str) -> bool:

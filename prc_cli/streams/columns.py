@@ -43,10 +43,7 @@ def n_rows(table: Table) -> int:
 
 def table_of(chunk: RecordChunk, names: tuple[str, ...]) -> Table:
     """Return a chunk as a table, with the index of every record."""
-    record = chunk.record
-    if record is None:
-        record = np.arange(chunk.first_record, chunk.first_record + chunk.n, dtype=np.int64)
-    return {**{name: chunk.values[name] for name in names}, RECORD: record}
+    return {**{name: chunk.values[name] for name in names}, RECORD: chunk.records()}
 
 
 NO_COLUMN = -1

@@ -23,7 +23,6 @@ from prc_cli.core.stream import MAX_RINGS, ReadTally, ScanBlock, ScanStream, Str
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.formats.writing.disk import scratch_errors, scratch_file
-from prc_cli.streams.columns import RECORD, table_of
 
 Policy: TypeAlias = Literal["require", "trust", "sort-time"]
 """Policy for records out of order (``input.order``)."""
@@ -341,11 +340,7 @@ class WeekState:
 
 
 def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
-    """Add a week to the times after the first step back of about a week.
-
-    From there on, each time is assumed within half a week of the end of the week, so that scanners of one file stay
-    together even if they change week at different records.
-    """
+    """Add a week to the times after the first step back of about one; later ones lie near the week's end."""
     position = np.flatnonzero(np.isfinite(time_s))
     added: Mask = np.zeros(len(time_s), np.bool_)
     if not len(position):
@@ -405,7 +400,7 @@ def judge_first_records(source: RecordSource) -> None:
         return
     watch = OrderWatch.of(source, "require")
     for chunk in source.chunks(("time",)):
-        watch.count(chunk.values["time"], table_of(chunk, ())[RECORD])
+        watch.count(chunk.values["time"], chunk.records())
         break
     watch.finish()
 
@@ -477,7 +472,7 @@ class _SortedSource(DerivedSource):
 
     def _pack(self, chunk: RecordChunk, names: tuple[str, ...]) -> NDArray[np.void]:
         time_s = np.asarray(chunk.values["time"], np.float64)
-        record = table_of(chunk, ())[RECORD]
+        record = chunk.records()
         finite = np.isfinite(time_s)
         if not finite.all():
             i = int(np.argmin(finite))

@@ -38,11 +38,7 @@ class ByteStream(Protocol):
 
 
 class PipeSource(FieldSource):
-    """Records from a pipe as a :class:`prc_cli.formats.records.RecordSource`.
-
-    Bytes read before :meth:`seal` are kept, so that :meth:`chunks` can start again; afterwards the records can be read
-    to the end once.
-    """
+    """Records from a pipe; what is read before :meth:`seal` is kept, afterwards it can be read once."""
 
     n_records = None
     """Unknown before reading."""

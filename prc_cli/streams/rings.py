@@ -115,11 +115,7 @@ def whole_rings(values: NDArray[Any], path: str) -> I64:
 
 
 def turns_of_rings(frame: Table, path: str) -> tuple[Table, Turns]:
-    """Return a frame that numbers its rings, sorted by ring and azimuth, and its rings, sorted by elevation.
-
-    Records of a ring are sorted by azimuth: rings whose beams are turned against each other (staggered) then meet in
-    the lines of their azimuth, not of their time.
-    """
+    """Return a frame sorted by ring and azimuth, since rings may be staggered, and its rings by elevation."""
     xyz = frame[XYZ].astype(np.float64)
     azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
     _, ring = np.unique(frame[RING], return_inverse=True)

@@ -24,10 +24,9 @@ from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_rate
-from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import STANDARD_NAMES, DerivedSource, RecordChunk, RecordSource
-from prc_cli.streams.angles import columns_of_angles, first_shots, has_sweeps, lacks_shots, turns_round
-from prc_cli.streams.columns import Table, take
+from prc_cli.streams.angles import columns_of_angles, first_shots, has_sweeps, lacks_shots, shots_in_time, turns_round
+from prc_cli.streams.columns import Table
 from prc_cli.streams.directions import angles_in_planes
 from prc_cli.streams.evidence.periods import TimedScan, measure_sweeps
 from prc_cli.streams.order import judge_first_records, sorted_by_time
@@ -519,22 +518,10 @@ def with_sweeps(source: RecordSource, config: InputConfig) -> tuple[InputConfig,
 
 def _rates(source: RecordSource, rule: RangeRule) -> TimedScan | None:
     """Measure the sweep of the first shots."""
-    has_returns = {"return_number", "number_of_returns"} <= set(source.dimensions)
-    names = tuple(
-        dict.fromkeys((*rule.names, "time", *(("return_number", "number_of_returns") if has_returns else ())))
-    )
     times: list[F64] = []
     directions: list[F32] = []
-    n = 0
-    for chunk in source.chunks(names):
-        values = chunk.values
-        if has_returns:
-            continues = continues_run((values["time"],), values["number_of_returns"])
-            values = take(values, mark_shots(continues, values["return_number"]))
-        _, xyz = measure_ranges(values, rule)
-        times.append(np.asarray(values["time"], np.float64))
+    for shots in shots_in_time(source, rule.names, MAX_SHOTS):
+        _, xyz = measure_ranges(shots, rule)
+        times.append(np.asarray(shots["time"], np.float64))
         directions.append(np.empty((0, 3), np.float32) if xyz is None else xyz)
-        n += len(times[-1])
-        if n >= MAX_SHOTS:
-            break
     return measure_sweeps(np.concatenate(times), angles_in_planes(np.concatenate(directions))) if times else None

@@ -119,11 +119,7 @@ class Splice:
 
 
 def find_chunks(source: Source, las: LasHeader) -> Splice | None:
-    """Return the chunks of a file if their classes can be replaced, else None.
-
-    None where the file is not LAZ of point format 6-8, chunks are large or differ in length without a COPC index, the
-    laszip VLR is unusual, or chunk table, heads of chunks, index and header contradict each other.
-    """
+    """Return the chunks whose classes can be replaced; None unless it is usual LAZ of formats 6 to 8."""
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
     chunks = LazRecords(source, las)

@@ -220,11 +220,7 @@ class ColumnLines:
 
 
 class PacketClock:
-    """Turns the time stamps of packets into column numbers and times.
-
-    A clock that agrees with the capture's (modulo its period) is believed; else the first packet is set to the
-    capture's time, and the steps are the scanner's.
-    """
+    """Turns time stamps of packets into columns and times; a clock unlike the capture's is set to that."""
 
     def __init__(self, period_s: float, column_s: float) -> None:
         self._period_s, self._column_s = period_s, column_s

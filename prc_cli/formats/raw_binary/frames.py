@@ -20,11 +20,6 @@ class FrameFolder:
     Points are float32 x, y, z, intensity of the returns, ring after ring from the lowest, each ring in the order of
     firing; classes are uint32 class codes. A pose is the first three rows of the matrix that brings points of the
     middle of the turn to the frame of the first pose; a time is that of the turn's first shot [s].
-
-    Parameters
-    ----------
-    folder : Path
-        Must not exist.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -79,11 +79,7 @@ def journal_paths(folder: Path) -> list[Path]:
 
 
 class Journal:
-    """The journal of one run; the only writer of its file.
-
-    Entries of the other journals of the folder are used too, and the newest entry of a file counts: an archive may be
-    classified as a whole in one month and in shards in the next. They are read once, when the journal is opened.
-    """
+    """The journal of one run, written by it alone; newer entries of the folder's other journals count, too."""
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
         self.path = folder / own_name("journal", shard, ".sqlite")

@@ -82,11 +82,7 @@ class Holder:
 
 
 class Lock:
-    """The right to work in an output folder, held while the ``with`` block runs.
-
-    Shards of the same number work side by side. A run over the whole archive, or one with another number of shards,
-    has files in common with them, so these exclude each other.
-    """
+    """The right to work in an output folder, in a ``with`` block; shards of one number work side by side."""
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:
         self.path = folder / own_name("lock", shard, ".json")

@@ -120,11 +120,7 @@ class Verified:
 
 
 def verify_outputs(out: Path) -> Iterator[Verified]:
-    """Compare all outputs with the size and the hash that were noted when they were written.
-
-    Journals count; outputs that none knows are compared with the record beside them. Files that a run is at work on,
-    or that failed, are left out. Nothing is changed, and no lock is needed.
-    """
+    """Compare outputs with size and hash in the journals, else in records beside them; no lock is needed."""
     expected: dict[str, tuple[int, str | None] | None] = dict(_recorded(out))
     for entry in read_entries(out / OWN_FOLDER):
         if isinstance(entry.outcome, Done):

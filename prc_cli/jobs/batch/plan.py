@@ -243,11 +243,7 @@ def _fill(template: str, name: str, path: Path) -> str:
 
 
 def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
-    """Return the hash of the configuration and of the content of the trajectory it names.
-
-    It does not depend on folders, on the parameters of other classifiers, or on doubts that are accepted: these
-    concern only the files that have them.
-    """
+    """Return the hash of a configuration and its trajectory, without folders, other methods, accepted doubts."""
     table = config.of_run()
     table["input"].pop("accept_doubts", None)
     if trajectory_sha256 is not None:
@@ -465,11 +461,7 @@ def is_whole(output: Path, written: os.stat_result, done: Done) -> bool:
 
 
 def remove_unfinished(task: Task) -> bool:
-    """Remove an output whose process died between giving it its name and finishing; tell whether it was one.
-
-    Its temporary file is still there, and is the same file (:func:`prc_cli.core.files.place`). On whichever machine
-    that was: the caller has the order to write the output now.
-    """
+    """Remove an output whose process died before it finished (see :func:`prc_cli.core.files.place`), if it did."""
     found = False
     for path in (record_path(task.output), task.output):
         with contextlib.suppress(OSError):

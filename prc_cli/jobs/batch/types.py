@@ -320,11 +320,7 @@ class Engine(Protocol):
     """Runs the tasks."""
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks; yield events in the order they happen.
-
-        An exception in one file does not end the run. Closing the iterator stops the workers within seconds and leaves
-        no process behind.
-        """
+        """Run tasks; an error in one ends no run; closing the iterator stops all workers within seconds."""
         ...
 
 

@@ -23,6 +23,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import OutputExistsError, PrcError
 from prc_cli.core.interrupts import raise_or_hold
 from prc_cli.core.process import claim_process, hold_limits, return_memory
+from prc_cli.core.profile import peak_memory
 from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
 from prc_cli.jobs.batch.types import Compared, Comparison, Done, Failed, InputPrint, Outcome, Problem, Task
 from prc_cli.jobs.classify import Progress, RunSummary, classify, load_classifier
@@ -122,11 +123,12 @@ def _stat_input(path: Path) -> InputPrint:
 
 def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, cpu_seconds: float) -> Done:
     record, counts = summary.record, summary.counts
-    written = task.output.stat()
+    written, peak = task.output.stat(), peak_memory()
     return Done(
         name=task.name, input=InputPrint(record.input.size, before.mtime_ns, record.input.sha256),
         output_size=written.st_size, output_mtime_ns=written.st_mtime_ns, seconds=seconds, cpu_seconds=cpu_seconds,
-        peak_mib=_peak_mib(), n_lines=counts.n_lines, n_shots=counts.n_shots, n_records=record.n_records or 0,
+        peak_mib=None if peak is None else peak / (1 << 20), n_lines=counts.n_lines, n_shots=counts.n_shots,
+        n_records=record.n_records or 0,
         labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label), notices=record.notices,
         output_name=task.output.name, output_sha256=None if record.output is None else record.output.sha256,
     )  # fmt: skip
@@ -168,20 +170,6 @@ def may_pass(problem: Problem) -> bool:
     if problem.kind in ("killed", "timeout", "interrupted", "OutputError", MEMORY, CHANGED, VANISHED):
         return True
     return problem.kind.isidentifier() and issubclass(getattr(builtins, problem.kind, object), OSError)
-
-
-def _peak_mib() -> float | None:
-    """Return the highest resident memory of this process [MiB]; None if unknown."""
-    with contextlib.suppress(OSError):  # what Linux says of resources begins with the peak of the parent
-        for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) / 1024
-    try:
-        import resource
-    except ImportError:  # not on this system
-        return None
-    scale = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale / (1 << 20)
 
 
 def _compare(pair: Comparison) -> Compared:
@@ -279,11 +267,7 @@ def _serve(tasks: queue.SimpleQueue[Any], parent: _Parent, threads: int, limit_m
 
 
 def _limit_memory(mib: int) -> None:
-    """Limit what this process may allocate; beyond it Python raises MemoryError.
-
-    On Linux private memory counts (code, mapped files and address space that is only reserved do not), elsewhere
-    address space.
-    """
+    """Limit what this process may allocate: private memory on Linux, else address space."""
     import resource
 
     kind = resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -320,9 +321,7 @@ def _search(
 
 
 def _configured(config: RunConfig, key: str, points_per_line: int) -> float:
-    value: Any = config
-    for part in key.split("."):
-        value = getattr(value, part)
+    value = attrgetter(key)(config)
     if value == "auto":
         k = config.prc.lines_per_block
         return area_threshold(config.prc.surfaces, k, k, points_per_line)

@@ -13,7 +13,7 @@ from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
-from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.records import RecordSource
 from prc_cli.imaging.cloud import Camera, DepthBuffer, FromAbove, Perspective, Sample, fullest_azimuth, splat_for
 from prc_cli.imaging.pictures import Bar
 from prc_cli.imaging.sheet import Axis, Key, Panel, round_step
@@ -58,13 +58,6 @@ class Points:
     """Number of further returns and records outside the lines, whose coordinates the stream does not hold."""
 
 
-def records_of(chunk: RecordChunk) -> I64:
-    """Return the number of every record of a chunk, (n,) int64."""
-    if chunk.record is not None:
-        return chunk.record
-    return np.arange(chunk.first_record, chunk.first_record + chunk.n, dtype=np.int64)
-
-
 @dataclass(frozen=True, slots=True)
 class Cloud:
     """Source of points; may be read repeatedly."""
@@ -104,7 +97,7 @@ class Cloud:
         present = [name for name in names if name in self.records.dimensions]
         for chunk in self.records.chunks((*AXES, *present)):
             xyz = np.stack([np.asarray(chunk.values[axis], np.float64) for axis in AXES], axis=1)
-            yield Points(xyz, records_of(chunk), {name: np.asarray(chunk.values[name], np.float64) for name in present})
+            yield Points(xyz, chunk.records(), {name: np.asarray(chunk.values[name], np.float64) for name in present})
 
     def _of_stream(self, names: tuple[str, ...]) -> Iterator[Points]:
         stream = open_stream(self.source, self.loaded.config.model_copy(update={"method": "prc"}))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -15,7 +17,6 @@ import numpy as np
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, preset_of
 from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
-from prc_cli.core.dates import today
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import I64, U8, Mask
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
@@ -251,6 +252,27 @@ class RecordClasses:
         if n_records is not None and n_records != len(self.places):
             problem = f"found {len(self.places):,} labels, expected {n_records:,}, one a record of the input"
             raise InputError(self.path, problem, _HINT)
+
+
+EPOCH = "SOURCE_DATE_EPOCH"
+"""Variable that sets the day, so that equal runs give equal bytes on any day [seconds since 1970, UTC] (specification
+of reproducible-builds.org)."""
+
+
+def today() -> str:
+    """Return the day in UTC, of ``SOURCE_DATE_EPOCH`` if it is set.
+
+    >>> len(today())
+    10
+    """
+    given = os.environ.get(EPOCH)
+    if not given:
+        return f"{datetime.now(UTC):%Y-%m-%d}"
+    try:
+        return f"{datetime.fromtimestamp(int(given), UTC):%Y-%m-%d}"
+    except (ValueError, OverflowError, OSError) as error:
+        problem = f"found {given!r}, expected whole seconds since 1970"
+        raise ConfigError(EPOCH, problem, "unset the variable, or set it to a number") from error
 
 
 def heading(*parts: str) -> str:

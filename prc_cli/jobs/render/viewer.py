@@ -27,7 +27,7 @@ from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Progress, label_blocks
 from prc_cli.jobs.coordinates import spacing
-from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud, records_of
+from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud
 from prc_cli.jobs.render.colours import (
     RecordClasses,
     Vocabulary,
@@ -310,7 +310,7 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
     sorted_ids = flat[order]
     found = {name: np.full(flat.shape, np.nan) for name in names}
     for chunk in records.chunks(names):
-        ids = records_of(chunk)
+        ids = chunk.records()
         low, high = np.searchsorted(sorted_ids, (ids.min(initial=0), ids.max(initial=-1) + 1))
         if low >= high:
             continue

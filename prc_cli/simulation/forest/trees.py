@@ -148,11 +148,7 @@ class Candidates:
 
 
 class Stand:
-    """Knows the trees of every cell.
-
-    Stems keep apart as in Matérn's second hard-core process (Matérn 1960, ch. 3): of random places that are too close
-    to each other, only the one of lowest rank is taken. That needs no order in which the forest is made.
-    """
+    """Knows the trees of every cell, which keep apart by Matérn's second hard-core process (1960, ch. 3)."""
 
     def __init__(self, params: ForestSceneParams, seed: int, terrain: Terrain, rows: Rows) -> None:
         self._params, self._seed, self._terrain, self._rows = params, seed, terrain, rows

@@ -289,11 +289,7 @@ def check_shot_order(figures: Figures) -> Finding | None:
 
 
 def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Finding | None:
-    """Ask whether lines repeat after M shots, and not after another number.
-
-    ``turned`` is from :func:`~prc_cli.streams.evidence.figures.most_turned`: where all columns shift at one place,
-    shots were lost there, and M is right.
-    """
+    """Ask whether lines repeat after M shots; where all columns ``turned`` at one place, M is right."""
     m, first = seen.points_per_line, figures.line[0]
     if figures.random < SMOOTH:
         return None
@@ -346,11 +342,7 @@ def _is_fan(seen: Seen) -> bool:
 
 
 def _next_alike(seen: Seen, lengths: list[int]) -> int | None:
-    """Return the line length with which neighbouring lines are clearly more alike than with all others, if one is.
-
-    A frame of a spinning scanner looks another way at every line: lines far apart have little in common whatever their
-    length, and which of them agrees best is chance. The next line tells.
-    """
+    """Return the length at which lines are clearly more like the next one than at all others, if one is."""
     off = {length: lag_likeness(seen.windows, length) for length in lengths}
     first, second = sorted(off, key=lambda length: _or_inf(off[length]))[:2]
     return first if off[first] < NEXT_CLEAR * off[second] else None

@@ -154,11 +154,7 @@ def watched(
 
 
 class LiveEvidence:
-    """A stream without an end that is watched while its blocks pass, unchanged.
-
-    The checks are asked whenever the sample is full anew, which is each time that the stream is twice as long, and at
-    the end. What they find is raised, or told, with the next block.
-    """
+    """A stream without end that is watched, and asked whenever it is twice as long, and at its end."""
 
     def __init__(self, watch: EvidenceStream, tell: Callable[[Finding], None]) -> None:
         self._watch = watch
