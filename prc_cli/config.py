@@ -130,8 +130,8 @@ class MethodChoice:
     why: str
     lacks: str = ""
     """What is missing for a better method; empty where nothing is."""
-    others: tuple[str, ...] = ()
-    """Topics of the other scanners, where one lacks something."""
+    give: str = ""
+    """What mends that."""
 
     @property
     def method(self) -> MethodName:
@@ -145,12 +145,9 @@ class MethodChoice:
             return ()
         found = f"PRC as published was taken: {self.lacks}"
         expected = "the angles of the beams, with which fused labels streets (mean F1 0.96 there, of PRC 0.59)"
-        give = "give them: --set input.angle_start=DEG --set input.angle_step=DEG"
-        if "level ground may be" in self.lacks:
-            give = "give the angle that points straight down: --set input.nadir=DEG"
-        alone = f"; or try the other scanners alone: --topic {','.join(self.others)}" if self.others else ""
-        hint = f"{give}{alone}; or name the method: --preset urban"
-        return (Finding("method", Verdict.DOUBTFUL, found, expected, hint),)
+        return (
+            Finding("method", Verdict.DOUBTFUL, found, expected, f"{self.give}; or name the method: --preset urban"),
+        )
 
     @property
     def assumption(self) -> Assumption:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import Sectioned, numbers, window_options
+from prc_cli.cli.options import POSES, Sectioned, add_options, numbers, window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
@@ -76,12 +76,7 @@ _OPTIONS = [
                  "folder."),
     click.option("--reference-points", type=_PATH, metavar="PATH",
                  help="The points that reference labels alone belong to, or their folder."),
-    click.option("--trajectory", type=_PATH, metavar="FILE",
-                 help="Poses of a raw drive: the shots of PREDICTED, or of its --predicted-points, get coordinates "
-                 "from ranges, scan angles and times. CSV with roll, pitch, yaw; TUM; SBET; a bag."),
-    click.option("--mount", metavar="ROLL,PITCH,YAW[,X,Y,Z]",
-                 help="How the scanner sits on the vehicle of --trajectory [degrees, metres forward, left, up]; a scan "
-                 "plane whose lower part points back has a pitch above 0.  [default: level, 0,0,0]"),
+    *POSES,
     click.option("--by-range", "split_range_m", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
     click.option("--by-lines", "split_lines", type=click.IntRange(min=1), metavar="N",
                  help="Split into parts of N scan lines."),
@@ -111,16 +106,10 @@ _OPTIONS = [
 ]  # fmt: skip
 
 
-def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
-
-
 @click.command(cls=Sectioned)
 @click.argument("predicted", type=click.Path(path_type=Path))
 @click.argument("reference", type=click.Path(path_type=Path))
-@_evaluate_options
+@add_options(*_OPTIONS)
 @window_options
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
@@ -143,7 +132,9 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     form = "json" if options["as_json_flag"] else options["form"] or "table"
     how = _how(options)
     left, right = zip((predicted, reference), *options["pairs"], strict=True)
-    name, why = (options["mapping"], "") if options["mapping"] else mapping_of_runs(files_of(left), files_of(right))
+    name, why = options["mapping"], ""
+    if not name:
+        name, why = mapping_of_runs(files_of(left), files_of(right), how.reference_dimension)
     mapping = load_mapping(name)
     demanded = [parse_gate(text, mapping) for text in options["gates"]]
     if options["outputs"]:

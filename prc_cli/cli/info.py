@@ -140,8 +140,6 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
             return ""
     path = Path(inspection.path)
     words = ["prc", "classify", str(path), str(output_for(path))]
-    if inspection.choice is not None and not inspection.problem:  # without it another method may be chosen
-        words += ["--preset", inspection.choice.preset]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
     return shlex.join([*words, *given_words(options, mended)]) + "".join(f" {mend}" for mend in mends)
 

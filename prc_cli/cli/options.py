@@ -162,6 +162,17 @@ output_options = _groups("output")
 """Adds ``--json``, ``--quiet`` and ``--verbose``."""
 
 
+POSES = (
+    click.option("--trajectory", type=click.Path(path_type=Path), metavar="FILE",
+                 help="With nearest: poses that give the shots of a raw drive coordinates, from ranges, scan angles "
+                 "and times. CSV with roll, pitch, yaw; TUM; SBET; a bag."),
+    click.option("--mount", metavar="ROLL,PITCH,YAW[,X,Y,Z]",
+                 help="How the scanner sits on the vehicle of --trajectory [degrees, metres forward, left, up]; a scan "
+                 "plane whose lower part points back has a pitch above 0.  [default: level, 0,0,0]"),
+)  # fmt: skip
+"""Options that give raw shots coordinates."""
+
+
 def given_words(options: Mapping[str, Any], leave_out: Collection[str] = ()) -> list[str]:
     """Return the options of :data:`stream_options` as they were given, to go on with; without some flags.
 

@@ -13,7 +13,7 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import Sectioned, numbers, output_options
+from prc_cli.cli.options import POSES, Sectioned, add_options, numbers, output_options
 from prc_cli.cli.report import LineBar, console, print_assumptions
 from prc_cli.config import load_config
 from prc_cli.core.config import read_toml
@@ -37,17 +37,7 @@ from prc_cli.jobs.transfer.options import TransferOptions
 @click.option(
     "--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml", help="Record layout of RAW."
 )
-@click.option(
-    "--trajectory",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Poses (with orientations) from which the shots of RAW get coordinates, for --match nearest.",
-)
-@click.option(
-    "--mount",
-    metavar="ROLL,PITCH,YAW[,X,Y,Z]",
-    help="How the scanner sits on the vehicle of --trajectory [degrees, metres forward, left, up].",
-)
+@add_options(*POSES)
 @click.option(
     "--match",
     default="time",

@@ -138,9 +138,9 @@ class ClassMapping(Params):
             # user codes are "other" in a list of another kind of data: a mapping that scores nothing does not fit
             useful = OTHER not in names or 2 * np.count_nonzero(classes == names.index(OTHER)) <= classes.size
             if useful and (classes != _UNLISTED).all() and (preset._search(kept, other) != _UNLISTED).all():
-                shared = len({*preset.names(side)} & {*self.names(side)})
+                apart = len({*preset.names(side)} ^ {*self.names(side)})
                 width = sum(high - low for low, high, _ in (*preset._spans(side), *preset._spans(other)))
-                found.append((-shared, width, name))
+                found.append((apart, width, name))
         return [name for *_, name in sorted(found)]
 
     @cached_property

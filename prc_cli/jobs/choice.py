@@ -90,8 +90,8 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
             return MethodChoice("urban", "no line has two returns"), stream
         if (cosine := min((found.cos_tilt for found in beams), default=1.0)) < LEAST_COSINE:
             lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
-            lacks = f"{lean}, which fused does not stand; look at the unit of the ranges"
-            return MethodChoice("urban", lacks, lacks), stream
+            lacks = f"{lean}, which fused does not stand"
+            return MethodChoice("urban", lacks, lacks, "look at the unit of the ranges"), stream
         every = stream.info.facts.scanners
         if every or stream.info.facts.has_scans or config.input.scanner != "none":
             # a later scanner may be refused only when it is reached
@@ -105,8 +105,12 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
         every = stream.info.facts.scanners
         lacks = f"{scanner}: {refusal.problem}" if scanner in every else refusal.problem
-        others = tuple(name.partition(" (")[0] for name in every if scanner in every and name != scanner)
-        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, others), stream
+        give = refusal.hint
+        if len(every) > 1 and scanner in every:
+            topics = {name: name.partition(" (")[0] for name in every}
+            alone = topics.pop(scanner)
+            give += f", and --topic {alone}; or try the others: --topic {','.join(topics.values())}"
+        return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, give), stream
 
 
 def decide_stream(

@@ -50,7 +50,8 @@ MADE_UP_RAD = (0.1, math.pi - 0.1)
 KEY = "input.nadir"
 ANGLES = "input.angles"
 _ANGLES_ALONE = (
-    "scan angles (input.angle_start and input.angle_step where the input has none), and input.nadir if known"
+    "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG where the input has none), "
+    "and --set input.nadir=DEG if known"
 )
 _ARRAY = "array"
 

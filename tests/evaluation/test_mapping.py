@@ -125,8 +125,8 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
 @pytest.mark.parametrize(
     ("name", "codes", "side", "fits"),
     [
-        ("prc", [2, 67, 68], "predicted", "sequential_angle or asprs or street_scan"),
-        ("prc", [1001, 1203], "reference", "street_oakland or oakland or street_scan_oakland"),
+        ("prc", [2, 67, 68], "predicted", "asprs or sequential_angle or street_scan"),
+        ("prc", [1001, 1203], "reference", "oakland or street_oakland or street_scan_oakland"),
         ("street", [1001, 1203], "reference", "street_oakland or street_scan_oakland"),
         # asprs lists them too, all but a truck as other: it would score nothing
         (

@@ -54,7 +54,7 @@ def evaluate_all(
         or numbers) and the match is not by order, all files of a side are compared as one, for example tiles.
     mapping : ClassMapping, name or path, optional
         Which codes mean which class on either side: a preset name, a TOML file or a mapping. Default: the one that fits
-        the method in the run records beside the predicted files, else ``prc``.
+        the method in the run records beside the predicted files and the reference's codes, else ``prc``.
     options : EvaluateOptions, optional
         How records are matched, which splits are computed, and how intervals are computed.
 
@@ -83,10 +83,10 @@ def evaluate_all(
     options = options or EvaluateOptions()
     check_options(options)
     why = ""
-    if mapping is None:
-        mapping, why = mapping_of_runs(*(files_of([Path(path) for path in side]) for side in (predicted, reference)))
-    found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
+    if mapping is None:
+        mapping, why = mapping_of_runs(files_of(paths[0]), files_of(paths[1]), options.reference_dimension)
+    found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
     pools = open_pools(*paths, options)
     counts = Counts(found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))})
     if options.third is not None:
@@ -113,6 +113,9 @@ def evaluate_all(
             counts.note(sentence)
     counts.fold()
     matrix = counts.parts["all"].matrix(0)
+    if not matrix.counts.any():
+        problem = f"none of {counts.n_matched} records has a class to score: code 0, or codes that the mapping ignores"
+        raise InputError(str(paths[1][0]), problem, "name the dimension with the codes: --reference-dimension NAME")
     intervals, method = intervals_of(counts, matrix, options, by_lines=by_lines)
     files = dict.fromkeys(names), dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files)
     splits = {
@@ -151,8 +154,7 @@ def evaluate(
     predicted, reference : path
         Label files (``.npy``, ``.csv``, ``.parquet``), or any record file that carries codes.
     mapping : ClassMapping, name or path, optional
-        Which codes mean which class on either side: a preset name, a TOML file or a mapping. Default: the one that fits
-        the method in the run records beside the predicted files, else ``prc``.
+        As for :func:`evaluate_all`.
     predicted_dimension, reference_dimension : str, optional
         Column or dimension that holds the codes; default ``class``, ``label`` or ``classification``.
 

@@ -176,12 +176,14 @@ def check_ranges(seen: Seen) -> Finding | None:
     found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
+    option = ""
     for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
         if not LEAST_MEDIAN_M <= median <= HIGH_M and LEAST_MEDIAN_M <= scale * median <= HIGH_M:
-            hint = f"if they are {unit}: --set {KEY}={scale:g}; else {hint}"
+            option = f"--set {KEY}={scale:g}"
+            hint = f"if they are {unit}: {option}; else {hint}"
     is_against = not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST
     is_doubtful = far > COUNTED or median > HIGH_M
-    return Finding("ranges", verdict(doubtful=is_doubtful, against=is_against), found, expected, hint)
+    return Finding("ranges", verdict(doubtful=is_doubtful, against=is_against), found, expected, hint, option)
 
 
 BY_PLACE = ("units", "down", "angle-step")

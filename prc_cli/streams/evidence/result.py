@@ -196,7 +196,7 @@ def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]
 
 def _few_rings(n: int, usual: UsualLabels) -> Finding:
     """Ask whether there are rings enough for all classes."""
-    hint = "ground, vegetation and noise are told as well; cars, and walls that few rings see, are not"
+    hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
     return Finding("few-rings", verdict(doubtful=n < usual.columns), f"{n} rings", f"at least {usual.columns}", hint)
 
 
