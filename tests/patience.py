@@ -1,7 +1,7 @@
 """Waiting in tests: for an event, not for a fixed time, which slow machines would exceed.
 
-Every process that a test starts has a time limit that ends it. It receives Ctrl-C (SIGINT) even if the tests were
-started with SIGINT ignored: under nohup, by cron, or in the background of a shell.
+Every process that a test starts has a time limit that ends it. It receives Ctrl-C (SIGINT) and the end of a terminal
+(SIGHUP) even if the tests were started with them ignored: under nohup, by cron, or in the background of a shell.
 """
 
 from __future__ import annotations
@@ -115,18 +115,22 @@ def _end_late(process: subprocess.Popen[Any], timeout: float) -> None:
 
 @contextlib.contextmanager
 def hearing_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt for SIGINT here, and let programs that are started here hear it."""
+    """Raise KeyboardInterrupt for SIGINT here, and let programs that are started here hear it and SIGHUP."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     # what is ignored stays ignored in a new program, what has a handler does not
-    before = signal.getsignal(signal.SIGINT)
-    if before is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    heard = {signal.SIGINT: signal.default_int_handler}
+    if os.name == "posix":
+        heard[signal.SIGHUP] = signal.SIG_DFL
+    ignored = [number for number in heard if signal.getsignal(number) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, heard[number])
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def dead_process() -> int:

@@ -90,8 +90,9 @@ def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> No
         assert ended.returncode in (0, 1, 4)
     else:
         assert ended.returncode == 1
-        assert f"error: {case}: the process that read it was ended by signal" in ended.stderr
-        assert ended.stderr.count("\n") == 1
+        # a busy machine is told that loading takes long
+        (line,) = [one for one in ended.stderr.splitlines() if not one.startswith("loading the classifier")]
+        assert line.startswith(f"error: {case}: the process that read it was ended by signal")
     assert os.listdir(out) == []
     if words[0] == "convert":
         assert prc(*(word.format(case=case, out=out) for word in words), guarded=False).returncode < 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 
@@ -16,13 +17,19 @@ M = 2154
 
 @pytest.fixture(scope="session")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A street (``drive.npz``, its ranges alone ``drive.bin``) a forest and a static scan, with reference classes."""
+    """A street (``drive.npz``, its ranges alone ``drive.bin``), a forest and a static scan, with reference classes."""
     shell = Shell(tmp_path_factory.mktemp("drives"))
     shell(f"prc simulate street drive.npz -q {STREET}")
     shell("prc simulate forest forest.npz -q --lines 240 --seed 8802")
     shell("prc simulate street-scan scan.npz -q --seed 8804 --set scanner.azimuth_step_deg=0.6")
     with np.load(shell.here / "drive.npz") as drive:
         drive["range_m"].astype("<f4").tofile(shell.here / "drive.bin")
+    # the street as an office has it: coordinates, times and classes, and the way of the scanner beside them
+    shell(f"prc simulate street registered.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}")
+    cloud = laspy.read(shell.here / "registered.laz")
+    cloud.remove_extra_dims(list(cloud.point_format.extra_dimension_names))
+    cloud.scan_angle[:] = 0
+    cloud.write(shell.here / "registered.laz")
     return shell.here
 
 

@@ -1,7 +1,9 @@
-"""The installed command, typed in a folder as a user types it."""
+"""Commands typed in a folder as a user types them: in this process, or the installed one in its own."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
@@ -13,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from prc_cli.cli import main
 
 COMMAND = Path(sys.executable).with_name("prc.exe" if os.name == "nt" else "prc")
 CLASSES = ("ground", "building", "vegetation", "noise")
@@ -38,12 +42,22 @@ class Shell:
     """A folder in which commands are typed."""
 
     here: Path
+    installed: bool = False
+    """Whether every command is a process of its own, which takes a second to start."""
 
-    def __call__(self, line: str, code: int = 0, stdin: bytes | None = None) -> Said:
+    def __call__(self, line: str, code: int = 0) -> Said:
         """Run a command line that begins with ``prc``; it must end with this exit code."""
-        words = [str(COMMAND), *shlex.split(line)[1:]]
-        done = subprocess.run(words, cwd=self.here, input=stdin, capture_output=True, timeout=120, check=False)
-        said = Said(done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode())
+        words = shlex.split(line)[1:]
+        if self.installed:
+            done = subprocess.run([COMMAND, *words], cwd=self.here, capture_output=True, timeout=600, check=False)
+            said = Said(done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode())
+        else:
+            out, err = io.StringIO(), io.StringIO()
+            with contextlib.chdir(self.here), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                try:
+                    main(words)
+                except SystemExit as left:
+                    said = Said(int(left.code or 0), out.getvalue(), err.getvalue())
         assert said.code == code, (
             f"{line}\nexit code {said.code}, expected {code}\n{said.out[-3000:]}{said.err[-3000:]}"
         )
@@ -54,7 +68,7 @@ class Shell:
         found: NDArray[np.uint8] = np.load(self.here / name).ravel()
         return found
 
-    def f1(self, predicted: str, reference: str, more: str = "") -> dict[str, float]:
+    def f1(self, predicted: str, reference: str) -> dict[str, float]:
         """Return F1 by class, as ``prc evaluate`` has it."""
-        said = self(f"prc evaluate {predicted} {reference} --json -q {more}")
+        said = self(f"prc evaluate {predicted} {reference} --json -q")
         return {name: one["f1"] or 0.0 for name, one in json.loads(said.out)["classes"].items()}

@@ -1,6 +1,6 @@
 """The twelve journeys: the way from one command to the next, as a user walks it, each with a figure that must hold.
 
-Read this first: it is what ``prc`` is for. Only drives that nothing was tuned to, only the installed command.
+Read this first: it is what ``prc`` is for. Only drives that nothing was tuned to, only commands.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import shlex
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ import prc_cli
 from prc_cli.methods.reasons import rule_of
 from tests.journeys.conftest import STREET, M
 from tests.journeys.shell import CLASSES, COMMAND, Shell
+from tests.patience import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -34,6 +34,7 @@ ALIKE = 0.01
 
 
 def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
+    prc = Shell(prc.here, installed=True)
     prc(f"prc simulate street drive.laz -q {STREET}")
     told = prc("prc info drive.laz").told("type")
     said = prc(told)
@@ -96,7 +97,6 @@ def test_4_another_program_finds_a_cloud_with_class_names(prc: Shell, suffix: st
 
 @pytest.mark.parametrize("suffix", ["laz", "ply"])
 def test_4_registered_coordinates_are_kept(prc: Shell, suffix: str) -> None:
-    registered(prc)
     prc(f"prc classify registered.laz cloud.{suffix} -q --range trajectory:path.csv")
     xyz, _ = points_of(prc.here / f"cloud.{suffix}")
     assert np.allclose(xyz, points_of(prc.here / "registered.laz")[0], rtol=0, atol=0.0006)
@@ -108,9 +108,7 @@ def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
         shutil.copy(prc.here / "drive.npz", prc.here / "archive" / f"{name}.npz")
     night = [str(COMMAND), "batch", "archive", "out", "-q", "--jobs", "1"]
     killed = subprocess.Popen(night, cwd=prc.here, start_new_session=True, stderr=subprocess.DEVNULL)
-    until = time.monotonic() + 60
-    while not (prc.here / "out/a.npz.labels.npy").exists() and time.monotonic() < until:
-        time.sleep(0.01)
+    wait_until((prc.here / "out/a.npz.labels.npy").exists)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
     whole = (prc.here / "archive/a.npz").read_bytes()
@@ -133,7 +131,6 @@ def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
 
 
 def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
-    registered(prc)
     car = laspy.read(prc.here / "registered.laz")
     car.points = car.points[np.argsort(car.x)]
     car.write(prc.here / "car.laz")
@@ -212,15 +209,6 @@ def test_12_python_and_the_command_line_are_one(prc: Shell) -> None:
     typed = json.loads(prc("prc evaluate typed.npy drive.npz --json -q").out)
     called = prc_cli.evaluate(prc.here / "called.npy", prc.here / "drive.npz")
     assert typed["overall"]["accuracy"] == called.n_right / called.n_scored
-
-
-def registered(prc: Shell) -> None:
-    """Write the street as an office has it: coordinates, times and classes, and the way of the scanner beside them."""
-    prc(f"prc simulate street whole.laz -q --trajectory path.csv --set frame.crs=EPSG:32635 {STREET}")
-    cloud = laspy.read(prc.here / "whole.laz")
-    cloud.remove_extra_dims(list(cloud.point_format.extra_dimension_names))
-    cloud.scan_angle[:] = 0
-    cloud.write(prc.here / "registered.laz")
 
 
 def points_of(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -162,7 +162,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     **cases_stems.CASES,
 }
 LEAST = 60
-"""Cases of every loop, more until both sides were seen; slow tests take all."""
+"""Cases of every loop, more until both sides were seen; the long test takes all."""
 MOST = {"hmm_cusum": 100, "main_height": 200, "cast_shots": 200}
 """Cases where they are not 400: of twins that take as long as those of all other kernels together."""
 TOLERANCES = {**cases_angles.TOLERANCES, **cases_ground.TOLERANCES, **cases_car.TOLERANCES}
@@ -173,7 +173,7 @@ def test_kernel_equals_its_twin(name: str) -> None:
     compare(name, 20190, LEAST)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_kernel_equals_its_twin_in_many_cases(name: str) -> None:
     compare(name, 9, MOST.get(name, 400))

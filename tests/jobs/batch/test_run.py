@@ -53,6 +53,11 @@ Script = Callable[[Task, int], Outcome]
 """What becomes of a task at its n-th attempt."""
 
 
+def work(task: Task, attempt: int) -> Outcome:
+    """Do what a worker does, in this process."""
+    return run_task(task)
+
+
 def finished(task: Task, **labels: int) -> Done:
     task.output.parent.mkdir(parents=True, exist_ok=True)
     task.output.write_bytes(task.source.read_bytes())
@@ -286,7 +291,6 @@ def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
         assert ([item.name for item in summary.done], summary.exit_code) == (done, 0 if config is accepting else 4)
 
 
-@pytest.mark.slow
 def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: Path) -> None:
     archive = tmp_path / "in"
     archive.mkdir()
@@ -297,24 +301,23 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     np.save(archive / "shuffled.npy", np.random.default_rng(3).permuted(image, axis=1))
     np.save(archive / "thin.npy", wide)  # one shot of a hundred has a range
     settings = BatchSettings(archive, tmp_path / "out", jobs=1, drift=False, retry=3)
-    found = run_batch(settings)
+    found = run_batch(settings, Scripted(work))
     assert [(item.name, item.problem.kind) for item in found.failed] == [("shuffled.npy", "EvidenceError")]
     assert {(doubt.name, doubt.check) for doubt in found.doubts} == {("thin.npy", "returns"), ("thin.npy", "method")}
     assert {entry.name: entry.attempts for entry in read_entries(settings.out / OWN_FOLDER)}["shuffled.npy"] == 1
     assert found.exit_code == 1
     # what was classified one by one is adopted with its doubts
     shutil.rmtree(settings.out / OWN_FOLDER)
-    adopted = run_batch(replace(settings, adopt=True, exclude=("shuffled.npy",)))
+    adopted = run_batch(replace(settings, adopt=True, exclude=("shuffled.npy",)), Scripted(work))
     assert (adopted.done, adopted.exit_code) == ((), 4)
     assert adopted.doubts == found.doubts
     accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
-    accepted = run_batch(replace(settings, config=accepting))
+    accepted = run_batch(replace(settings, config=accepting), Scripted(work))
     # only those that have one are done again
     assert ([item.name for item in accepted.done], accepted.exit_code) == (["shuffled.npy", "thin.npy"], 0)
     assert (accepted.failed, accepted.doubts) == ((), ())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["cut", "overwritten", "link"])
 @pytest.mark.parametrize("journal", [True, False])
 def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool) -> None:
@@ -324,7 +327,7 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
     for name in ("a.npz", "b.npz"):
         write_npz(archive / name, street(80))
     settings = BatchSettings(archive, out, ConfigLayers(preset="urban"), jobs=1, drift=False)
-    run_batch(settings)
+    run_batch(settings, Scripted(work))
     output = out / "a.npz.labels.npy"
     whole = output.read_bytes()
     assert {one.state for one in verify_outputs(out)} == {"whole"}
@@ -340,18 +343,18 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
         shutil.rmtree(out / OWN_FOLDER)
     states = {one.name: one.state for one in verify_outputs(out)}
     assert states == {"a.npz.labels.npy": "damaged", "b.npz.labels.npy": "whole"}
-    summary = run_batch(replace(settings, adopt=True))
+    summary = run_batch(replace(settings, adopt=True), Scripted(work))
     assert ([item.name for item in summary.done], summary.n_skipped, summary.exit_code) == (["a.npz"], 1, 0)
     assert dict(summary.reasons) == {"changed output": 1}
     assert output.read_bytes() == whole
     assert len([*(out / OWN_FOLDER / "changed").iterdir()]) == 1
     # what was restored, with other times, is not done again; what keeps both is found by --verify
     os.utime(output, ns=(1, 1))
-    assert run_batch(settings).n_skipped == 2
+    assert run_batch(settings, Scripted(work)).n_skipped == 2
     output.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     os.utime(output, ns=(1, 1))
-    assert run_batch(settings).n_skipped == 2
-    assert dict(run_batch(replace(settings, verify=True)).reasons) == {"changed output": 1}
+    assert run_batch(settings, Scripted(work)).n_skipped == 2
+    assert dict(run_batch(replace(settings, verify=True), Scripted(work)).reasons) == {"changed output": 1}
     output.unlink()
     assert {one.state for one in verify_outputs(out)} == {"missing", "whole"}
 
@@ -396,27 +399,18 @@ def told(summary: BatchSummary) -> dict[str, Any]:
     return table
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, tuple[Path, BatchSummary]]]:
-    """The same archive with one, two and three workers."""
-    folder = tmp_path_factory.mktemp("runs")
-    fill(folder / "in")
-    found = {}
-    for jobs in (1, 2, 3):
-        out = folder / f"out{jobs}"
-        found[jobs] = (out, run_batch(BatchSettings(folder / "in", out, LAYERS, jobs=jobs)))
-    return folder / "in", found
-
-
 @pytest.mark.slow
-def test_the_same_bytes_whatever_the_number_of_workers(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]]) -> None:
-    one = tree(runs[1][1][0])
-    assert len(one) == 14
-    assert not [name for name in one if name.endswith(".part")]
-    for jobs in (2, 3):
-        out, summary = runs[1][jobs]
-        assert tree(out) == one
-        assert told(summary) == told(runs[1][1][1])
+def test_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
+    fill(tmp_path / "in")
+    outs = [tmp_path / "one", tmp_path / "three"]
+    one, three = (
+        run_batch(BatchSettings(tmp_path / "in", out, LAYERS, jobs=jobs))
+        for out, jobs in zip(outs, (1, 3), strict=True)
+    )
+    assert len(tree(outs[0])) == 14
+    assert not [name for name in tree(outs[0]) if name.endswith(".part")]
+    assert tree(outs[0]) == tree(outs[1])
+    assert told(one) == told(three)
 
 
 @pytest.mark.slow
