@@ -3,21 +3,21 @@
 ``python -m tests.mutants --count 200 --seed 14 --coverage /tmp/mutants.sqlite`` measures once which test and which
 golden case runs which line (files kept from an earlier run are taken as they are), then takes seeded places in the
 rooms named by ``--rooms``, changes one operator or number at a time, and runs the tests, then the golden cases, that
-reach its statement. It prints every survivor and the share that was killed, by room. ``--list`` shows the places alone,
-``--skip`` and ``--only`` run a part of them. A change elsewhere leaves the draw as it is. No file is changed: the fault
-is in the code that a forked process imports. Compiled loops are left out, as their twins hold them bit for bit; so are
-the constants named by ``SIZES``.
+reach its statement. It prints what became of each and the share that was killed, by room; what failed is run once more
+without a fault, and does not count if it fails again. ``--list`` shows the places alone, ``--skip`` and ``--only`` run
+a part of them. A change elsewhere leaves the draw as it is. No file is changed: the fault is in the code of a forked
+process. Compiled loops are left out, as their twins hold them bit for bit; so are the constants named by ``SIZES``.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import gc
 import hashlib
 import importlib
 import itertools
 import json
-import multiprocessing
 import os
 import re
 import runpy
@@ -29,22 +29,24 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 
 import pytest
+
+from tests.golden.run import TOLD
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = (
     "methods", "formats", "streams", "matching", "jobs", "cli", "evaluation", "imaging", "simulation", "core",
     "reference",
 )  # fmt: skip
-LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz", "tests/kernels")
-"""Tests that take long, or that run no line of the rooms in their own process."""
+LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz")
+"""Tests that take long, or that run no line of the rooms in their own process, as most that are ``slow``."""
 SIZES = re.compile(
     r"_?(MAX|CHUNK|BLOCK|BUFFER|BATCH|COPY|READ|WRITE|PAGE|KEPT|HEAD|LOOK|FLUSH|RUN|CHECK|PROBE|SORT|MERGE|STEP|LARGE"
     r"|SHARED|SERIAL|PLAIN|TOGETHER|TEXT)(_[A-Z]+)*_(BYTES|RECORDS|SHOTS|POINTS|ITEMS|ROWS|CELLS)(_EACH)?|_?BATCH"
@@ -53,14 +55,17 @@ SIZES = re.compile(
     r"|WAIT|LONGEST_CHECK|COPY_PAUSE)_S"
 )
 """Names of constants that only say how much is read, kept or worked on at a time, or how long is waited."""
-TIMEOUT_S = 240.0
+TIMEOUT_S = 300.0
 """A mutant that runs so long hangs, which is noticed."""
 GOLDEN = "golden::"
 """Begins the names of golden cases among those of tests."""
 FIRST = 60
 """So many tests, the nearest ones, are run before the others are looked at."""
-BUDGET_S = 60.0
+BUDGET_S = 15.0
 """Tests of a statement that many share are taken, the nearest and then the quickest first, until they take so long."""
+
+_AT_START = {name: value for name, value in TOLD.items() if name[:4] in ("NPY_", "OPEN")}
+"""What NumPy reads when it is imported."""
 
 COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 CALCULATED = {
@@ -82,6 +87,8 @@ class Mutant:
     after: str
     reach: tuple[int, int]
     """First and last line of what runs when the fault does."""
+    in_body: bool
+    """Whether that is in the body of a function, not on import."""
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.before!r} -> {self.after!r}"
@@ -93,16 +100,17 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
     begins = [0]
     for line in raw.split(b"\n"):
         begins.append(begins[-1] + len(line) + 1)
-    for node, reach in _code(ast.parse(raw), (1, len(begins))):
+    for node, reach, in_body in _code(ast.parse(raw), (1, len(begins))):
         changed = _changed(node)
         if changed is None:
             continue
         start = begins[node.lineno - 1] + node.col_offset
         stop = begins[node.end_lineno - 1] + node.end_col_offset
-        yield Mutant(str(path.relative_to(ROOT)), node.lineno, start, stop, raw[start:stop].decode(), changed, reach)
+        file, before = str(path.relative_to(ROOT)), raw[start:stop].decode()
+        yield Mutant(file, node.lineno, start, stop, before, changed, reach, in_body)
 
 
-def _code(node: ast.AST, reach: tuple[int, int]) -> Iterator[tuple[Any, tuple[int, int]]]:
+def _code(node: ast.AST, reach: tuple[int, int], in_body: bool = False) -> Iterator[tuple[Any, tuple[int, int], bool]]:
     """Yield what is calculated, and the lines of the statement; not types, texts and sizes.
 
     What is calculated on import counts as run by whatever runs the function or module that it belongs to.
@@ -116,18 +124,16 @@ def _code(node: ast.AST, reach: tuple[int, int]) -> Iterator[tuple[Any, tuple[in
             if field == "slice" and isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal":
                 continue
             inner = reach
+            is_statement = isinstance(child, ast.stmt) and not isinstance(node, ast.ClassDef | ast.Module)
+            inside = in_body or (is_statement and reach[0] != 1)
             if isinstance(child, ast.FunctionDef):
                 inner = (child.lineno, child.end_lineno or child.lineno)
-            elif isinstance(child, ast.stmt) and _is_in_function(node, reach):
+            elif isinstance(child, ast.stmt) and inside:
                 body = getattr(child, "body", None)
                 inner = (child.lineno, body[0].lineno - 1 if body else child.end_lineno or child.lineno)
                 inner = (inner[0], max(inner))
-            yield child, inner
-            yield from _code(child, inner)
-
-
-def _is_in_function(node: ast.AST, reach: tuple[int, int]) -> bool:
-    return reach[0] != 1 and not isinstance(node, ast.ClassDef | ast.Module)
+            yield child, inner, inside
+            yield from _code(child, inner, inside)
 
 
 def _is_size(node: ast.AST) -> bool:
@@ -215,11 +221,13 @@ def measure(data: Path) -> None:
     setup.write_text("[run]\nsource = prc_cli\nsigterm = true\n", encoding="utf-8")
     command = [
         sys.executable, "-m", "coverage", "run", f"--rcfile={setup}", f"--data-file={data}",
-        "-m", "pytest", "-q", "-m", "not long", "-p", "tests.mutants", "-p", "no:cacheprovider", "tests", "prc_cli",
+        "-m", "pytest", "-q", "-m", "not slow and not long", "-p", "tests.mutants", "-p", "no:cacheprovider",
+        "tests", "prc_cli",
         *(f"--ignore={folder}" for folder in LEFT_OUT),
     ]  # fmt: skip
     environment = {**os.environ, "PRC_MUTANTS_SECONDS": str(data.with_suffix(".json"))}
-    subprocess.run(command, cwd=ROOT, check=True, stdin=subprocess.DEVNULL, env=environment)
+    # a test that fails without a fault is told in the end
+    subprocess.run(command, cwd=ROOT, check=False, stdin=subprocess.DEVNULL, env=environment)
     golden = [*command[: command.index("-m", 3)], "--append", "-m", "tests.mutants", "--golden", str(data)]
     subprocess.run(golden, cwd=ROOT, check=True, stdin=subprocess.DEVNULL)
 
@@ -244,7 +252,7 @@ def _lay(place: Path) -> None:
     """Prepare a folder and this process as :mod:`tests.golden.run` does."""
     from tests.conftest import data_folder
 
-    os.environ.update({"TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"})
+    os.environ.update(TOLD)
     for name, target in (("data", data_folder()), ("repo", ROOT)):
         (place / name).symlink_to(target.resolve(), target_is_directory=True)
 
@@ -280,14 +288,9 @@ class Reached:
         """Return the tests, or files of tests, that run a statement: the nearest first, of these the quickest first."""
         found = {name for name in self._found(mutant) if not name.startswith(GOLDEN)}
         found = {name for name in found if "::" not in name or name.partition("::")[0] not in found}
-        spent = 0.0
-        taken: list[str] = []
-        for name in sorted(found, key=lambda name: (_distance(mutant.file, name), self._took(name), name)):
-            spent += self._took(name)
-            if taken and spent > BUDGET_S:
-                break
-            taken.append(name)
-        return taken
+        ranked = sorted(found, key=lambda name: (_distance(mutant.file, name), self._took(name), name))
+        total = itertools.accumulate(map(self._took, ranked))
+        return [name for name, spent in zip(ranked, total, strict=True) if spent < BUDGET_S] or ranked[:1]
 
     def _took(self, name: str) -> float:
         if "::" in name:
@@ -308,34 +311,40 @@ def _distance(file: str, test: str) -> int:
 # -- one fault at a time ----------------------------------------------------------------------------------------------
 
 
-def judge(mutant: Mutant, tests: list[str], cases: list[str], golden: Path) -> str:
-    """Return whether the check of the generated pages, the tests or the golden cases notice a fault."""
-    begun = time.monotonic()
+def judge(mutant: Mutant, tests: list[str], cases: list[str], golden: Path) -> tuple[bool, str]:
+    """Return whether the check of the generated pages, the tests or the golden cases notice a fault, and which does."""
     if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
-        return "not run: the file was changed meanwhile"
-    # pytest would import modules whose doctests are run by itself, without the fault, to rewrite assertions
-    options = [
-        "-q", "-x", "-m", "not long", "-p", "no:cacheprovider", "--randomly-dont-reorganize", "--tb=no",
-        "--assert=plain",
-    ]  # fmt: skip
-    is_number_of_import = mutant.reach[0] == 1
-    if is_number_of_import and _fork(mutant, _check_pages) != 0:
-        return "killed (generated pages)"
-    for some in (tests[:FIRST], tests[FIRST:]):
-        if not some:
-            continue
-        code = _fork(mutant, partial(pytest.main, [*options, *some]))
-        if code in (1, 2):
-            return f"killed ({len(tests)} tests, {time.monotonic() - begun:.0f} s)"
-        if code is None:
-            return f"killed (hangs, {time.monotonic() - begun:.0f} s)"
+        return False, "not run: the file was changed meanwhile"
+    checks: list[Callable[[], int]] = [partial(_run_tests, some) for some in (tests[:FIRST], tests[FIRST:]) if some]
+    checks += [partial(_check_golden, cases, golden)] if cases else []
+    # the number of a field or a default
+    checks[:0] = [] if mutant.in_body else [_check_pages]
+    for check in checks:
+        code, failed = _fork(mutant, check)
+        if code in (3, 4, 5):
+            return False, f"not run: pytest ends with {code}"
         if code != 0:
-            return f"not run: pytest ends with {code}"
-    if cases and _fork(mutant, partial(_check_golden, cases, golden)) != 0:
-        return f"killed (golden, {time.monotonic() - begun:.0f} s)"
-    if not tests and not cases:
-        return "reached by no test"
-    return f"survived ({len(tests)} tests, {len(cases)} cases, {time.monotonic() - begun:.0f} s)"
+            return True, "hangs" if code is None else failed[0] if failed else f"exit code {code}"
+    return False, f"survived {len(tests)} tests, {len(cases)} cases" if tests or cases else "reached by no test"
+
+
+def confirm(killers: list[str], golden: Path) -> set[str]:
+    """Return which of the tests and golden cases that failed do so without a fault, too."""
+    cases = [name.removeprefix(GOLDEN) for name in killers if name.startswith(GOLDEN)]
+    tests = [name for name in killers if "::" in name and not name.startswith(GOLDEN)]
+    checks = [partial(_check_golden, [name], golden) for name in cases]
+    checks += [partial(_run_tests, tests[at : at + FIRST], "--maxfail=0") for at in range(0, len(tests), FIRST)]
+    return {name for check in checks for name in _fork(None, check)[1]}
+
+
+def _run_tests(tests: list[str], *options: str) -> int:
+    # pytest would import modules whose doctests are run by itself, without the fault, to rewrite assertions
+    return pytest.main(
+        [
+            "-q", "-x", "-rfE", "-m", "not long", "-p", "no:cacheprovider", "--randomly-dont-reorganize", "--tb=no",
+            "--assert=plain", *options, *tests,
+        ]
+    )  # fmt: skip
 
 
 def _check_golden(cases: list[str], kept: Path) -> int:
@@ -343,7 +352,7 @@ def _check_golden(cases: list[str], kept: Path) -> int:
     from tests.golden import run as golden
     from tests.golden.cases import all_cases
 
-    expected = json.loads(golden.GOLDEN.read_text(encoding="utf-8"))
+    expected, printed = json.loads(golden.GOLDEN.read_text(encoding="utf-8")), os.dup(1)
     for name in cases:
         with tempfile.TemporaryDirectory(prefix="prc-golden-") as folder:
             place = Path(folder)
@@ -354,6 +363,7 @@ def _check_golden(cases: list[str], kept: Path) -> int:
             found = golden.run_case(name, all_cases()[name], folder)[1]
             os.chdir(ROOT)
         if golden.differences(expected, {name: found}):
+            os.write(printed, f"FAILED {GOLDEN}{name}\n".encode())
             return 1
     return 0
 
@@ -364,49 +374,69 @@ def _check_pages() -> int:
     return int(runpy.run_path("docs/generate.py")["main"]())
 
 
-def _fork(mutant: Mutant, check: Callable[[], int]) -> int | None:
-    """Return the exit code of a check with one fault in the program; None where it hangs."""
-    child = os.fork()
-    if child == 0:
-        os.setsid()
-        silent = os.open(os.devnull, os.O_RDWR)
-        for descriptor in (0, 1, 2):
-            os.dup2(silent, descriptor)
-        code = 1
-        try:
-            _put_in(mutant)
-            code = int(check())
-        finally:
-            os._exit(code)
-    end = time.monotonic() + TIMEOUT_S
-    while time.monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            # a crash of the interpreter is noticed, too
-            return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else 1
-        time.sleep(0.05)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
+def _fork(mutant: Mutant | None, check: Callable[[], int]) -> tuple[int | None, list[str]]:
+    """Return the exit code of a check with a fault in the program, None where it hangs, and what failed."""
+    with tempfile.TemporaryFile() as printed:
+        child = os.fork()
+        if child == 0:
+            os.setsid()
+            silent = os.open(os.devnull, os.O_RDWR)
+            for descriptor, other in enumerate((silent, printed.fileno(), silent)):
+                os.dup2(other, descriptor)
+            code = 1
+            try:
+                if mutant is not None:
+                    _put_in(mutant)
+                code = int(check())
+            finally:
+                sys.stdout.flush()
+                os._exit(code)
+        end, done, status = time.monotonic() + TIMEOUT_S, 0, 0
+        while not done and time.monotonic() < end:
+            done, status = os.waitpid(child, os.WNOHANG)
+            time.sleep(0.05)
+        if not done:
+            os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return None, []
+        printed.seek(0)
+        failed = re.findall(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", printed.read().decode(errors="replace"), re.M)
+        return os.waitstatus_to_exitcode(status), failed
 
 
 def _put_in(mutant: Mutant) -> None:
-    """Let this process import a module with a fault."""
+    """Put a fault into the functions of a module that was imported, or let this process import it so."""
     path, sound = str(ROOT / mutant.file), SourceFileLoader.get_code
     raw = Path(path).read_bytes()
-    faulty = raw[: mutant.start] + mutant.after.encode() + raw[mutant.stop :]
+    # lines behind it keep their numbers
+    after = mutant.after[:-1] + "\n" * mutant.before.count("\n") + mutant.after[-1]
+    faulty = compile(raw[: mutant.start] + after.encode() + raw[mutant.stop :], path, "exec")
+    if any(getattr(module, "__file__", None) == path for module in list(sys.modules.values())):
+        codes, functions = dict(_codes(faulty)), gc.get_objects()
+        for one in functions:
+            if type(one) is FunctionType and one.__code__.co_filename == path:
+                one.__code__ = codes.get((one.__code__.co_qualname, one.__code__.co_firstlineno), one.__code__)
+        return
 
     def get_code(self: SourceFileLoader, fullname: str) -> Any:
-        return compile(faulty, path, "exec") if self.path == path else sound(self, fullname)
+        return faulty if self.path == path else sound(self, fullname)
 
     SourceFileLoader.get_code = get_code  # type: ignore[assignment, method-assign]
 
 
-def load_kernels() -> set[str]:
-    """Import once, for all forked processes, what takes long; return the files of all that was."""
-    for path in sorted([*(ROOT / "prc_cli" / "kernels").glob("*.py"), *(ROOT / "prc_cli").rglob("*_loops.py")]):
-        importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
-    return {getattr(module, "__file__", None) or "" for module in sys.modules.values()}
+def _codes(code: CodeType) -> Iterator[tuple[tuple[str, int], CodeType]]:
+    """Yield the code of all functions by name and line."""
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield (one.co_qualname, one.co_firstlineno), one
+            yield from _codes(one)
+
+
+def load() -> None:
+    """Import once, for all forked processes, the whole program."""
+    for path in sorted((ROOT / "prc_cli").rglob("*.py")):
+        if path.stem != "__main__":
+            importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
 
 
 def drawn(places: list[Mutant], seed: int) -> list[Mutant]:
@@ -433,6 +463,8 @@ def main() -> None:
     parser.add_argument("--coverage", type=Path, default=Path("mutants.sqlite"), help="measured if it does not exist")
     chosen = parser.parse_args()
     os.chdir(ROOT)
+    if not os.environ.items() >= _AT_START.items():
+        os.execve(sys.executable, [sys.executable, "-m", "tests.mutants", *sys.argv[1:]], {**os.environ, **_AT_START})
     if chosen.golden:
         measure_golden(chosen.golden)
         return
@@ -453,30 +485,21 @@ def main() -> None:
     if not chosen.coverage.exists():
         measure(chosen.coverage)
     reached, golden = Reached(chosen.coverage), chosen.coverage.with_suffix(".golden").absolute()
-    tried: Counter[str] = Counter()
-    killed: Counter[str] = Counter()
-    # what the loops import themselves is judged before they are loaded
-    first = {name for name in _fork_result(load_kernels) if "_loops" not in name}
-    numbered.sort(key=lambda item: str(ROOT / item[1].file) not in first)
-    is_loaded = False
-    for number, mutant in numbered:
-        if not is_loaded and str(ROOT / mutant.file) not in first:
-            is_loaded = bool(load_kernels())
-        verdict = judge(mutant, reached.tests(mutant), reached.cases(mutant), golden)
-        room = Path(mutant.file).parts[1]
-        tried[room] += 1
-        killed[room] += verdict.startswith("killed")
-        print(f"{number:4} {verdict:28} {mutant}", flush=True)
+    found: dict[Mutant, tuple[bool, str]] = {}
+    # what is calculated on import is changed before it is imported, the body of a function when all is
+    for number, mutant in sorted(numbered, key=lambda item: item[1].in_body):
+        if mutant.in_body and "prc_cli.cli" not in sys.modules:
+            load()
+        found[mutant] = judge(mutant, reached.tests(mutant), reached.cases(mutant), golden)
+        print(f"{number:4} {'killed by ' * found[mutant][0]}{found[mutant][1]} | {mutant}", flush=True)
+    unsound = confirm(sorted({by for is_killed, by in found.values() if is_killed}), golden)
+    print(*(f"fails without a fault: {name}" for name in sorted(unsound)), sep="\n")
+    tried = Counter(Path(mutant.file).parts[1] for mutant in found)
+    killed = Counter(Path(mutant.file).parts[1] for mutant, (yes, by) in found.items() if yes and by not in unsound)
     for room in sorted(tried):
         print(f"{room}: {killed[room]} of {tried[room]} killed")
-    total = sum(tried.values())
-    print(f"{total} mutants of {len(places)}, {killed.total()} killed: {100 * killed.total() / max(total, 1):.1f} %")
-
-
-def _fork_result(function: Callable[[], set[str]]) -> set[str]:
-    """Return what a function gives in a child process, so that this one stays as it is."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
-        return pool.submit(function).result()
+    total = killed.total()
+    print(f"{len(found)} mutants of {len(places)}, {total} killed: {100 * total / max(len(found), 1):.1f} %")
 
 
 if __name__ == "__main__":

@@ -89,8 +89,8 @@ def count_of(count: int, what: str) -> str:
 def size_of(n_bytes: float) -> str:
     """Return a size for people.
 
-    >>> size_of(3 << 20), size_of(5 << 30)
-    ('3.0 MiB', '5.0 GiB')
+    >>> size_of(3 << 20), size_of(1 << 30), size_of(1 << 40)
+    ('3.0 MiB', '1.0 GiB', '1.0 TiB')
     """
     for unit, name in ((1 << 40, "TiB"), (1 << 30, "GiB")):
         if n_bytes >= unit:

@@ -11,7 +11,7 @@ from prc_cli.core.brief import Brief
 from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.scores import ClassScores, figure, scores
+from prc_cli.evaluation.scores import figure, scores
 
 STATES = ("both right", "only predicted right", "only third right", "both wrong, alike", "both wrong, differently")
 """What two labellings of a shot can be beside the reference."""
@@ -80,9 +80,9 @@ class ThreeWay(Brief):
         header = ["class", "shots", *(f"{title} {name}" for title in matrices for name in TABLE_SCORES)]
         rows: list[list[str]] = []
         for name, n in zip(self.reference_names, self.counts.sum(axis=(1, 2)).tolist(), strict=True):
-            items: list[ClassScores | None] = [found.get(name) for found in by_name.values()]
-            values = [getattr(item, score, np.nan) for item in items for score in TABLE_SCORES]
-            if n or any(item is not None and item.n_predicted for item in items):
+            items = [found[name] for found in by_name.values()]
+            values = [getattr(item, score) for item in items for score in TABLE_SCORES]
+            if n or any(item.n_predicted for item in items):
                 rows.append([name, f"{n:,}", *map(figure, [*values, agreement.get(name, np.nan)])])
         return [*header, "predicted and third f1"], rows
 

@@ -69,9 +69,7 @@ def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
         more = f", or {bags[1]}" if len(bags) == 2 else ", or another of its parts"
         return f"name the file in this bag: {bags[0]}{more}"
     scans = _files_with(path, known)
-    if not scans:
-        return "name a file; this folder itself has no scan"
-    return f"name a file in it, for example {scans[0]}"
+    return f"name a file in it, for example {scans[0]}" if scans else "name a file; this folder itself has no scan"
 
 
 def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:

@@ -62,6 +62,8 @@ def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
 
     >>> mark_shots(np.array([False, True, True, True]), np.array([1, 2, 1, 2]))
     array([ True, False,  True, False])
+    >>> mark_shots(np.array([False, True]), None)
+    array([ True, False])
     """
     starts: Mask = ~continues
     if return_number is None or starts.all():

@@ -538,8 +538,8 @@ def _engines() -> Iterator[Check]:
 def _size(n_bytes: int) -> str:
     """Return bytes for people.
 
-    >>> _size(1536 << 20)
-    '1.5 GiB'
+    >>> _size(1 << 30)
+    '1.0 GiB'
     """
     if n_bytes < 1 << 30:
         return f"{n_bytes / 2**20:.0f} MiB"

@@ -133,11 +133,11 @@ def most_frequent(codes: NDArray[Any], first: I64, last: I64) -> tuple[I64, Mask
 
 
 def _alike(classes: NDArray[Any], first: I64, count: I64) -> Mask:
-    """Return for every run of records whether it is of one class."""
+    """Return for every run of records whether it is of one class; of a run of none, anything."""
     changes = np.zeros(len(classes) + 1, np.int64)
     if len(classes) > 1:
         np.cumsum(classes[1:] != classes[:-1], out=changes[1:-1])
-    alike: Mask = changes[np.maximum(first + count - 1, 0)] == changes[np.minimum(first, max(len(classes) - 1, 0))]
+    alike: Mask = changes[first + count - 1] == changes[first]
     return alike
 
 

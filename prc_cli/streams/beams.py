@@ -400,7 +400,11 @@ def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
 
 
 def from_angles(angle_rad: F64, down_rad: float) -> F64:
-    """Turn scan angles so that straight down is 0."""
+    """Turn scan angles so that straight down is 0; those that go back a little grow all the same.
+
+    >>> bool((np.diff(from_angles(np.radians([10, 20, 19, 40]), 0.0)) > 0).all())
+    True
+    """
     if len(angle_rad) < 2:
         return wrap(np.asarray(angle_rad, np.float64) - down_rad)
     way = math.copysign(1.0, float(np.sign(wrap(np.diff(angle_rad))).sum()))

@@ -448,8 +448,9 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(prc: Prc, tm
     bag = tmp_path / "bag"
     bag.mkdir()
     assert "this folder itself has no scan" in prc("info", bag).err
-    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
     (bag / "bag_0.db3").write_bytes(b"SQLite format 3\0")
+    assert "name a file in it" in prc("info", bag).err
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
     assert f"{bag / 'bag_0.db3'}: found no SQLite header" in prc("info", bag).err
     assert prc("info", bag / "metadata.yaml").err.endswith(f"name the file beside it, {bag / 'bag_0.db3'}\n")
     (bag / "bag_1.db3").write_bytes(b"SQLite format 3\0")
@@ -470,7 +471,8 @@ def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
     assert "compare it" not in found.err
     ranges = street()
     np.abs(frame).tofile(tmp_path / "other.bin")
-    for path in (write_raw(tmp_path / "drive.bin", ranges), tmp_path / "other.bin"):
+    (frame * np.array([1, 1, 1, 3e5], "<f4")).tofile(tmp_path / "third.bin")
+    for path in (write_raw(tmp_path / "drive.bin", ranges), tmp_path / "other.bin", tmp_path / "third.bin"):
         refused = prc("classify", path, tmp_path / "labels.npy")
         assert refused.code == 1
         assert "no scan lines" in refused.err

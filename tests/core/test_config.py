@@ -45,7 +45,7 @@ def test_the_presets_hold_the_published_values() -> None:
         ({"prc": {"surfaces": {"area": -3}}}, "prc.surfaces.area"),
         ({"input": {"lines": "sometimes"}}, "input.lines"),
         ({"input": {"range": "origin:1,2"}}, "origin:X,Y,Z with three numbers"),
-        ({"input": {"max_range": 1.0, "min_range": 2.0}}, "max_range (1.0 m) above min_range (2.0 m)"),
+        ({"input": {"max_range": 2.0, "min_range": 2.0}}, "max_range (2.0 m) above min_range (2.0 m)"),
         ({"layout": {"fields": [{"name": "range", "type": "complex"}]}}, "layout.fields.0.type"),
         ({"classes": {"ground": 300}}, "classes.ground: found 300"),
         ({"fused": {"walls": {"roof_m": 5}}}, "fused.walls is a constant now, expected no such key; leave it out"),

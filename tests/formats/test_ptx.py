@@ -14,6 +14,7 @@ from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats import check_input, scan_file
+from prc_cli.formats.echopulse import EchoPulseSource
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read, ptx
 from prc_cli.formats.organised.ptx import PtxStream
@@ -274,6 +275,7 @@ def test_the_standing_car(real_data: Path) -> None:
     assert stream.info.points_per_line == 2917
     assert abs(shots - np.count_nonzero(count)) <= 438  # of 291 970, shots that met another one
     assert tally.n_collisions <= 438
+    assert EchoPulseSource(folder / "pulse-uint8-n_echo.bin").n_records == np.maximum(count, 1).sum()
     ranges = np.sort(np.fromfile(folder / "echo-float32-range.bin", "<f4"))
     seen = [block.range_m[np.isfinite(block.range_m)] for block in blocks] + [block.extra.range_m for block in blocks]
     flat = np.concatenate(seen)

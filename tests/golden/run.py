@@ -30,6 +30,9 @@ from tests.golden.inputs import ROOT, make
 GOLDEN = Path(__file__).with_name("golden.json")
 SHORT = 400
 """Printed text of so many characters is kept as it is, longer text as its hash."""
+TOLD = {"TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
+# last digits of NumPy's sines and of OpenBLAS's products are others with AVX-512: every machine does without
+TOLD |= {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR", "OPENBLAS_CORETYPE": "Haswell"}
 Result = dict[str, Any]
 
 # What a run may say differently: when, where, how fast, on which machine. Files that hold labels hold none of it.
@@ -207,9 +210,6 @@ def run(
     skipped = [name for name in chosen if "$DATA" in cases[name] and not data_folder().is_dir()]
     depth = needed(cases, [name for name in chosen if name not in skipped])
     place = folder or Path(tempfile.mkdtemp(prefix="prc-golden-"))
-    told = {"COLUMNS": "120", "TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
-    # last digits of NumPy's sines and of OpenBLAS's products are others with AVX-512: every machine does without
-    told |= {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR", "OPENBLAS_CORETYPE": "Haswell"}
     found: dict[str, Result] = {}
     slow = []
     # the same short names wherever the checkout lies: tables are as wide as the names in them
@@ -217,7 +217,7 @@ def run(
     for name, target in (("data", data_folder()), ("repo", ROOT)):
         (place / name).symlink_to(target.resolve(), target_is_directory=True)
     try:
-        with patch.dict(os.environ, told), ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        with patch.dict(os.environ, TOLD), ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
             for level in range(max(depth.values(), default=-1) + 1):
                 names = [name for name in depth if depth[name] == level]
                 futures = [pool.submit(run_case, name, cases[name], str(place)) for name in names]

@@ -59,12 +59,13 @@ def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> Non
     assert run("info", path, "--draft", path.with_name("draft.toml"), "-q", "--overwrite") == 0
 
 
-def test_a_dump_of_ranges_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_lines", [24, N_LINES])
+def test_a_dump_of_ranges_alone(tmp_path: Path, n_lines: int) -> None:
     path = tmp_path / "d.bin"
-    image().tofile(path)
+    image()[:n_lines].tofile(path)
     found = drafted(path)
     assert [(field["name"], field["type"]) for field in found["layout"]["fields"]] == [("range", "f4")]
-    np.testing.assert_array_equal(ranges_read(path), image())
+    np.testing.assert_array_equal(ranges_read(path), image()[:n_lines])
 
 
 def test_noise_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

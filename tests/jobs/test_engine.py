@@ -14,7 +14,7 @@ from prc_cli.cli import main
 from prc_cli.config import load_config
 from prc_cli.core.types import F32
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.classify import classify
+from prc_cli.jobs.classify import classify, threads_of
 from tests import patience
 from tests.street import street, write_csv, write_npz, write_raw
 
@@ -75,6 +75,7 @@ def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
     )
     assert plain.pop("engine") == "reference"
     assert plain == compiled
+    assert threads_of("reference", 8) == 1
 
 
 def every_format(folder: Path) -> dict[str, Path]:

@@ -204,6 +204,7 @@ def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
     pyproj = pytest.importorskip("pyproj")
     path, frame = tmp_path / "drive.sbet", Frame()
     platform = Trajectory(winding, MotionParams(**STEADY), 2.5, seed=5)
+    assert MotionParams(speed_m_s=10.0, brake_m_s2=2.0).braking_m == pytest.approx(12.5 * np.pi)
     write_trajectory(path, platform, 3.0, frame=frame)
     time_s, position = read_sbet(path, path.stat().st_size)
     xyz_m = project(path, position, frame.crs)

@@ -213,7 +213,11 @@ def _unique_times(after_s: F64) -> tuple[F64, I64]:
 
 
 def _usual(steps: F64) -> float:
-    """Return the usual one of the short steps; 0 without any."""
+    """Return the usual one of the short steps; 0 without any.
+
+    >>> _usual(np.array([2.0, 2.0, 9.0, 9.0, 9.0]))
+    2.0
+    """
     return float(np.median(steps[steps < 1.5 * float(np.percentile(steps, 10))])) if len(steps) else 0.0
 
 

@@ -105,7 +105,7 @@ class PcdHeader:
 
     def number(self, key: str, usual: int = 1) -> int:
         """Return the one whole number of a line."""
-        return whole_number(self.where(key), " ".join(self.words(key, str(usual))), 1 << 53)
+        return whole_number(self.where(key), " ".join(self.words(key, str(usual))))
 
 
 def read_pcd_header(path: Path) -> PcdHeader:

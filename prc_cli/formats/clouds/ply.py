@@ -118,7 +118,7 @@ def _add_element(where: str, cells: list[str], elements: list[Element]) -> None:
         raise InputError(where, f"found {shorten(' '.join(cells))!r}, expected a name and a count", _AGAIN)
     if any(one.name == cells[0] for one in elements):
         raise InputError(where, f"element {shorten(cells[0])!r} a second time, expected once", _AGAIN)
-    elements.append(Element(cells[0], whole_number(where, cells[1], 1 << 53)))
+    elements.append(Element(cells[0], whole_number(where, cells[1])))
 
 
 def _add_property(where: str, cells: list[str], element: Element) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -70,7 +71,7 @@ def header_lines(path: Path, last: str, hint: str) -> Iterator[tuple[int, str, i
         yield number, line, at
 
 
-def whole_number(where: str, cell: str, most: int) -> int:
+def whole_number(where: str, cell: str, most: int = sys.maxsize) -> int:
     """Return the number in a cell of a header."""
     if not (cell.isascii() and cell.isdecimal()) or len(cell) > 16 or int(cell) > most:
         raise InputError(where, f"found {shorten(cell)!r}, expected a whole number", "export it again")

@@ -213,7 +213,7 @@ class TextSource(FieldSource):
         if not self._has_layout and not any(names):
             usual: tuple[str, ...] = ("range",) if n == 1 and self.text.header_line is None else ()
             if self._is_cloud and n >= len(AXES):
-                usual = (*AXES, "intensity")[: 4 if path.suffix.lower() == ".pts" and n > len(AXES) else 3]
+                usual = (*AXES, "intensity")[: n if path.suffix.lower() == ".pts" else len(AXES)]
             taken = tuple(LayoutField(name=name) for name in usual)
             layout = (layout or Layout()).model_copy(update={"fields": taken})
         where = f"{path}: line {self.text.header_line or self.text.first_row}"

@@ -440,13 +440,13 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
         if wanted is None or not is_of_drive(record["notices"], task.drive_files):
             return None
         stream = record["stream"]
-        missing = ("missing", int(stream["n_missing"] or 0))
+        missing = ("missing", int(stream["n_missing"]))
         labels = tuple((str(count["name"]), int(count["count"])) for count in record["classes"])
         return Done(
             name=task.name, input=InputPrint(before.size, before.mtime_ns, wanted["input"]["sha256"]),
             output_size=int(record["output"]["size"]), output_mtime_ns=written.st_mtime_ns,
-            seconds=0.0, cpu_seconds=0.0, peak_mib=None, n_lines=int(stream["n_lines"] or 0),
-            n_shots=int(stream["n_lines"] or 0) * int(stream["points_per_line"]),
+            seconds=0.0, cpu_seconds=0.0, peak_mib=None, n_lines=int(stream["n_lines"]),
+            n_shots=int(stream["n_lines"]) * int(stream["points_per_line"]),
             n_records=int(stream["n_records"] or 0), labels=(missing, *labels),
             notices=tuple(str(text) for text in record["notices"]),
             output_name=task.output.name, output_sha256=str(record["output"]["sha256"]),

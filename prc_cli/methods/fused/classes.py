@@ -33,7 +33,7 @@ THING_LINES = 20
 def is_room(range_m: F32, limits: Limits) -> bool:
     """Return whether ranges, (lines, M) float32 [m], are those of a place that is too narrow for cars.
 
-    >>> is_room(np.full((9, 9), 5, np.float32), Limits()), is_room(np.full((9, 9), 7, np.float32), Limits())
+    >>> is_room(np.full((9, 9), 6, np.float32), Limits()), is_room(np.full((9, 9), 7, np.float32), Limits())
     (True, False)
     """
     n_far, n = np.count_nonzero(range_m > np.float32(limits.room_m)), np.count_nonzero(range_m == range_m)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 
@@ -53,14 +54,12 @@ def grid_modes(samples: list[int]) -> list[tuple[float, int]]:
             modes[-1].append(mode)
         else:
             modes.append([mode])
-    return [
-        (max(group, key=lambda mode: (mode[1], -mode[0]))[0], sum(count for _, _, count in group)) for group in modes
-    ]
+    return [(max(group, key=itemgetter(1))[0], sum(count for _, _, count in group)) for group in modes]
 
 
 def main_mode(modes: list[tuple[float, int]]) -> tuple[float, int]:
-    """Return the mode with most samples, of equals the lowest."""
-    return max(modes, key=lambda mode: (mode[1], -mode[0]))
+    """Return the mode with most samples, of equals the lowest, which is the first."""
+    return max(modes, key=itemgetter(1))
 
 
 class Row:

@@ -81,7 +81,7 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
 def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, chunk: int) -> None:
     points, other = grid_points(9, 7), grid_points(4, 12, 2)
     fields = [reordered(e57_fields(points), order) for order in orders(points).values()]
-    scans = [Scan(item, rotation=(0.8, 0.6, 0, 0)) for item in (*fields, e57_fields(other))]
+    scans = [Scan(item, rotation=(0.8, 0.4, 0.2, 0.4)) for item in (*fields, e57_fields(other))]
     path = write_e57(tmp_path / "a.e57", scans)
     whole = scans_of(E57Stream(path, AUTO))
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)

@@ -53,7 +53,7 @@ def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
     same(plain, other)
 
 
-def test_fragments_are_put_together(tmp_path: Path) -> None:
+def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     packets = made.vlp16()
     _, plain = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
     frames = []
@@ -70,6 +70,9 @@ def test_fragments_are_put_together(tmp_path: Path) -> None:
     stream, short = read(made.write_pcap(tmp_path / "c.pcap", frames[:-1]))
     assert short.n_lines == 19 * 24
     assert stream.info.facts.notes == ("1 datagrams lack a fragment: left out",)
+    # as many wait as may
+    monkeypatch.setattr("prc_cli.formats.packets.capture.MAX_PENDING", len(packets))
+    same(plain, read(made.write_pcap(tmp_path / "d.pcap", [one for k in range(3) for one in frames[k::3]]))[1])
 
 
 def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
@@ -89,10 +92,11 @@ def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
     late = [*frames[:5], frames[6], frames[5], *frames[7:]]
     _, swapped = read(made.write_pcap(tmp_path / "c.pcap", late))
     assert swapped.tally.n_unplaced == 24 * 16
+    read(tmp_path / "b.pcap", max_gap_lines=96)
     with pytest.raises(
-        InputError, match="96 columns did not arrive before the one of record 1920, expected at most 50"
+        InputError, match="96 columns did not arrive before the one of record 1920, expected at most 95"
     ):
-        read(tmp_path / "b.pcap", max_gap_lines=50)
+        read(tmp_path / "b.pcap", max_gap_lines=95)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from PIL import Image
 from prc_cli.evaluation.html import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.jobs.evaluate.pictures import class_pictures
+from prc_cli.jobs.evaluate.plan import _worst
 
 MAPPING = ClassMapping(ignore=(0,), predicted={"ground": (2,), "noise": (7,)}, reference={"car": (65,), "ground": (2,)})
 GREY, WHITE = (222, 222, 222), (255, 255, 255)
@@ -38,6 +39,7 @@ def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
     assert cells[0] == [[ground, ground, WHITE], [noise, ground, ground]]
     assert cells[1] == [[ground, car, ground], [ground, WHITE, ground]]
     assert cells[2] == [[GREY, ground, WHITE], [noise, WHITE, GREY]]
+    assert _worst(np.array([[0, 0, 0], [3, 2, 1], [1, 0, 2]])).tolist() == [0, 1, 3]
 
 
 @pytest.mark.parametrize("rising", [True, False])

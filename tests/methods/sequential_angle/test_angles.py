@@ -48,6 +48,7 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
     whole = plain(range_noise_m=0.0625, chord_depth_sigmas=0)
     found = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), whole)
     assert found.ahead[0].tolist() == [1, 2, -1]
+    assert plain(range_noise_m=0.5, chord_depth_sigmas=3).depth_m == 1.5
 
 
 def straight_line(rng: Generator) -> tuple[F64, F64, float]:
