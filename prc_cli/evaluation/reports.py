@@ -67,10 +67,7 @@ def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
                 ]
                 for name, parts in found.splits.items()
             },
-            "gates": [
-                {"name": gate.name, "limit": gate.limit, "value": _defined(gate.value), "passed": gate.passed}
-                for gate in gates
-            ],
+            "gates": gate_dicts(gates),
         }
         if found.three is not None:
             table["three"] = _three_dict(found.three)
@@ -194,13 +191,17 @@ def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[lis
     return header, rows
 
 
+def gate_dicts(gates: Iterable[GateResult]) -> list[dict[str, Any]]:
+    """Return gates as plain values; an undefined score is None."""
+    return [
+        {"name": gate.name, "limit": gate.limit, "value": _defined(gate.value), "passed": gate.passed} for gate in gates
+    ]
+
+
 def gate_cells(gate: GateResult) -> tuple[str, str, str]:
     """Return name, limit and value of a gate as text."""
-    return (
-        gate.name,
-        f"{gate.limit:g}",
-        "undefined (no such records)" if math.isnan(gate.value) else f"{gate.value:.4f}",
-    )
+    value = "undefined (no such records)" if math.isnan(gate.value) else f"{gate.value:.4f}"
+    return gate.name, f"{gate.limit:g}", value
 
 
 def percent(value: float) -> str:

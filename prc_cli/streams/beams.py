@@ -23,7 +23,7 @@ from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.angle_step import MOST_OFF, AngleStep, measure_step
 from prc_cli.streams.angles import are_radians
-from prc_cli.streams.directions import Beams, fit_beams, forward_steps, turn_evenly
+from prc_cli.streams.directions import fit_beams, forward_steps, turn_evenly
 from prc_cli.streams.down import (
     MIN_TILT_RAD,
     LevelLinesError,
@@ -175,7 +175,9 @@ class BeamFinder:
             return self._made_up(scanner, sample.points_per_line, has_returns=True)
         except NoDirectionError as error:
             raise self._refusal(scanner, str(error), error) from error
-        return Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), _why(beams)))
+        way = "a straight line in the column through the" if beams.is_straight else "the"
+        why = f"{way} median directions of xyz over {beams.n_lines} of the first lines with returns"
+        return Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), why))
 
     def _measured(self, sample: Sample, range_m: F32) -> Found:
         """Use angles measured from the ranges; straight down is given, or level ground."""
@@ -434,8 +436,3 @@ def _shown(beam_rad: F64) -> str:
     first, *other = (f"{side.min():.2f} to {side.max():.2f}" for side in sides)
     shown = f"beams from {first} deg from straight down"
     return f"{shown} on one side, {other[0]} on the other" if other else shown
-
-
-def _why(beams: Beams) -> str:
-    way = "a straight line in the column through the" if beams.is_straight else "the"
-    return f"{way} median directions of xyz over {beams.n_lines} of the first lines with returns"

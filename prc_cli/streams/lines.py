@@ -44,12 +44,6 @@ MAX_FILL = 1.05
 """Longest duration of a line in periods: with more, the column number or the rate is wrong."""
 
 
-def time_in_line(column: I64, column_s: float, period_s: float) -> F64:
-    """Return the time of shots since column 0 of their line."""
-    since: F64 = column.astype(np.float64) * column_s
-    return np.where((column >= 0) & (since < MAX_FILL * period_s), since, np.nan)
-
-
 MAX_NUMBER = 2.0**53
 """Line numbers from here on are not exact in float64."""
 
@@ -118,11 +112,6 @@ class LineRules:
     """Cells allowed in addition to those for the records; None = any number of lines."""
 
     @property
-    def is_fixed(self) -> bool:
-        """Whether a line begins every M shots."""
-        return self.dimension is None and self.line_hz is None and self.sweep is None
-
-    @property
     def begins_with_first(self) -> bool:
         """Whether line 0 is the line of the first shot; else shots before line 0 are expected, not late."""
         return self.origin_s is None or self.dimension is not None
@@ -143,7 +132,8 @@ def find_lines(shots: Table, time_s: F64 | None, n_shots: int, state: LineState,
     since = None
     if rules.column_dimension is not None:
         column = columns_by_dimension(shots[rules.column_dimension])
-        since = time_in_line(column, rules.column_s, 1 / rules.line_hz)
+        since = column.astype(np.float64) * rules.column_s
+        since = np.where((column >= 0) & (since < MAX_FILL * (1 / rules.line_hz)), since, np.nan)
     return lines_by_time(time_s, rules.line_hz, rules.half_shot_s, rules.origin_s, state, since)
 
 
@@ -454,7 +444,7 @@ def _last_lines(
         whole, state = advance(scanner, {}, states[scanner], mine, final=True)
         if rules.config.order == "require":
             _check_late(source.path, state)
-        if mine.is_fixed and not rules.pads_last_line:
+        if (mine.dimension, mine.line_hz, mine.sweep) == (None, None, None) and not rules.pads_last_line:
             what = "records" if mine.same_shot is None else "shots"
             check_partial_line(source.path, state.lines.n_shots, mine.points_per_line or 1, what)
         # counts of a scanner without a single line

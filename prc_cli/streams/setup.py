@@ -124,7 +124,9 @@ def set_up(
             images = {one: (lines, sizes[one] or 1, shots) for one, (lines, shots, _) in extents.items()}
             check_image(rules.path, images, rules.scanner or "")
         why = _size_reason(rules, end, whole_pass=n_lines is not None)
-        taken.append(Assumption("input.points_per_line", _shown_sizes(rules, sizes), why))
+        which = {one: "" if rules.scanner is None else f"scanner {one}: " for one in sorted(sizes)}
+        shown = ", ".join(f"{scanner}{sizes[one]}" for one, scanner in which.items())
+        taken.append(Assumption("input.points_per_line", shown, why))
     setups = {}
     for scanner, size in sizes.items():
         if size is None:
@@ -152,7 +154,9 @@ def _set_up_one(
     lines = replace(line_rules(rules, m, found), spent=rules.spent, n_known=n_known)
     # fixed lines: every shot has a cell, no limit needed
     if rules.lines != "fixed":
-        lines = replace(lines, n_spare=spare_cells(m, rules.config.max_gap_lines, is_alone=rules.scanner is None))
+        n_spare, max_gap = SPARE_CELLS if rules.scanner is None else MIN_CELLS, rules.config.max_gap_lines
+        # a raised limit for gaps needs some more cells
+        lines = replace(lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare)
     angle = _angles(rules, m, found.angle_grid, first)
     if first is None or angle is None or not rules.height_names:
         return ScannerSetup(m, lines, columns, angle), []
@@ -163,12 +167,6 @@ def _set_up_one(
 def most_cells(n_records: int) -> int:
     """Return the most cells of an image of this many records."""
     return MIN_CELLS + MAX_CELLS_PER_RECORD * n_records
-
-
-def spare_cells(points_per_line: int, max_gap_lines: int, *, is_alone: bool) -> int:
-    """Return the cells that a scanner may have beside those for its records; a raised ``max_gap_lines`` adds some."""
-    n_spare = SPARE_CELLS if is_alone else MIN_CELLS
-    return n_spare + max_gap_lines * points_per_line if max_gap_lines > USUAL_GAP_LINES else n_spare
 
 
 def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = "") -> None:
@@ -194,13 +192,6 @@ def check_found_columns(path: str, points_per_line: int, n_records: int | None) 
         count = "" if n_records is None else f" for {n_records} records"
         problem = f"lines of {points_per_line} columns{count}, expected at most {most}"
         raise InputError(path, problem, "give the shots in a scan line: -M NUMBER")
-
-
-def _shown_sizes(rules: GridRules, sizes: dict[int, int | None]) -> str:
-    """Return M as text, by scanner if there are several."""
-    if rules.scanner is None:
-        return ", ".join(str(size) for size in sizes.values())
-    return ", ".join(f"scanner {scanner}: {sizes[scanner]}" for scanner in sorted(sizes))
 
 
 def _size_reason(rules: GridRules, end: WindowEnd | None, *, whole_pass: bool) -> str:
@@ -340,16 +331,11 @@ def _timing(rules: GridRules, records: Table) -> ShotTiming:
     m, name = rules.points_per_line, rules.column_dimension
     records, starts, _ = whole_shots(records, ScanState(), line_rules(rules, m, Estimates()), final=True)
     shots = take(records, starts)
-    column = None if name is None else columns_by_dimension(shots[name])
-    return find_timing(np.asarray(shots["time"], np.float64), column, rules.line_hz, m)
-
-
-def find_timing(time_s: F64, column: I64 | None, line_hz: float, points_per_line: int | None) -> ShotTiming:
-    """Find the timing from the first shots."""
-    given_s = 0.0 if points_per_line is None else 1 / (line_hz * points_per_line)
-    if column is not None:
-        return ShotTiming(given_s, _column_step(time_s, column, 1 / line_hz) or given_s)
-    return ShotTiming(given_s or _shot_step(time_s, 1 / line_hz))
+    time_s, period_s = np.asarray(shots["time"], np.float64), 1 / rules.line_hz
+    given_s = _given_timing(rules).shot_s
+    if name is not None:
+        return ShotTiming(given_s, _column_step(time_s, columns_by_dimension(shots[name]), period_s) or given_s)
+    return ShotTiming(given_s or _shot_step(time_s, period_s))
 
 
 def _column_step(time_s: F64, column: I64, period_s: float) -> float:

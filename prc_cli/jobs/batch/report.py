@@ -21,6 +21,7 @@ from prc_cli.core.types import F64
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict as scores_as_dict
+from prc_cli.evaluation.reports import gate_dicts
 from prc_cli.evaluation.scores import Gate, GateResult, Scores, check_gates, parse_gate, scores
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels import code_suffix_of
@@ -280,10 +281,7 @@ class BatchEvaluation:
             "mapping": self.settings.mapping_name,
             "match": self.settings.match,
             "pooled": scores_as_dict(self.matrix),
-            "gates": [
-                {"name": gate.name, "limit": gate.limit, "value": _number(gate.value), "passed": gate.passed}
-                for gate in self.gates
-            ],
+            "gates": gate_dicts(self.gates),
             "files": [
                 {
                     "name": found.name,
@@ -373,10 +371,6 @@ def _by_stem(folder: Path) -> dict[str, list[Path]]:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(folder), problem, "check its permissions") from error
     return found
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 # -- drift -------------------------------------------------------------------------------------------------------------

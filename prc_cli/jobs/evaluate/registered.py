@@ -168,7 +168,9 @@ class Registered:
     def _compared(self, item: Nearest, plan: Plan, third: Cloud | None) -> Iterator[Compared]:
         """Yield the shots of a tile that are scored."""
         partner = item.to >= 0
-        covered = self._is_covered(item.left, ~partner)
+        # which shots without partner lie where the reference covers the plan, or in the area that is given
+        covered, place = np.zeros(len(partner), np.bool_), [item.left[axis][~partner] for axis in "xy"]
+        covered[~partner] = self._cover.holds(*place) | (self._area is not None)
         chosen = partner
         if self._options.unmatched == NOISE:
             chosen = partner | (covered & ~(item.sparse & self._is_thinned))
@@ -198,13 +200,6 @@ class Registered:
                 sparse, apart = sparse[kept], apart[kept]
         self._count_noise(one, rows, sparse & (to < 0), np.where(to < 0, apart, 0.0))
         yield Compared(one, _taken(item.right, to, plan.reference), rows, self._thirds(one, item, third))
-
-    def _is_covered(self, columns: Columns, asked: Mask) -> Mask:
-        """Return which shots without partner lie where the reference covers the plan, or in the area that is given."""
-        covered = np.zeros(len(asked), np.bool_)
-        held = self._cover.holds(columns["x"][asked], columns["y"][asked])
-        covered[asked] = held | (self._area is not None)
-        return covered
 
     def _count_noise(self, one: Columns, rows: I64, sparse: Mask, apart: F64) -> None:
         """Count what is noise in the reference and what is called so; ``apart`` is 0 for shots with a partner."""

@@ -155,7 +155,10 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
     solid, level = there & ~noise, np.isin(sample.labels, usual.level)
     yield from _indoors(solid, sample.range_m, usual)
     if usual.columns:
-        yield _few_rings(sample.range_m.shape[1], usual)
+        n = sample.range_m.shape[1]
+        hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
+        told = verdict(doubtful=n < usual.columns)
+        yield Finding("few-rings", told, f"{n} rings", f"at least {usual.columns}", hint)
     below = solid
     if sample.beam_rad is not None:
         is_down = np.abs(sample.beam_rad) < DOWN_RAD
@@ -192,12 +195,6 @@ def _indoors(solid: Mask, range_m: F32, usual: UsualLabels) -> Iterator[Finding]
     share = int(np.count_nonzero(solid & (range_m > usual.reach_m))) / n
     found = f"{_percent(share)} of the returns are farther than {usual.reach_m:g} m"
     yield Finding("indoors", verdict(doubtful=share < FAR_SHARE), found, f"at least {_percent(FAR_SHARE)}", _NO_STREET)
-
-
-def _few_rings(n: int, usual: UsualLabels) -> Finding:
-    """Ask whether there are rings enough for all classes."""
-    hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
-    return Finding("few-rings", verdict(doubtful=n < usual.columns), f"{n} rings", f"at least {usual.columns}", hint)
 
 
 @dataclass(frozen=True, slots=True)
