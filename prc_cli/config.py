@@ -202,9 +202,7 @@ class LoadedConfig(Brief):
 
 
 def load_config(
-    path: Path | str | None = None,
-    preset: str | None = None,
-    options: Mapping[str, Any] | None = None,
+    path: Path | str | None = None, preset: str | None = None, options: Mapping[str, Any] | None = None
 ) -> LoadedConfig:
     """Build the effective configuration.
 

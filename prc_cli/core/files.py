@@ -102,19 +102,7 @@ def file_state(path: Path | int) -> tuple[int, int, int, int]:
 
 
 def who_may_change(path: Path, *, may_add: bool = False) -> str:
-    """Return why others than this user and the administrator may change a file or folder; empty if they may not.
-
-    Members of a group may not, unless it is the user's own, as many systems give every user one. Always empty on
-    systems without such permissions.
-
-    >>> import tempfile
-    >>> folder = Path(tempfile.mkdtemp())
-    >>> who_may_change(folder)
-    ''
-    >>> folder.chmod(0o777)
-    >>> who_may_change(folder)
-    'its mode is 777'
-    """
+    """Return why others than this user (or a group of him alone) and root may change a path; empty if they may not."""
     return _who_may_change(path.lstat(), may_add=may_add) if hasattr(os, "getuid") else ""
 
 

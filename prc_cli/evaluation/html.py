@@ -57,11 +57,7 @@ class Curve:
 
 
 def class_colour(name: str) -> str:
-    """Return the colour of a class for CSS; that of an unknown class depends only on its name.
-
-    >>> class_colour("ground")
-    '#8f4512'
-    """
+    """Return the colour of a class for CSS; that of an unknown class depends only on its name."""
     if name == OTHER:
         rgb = _OTHER_COLOUR
     elif name in LABEL_NAMES:

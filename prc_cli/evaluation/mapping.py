@@ -216,11 +216,7 @@ def preset_names() -> tuple[str, ...]:
 
 
 def load_mapping(source: str | Path) -> ClassMapping:
-    """Load a class mapping by preset name, or from a TOML file.
-
-    >>> load_mapping("lehtola_urban").names("reference")
-    ('noise', 'ground', 'vegetation', 'building', 'other')
-    """
+    """Load a class mapping by preset name, or from a TOML file."""
     name = str(source)
     known = preset_names()
     if name in known:

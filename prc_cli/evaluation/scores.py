@@ -71,18 +71,7 @@ class Scores:
 
 
 def scores(matrix: ConfusionMatrix) -> Scores:
-    """Compute all scores of a confusion matrix.
-
-    Ground and building, with two cars that have no predicted class:
-
-    >>> import numpy as np
-    >>> counts = np.array([[90, 10], [30, 70], [2, 0]])
-    >>> found = scores(ConfusionMatrix(("ground", "building", "car"), ("ground", "building"), counts))
-    >>> found.classes[0].recall, found.classes[1].precision, found.classes[2].recall
-    (0.9, 0.875, nan)
-    >>> round(found.accuracy, 4)
-    0.7921
-    """
+    """Compute all scores of a confusion matrix."""
     rows = dict(zip(matrix.reference_names, matrix.counts.sum(axis=1).tolist(), strict=True))
     columns = dict(zip(matrix.predicted_names, matrix.counts.sum(axis=0).tolist(), strict=True))
     names = (*rows, *(name for name in columns if name not in rows))

@@ -72,8 +72,7 @@ class InputConfig(Params):
         "or elevation:DEG (x, y, z alone: lines end where the elevation drops by more)",
     )
     columns: ColumnRule = Field(
-        "auto",
-        description="which column a shot is: dimension:NAME, angle, time:HZ (shots a second), or order",
+        "auto", description="which column a shot is: dimension:NAME, angle, time:HZ (shots a second), or order"
     )
     range: RangeRule = Field(
         "auto",
@@ -93,8 +92,7 @@ class InputConfig(Params):
         "sort-time = sort the records by time first",
     )
     partial_line: Literal["error", "pad"] = Field(
-        "error",
-        description="when M does not divide the records of a fixed layout: refuse, or pad with missing",
+        "error", description="when M does not divide the records of a fixed layout: refuse, or pad with missing"
     )
     range_scale: float = Field(
         1.0, gt=0.0, le=1e6, description="metres in one of the stored ranges: 0.001 for millimetres, 0.3048 for feet"
@@ -133,8 +131,7 @@ class InputConfig(Params):
         "orientation (TUM, bags)",
     )
     trajectory_crs: str | None = Field(
-        None,
-        description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's",
+        None, description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's"
     )
     topic: str | None = Field(
         None,

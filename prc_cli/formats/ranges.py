@@ -77,20 +77,9 @@ def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
 
 
 def choose_returns(
-    starts: Mask,
-    range_m: F32,
-    intensity: NDArray[Any] | None,
-    return_number: NDArray[Any] | None,
-    rule: ReturnRule,
+    starts: Mask, range_m: F32, intensity: NDArray[Any] | None, return_number: NDArray[Any] | None, rule: ReturnRule
 ) -> Mask:
-    """Mark the one return of every shot that the range image shows.
-
-    Returns without range are chosen only if no return of the shot has one; ties go to the earlier return.
-
-    >>> starts = np.array([True, False, True])
-    >>> choose_returns(starts, np.array([5.0, 9.0, 7.0], np.float32), np.array([10, 30, 5]), None, "strongest")
-    array([False,  True,  True])
-    """
+    """Mark the return of every shot that an image shows: one with a range if there is one; of ties the earlier."""
     if starts.all():
         return starts
     n = len(starts)

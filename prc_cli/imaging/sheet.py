@@ -47,11 +47,7 @@ class Axis:
     """Whether integers denote cells, marked at their middle, rather than positions."""
 
     def ticks(self, length: int, apart: int) -> list[tuple[int, str]]:
-        """Return pixel and text of round numbers, at least ``apart`` pixels from each other.
-
-        >>> Axis("line", 0, 100).ticks(1000, 300)
-        [(5, '0'), (505, '50')]
-        """
+        """Return pixel and text of round numbers, at least ``apart`` pixels from each other."""
         low, high = sorted((self.first, self.stop))
         if not high > low:
             return []

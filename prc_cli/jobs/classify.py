@@ -186,11 +186,7 @@ def open_decided(
 
 
 def label_blocks(
-    blocks: Iterator[ScanBlock],
-    params: MethodParams,
-    *,
-    threads: int = 1,
-    wanted: Wanted = LABELS_ALONE,
+    blocks: Iterator[ScanBlock], params: MethodParams, *, threads: int = 1, wanted: Wanted = LABELS_ALONE
 ) -> Iterator[LabelledBlock]:
     """Classify a stream block by block, with one state per scanner."""
     if wanted.confidence:
@@ -204,14 +200,7 @@ def wanted_by(output: OutputConfig) -> Wanted:
 
 
 def confidence_kernels(params: MethodParams) -> frozenset[str]:
-    """Return the loops that a method calls where confidence is wanted.
-
-    >>> confidence_kernels(RunConfig().prc)
-    Traceback (most recent call last):
-    ...
-    prc_cli.core.errors.ConfigError: output.confidence: found a method that does not tell how sure its labels are, \
-expected fused; give --preset fused or fused-forest (they need the angles of the beams), or confidence = false
-    """
+    """Return the loops that a method calls where confidence is wanted."""
     found = params.method().needs.confidence_kernels
     if found is None:
         problem = "found a method that does not tell how sure its labels are, expected fused"

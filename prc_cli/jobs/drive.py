@@ -46,11 +46,7 @@ LABELS = ".labels"
 
 
 def outputs_of_drive(parts: Sequence[Path], folder: Path) -> list[Path]:
-    """Return the output of every file: LAS and LAZ keep their names, of all others the labels are written.
-
-    >>> [path.name for path in outputs_of_drive([Path("a_01.laz"), Path("b.ply")], Path("out"))]
-    ['a_01.laz', 'b.ply.labels.npy']
-    """
+    """Return the output of every file: LAS and LAZ keep their names, of all others the labels are written."""
     outputs = [folder / output_name(part.name, SAME) for part in parts]
     if len(set(outputs)) < len(outputs):
         twice = next(output for output in outputs if outputs.count(output) > 1)
@@ -214,11 +210,5 @@ def drive_note(names: Sequence[str]) -> str:
 
 
 def is_of_drive(notices: Iterable[str], names: Sequence[str]) -> bool:
-    """Tell whether a run record says that its file was classified as a part of this drive; by itself without names.
-
-    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], ["a_1.laz", "a_2.laz"])
-    True
-    >>> is_of_drive(["one drive of 2 files, a_1.laz to a_2.laz"], [])
-    False
-    """
+    """Tell whether a run record says that its file was classified as a part of this drive; by itself without names."""
     return [told for told in notices if told.startswith(_DRIVE)] == ([drive_note(names)] if names else [])

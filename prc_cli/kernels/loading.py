@@ -44,12 +44,7 @@ _loaded: dict[tuple[Engine, str], Callable[..., Any]] = {}
 
 @contextmanager
 def use_engine(engine: Engine) -> Iterator[None]:
-    """Let the kernels inside this context be of one engine; with ``reference`` the compiler is never loaded.
-
-    >>> with use_engine("reference"):
-    ...     find_kernel("dilate").__module__
-    'prc_cli.reference.prc.stages'
-    """
+    """Let the kernels inside this context be of one engine; with ``reference`` the compiler is never loaded."""
     if engine not in ENGINES:
         raise ConfigError("engine", f"found {engine!r}, expected {' or '.join(ENGINES)}")
     before = _engine.set(engine)

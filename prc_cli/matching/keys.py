@@ -68,11 +68,7 @@ def runs(key: F64) -> tuple[I64, I64]:
 
 
 def pair_in_order(
-    left_group: I64,
-    right_group: I64,
-    partner: I64,
-    same: Both | None = None,
-    classes: Both | None = None,
+    left_group: I64, right_group: I64, partner: I64, same: Both | None = None, classes: Both | None = None
 ) -> Match:
     """Pair the members of groups that are partners, the k-th of one with the k-th of the other.
 

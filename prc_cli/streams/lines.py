@@ -396,10 +396,7 @@ Prepare: TypeAlias = Callable[[RecordChunk, Table], tuple[Table, ReadTally]]
 
 
 def whole_lines(
-    source: RecordSource,
-    rules: GridRules,
-    line_rules: LineRulesOf,
-    prepare: Prepare | None = None,
+    source: RecordSource, rules: GridRules, line_rules: LineRulesOf, prepare: Prepare | None = None
 ) -> Iterator[WholeLines]:
     """Read a source from start to end as whole lines, chronological for each scanner."""
     states: dict[int, ScanState] = {}

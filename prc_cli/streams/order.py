@@ -138,14 +138,7 @@ def _grouped(number: int) -> str:
 class OrderWatch:
     """Checks, chunk by chunk, a dimension that must not decrease."""
 
-    def __init__(
-        self,
-        path: str,
-        policy: Policy,
-        what: str = "gps_time",
-        *,
-        can_sort: bool = True,
-    ) -> None:
+    def __init__(self, path: str, policy: Policy, what: str = "gps_time", *, can_sort: bool = True) -> None:
         self._path = path
         self._can_sort = can_sort
         self._policy = policy

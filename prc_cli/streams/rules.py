@@ -401,12 +401,7 @@ def _check_dimension(key: str, name: str, source: RecordSource) -> None:
 
 
 def _known_points_per_line(
-    source: RecordSource,
-    config: InputConfig,
-    lines: str,
-    columns: str,
-    line_hz: float | None,
-    shot_hz: float | None,
+    source: RecordSource, config: InputConfig, lines: str, columns: str, line_hz: float | None, shot_hz: float | None
 ) -> tuple[int | None, str | None]:
     """Return M if known without reading, and why if it is not given."""
     given, recorded = config.points_per_line, source.facts.points_per_line

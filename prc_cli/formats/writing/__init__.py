@@ -17,17 +17,7 @@ BESIDE = {"trajectory": (".csv", *SBET_SUFFIXES), "labels": (".npy",), "stems": 
 
 
 def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
-    """Choose and check a writer; nothing is created before its ``with`` block.
-
-    >>> from pathlib import Path
-    >>> from prc_cli.core.classes import ClassCodes
-    >>> tif = LabelOutput(path=Path("a.tif"), source=Path("a.bin"), n_records=0, points_per_line=4, codes=ClassCodes())
-    >>> open_writer(tif, overwrite=False)
-    Traceback (most recent call last):
-    ...
-    prc_cli.core.errors.ConfigError: a.tif: found suffix '.tif', expected one of .bag, .csv, .db3, .las, .laz, \
-.mcap, .npy, .parquet, .pcd, .ply; choose an output name that ends in one of them
-    """
+    """Choose and check a writer; nothing is created before its ``with`` block."""
     path, known = output.path, by_suffix("labels")
     suffix = path.suffix.lower()
     if suffix not in known:
@@ -40,16 +30,7 @@ def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
 
 
 def stream_suffix(path: Path) -> str:
-    """Return the suffix, which decides the writer.
-
-    >>> stream_suffix(Path("drive.CSV.gz"))
-    '.csv.gz'
-    >>> stream_suffix(Path("drive.xyz"))
-    Traceback (most recent call last):
-    ...
-    prc_cli.core.errors.ConfigError: drive.xyz: found suffix '.xyz', expected one of .bin .csv .csv.gz .csv.zst .ply \
-.pcd .las .laz .npy .npz .e57 .bag .db3 .mcap .parquet; choose an output name that ends in one of them
-    """
+    """Return the suffix, which decides the writer."""
     suffix, known = suffix_of(path), by_suffix("streams")
     if suffix not in known:
         problem = f"found suffix {suffix!r}, expected one of {' '.join(known)}"

@@ -29,14 +29,7 @@ copy."""
 
 
 class DiskColumn:
-    """One value, or one row of several, per record, in a temporary file beside an output; others read as ``fill``.
-
-    >>> with DiskColumn(Path(tempfile.mkdtemp()) / "s", np.uint8, 1, n_records=6) as column:
-    ...     column.put(np.array([4, 2]), np.array([9, 7], np.uint8))
-    ...     np.concatenate(list(column.chunks(4))), column.get(np.array([[2, -1], [9, 4]]))
-    (array([1, 1, 7, 1, 9, 1], dtype=uint8), array([[7, 1],
-           [1, 9]], dtype=uint8))
-    """
+    """One value, or one row of several, per record, in a file beside an output; others read as ``fill``."""
 
     def __init__(self, output: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None) -> None:
         self._dtype = np.dtype(dtype)
@@ -170,16 +163,7 @@ class DiskColumn:
 
 
 class NpyFile:
-    """A ``.npy`` file that grows; numpy leaves room in the header for any length.
-
-    >>> path = Path(tempfile.mkdtemp()) / "codes.npy"
-    >>> with path.open("w+b") as handle:
-    ...     codes = NpyFile(handle, "|u1")
-    ...     codes.append(np.array([2, 2, 7], np.uint8))
-    ...     codes.finish()
-    >>> np.load(path)
-    array([2, 2, 7], dtype=uint8)
-    """
+    """A ``.npy`` file that grows; numpy leaves room in the header for any length."""
 
     def __init__(self, handle: BinaryIO, dtype: str, row: tuple[int, ...] = ()) -> None:
         self.handle = handle

@@ -181,14 +181,7 @@ def runs_of(item: LabelledBlock, kinds: tuple[Label, ...], registered_m: F64 | N
 
 
 class Grower:
-    """Grows the objects of one scanner.
-
-    >>> grower = Grower(0, {Label.STEM: Rule(0.3, 2.0, 2, 3)})
-    >>> at = (3.0, 3.1), (-1.0, 1.0)
-    >>> run = Part(Label.STEM, 0, 0, 5, (7, 11), *at, (0.1, 2.1), 3.0, np.ones(8) * 15.0, [(0, *at)])
-    >>> [grower.add([run], 0), [(thing.kind, thing.side_m) for thing in grower.add([], 4)]]
-    [[], [('stem', 3.0)]]
-    """
+    """Grows the objects of one scanner."""
 
     def __init__(self, scanner: int, rules: dict[Label, Rule]) -> None:
         self._scanner, self._rules = scanner, rules

@@ -99,11 +99,7 @@ class _Kept:
     def sample(self) -> _Sample:
         """Return what is kept."""
         return _Sample(
-            self.line[: self.n],
-            self.range_m[: self.n],
-            self.labels[: self.n],
-            self.beam_rad,
-            self.angle_rad,
+            self.line[: self.n], self.range_m[: self.n], self.labels[: self.n], self.beam_rad, self.angle_rad
         )
 
 
