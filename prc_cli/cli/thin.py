@@ -9,17 +9,9 @@ from typing import Any
 
 import click
 
+from prc_cli.cli import report
 from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options
-from prc_cli.cli.report import (
-    console,
-    line_progress,
-    print_assumptions,
-    print_doubts,
-    print_line,
-    print_notices,
-    results,
-    table_of,
-)
+from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, print_notices, results, table_of
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
 
@@ -91,7 +83,7 @@ def thin(
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose, as_json=as_json)
-    if code := print_doubts(summary.doubts):
+    if code := report.print_doubts(summary.doubts):
         raise SystemExit(code)
 
 
