@@ -111,9 +111,8 @@ def classify(
         click.echo(json.dumps(results[0] if len(sources) == 1 else results, indent=2, sort_keys=True))
     if not quiet:
         _print_summaries(summaries, seconds, verbose=verbose)
-        if len(sources) == 1:
-            for command in after_classify(source, output, options):
-                print_line(printable(command))
+        for command in after_classify(source, summaries[0].output, options):
+            print_line(printable(command))
     if profile is not None and not (quiet and as_json):
         print_profile(profile, n_shots, threads)
     if code := print_doubts(dict.fromkeys(doubt for summary in summaries for doubt in summary.doubts)):

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli import report
 from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, print_notices, results, table_of
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
@@ -82,6 +83,8 @@ def thin(
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose, as_json=as_json)
+    if code := report.print_doubts(summary.doubts):
+        raise SystemExit(code)
 
 
 def _print_summary(summary: ThinningSummary, seconds: float, *, verbose: bool, as_json: bool) -> None:

@@ -23,71 +23,40 @@ from prc_cli.jobs.transfer import TransferSummary
 from prc_cli.jobs.transfer import transfer as transfer_files
 from prc_cli.jobs.transfer.options import TransferOptions
 
+_OPTIONS = [
+    click.option("--points", type=click.Path(path_type=Path), metavar="RAW",
+                 help="Input that LABELS belong to, record by record, where they have no times of their own."),
+    click.option("--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+                 help="Record layout of RAW."),
+    *POSES,
+    click.option("--match", default="time", show_default=True, metavar="HOW",
+                 help="How points find their label: time (and return number), order (the same on both sides), "
+                 "record:NAME (a dimension of REGISTERED with the index of the raw record), dimension:NAME (an integer "
+                 "dimension of both), or nearest (in space)."),
+    click.option("--tolerance", "--max-distance", "tolerance_s", type=float, default=0.0, metavar="NUMBER",
+                 help="Largest difference: seconds (time), metres (nearest).  [default: what float64 rounds; metres "
+                 "from the spacing and the distance of both clouds]"),
+    click.option("--time-offset", "time_offset_s", type=float, default=0.0, metavar="SECONDS",
+                 help="Added to the times of LABELS, e.g. from seconds of week to adjusted standard GPS time."),
+    click.option("--ignore-return", is_flag=True, help="Match by the time alone, not by the return number."),
+    click.option("--same", multiple=True, metavar="NAME",
+                 help="Integer dimension that must be equal too, e.g. scanner_channel."),
+    click.option("--dimension", metavar="NAME", help="Column or dimension of LABELS with the class codes."),
+    click.option("--carry", multiple=True, metavar="NAME",
+                 help="Extra dimension of LABELS that goes along: segment_id, surface, ..."),
+    click.option("--min-confidence", type=click.IntRange(0, 100), metavar="PERCENT",
+                 help="Transfer no label with less confidence; such points keep their class."),
+    click.option("--min-matched", type=float, default=0.5, show_default=True, metavar="SHARE",
+                 help="Refuse when a smaller share of the smaller side finds a partner."),
+    click.option("--overwrite", is_flag=True, help="Replace an existing output."),
+]  # fmt: skip
+
 
 @click.command(cls=Sectioned)
 @click.argument("labels", type=click.Path(path_type=Path))
 @click.argument("registered", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
-@click.option(
-    "--points",
-    type=click.Path(path_type=Path),
-    metavar="RAW",
-    help="Input that LABELS belong to, record by record, where they have no times of their own.",
-)
-@click.option(
-    "--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml", help="Record layout of RAW."
-)
-@add_options(*POSES)
-@click.option(
-    "--match",
-    default="time",
-    show_default=True,
-    metavar="HOW",
-    help="How points find their label: time (and return number), order (the same on both sides), record:NAME (a "
-    "dimension of REGISTERED with the index of the raw record), dimension:NAME (an integer dimension of both), or "
-    "nearest (in space).",
-)
-@click.option(
-    "--tolerance",
-    "--max-distance",
-    "tolerance_s",
-    type=float,
-    default=0.0,
-    metavar="NUMBER",
-    help="Largest difference: seconds (time), metres (nearest).  [default: what float64 rounds; metres from the "
-    "spacing and the distance of both clouds]",
-)
-@click.option(
-    "--time-offset",
-    "time_offset_s",
-    type=float,
-    default=0.0,
-    metavar="SECONDS",
-    help="Added to the times of LABELS, e.g. from seconds of week to adjusted standard GPS time.",
-)
-@click.option("--ignore-return", is_flag=True, help="Match by the time alone, not by the return number.")
-@click.option(
-    "--same", multiple=True, metavar="NAME", help="Integer dimension that must be equal too, e.g. scanner_channel."
-)
-@click.option("--dimension", metavar="NAME", help="Column or dimension of LABELS with the class codes.")
-@click.option(
-    "--carry", multiple=True, metavar="NAME", help="Extra dimension of LABELS that goes along: segment_id, surface, ..."
-)
-@click.option(
-    "--min-confidence",
-    type=click.IntRange(0, 100),
-    metavar="PERCENT",
-    help="Transfer no label with less confidence; such points keep their class.",
-)
-@click.option(
-    "--min-matched",
-    type=float,
-    default=0.5,
-    show_default=True,
-    metavar="SHARE",
-    help="Refuse when a smaller share of the smaller side finds a partner.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@add_options(*_OPTIONS)
 @output_options
 def transfer(
     labels: Path, registered: Path, output: Path, points: Path | None, layout_file: Path | None, overwrite: bool,

@@ -117,16 +117,16 @@ def _why_apart(before: RecordSource, after: RecordSource) -> str:
     m = before.facts.points_per_line, after.facts.points_per_line
     if m[0] != m[1]:
         return f"it has {m[1]} shots a line, the file before {m[0]}"
-    if "time" not in before.dimensions:
+    name = next((one for one in ("time", "scan_line") if one in before.dimensions), "")
+    if not name:
         return ""
-    last = first = np.nan
-    for chunk in before.chunks(("time",)):
-        last = chunk.values["time"][-1] if chunk.n else last
-    for chunk in after.chunks(("time",)):
-        if chunk.n:
-            first = chunk.values["time"][0]
-            break
-    step_s = float(first - last)
+    last = np.nan
+    for chunk in before.chunks((name,)):
+        last = chunk.values[name][-1] if chunk.n else last
+    first = next((chunk.values[name][0] for chunk in after.chunks((name,)) if chunk.n), np.nan)
+    step_s = float(first) - float(last)
+    if name == "scan_line":
+        return f"its lines begin at {first:.0f}, after line {last:.0f}" if step_s < 0.0 else ""
     if step_s < 0.0:
         return f"it begins {-step_s:.3f} s before the end of the file before"
     return f"it begins {step_s:.3f} s after the end of the file before" if step_s > GAP_S else ""

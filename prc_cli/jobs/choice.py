@@ -105,11 +105,9 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
         every = stream.info.facts.scanners
         lacks = f"{scanner}: {refusal.problem}" if scanner in every else refusal.problem
-        give = refusal.hint
-        if len(every) > 1 and scanner in every:
-            topics = {name: name.partition(" (")[0] for name in every}
-            alone = topics.pop(scanner)
-            give += f", and --topic {alone}; or try the others: --topic {','.join(topics.values())}"
+        give, others = refusal.hint, ",".join(name.partition(" (")[0] for name in every if name != scanner)
+        if scanner in every and others:
+            give += f", and --topic {scanner.partition(' (')[0]}; or try the others: --topic {others}"
         return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, give), stream
 
 

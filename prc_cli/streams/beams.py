@@ -50,8 +50,7 @@ MADE_UP_RAD = (0.1, math.pi - 0.1)
 KEY = "input.nadir"
 ANGLES = "input.angles"
 _ANGLES_ALONE = (
-    "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG where the input has none), "
-    "and --set input.nadir=DEG if known"
+    "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG if none), and --set input.nadir=DEG if known"
 )
 _ARRAY = "array"
 

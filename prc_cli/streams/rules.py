@@ -295,7 +295,8 @@ def _with_draft(source: RecordSource, error: InputError) -> InputError:
     is_guessed = source.format == "raw binary" and source.dimensions == ("range",)
     if not is_guessed and (source.format != "text" or set(source.dimensions) <= set(STANDARD_NAMES)):
         return error
-    draft = f"or prc info {source.path} --draft FILE.toml, which looks at the numbers, and --config FILE.toml"
+    path = "FILE" if source.path == "stdin" else source.path
+    draft = f"or prc info {path} --draft FILE.toml, which looks at the numbers, and --config FILE.toml"
     return InputError(source.path, error.problem, f"{error.hint}; {draft}")
 
 

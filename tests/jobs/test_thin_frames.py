@@ -12,7 +12,7 @@ import pytest
 
 from prc_cli import DoubtWarning, classify
 from prc_cli.config import load_config
-from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError
+from prc_cli.core.errors import ConfigError, EvidenceError, InputError, OutputError, OutputExistsError
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.formats import open_source
 from prc_cli.formats.bags.containers import Bag
@@ -22,6 +22,7 @@ from tests.formats.bags.test_labels import WRITE, read_codes, recorded
 from tests.jobs.test_thin import frame
 
 GROUND = parse_rules(keep_only=["ground"])
+DOUBTED = load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
 
 
 def folder_of(tmp_path: Path) -> tuple[Path, Path, list[Any]]:
@@ -83,20 +84,21 @@ def test_folders_that_cannot_be_thinned_leave_nothing(tmp_path: Path) -> None:
         thin(source, out / "a", GROUND, labels=labels)
     (source / "9.bin").write_bytes((source / "8.bin").read_bytes()[:-3])
     with pytest.raises(InputError, match=r"9\.bin"):
-        thin(source, out / "a", GROUND)
+        thin(source, out / "a", GROUND, DOUBTED)
     assert not list(out.iterdir())
 
 
 def test_without_classes_a_frame_is_classified_on_the_way(tmp_path: Path) -> None:
     points = frame(tmp_path / "f.bin")
-    summary = thin(tmp_path / "f.bin", tmp_path / "thin.bin")
+    with pytest.raises(EvidenceError, match="level ground is 74 deg from straight down"):
+        thin(tmp_path / "f.bin", tmp_path / "thin.bin")
+    summary = thin(tmp_path / "f.bin", tmp_path / "thin.bin", config=DOUBTED)
     assert any(text.startswith("classified on the way: method rings") for text in summary.record.notices)
-    doubted = load_config(options={"input": {"accept_doubts": list(CHECK_NAMES)}})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
-        classify(tmp_path / "f.bin", tmp_path / "f.labels.npy", doubted)
-    codes = np.load(tmp_path / "f.labels.npy")
-    np.testing.assert_array_equal(read(tmp_path / "thin.bin")[:, :3], points[codes != 7, :3])
+        classify(tmp_path / "f.bin", tmp_path / "f.labels.npy", DOUBTED)
+    kept = np.load(tmp_path / "f.labels.npy") != 7
+    np.testing.assert_array_equal(read(tmp_path / "thin.bin")[:, :3], points[kept, :3])
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])

@@ -122,7 +122,7 @@ def bag_errors(path: Path) -> Iterator[None]:
     except MemoryError:
         raise InputError(str(path), "decoding it takes too much memory for its size", _mend(path)) from None
     except Exception as error:
-        said = " ".join(str(error).split())[:120] or type(error).__name__
+        said = " ".join(str(error).partition(": (")[0].split())[:120] or type(error).__name__
         raise InputError(str(path), f"the bag is damaged ({said})", _mend(path)) from error
 
 

@@ -118,7 +118,12 @@ class BagRewriter(BagOutput, ScatterWriter):
         source, path = labels.source, labels.path
         if suffix_of(source) != path.suffix.lower():
             problem = f"found {source.name}, expected a {path.suffix} to be written again with its classes"
-            raise OutputError(str(path), problem, "write .npy, or another kind of file")
+            again = (
+                "write .laz, and from that the bag: prc convert"
+                if labels.is_thinned
+                else "write the labels alone: .npy"
+            )
+            raise OutputError(str(path), problem, again)
         self._stream = BagStream(source, labels.rules)
         self._packed = self._stream.bag.packed
         packed = [topic.name for topic in self._stream.topics if topic.kind in PACKED]

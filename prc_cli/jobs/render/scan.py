@@ -333,8 +333,8 @@ def _check_part(method: str, options: RenderOptions) -> None:
 def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream) -> Part:
     """Return the lines to draw; reads the stream where its number of lines is not known otherwise."""
     info = stream.info
-    is_alone = loaded.config.input.scanner == "none" and not info.facts.has_scans and options.station is None
-    n_lines = info.n_lines if is_alone else None
+    many = loaded.config.input.scanner != "none" or info.facts.has_scans or len(info.facts.scanners) > 1
+    n_lines = info.n_lines if not many and options.station is None else None
     if n_lines is None:
         n_lines = sum(block.n_lines for block in of_station(stream, options.station))
     k = loaded.config.prc.lines_per_block

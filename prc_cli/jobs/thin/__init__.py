@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig, refuse_window, with_layout_beside
-from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, output_errors, prepare_outputs, suffix_of
+from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source, scan_file
@@ -42,6 +42,7 @@ from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without
 from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
+from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
 
 CLASSIFY = "classify"
@@ -68,7 +69,7 @@ class ClassSaving:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class ThinningSummary(Brief):
+class ThinningSummary(Doubted):
     """Summary of a thinning."""
 
     output: Path
@@ -78,6 +79,7 @@ class ThinningSummary(Brief):
     bytes_input: int
     bytes_output: int
     n_lines: int
+    findings: tuple[Finding, ...] = ()
 
     def as_dict(self) -> dict[str, object]:
         """Return everything as plain values, for JSON."""
@@ -247,7 +249,9 @@ def _joined(source: Path, output: Path, frames: list[Path], found: list[Thinning
     )
     sizes = (sum(getattr(one, key) for one in found) for key in ("bytes_input", "bytes_output", "n_lines"))
     bytes_input, bytes_output, n_lines = sizes
-    return ThinningSummary(output, record, classes, found[0].rules, bytes_input, bytes_output, n_lines)
+    doubts = {doubt.check: doubt for one in found for doubt in one.doubts}
+    rest = bytes_input, bytes_output, n_lines, tuple(doubts.values())
+    return ThinningSummary(output, record, classes, found[0].rules, *rest)
 
 
 _METHOD = "classified on the way: "
@@ -270,6 +274,8 @@ class _Run:
         self.n_input, self.n_kept = Counter[int](), Counter[int]()
         """Returns by class code."""
         self.counts = Counts.none()
+        self._watch: EvidenceStream | None = None
+        """What is classified on the way."""
 
     def copy(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
         """Leave records out of a LAS or LAZ file."""
@@ -318,8 +324,7 @@ class _Run:
                     advance(progress, item.block, opened.info)
                 self._check_labels(opened.info)
                 opened = replace(opened, shape=shape)
-                found = find_losses(self.output, opened, self.counts, writer.losses)
-                losses = tuple(f"not kept: {loss}" for loss in found)
+                losses = (f"not kept: {loss}" for loss in find_losses(self.output, opened, self.counts, writer.losses))
                 hints = (*opened.notices, *losses, *how_to_read(self.output, opened, self.counts))
                 record = self._record(opened.info, hints)
                 check_unchanged(self.source, before)
@@ -365,9 +370,9 @@ class _Run:
             )
             for code, n, kept in counts
         )
-        rules = tuple(str(rule) for rule in self.rules)
-        n_lines = self.counts.n_lines
-        return ThinningSummary(self.output, record, classes, rules, bytes_input, bytes_output, n_lines)
+        rules, n_lines = tuple(map(str, self.rules)), self.counts.n_lines
+        found = () if self._watch is None else self._watch.findings()
+        return ThinningSummary(self.output, record, classes, rules, bytes_input, bytes_output, n_lines, found)
 
     @contextlib.contextmanager
     def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[StreamItem]]]:
@@ -376,8 +381,9 @@ class _Run:
 
         def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
             directed = with_beams(stream, config.input) if config.needs_beams else stream
-            wanted = Wanted(confidence=self.min_confidence is not None)
-            return label_blocks(directed.blocks(), config.classifier, wanted=wanted)
+            needs, wanted = config.classifier.method().needs, Wanted(confidence=self.min_confidence is not None)
+            self._watch = watched(directed, config.input, most_noise_m=needs.most_noise_m, others=self.loaded.findings)
+            return label_blocks(self._watch.blocks(), config.classifier, wanted=wanted)
 
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
@@ -472,7 +478,8 @@ class _Run:
         record = run_record(info, self.counts, self.loaded)
         choice = self.loaded.choice if self.classify else None
         method = () if choice is None else (f"{_METHOD}method {choice.method}: {choice.why}",)
-        record = replace(record, notices=(*record.notices, *method, note, *told, *hints))
+        doubts = () if self._watch is None else notices(self._watch.findings())
+        record = replace(record, notices=(*record.notices, *method, note, *told, *hints, *doubts))
         return record_of_scanners(record, self.counts)
 
 

@@ -191,7 +191,7 @@ def _demand(source: RecordSource, rule: KeyRule) -> None:
     if rule.kind == "time" and "time" not in source.dimensions:
         shown = ", ".join(source.dimensions[:20]) or "nothing"
         problem = f"no time to match by, found: {shown}"
-        hint = "match by --match order, record:NAME or dimension:NAME"
+        hint = "match by --match nearest, order, record:NAME or dimension:NAME"
         raise InputError(source.path, problem, hint)
     if rule.kind in ("dimension", "place"):
         _demand_dimensions(source, rule.key_names)
