@@ -9,8 +9,8 @@ from PIL import Image
 
 from prc_cli.evaluation.html import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.jobs.evaluate.counts import _worst
 from prc_cli.jobs.evaluate.pictures import class_pictures
-from prc_cli.jobs.evaluate.plan import _worst
 
 MAPPING = ClassMapping(ignore=(0,), predicted={"ground": (2,), "noise": (7,)}, reference={"car": (65,), "ground": (2,)})
 GREY, WHITE = (222, 222, 222), (255, 255, 255)
