@@ -30,6 +30,14 @@ def pytest_configure(config: pytest.Config) -> None:
         compile_missing(sorted(set(KERNELS.values())))
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give every worker tests that follow each other, so that what a module or folder shares is made once."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
+
+
 def data_folder() -> Path:
     """Folder of the real scans: ``$PRC_DATA``, else ``../shared/data`` beside the checkout."""
     given = os.environ.get("PRC_DATA")

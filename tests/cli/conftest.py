@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from prc_cli.cli import report
+from prc_cli.cli import main, report
 from tests.patience import HANGS_S
 
 
@@ -12,3 +12,30 @@ from tests.patience import HANGS_S
 def no_word_about_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether a command in this process says that loading takes long depends on the machine."""
     monkeypatch.setattr(report, "COMPILING_S", HANGS_S)
+
+
+class Result:
+    """Exit code and what was printed."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+class Prc:
+    """Runs ``prc`` in this process."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *arguments: object) -> Result:
+        self._capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main([str(argument) for argument in arguments])
+        captured = self._capsys.readouterr()
+        code = stop.value.code
+        return Result(int(code) if code is not None else 0, captured.out, captured.err)
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)

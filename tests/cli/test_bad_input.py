@@ -16,11 +16,9 @@ import pytest
 
 from prc_cli.formats.writing.base import StagedWriter
 from tests import patience
-from tests.cli.test_commands import Prc, prc
+from tests.cli.conftest import Prc
 from tests.formats.cloud_files import pcd
 from tests.street import POINTS_PER_LINE, street, write_csv, write_npz, write_raw
-
-__all__ = ["prc"]
 
 M = ("-M", str(POINTS_PER_LINE))
 

@@ -23,36 +23,12 @@ from prc_cli.jobs.explain import explain
 from prc_cli.methods.reasons import rule_of
 from prc_cli.simulation.settings import Kind
 from tests import patience
+from tests.cli.conftest import Prc
+from tests.jobs.test_transfer import Drive, N, write_las
+from tests.jobs.test_transfer import write_raw as write_raw_drive
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.patience import HANGS_S, wait_until
 from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_endless, write_npz, write_raw
-
-
-class Result:
-    """Exit code and what was printed."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
-class Prc:
-    """Runs ``prc`` in this process."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self._capsys = capsys
-
-    def __call__(self, *arguments: object) -> Result:
-        self._capsys.readouterr()
-        with pytest.raises(SystemExit) as stop:
-            main([str(argument) for argument in arguments])
-        captured = self._capsys.readouterr()
-        code = stop.value.code
-        return Result(int(code) if code is not None else 0, captured.out, captured.err)
-
-
-@pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
-    return Prc(capsys)
 
 
 def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
@@ -338,9 +314,6 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
     assert json.loads(capsys.readouterr().out) == {**found, "doubts": []}
 
 
-__all__ = ["prc"]
-
-
 def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     (tmp_path / "old.toml").write_text("", encoding="utf-8")
@@ -497,3 +470,103 @@ def test_the_exit_code_of_info_is_that_of_the_worst_file(prc: Prc, tmp_path: Pat
     # a layout for a format that has none is wrong usage, 2; a file that is not there is 1
     for files in ((image, tmp_path / "none.bin"), (tmp_path / "none.bin", image)):
         assert prc("info", *files, "--layout", layout).code == 2
+
+
+def test_options_of_simulate_win_over_set_and_file(prc: Prc, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('lines = 30\n[scanner]\nname = "sick-push-broom"\nslant_deg = 5\n')
+    options = ("--config", tmp_path / "a.toml", "--set", "scanner.slant_deg=6", "--mount-slant", "7", "--speed", "2")
+    result = prc("simulate", "street", tmp_path / "a.npz", *options, "--sight", "20", "--json", "-q")
+    table = json.loads(result.out)["config"]["simulation"]
+    assert (table["lines"], table["scanner"]["slant_deg"]) == (30, 7.0)
+    assert (table["scanner"]["points_per_line"], table["trajectory"]["speed_m_s"]) == (361, 2.0)
+
+
+def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: Path) -> None:
+    options = ("--set", "scanner.name=profiler-1mhz", "--set", "scanner.slant_deg=30", "--set", "scene.name=suburb")
+    text = prc("simulate", "parameters", "street", *options).out
+    assert [line for line in text.splitlines() if line.startswith("[")] == [
+        "[scene]  # from: preset suburb",
+        "[scanner]  # from: preset profiler-1mhz; changed: slant_deg",
+        "[trajectory]  # from: preset car",
+        "[classes]",
+    ]
+    (tmp_path / "a.toml").write_text(text)
+    # a whole table is what it says, whatever the default would have been
+    again = prc("simulate", "parameters", "street", "--config", tmp_path / "a.toml").out
+    assert "[scene]  # from: preset suburb\n" in again
+    assert "[scanner]\n" in again
+
+
+def test_bad_input_of_simulate_is_one_line(prc: Prc, tmp_path: Path) -> None:
+    (tmp_path / "there.npz").write_text("mine")
+    for options, code, said in (
+        (["street", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .bin"),
+        (["street", tmp_path / "there.npz"], 2, "exists already"),
+        (["street", tmp_path / "none" / "a.npz"], 1, "output folder does not exist"),
+        (["street", tmp_path / "a.npz", "--trajectory", tmp_path / "w.txt"], 2, ".csv or .sbet or .out"),
+        (["forest", tmp_path / "a.npz", "--stems", tmp_path / "s.txt"], 2, "found suffix '.txt', expected .csv"),
+        (["street"], 2, "Missing argument 'OUT'"),
+        (["street", tmp_path / "a.npz", "--length", "5", "--lines", "3"], 2, "--length and --lines contradict"),
+        (["street", tmp_path / "a.npz", "--scanner", "scanstation2"], 2, "is not one of 'photon-80'"),
+        (["street", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'trees'?"),
+        (["street", tmp_path / "a.npz", "--set", "scene.trees=9"], 2, "see `prc simulate parameters street`"),
+        (["meadow", tmp_path / "a.npz"], 2, "No such command 'meadow'"),
+    ):
+        result = prc("simulate", *options)
+        assert (result.code, result.err.count("\n")) == (code, 1), result.err
+        assert said in result.err
+    assert [path.name for path in tmp_path.iterdir()] == ["there.npz"]
+
+
+@pytest.fixture
+def transferred(tmp_path: Path) -> tuple[Drive, Path, Path, Path]:
+    drive = Drive()
+    raw = write_raw_drive(tmp_path / "drive.csv", drive)
+    return drive, raw.with_suffix(".npy"), raw, write_las(tmp_path / "registered.las", drive, drive.registered())
+
+
+def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
+    drive = Drive()
+    rest = np.arange(N, dtype=np.uint32)
+    extra = {"head": (rest % 3).astype(np.uint8), "segment_id": rest, "mine": drive.codes}
+    labels = write_las(tmp_path / "labels.las", drive, np.arange(N), **extra)
+    drive.time = drive.time + 100.0000004
+    registered = write_las(tmp_path / "registered.las", drive, np.arange(N), head=(rest % 3).astype(np.uint8))
+    options = ["--match", "time", "--tolerance", "1e-6", "--time-offset", "100", "--same", "head",
+               "--dimension", "mine", "--carry", "segment_id", "--min-matched", "0.9"]  # fmt: skip
+    result = prc("transfer", labels, registered, tmp_path / "out.laz", "-q", *options)
+    assert (result.code, result.err) == (0, "")
+    las = laspy.read(tmp_path / "out.laz")
+    assert np.array_equal(las.classification, drive.codes)
+    assert np.array_equal(las["segment_id"], rest)
+    result = prc("transfer", labels, registered, tmp_path / "other.las", "-q", "--time-offset", "100")
+    assert (result.code, result.err.count("\n")) == (1, 1)
+    assert "--tolerance 1e-06" in result.err
+    result = prc("transfer", labels, registered, tmp_path / "other.las", "-q", "--ignore-return",
+                 "--match", "record:head", "--min-matched", "0.1")  # fmt: skip
+    assert result.code == 0
+
+
+def test_transfer_with_a_layout_and_wrong_usage(
+    prc: Prc, transferred: tuple[Drive, Path, Path, Path], tmp_path: Path
+) -> None:
+    drive, labels, _, registered = transferred
+    layout = tmp_path / "layout.toml"
+    layout.write_text('[layout]\nfields = [{name = "time", type = "f8"}, {name = "range", type = "f4"}]\n')
+    records = np.zeros(N, "<f8,<f4")
+    records["f0"] = drive.time
+    records.tofile(tmp_path / "drive.bin")
+    np.save(tmp_path / "whole.npy", drive.codes)
+    result = prc("transfer", tmp_path / "whole.npy", registered, tmp_path / "out.las", "-q",
+                 "--points", tmp_path / "drive.bin", "--layout", layout)  # fmt: skip
+    assert (result.code, result.err) == (0, "")
+    for options, code, text in (
+        (["--match", "space"], 2, "--match: found 'space'"),
+        (["--tolerance", "-1"], 2, "--tolerance"),
+        ([], 1, "--points RAW"),
+    ):
+        result = prc("transfer", labels, registered, tmp_path / "no.las", *options)
+        assert (result.code, result.err.count("\n")) == (code, 1)
+        assert result.err.startswith("error: ")
+        assert text in result.err
+    assert not list(tmp_path.glob("*no.las*"))

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.cli.test_commands import Prc, prc
+from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, street_lines
-
-__all__ = ["prc"]
 
 RANGES, KIND = street_lines(140)
 THERE = ~np.isnan(RANGES.ravel())

@@ -12,17 +12,12 @@ import prc_cli
 from prc_cli import classify_ranges, load_config
 from prc_cli.config import RunConfig, from_layers, preset_table
 from prc_cli.core.errors import ConfigError, InputError
-from tests.cli.test_commands import Prc
+from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.evidence.test_estimates import forest_lines
 
 M = len(BEAM)
 ANGLES = ("-M", M, "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2", "--set", "input.nadir=0")
-
-
-@pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
-    return Prc(capsys)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from prc_cli import classify_ranges, load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.types import F32
 from tests import patience
-from tests.cli.test_commands import Prc
+from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 M = len(BEAM)
@@ -23,11 +23,6 @@ PRESETS = ("fused", "fused-forest")
 @pytest.fixture(scope="module")
 def ranges() -> F32:
     return street_lines(70)[0]
-
-
-@pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
-    return Prc(capsys)
 
 
 @pytest.fixture

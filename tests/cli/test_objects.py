@@ -11,13 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from prc_cli.jobs.objects.write import COLUMNS
-from tests.cli.test_commands import Prc
+from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
-
-
-@pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
-    return Prc(capsys)
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.cli.test_commands import Prc, Result
-from tests.cli.test_commands import prc as prc
+from tests.cli.conftest import Prc, Result
 from tests.street import street, write_npz
 
 

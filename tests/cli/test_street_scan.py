@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
-from tests.cli.test_commands import Prc, prc
+from tests.cli.conftest import Prc
 from tests.formats.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
 from tests.simulated import static_arrays
-
-__all__ = ["prc"]
 
 Array = np.ndarray
 

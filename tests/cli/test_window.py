@@ -11,15 +11,10 @@ import pytest
 
 from prc_cli.config import load_config
 from prc_cli.jobs.classify import open_stream
-from tests.cli.test_commands import Prc
+from tests.cli.conftest import Prc
 from tests.simulated import drive_arrays
 
 N_LINES, M, HZ = 60, 360, 10.0
-
-
-@pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
-    return Prc(capsys)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read, ptx
 from prc_cli.formats.organised.ptx import PtxStream
 from prc_cli.streams.open import open_input
-from tests.cli.test_commands import Prc
+from tests.cli.conftest import Prc
 from tests.formats.cloud_files import pulse_folder
 from tests.formats.organised_files import (
     Array,

@@ -14,7 +14,7 @@ from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.rings.pipeline import RingsParams, is_fan, upside_down
-from tests.cli.test_commands import Prc
+from tests.cli.conftest import Prc
 
 N_LINES, N_RINGS, HEIGHT_M = 1800, 32, 1.8
 ELEVATION = np.deg2rad(np.linspace(-25.0, 10.0, N_RINGS))
