@@ -496,8 +496,7 @@ def main() -> None:
     print(*(f"fails without a fault: {name}" for name in sorted(unsound)), sep="\n")
     tried = Counter(Path(mutant.file).parts[1] for mutant in found)
     killed = Counter(Path(mutant.file).parts[1] for mutant, (yes, by) in found.items() if yes and by not in unsound)
-    for room in sorted(tried):
-        print(f"{room}: {killed[room]} of {tried[room]} killed")
+    print(*(f"{room}: {killed[room]} of {tried[room]} killed" for room in sorted(tried)), sep="\n")
     total = killed.total()
     print(f"{len(found)} mutants of {len(places)}, {total} killed: {100 * total / max(len(found), 1):.1f} %")
 

@@ -71,6 +71,7 @@ def test_the_path_is_clear(scene: ForestScene) -> None:
     """Along 120 m, nothing solid or leafy stands where the walker and the scanner on his back pass."""
     s = np.arange(0.0, 120.0, 0.25)
     path, _ = scene.path_point(s)
+    assert np.hypot(*np.diff(path[:, :2], axis=0).T).max() < 0.3
     low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
     middle = (low + high) / 2
     radius = float(np.hypot(*(high - low))) / 2 + 3

@@ -79,7 +79,7 @@ class Estimate:
     """Memory of all workers together [MiB]; None if unknown."""
     sources: tuple[str, ...]
     """Source of the figures, one sentence per format."""
-    n_unknown: int = 0
+    n_unknown: int
     """Number of files that are not in the figures, because nothing is known about their format."""
 
 
