@@ -84,7 +84,7 @@ def f1_of(python: str, scan: Scan, folder: Path) -> dict[str, float]:
     labels = folder / "labels.npy"
     labels.unlink(missing_ok=True)
     run = [*shlex.split(python), "-m", "prc_cli"]
-    classify = [*run, "classify", str(file.path), str(labels), *file.options, "-q"]
+    classify = [*run, "classify", str(file.path), str(labels), *file.options, "--overwrite", "-q"]
     done = subprocess.run(classify, cwd=folder, capture_output=True, text=True, check=False)
     if not labels.exists():
         print(f"refused: {done.stderr.strip()}", file=sys.stderr)

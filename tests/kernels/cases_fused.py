@@ -479,6 +479,8 @@ def again_case(rng: Generator) -> tuple[Any, ...]:
         foot_m=rng.choice([0.15, -1.0]),
         alone_m=rng.choice([0.1, 0.0]),
         alone_gap_m=rng.choice([0.75, 0.0]),
+        leaves=rng.choice([3.0, 1e9]),
+        leaf_m=rng.choice([2.0, 0.2]),
     )
     return labels, voted, range_m, smooth, above, texture, chosen
 

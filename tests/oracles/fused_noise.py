@@ -11,7 +11,7 @@ from prc_cli.core.classes import Reason
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.thresholds import AgainThresholds
 
-MISSING, NOISE, CAR = 0, 2, 7
+MISSING, NOISE, VEGETATION, CAR = 0, 2, 5, 7
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,11 @@ class _Window:
                 fellows += 1
         return bool(min(sides) >= thresholds.mirror_share * np.float32(24) and fellows <= 1)
 
+    def is_leaf(self, thresholds: AgainThresholds) -> bool:
+        around = [(abs(self.range_m[k, j] - self.own), self.labels[k - 2, j]) for k, j in self.around(1)]
+        leaves = sum(bool(off < thresholds.leaf_m and label == VEGETATION) for off, label in around)
+        return bool(leaves >= thresholds.leaves)
+
     def is_alone(self, thresholds: AgainThresholds) -> bool:
         ranges = np.array([self.range_m[place] for place in self.around()], np.float32)
         off = ranges[~np.isnan(ranges)] - self.own
@@ -70,6 +75,9 @@ def noise_again(
 ) -> U8:
     """Ask again which shots are noise; see :func:`prc_cli.methods.fused.noise_loops.noise_again`."""
     found = voted.copy()
+    for line, i in zip(*np.nonzero((voted == NOISE) & (above_m > thresholds.foot_m)), strict=True):
+        if _Window(labels, range_m, smooth, int(line) + 3, int(i)).is_leaf(thresholds):
+            found[line, i] = Reason.LEAF
     for line, i in zip(*np.nonzero((voted != MISSING) & (voted != NOISE)), strict=True):
         shot, pairs = _Window(labels, range_m, smooth, int(line) + 3, int(i)), smooth[line + 3, i]
         is_rough = pairs == 0 and texture[line, i] > thresholds.alone_texture and above_m[line, i] > thresholds.foot_m

@@ -21,7 +21,7 @@ def mean_smoothness(
     mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
     pairs = np.minimum(smooth, 8).astype(int)
     for line, i in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
-        columns = int(min(max(int(half_m / (range_m[line + 2, i] * step)), 2), 60))
+        columns = int(min(max(int(half_m / (range_m[line + 2, i] * step)), 3), 60))
         place = slice(line, line + 5), slice(max(i - columns, 0), i + columns + 1)
         counts = near[place] >= least_near
         if counts.any():
@@ -30,8 +30,11 @@ def mean_smoothness(
             stride = max(-(-columns // 4), 1)
             beside = [j for j in range(range_m.shape[1]) if abs(j - i) <= columns and (j - i) % stride == 0]
             place = np.ix_(range(line, line + 5), beside)
-            counts = (near[place] >= least_near) & (np.abs(range_m[place] - range_m[line + 2, i]) < depth_m)
+            every = near[place] >= least_near
+            counts = every & (np.abs(range_m[place] - range_m[line + 2, i]) < depth_m)
             if counts.any():
-                share = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
+                seen = np.float32(counts.sum()) / np.float32(every.sum())
+                possible = np.float32(8) * np.float32(counts.sum()) * max(seen, np.float32(0.85))
+                share = np.float32(pairs[place][counts].sum()) / possible
                 mean[line, i] = max(mean[line, i], share)
     return mean

@@ -1,4 +1,4 @@
-"""Loop of the fused classifier that asks again, in a wider window, which shots are noise."""
+"""Loop of the fused classifier that asks again, in a wider window, which shots are noise, and which are leaves."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ MOST_FELLOWS = 1
 """Most shots on a surface as far as a mirror image: what is mirrored is seen by few."""
 MISSING_PART = 6
 """With more than a sixth of the window missing, that nothing is near in range says little."""
-_MISSING, _NOISE, _CAR = int(Label.MISSING), int(Label.NOISE), int(Label.CAR)
-_ALONE, _MIRRORED = np.uint8(1), np.uint8(2)
+_MISSING, _NOISE, _CAR, _LEAVES = int(Label.MISSING), int(Label.NOISE), int(Label.CAR), int(Label.VEGETATION)
+_ALONE, _MIRRORED, _LOST = np.uint8(1), np.uint8(2), np.uint8(4)
 """Bits of what is asked of a shot."""
-_RANGE_ALONE, _MIRROR_IMAGE = np.uint8(Reason.RANGE_ALONE), np.uint8(Reason.MIRRORED)
+_RANGE_ALONE, _MIRROR_IMAGE, _LEAF = np.uint8(Reason.RANGE_ALONE), np.uint8(Reason.MIRRORED), np.uint8(Reason.LEAF)
 _FAR = np.float32(1e9)
 
 
 @helper
 def _mark(labels: U8, smooth: U8, texture: F32, above: F32, thresholds: AgainThresholds, marks: U8) -> None:
-    """Mark the rough shots of a line that may be alone; without branches, as most are not."""
+    """Mark the rough shots of a line that may be alone, and noise that may be a leaf; without branches, as few are."""
     rough, foot = thresholds.alone_texture, thresholds.foot_m
     for i in range(len(labels)):
         is_open = (labels[i] != _MISSING) & (labels[i] != _NOISE)
         is_rough = (smooth[i] == 0) & (texture[i] > rough) & (above[i] > foot)
-        marks[i] = _ALONE if is_open & is_rough else np.uint8(0)
+        is_lost = (labels[i] == _NOISE) & (above[i] > foot)
+        marks[i] = _ALONE if is_open & is_rough else (_LOST if is_lost else np.uint8(0))
 
 
 @helper
@@ -95,48 +96,48 @@ def _is_mirrored(
     return bool((np.float32(min(left, right)) >= least) & (fellows <= MOST_FELLOWS))
 
 
-@inlined
-def _is_as_far(range_m: F32, line: int, i: int, same: np.float32) -> bool:
-    """Return whether another shot of the window is about as far as one."""
-    own, found = range_m[line, i], np.int32(-1)  # the shot is as far as itself
-    first, last = max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])
-    for n in range(2 * LINES + 1):
-        # from its own line outwards
-        k = line + (n + 1) // 2 * (1 if n % 2 else -1)
-        for j in range(first, last):
-            found += np.int32(abs(range_m[k, np.uint64(j)] - own) < same)
-        if found > 0:
-            return True
-    return False
-
-
 @helper
 def _is_alone(range_m: F32, line: int, i: int, thresholds: AgainThresholds) -> bool:
     """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
-    if thresholds.alone_m > 0 and _is_as_far(range_m, line, i, thresholds.alone_m):
-        return False
-    own = range_m[line, i]
+    own, as_far = range_m[line, i], np.int32(-1)  # the shot is as far as itself
     before = after = _FAR
     missing = cells = 0
-    for k in range(line - LINES, line + LINES + 1):
+    for n in range(2 * LINES + 1):
+        # from its own line outwards
+        k = line + (n + 1) // 2 * (1 if n % 2 else -1)
         for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])):
-            off = range_m[k, j] - own
+            off = range_m[k, np.uint64(j)] - own
+            as_far += np.int32(abs(off) < thresholds.alone_m)
             cells += 1
             missing += off != off
             before = min(before, -off if off < 0 else _FAR)
             after = min(after, off if off > 0 else _FAR)
+        if as_far > 0:
+            return False
     return bool((missing * MISSING_PART < cells) & (max(before, after) > thresholds.alone_gap_m))
+
+
+@helper
+def _is_leaf(range_m: F32, labels: U8, at: tuple[int, int], before: int, thresholds: AgainThresholds) -> bool:
+    """Return whether leaves around are about as far as a lonely shot; ``labels`` begins ``before`` lines later."""
+    line, i = at
+    leaves = np.int32(0)
+    for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
+        for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])):
+            is_near = abs(range_m[k, np.uint64(j)] - range_m[line, i]) < thresholds.leaf_m
+            leaves += np.int32(is_near & (labels[k - before, np.uint64(j)] == np.uint8(_LEAVES)))
+    return bool(np.float32(leaves) >= thresholds.leaves)
 
 
 @kernel()
 def noise_again(
     labels: U8_2, voted: U8_2, range_m: F32_2, smooth: U8_2, above_m: F32_2, texture: F32_2, thresholds: AgainThresholds
 ) -> U8_2:
-    """Find noise that is seen in a wider window alone: what a car mirrors, and ranges that nothing around has.
+    """Find what a wider window alone shows: what a car mirrors, ranges that nothing around has, leaves among noise.
 
     ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32, metres; ``smooth``
     (lines + 6, M) uint8; ``above_m`` (lines, M) float32, metres; ``texture`` (lines, M) float32; returns (lines, M)
-    uint8, the label, or the reason where it is such noise.
+    uint8, the label, or the reason where it is one of these.
     """
     n_lines, m = voted.shape
     found = voted.copy()
@@ -155,4 +156,6 @@ def noise_again(
                 found[line, i] = _RANGE_ALONE
             elif marks[i] & _MIRRORED and _is_mirrored(range_m, smooth, labels, (k, i), before, thresholds):
                 found[line, i] = _MIRROR_IMAGE
+            elif marks[i] & _LOST and _is_leaf(range_m, labels, (k, i), before, thresholds):
+                found[line, i] = _LEAF
     return found

@@ -81,7 +81,7 @@ from prc_cli.methods.fused.spacing import (
     strides_of,
 )
 from prc_cli.methods.fused.strips import Standing, stand
-from prc_cli.methods.fused.thresholds import FOREST, STREET, Forest, Limits, in_room
+from prc_cli.methods.fused.thresholds import FOREST, NEVER, STREET, Forest, Limits, in_room
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.035
@@ -193,7 +193,11 @@ class FusedScanner:
 
         ``beam_rad`` (M,) float64.
         """
-        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), STREET)
+        plane, limits = ScanPlane.of(beam_rad), STREET
+        if float(plane.step_rad) < limits.foliage.depth_step_rad:
+            # a leaf among leaves has near neighbours
+            limits = limits._replace(again=limits.again._replace(leaves=np.float32(NEVER)))
+        return cls(Plane.of(beam_rad), plane, limits)
 
     @property
     def points_per_line(self) -> int:
@@ -276,15 +280,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
 def initial_state(scanner: FusedScanner) -> FusedState:
     """Return the state before the first block."""
     tail = np.full((SPACED_LINES, scanner.points_per_line), np.nan, np.float32)
-    return FusedState(
-        tail,
-        Noise(),
-        NoiseAlong(),
-        0,
-        Spacing.none(),
-        GroundMemory.none(),
-        no_profiles(),
-    )
+    return FusedState(tail, Noise(), NoiseAlong(), 0, Spacing.none(), GroundMemory.none(), no_profiles())
 
 
 def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams) -> U8:
@@ -336,7 +332,8 @@ def _classify(
         return Found(labels, woods.reasons, woods.above_m, noise, None, woods.on_stem)
     limits = scanner.limits
     n_lines, ahead = len(range_m), lines_ahead(plane, limits)
-    tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
+    # a copy, so that the block is not kept in memory
+    tail = turn.hand_on(TAIL, lambda old: (old, np.concatenate([old, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()))
     wide = window_of(tail, range_m, next_m, ahead)
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
     noise_m = turn.hand_on(NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor))
@@ -460,11 +457,11 @@ def streams_of(wide: F32, strides: I64, plane: ScanPlane, noise_m: F64, limits: 
 def _follow_all(
     streams: Sequence[Stream], apart: I64, n_lines: int, plane: ScanPlane, memory: GroundMemory, limits: Limits
 ) -> tuple[Grounds, GroundMemory]:
-    """Follow the ground of every stream from the same memory on; return it, and what the last line remembers."""
-    found = [
-        _follow(stream.seen, plane, memory, len(range(stream.first, n_lines, stream.every)), limits)
-        for stream in streams
-    ]
+    """Follow the ground of every stream from the same memory on; return it, and the memory for the next block."""
+    found = []
+    for stream in streams:
+        seen, own = stream.seen, len(range(stream.first, n_lines, stream.every))
+        found.append(follow_ground(seen.range_m, seen.neighbours, plane, memory, own, limits.walk))
     last = int(apart[n_lines - 1])
     after = [
         left
@@ -592,13 +589,6 @@ def see(window: F32, smooth: U8, plane: ScanPlane, limits: Limits) -> Seen:
     return Seen(window, range_m, Neighbours(near, smooth, upright, level))
 
 
-def _follow(
-    seen: Seen, plane: ScanPlane, memory: GroundMemory, n_lines: int, limits: Limits
-) -> tuple[Ground, GroundMemory]:
-    """Follow the ground; return it, and the memory before the last three of a block's lines for the next one."""
-    return follow_ground(seen.range_m, seen.neighbours, plane, memory, n_lines, limits.walk)
-
-
 def evidence_of(seen: Seen, wide_m: F32, above_m: F32, plane: ScanPlane, limits: Limits) -> Evidence:
     """Measure how smooth places are, and find walls and cars above the ground.
 
@@ -645,12 +635,6 @@ def _with_cars(
     texture = evidence.texture[1 : 1 + len(labels)]
     seen = labels, range_m, above_m, texture
     return turn.hand_on(PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits.roofs))
-
-
-def _last_lines(tail: F32, range_m: F32) -> F32:
-    """Return the last lines of the stream so far, as a copy, so that the block is not kept in memory."""
-    last: F32 = np.concatenate([tail, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()
-    return last
 
 
 def window_of(tail: F32, range_m: F32, next_m: F32 | None, ahead: int) -> F32:

@@ -15,8 +15,10 @@ LINES = 2
 MOST_SMOOTH = 8
 """Greatest number of smooth pairs that counts."""
 MOST_COLUMNS = 60
-LEAST_COLUMNS = 2
+LEAST_COLUMNS = 3
 """Limits of the half width of a place, in columns."""
+LEAST_SEEN = np.float32(0.85)
+"""At most so much smoother is a place for what is hidden of it."""
 DEPTH_SHOTS = 4
 """Shots of a line on either side that are read where a place is looked at again."""
 
@@ -86,13 +88,16 @@ def _share_at_depth(
     half: int,
     depth_m: np.float32,
 ) -> np.float32:
-    """Return the share of smooth pairs of those shots of a place that are about as far away as its middle one."""
+    """Return the share of smooth pairs of those shots of a place that are about as far away as its middle one.
+
+    Where others hide part of it, fewer pairs can be smooth.
+    """
     own, m = lines[2][i], len(lines[2])
     stride = max((half + DEPTH_SHOTS - 1) // DEPTH_SHOTS, 1)
     place, last = max(i - half // stride * stride, i % stride), min(i + half + 1, m)
     one, two, three, four, five = pairs
     a, b, c, d, e = lines
-    total, nothing = np.uint32(0), np.uint32(0)
+    total, every, nothing = np.uint32(0), np.uint32(0), np.uint32(0)
     while place < last:
         # every word is read, near or not, to avoid a branch
         j = np.uint64(place)
@@ -101,9 +106,12 @@ def _share_at_depth(
         total += three[j] if abs(c[j] - own) < depth_m else nothing
         total += four[j] if abs(d[j] - own) < depth_m else nothing
         total += five[j] if abs(e[j] - own) < depth_m else nothing
+        every += one[j] + two[j] + three[j] + four[j] + five[j]
         place += stride
     n_shots, n_pairs = np.int32(total >> np.uint32(16)), np.int32(total & np.uint32(0xFFFF))
-    return np.float32(n_pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))))
+    seen = np.float32(n_shots) / np.float32(max(np.int32(every >> np.uint32(16)), np.int32(1)))
+    possible = np.float32(MOST_SMOOTH) * np.float32(max(n_shots, np.int32(1))) * max(seen, LEAST_SEEN)
+    return np.float32(n_pairs) / possible
 
 
 @helper

@@ -162,7 +162,7 @@ class WallThresholds(NamedTuple):
     """Least height of its smooth upright surface, mean of five lines [m]."""
     share: np.float32 = f32(0.3)
     """Least share of that surface in everything in the strip."""
-    lines: np.float32 = f32(4)
+    lines: np.float32 = f32(3)
     """Fewest lines, of five, that see some of it."""
     before_m: np.float32 = BEFORE_M
     """A wall is reported to strips up to this far in front of it [m]."""
@@ -215,7 +215,7 @@ class DecisionThresholds(NamedTuple):
     """So are shots that are not upright, up to this [m]."""
     leaf_share: np.float32 = f32(0.4)
     """A place with a smaller share of smooth pairs is foliage."""
-    leaf_share_before_wall: np.float32 = f32(0.2)
+    leaf_share_before_wall: np.float32 = f32(0.25)
     """The same close in front of a wall."""
     before_m: np.float32 = BEFORE_M
     """Greatest distance in front of a wall that is close [m]."""
@@ -282,6 +282,10 @@ class AgainThresholds(NamedTuple):
     """... with no other within this in range [m] ..."""
     alone_gap_m: np.float32 = f32(0.75)
     """... and none within this before, or behind [m]."""
+    leaves: np.float32 = f32(3)
+    """Noise is a leaf where so many leaves around, in three lines, ..."""
+    leaf_m: np.float32 = f32(2)
+    """... are within this in range [m]: where columns are as far apart as for :attr:`Foliage.depth_step_rad`."""
 
 
 class CurbThresholds(NamedTuple):

@@ -119,7 +119,7 @@ def test_a_step_that_is_off_is_missed(street: tuple[F32, U8], off: dict[str, Any
     assert recalls(classified(street[0], **off), street[1])[kind] < usual - 0.2
 
 
-@pytest.mark.parametrize("step", ["_measure", "see", "_follow", "_decide"])
+@pytest.mark.parametrize("step", ["_measure", "see", "follow_ground", "_decide"])
 def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """Before, in, between and after the steps that hand on: nobody waits for a turn that never comes."""
     plain = getattr(pipeline, step)
