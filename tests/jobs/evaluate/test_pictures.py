@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from prc_cli.jobs.evaluate.plan import _worst
 
 from prc_cli.evaluation.html import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
