@@ -42,6 +42,7 @@ class Reason(IntEnum):
     MISSING = 0
     BEYOND_REACH = 1 << 4 | Label.UNCLASSIFIED
     UNDECIDED = 2 << 4 | Label.UNCLASSIFIED
+    SMALL = 3 << 4 | Label.UNCLASSIFIED
     UNSUPPORTED = 1 << 4 | Label.NOISE
     LONELY = 2 << 4 | Label.NOISE
     ISOLATED = 3 << 4 | Label.NOISE

@@ -216,6 +216,11 @@ def heights(rng: Generator, one: Street) -> F32:
     return above
 
 
+def kinds(rng: Generator, shape: tuple[int, ...]) -> U8:
+    """Things that stand alone, of any kind."""
+    return np.where(rng.random(shape) < rng.choice([0.0, 0.3]), rng.integers(0, 6, shape), 0).astype(np.uint8)
+
+
 def strips_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     above, smooth, level = heights(rng, one), rng.choice([3, 0]), rng.choice([6, 2, 0])
@@ -229,7 +234,7 @@ def strips_case(rng: Generator) -> tuple[Any, ...]:
         level_top_m=rng.choice([3.4, 0.5]),
         jump_m=rng.choice([1.0, 9.0]),
     )
-    columns = (rng.random(above.shape) < rng.choice([0.0, 0.3])).astype(np.uint8)
+    columns = kinds(rng, above.shape)
     return one.range_m, above, random_counts(rng, one), columns, one.beams, one.step, chosen
 
 
@@ -259,7 +264,14 @@ def columns_case(rng: Generator) -> tuple[Any, ...]:
         tall_m=rng.choice([0.2, 1.0]),
         low_m=rng.choice([0.6, 3.0]),
         thin_lines=rng.choice([1, 5]),
-        high_m=rng.choice([0.0, 2.2]),
+        small_lines=rng.choice([1, 7]),
+        small_share=rng.choice([0.2, 0.7]),
+        small_m=rng.choice([0.1, 0.7, 3.0]),
+        post_m=rng.choice([0.12, 1.0]),
+        post_tall_m=rng.choice([0.1, 0.4]),
+        slim_lines=rng.choice([1, 4]),
+        piece_lines=rng.choice([3, 24]),
+        high_m=rng.choice([0.0, 1.2, 2.2]),
     )
     return window, above, counts, beams, chosen
 
@@ -393,7 +405,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         one.range_m,
         above,
         counts,
-        alone := (rng.random(above.shape) < rng.choice([0.0, 0.1])).astype(np.uint8),
+        alone := kinds(rng, above.shape),
         one.beams,
         one.step,
         typed(

@@ -15,7 +15,8 @@ from prc_cli.methods.fused.thresholds import DecisionThresholds
 MISSING, _, NOISE, GROUND = range(4)
 Slots = NDArray[np.uint64]
 
-MARGIN, BESIDE, ACROSS = 20, 12, 4
+MARGIN, BESIDE = 20, 12
+COLUMN, THIN, _, FEW, SMALL = range(1, 6)
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 
 
@@ -175,66 +176,23 @@ class _Shot:
         return bool(int((around % 16).sum()) >= (limits.car_bins_rough if rough else limits.car_bins))
 
     @property
-    def is_column(self) -> bool:
-        return bool(self.alone[self.line, self.i] and self.strip is not None and self.thresholds.pole_m > 0)
+    def kind(self) -> int:
+        """What it is of, if that stands alone and is near enough."""
+        return int(self.alone[self.line, self.i]) if self.strip is not None else 0
 
     def is_standing(self, *, is_car: bool) -> bool:
-        if self.is_column:
+        if self.kind in (0, SMALL) or not self.thresholds.pole_m > 0:
+            return False
+        if self.kind == COLUMN:
             return True
-        if self.strip is None or not self.above > self.thresholds.foot_m:
+        if self.level > 0 and not (self.above > self.thresholds.arm_m and self.kind == THIN):
             return False
-        if self.level > 0 and not (self.above > self.thresholds.arm_m and self._is_free_across()):
+        if self.is_in_wall() or (is_car and self.kind != THIN):
             return False
-        if self.is_in_wall() or (is_car and not self._is_free_across()):
-            return False
-        return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
-
-    def is_thin(self) -> bool:
-        return self.is_column or self._is_short_in_line() or self._is_narrow_across()
-
-    def _is_short_in_line(self) -> bool:
-        ranges, heights = self.window[self.line + MARGIN], self.points[1][self.line + 2]
-        held = self.counts[0][self.line + 2] >= self.thresholds.least_near
-        heights_met, length = [self.height], 1
-        for way in (-1, 1):
-            last, gap, j = self.i, 0, self.i + way
-            while 0 <= j < len(ranges) and gap <= 3 + length:
-                if not held[j]:
-                    gap += 1
-                elif abs(ranges[j] - ranges[last]) < self.thresholds.jump_m:
-                    last, gap, length = j, 0, length + 1
-                    heights_met.append(heights[j])
-                    if max(heights_met) - min(heights_met) >= self.thresholds.pole_m:
-                        return False
-                elif ranges[j] <= ranges[last] + self.thresholds.far_m:
-                    return False
-                else:
-                    break
-                j += way
-        return True
-
-    def _is_free_across(self, lines: int = ACROSS) -> bool:
-        column, middle = self.window[:, self.i], self.line + MARGIN
-        free = ~(column <= self.range_m + self.thresholds.far_m)
-        return bool(free[middle - lines : middle].any() and free[middle + 1 : middle + lines + 1].any())
-
-    def run(self) -> I64:
-        """Return the shots that go on beside each other, at a similar range."""
-        ranges = self.window[self.line + MARGIN]
-        held = self.counts[0][self.line + 2] >= self.thresholds.least_near
-        if not held[self.i]:
-            return np.array([self.i])
-        goes_on = (np.abs(np.diff(ranges)) < self.thresholds.jump_m) & held[1:] & held[:-1]
-        number = np.concatenate([[0], np.cumsum(~goes_on)])
-        return np.flatnonzero(number == number[self.i])
+        return bool(self.above > self.thresholds.foot_m and self.texture >= self.thresholds.leaf_share)
 
     def is_thick(self) -> bool:
-        run, limits = self.run(), self.thresholds
-        deep, tall = np.ptp(self.points[0][self.line + 2, run]), np.ptp(self.points[1][self.line + 2, run])
-        is_short = tall < np.float32(2) * limits.pole_m
-        if limits.thick_m <= deep < np.float32(0.5) * tall and is_short:
-            return True
-        column, middle = self.window[:, self.i], self.line + MARGIN
+        limits, column, middle = self.thresholds, self.window[:, self.i], self.line + MARGIN
         seen = [column[middle]]
         for way in (-1, 1):
             for k in range(1, BESIDE + 1):
@@ -244,13 +202,6 @@ class _Shot:
                 seen.append(there)
         across = np.float32(max(seen) - min(seen)) * (abs(self.side) / self.range_m)
         return bool(across >= limits.thick_m)
-
-    def _is_narrow_across(self) -> bool:
-        column, middle = self.window[:, self.i], self.line + MARGIN
-        free = ~(column <= self.range_m + self.thresholds.far_m)
-        before = [k for k in range(1, ACROSS + 1) if middle - k >= 0 and free[middle - k]]
-        after = [k for k in range(1, ACROSS + 1) if middle + k < len(column) and free[middle + k]]
-        return bool(before) and bool(after) and before[0] + after[0] <= ACROSS + 1
 
     def has_crown(self) -> bool:
         return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)
@@ -276,8 +227,10 @@ class _Shot:
             return Reason.BEHIND_WALL
         if is_car and self.is_lost_in_car():
             return Reason.IN_CAR
-        if self.is_standing(is_car=is_car) and self.is_thin() and (upright := self._upright()):
+        if self.is_standing(is_car=is_car) and (upright := self._upright()):
             return upright
+        if self.kind == SMALL and (is_car or self.texture >= self.thresholds.leaf_share):
+            return Reason.SMALL
         if is_car:
             return Reason.LEVEL_BODY
         if rough:
@@ -289,12 +242,11 @@ class _Shot:
     def _upright(self) -> Reason | None:
         if self.has_crown():
             return Reason.CROWN
-        is_long = not (self.is_column or self._is_free_across(BESIDE))
-        if is_long or len(self.run()) < self.thresholds.pole_shots:
+        if self.kind == FEW:
             return None
         if self.is_thick():
             return Reason.TRUNK
-        return Reason.POST if self.level == 0 or self.is_column else Reason.ARM
+        return Reason.POST if self.level == 0 or self.kind == COLUMN else Reason.ARM
 
 
 def fused_labels(

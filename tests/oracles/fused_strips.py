@@ -13,6 +13,7 @@ from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, 
 
 N, WIDTH, HALF_WIDTH, SLOT = 320, np.float32(0.5), np.float32(0.25), np.float32(0.25)
 NOTHING = np.float32(-1e9)
+COLUMN, THIN, SHORT, FEW, SMALL = range(1, 6)
 
 Slots = NDArray[np.uint64]
 
@@ -45,7 +46,7 @@ def fill_strips(
             rough[k, strip] |= bit
         stands_for = ranges[k, i] * step / max(abs(y) / ranges[k, i], np.float32(0.3))
         length[k, strip] += stands_for
-        if smooth[k, i] >= thresholds.smooth and upright[k, i] >= 2 and not columns[k, i]:
+        if smooth[k, i] >= thresholds.smooth and upright[k, i] >= 2 and columns[k, i] != COLUMN:
             wall[k, strip] += stands_for
             place[k, strip] += stands_for * y
             top[k, strip] = max(top[k, strip], height[k, i])
@@ -148,8 +149,18 @@ class _Lines:
         return bool(self.near[line, i] >= self.limits.least_near and self.above[line, i] > self.limits.foot_m)
 
     def is_free(self, line: int, i: int) -> bool:
-        smooth = self.smooth[line, i] >= self.limits.smooth
-        return bool(smooth and self.is_held(line, i) and self.seen(line, i) is not None)
+        return self.is_held(line, i) and self.seen(line, i) is not None
+
+    def is_smooth(self, line: int, i: int) -> bool:
+        return bool(self.smooth[line, i] >= self.limits.smooth)
+
+    def n_seen(self, line: int, i: int) -> int:
+        lines = self.seen(line, i)
+        assert lines is not None
+        return len(lines)
+
+    def side(self, line: int, shots: list[int]) -> F32:
+        return np.abs(self.window[line + self.margin, shots] * self.beams[0][shots])
 
     def runs(self, line: int) -> list[list[int]]:
         """Return the shots of every run of a line."""
@@ -179,21 +190,80 @@ class _Lines:
         bulge = np.float32(0.5) * (left + right) - middle
         return np.float32(bulge * (abs(away * self.beams[0][i]) / away) / np.float32(0.34))
 
+    def kind(self, line: int, run: list[int], free: list[int]) -> int:
+        if self.is_low(line, run, free):
+            is_smooth = sum(self.is_smooth(line, i) for i in free) >= self.limits.share * np.float32(len(free))
+            is_post = is_smooth and np.ptp(self.side(line, free)) < self.limits.post_m
+            return COLUMN if is_post and np.ptp(self.above[line, free]) > self.limits.post_tall_m else SMALL
+        return COLUMN if self.is_column(line, run, free) else 0
+
+    def is_low(self, line: int, run: list[int], free: list[int]) -> bool:
+        limits, above = self.limits, self.above[line, free]
+        few = np.float32(sum(self.n_seen(line, i) <= limits.small_lines for i in free))
+        if few < max(limits.shots, limits.small_share * np.float32(len(run))) or above.max() >= limits.high_m:
+            return False
+        if np.ptp(self.side(line, free)) > limits.small_m or self.depth(line, run) > limits.small_m:
+            return False
+        return bool(above.max() + self.climb(line, free[int(np.argmax(above))]) < limits.high_m)
+
+    def depth(self, line: int, run: list[int]) -> np.float32:
+        """Return how deep a run is together with low things close behind or before it, beyond both ends."""
+        ranges, parts = self.window[line + self.margin], [run[0], run[-1]]
+        for last, shots in ((run[0], range(run[0], -1, -1)), (run[-1], range(run[-1], len(ranges)))):
+            for j in shots:
+                if np.isnan(ranges[j]):
+                    continue
+                is_low = self.limits.foot_m < self.above[line, j] < self.limits.high_m
+                if not (is_low and np.abs(ranges[j] - ranges[last]) < np.float32(0.7)):
+                    break
+                last = j
+                parts.append(j)
+        return np.float32(np.ptp(self.side(line, [run[0], *parts])))
+
+    def climb(self, line: int, i: int) -> np.float32:
+        """Return how much higher lines around see the thing of a shot."""
+        (sine, cosine), at, best = self.beams, line + self.margin, np.float32(0)
+        up = 1 if cosine[max(i - 1, 0)] > cosine[min(i + 1, len(sine) - 1)] else -1
+        side, height = self.window * sine, -(self.window * cosine)
+        for way in (-1, 1):
+            k, j, top, goes_on = at + way, i, height[at, i], True
+            while goes_on and 0 <= k < len(self.window) and top - height[at, i] < self.limits.high_m:
+                q, goes_on = j, False
+                while 0 <= q < len(sine) and self.window[at, i] * (cosine[j] - cosine[q]) < np.float32(0.3):
+                    if np.abs(side[k, q] - side[at, i]) < np.float32(0.4):
+                        top, j, goes_on = max(top, height[k, q]), q, True
+                    q += up
+                k += way
+            best = max(best, top - height[at, i])
+        return np.float32(best)
+
     def is_column(self, line: int, run: list[int], free: list[int]) -> bool:
-        limits = self.limits
-        n_smooth = sum(self.smooth[line, run] >= limits.smooth)
-        if len(free) < max(limits.shots, limits.share * np.float32(n_smooth)):
+        limits, smooth = self.limits, [i for i in free if self.is_smooth(line, i)]
+        if len(smooth) < max(limits.shots, limits.share * np.float32(sum(self.smooth[line, run] >= limits.smooth))):
             return False
         above = self.above[line, free]
-        deep = np.ptp(np.abs(self.window[line + self.margin, free] * self.beams[0][free]))
-        if deep > limits.deep_m or above.min() > limits.low_m:
+        if np.ptp(self.side(line, free)) > limits.deep_m or above.min() > limits.low_m:
             return False
         if np.ptp(above) < limits.tall_m or above.max() < limits.high_m:
             return False
-        if 2 * sum(len(self.seen(line, i) or ()) <= limits.thin_lines for i in free) > len(free):
+        if 2 * sum(self.n_seen(line, i) <= limits.thin_lines for i in smooth) > len(smooth):
             return True
-        radii = np.array([self.radius(line, i) for i in free[:: max(len(free) // 8, 1)]], np.float32)
+        radii = np.array([self.radius(line, i) for i in smooth[:: max(len(smooth) // 8, 1)]], np.float32)
         return bool(2 * ((radii >= limits.round_m) & (radii <= limits.deep_m)).sum() > len(radii))
+
+    def is_short(self, line: int, run: list[int]) -> bool:
+        ranges, far = np.pad(self.window[line + self.margin], 1, constant_values=np.nan), self.limits.far_m
+        first, end = run[0] + 1, run[-1] + 2
+        if ranges[first - 1] <= ranges[first] + far or ranges[end] <= ranges[end - 1] + far:
+            return False
+        return bool(np.ptp(self.above[line, run]) < self.limits.tall_m)
+
+    def piece(self, line: int, run: list[int], i: int) -> int:
+        n_seen, limits = self.n_seen(line, i), self.limits
+        is_thin = n_seen <= min(limits.slim_lines, limits.piece_lines)
+        if not is_thin and not (n_seen <= limits.piece_lines and self.is_short(line, run)):
+            return 0
+        return FEW if len(run) < limits.shots else THIN if is_thin else SHORT
 
 
 def _added(values: F32) -> np.float32:
@@ -212,7 +282,10 @@ def find_columns(
     found = np.zeros(above_m.shape, np.uint8)
     for line in range(len(above_m)):
         for run in lines.runs(line):
-            free = [i for i in run if lines.is_free(line, i)]
-            if free and lines.is_column(line, run, free):
-                found[line, free] = 1
+            if not (free := [i for i in run if lines.is_free(line, i)]):
+                continue
+            kind = lines.kind(line, run, free)
+            for i in run if kind == SMALL else free:
+                is_odd = kind == COLUMN and not lines.is_smooth(line, i)
+                found[line, i] = (kind or lines.piece(line, run, i)) * (not is_odd)
     return found

@@ -18,7 +18,7 @@ LINES = 2
 MARGIN = 20
 """Lines of the window before and after the block."""
 BESIDE = 12
-"""Lines before and after in which something is seen past a pole."""
+"""Lines before and after by which a pole is found to be thick."""
 BOX_ODD = 3
 """Consecutive lines that see something else than a box where it ends; all of them but one see past it."""
 BOX_EVEN_M = np.float32(0.12)
@@ -31,6 +31,7 @@ MOST_SMOOTH = 8
 """Greatest number of smooth pairs that counts."""
 LEAST_COLUMNS = 2
 """Least half width of a place, in columns."""
+COLUMN, THIN, _, FEW, SMALL = (np.uint8(kind) for kind in (1, 2, 3, 4, 5))
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`strips_loops`."""
 HANGS = 16
@@ -47,12 +48,8 @@ CAR_REACH = 6
 """Bins on either side in which level surfaces count."""
 BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
-ACROSS_LINES = 4
-"""Lines before and after by which a thing is found to be thin."""
 GAP_SHOTS = 3
-"""Lonely shots within a run, beside as many as the run is long."""
-_LONG, _SHORT, _UNKNOWN = 0, 1, 2
-"""Kinds of runs along a line; unknown: each of its shots is asked."""
+"""Lonely shots within a box."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
 _OPEN, _LEAF, _ODD = 255, 254, 253
 """Marks of undecided shots, of lonely leaves, and of shots that may be noise; no reason is one of them."""
@@ -65,6 +62,7 @@ _WALKED, _LEVEL_LOW, _LOW = np.uint8(Reason.WALKED), np.uint8(Reason.LEVEL_LOW),
 _SMOOTH, _FACADE = np.uint8(Reason.SMOOTH), np.uint8(Reason.FACADE)
 _ONE_LEAF, _FOLIAGE = np.uint8(Reason.LEAF), np.uint8(Reason.FOLIAGE)
 _CROWN, _TRUNK = np.uint8(Reason.CROWN), np.uint8(Reason.TRUNK)
+_SMALL = np.uint8(Reason.SMALL)
 _LEVEL_BODY = np.uint8(Reason.LEVEL_BODY)
 _POST, _ARM, _BOX = np.uint8(Reason.POST), np.uint8(Reason.ARM), np.uint8(Reason.BOX)
 
@@ -143,133 +141,6 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 
 @inlined
-def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionThresholds) -> bool:
-    """Return whether a shot's run along its line is short, with nothing, or only far things, beyond both ends."""
-    m = len(ranges)
-    least, jump, far = thresholds.least_near, thresholds.jump_m, thresholds.far_m
-    low, high = heights[i], heights[i]
-    length = 1
-    for way in (-1, 1):
-        last, j, gap = i, i + way, 0
-        while True:
-            if j < 0 or j >= m or gap > GAP_SHOTS + length:
-                break
-            if np.float32(near[j]) < least:
-                gap += 1
-                j += way
-                continue
-            if abs(ranges[j] - ranges[last]) < jump:
-                last, gap = j, 0
-                length += 1
-                low, high = min(low, heights[j]), max(high, heights[j])
-                if high - low >= thresholds.pole_m:
-                    return False
-                j += way
-                continue
-            if ranges[j] <= ranges[last] + far:
-                return False
-            break
-    return True
-
-
-@helper
-def _follow_run(
-    ranges: F32, near: U8, sides: F32, heights: F32, i: int, thresholds: DecisionThresholds
-) -> tuple[int, int, int, np.float32, np.float32]:
-    """Follow the shots around that go on without a gap.
-
-    Return their end and number, whether all are short, and how high and how deep they reach. The answer of
-    :func:`_is_short` is the same for all of them, unless lonely shots are beside them: it goes past such. What is twice
-    as high as a pole need not be followed to its ends: the numbers are then those of a part.
-    """
-    m = len(ranges)
-    least, jump, high_m, most = thresholds.least_near, thresholds.jump_m, thresholds.pole_m, thresholds.pole_shots
-    enough_m = np.float32(2.0) * high_m
-    first, end = i, i + 1
-    low = high = heights[i]
-    inner = outer = sides[i]
-    while end < m and np.float32(near[end]) >= least and abs(ranges[end] - ranges[end - 1]) < jump:
-        low, high = min(low, heights[end]), max(high, heights[end])
-        inner, outer = min(inner, sides[end]), max(outer, sides[end])
-        end += 1
-        if high - low >= enough_m and np.float32(end - first) >= most:
-            return end, end - first, _LONG, high - low, outer - inner
-    while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
-        first -= 1
-        low, high = min(low, heights[first]), max(high, heights[first])
-        inner, outer = min(inner, sides[first]), max(outer, sides[first])
-        if high - low >= enough_m and np.float32(end - first) >= most:
-            return end, end - first, _LONG, high - low, outer - inner
-    tall, deep = high - low, outer - inner
-    if tall >= high_m:
-        return end, end - first, _LONG, tall, deep
-    kind = _SHORT
-    for way in (-1, 1):
-        last = first if way < 0 else end - 1
-        j, gap = last + way, 0
-        while 0 <= j < m:
-            if np.float32(near[j]) < least:
-                gap += 1
-                if gap > GAP_SHOTS + 1:
-                    # only the longer part of a run goes past so many
-                    kind = _UNKNOWN
-                    break
-            elif abs(ranges[j] - ranges[last]) < jump:
-                last, gap = j, 0
-                low, high = min(low, heights[j]), max(high, heights[j])
-                if high - low >= high_m:
-                    return end, end - first, _LONG, tall, deep
-            elif ranges[j] <= ranges[last] + thresholds.far_m:
-                return end, end - first, _LONG, tall, deep
-            else:
-                break
-            j += way
-    return end, end - first, kind, tall, deep
-
-
-@inlined
-def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
-    """Return whether close lines before and after see nothing, or only far things, in the direction of a shot."""
-    own = window_m[line, i]
-    before = after = 0
-    for k in range(1, ACROSS_LINES + 1):
-        if line - k >= 0 and not (window_m[line - k, i] <= own + far):
-            before = k
-            break
-    if before == 0:
-        return False
-    for k in range(1, ACROSS_LINES + 1):
-        if line + k < len(window_m) and not (window_m[line + k, i] <= own + far):
-            after = k
-            break
-    return after > 0 and before + after <= ACROSS_LINES + 1
-
-
-@inlined
-def _is_passed(window_m: F32, line: int, i: int, far: np.float32) -> bool:
-    """Return whether lines not far before and after see nothing, or only far things, in the direction of a shot."""
-    end = window_m[line, i] + far
-    sides = 0
-    for way in (-1, 1):
-        for k in range(1, BESIDE + 1):
-            if not (window_m[line + way * k, i] <= end):
-                sides += 1
-                break
-    return sides == 2
-
-
-@inlined
-def _is_round(deep: np.float32, tall: np.float32, thresholds: DecisionThresholds) -> bool:
-    """Return whether a short run is as deep as the front half of a trunk.
-
-    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep as its radius, and
-    at least three times as high. What is deeper than that is something else, as is what goes up the whole line.
-    """
-    is_round = (deep >= thresholds.thick_m) & (deep < np.float32(0.5) * tall)
-    return bool(is_round & (tall < np.float32(2.0) * thresholds.pole_m))
-
-
-@inlined
 def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.float32:
     """Return how deep the thing is that lines before and after see in the direction of a shot, along its beam."""
     least = most = window_m[line, i]
@@ -282,20 +153,6 @@ def _depth_across(window_m: F32, line: int, i: int, jump: np.float32) -> np.floa
             least, most = min(least, there), max(most, there)
             last = there
     return np.float32(most - least)
-
-
-@helper
-def _mark_thin(window_m: F32, line: int, far: np.float32, thin: U8) -> None:
-    """Mark the shots of a line that may be thin: lines on both sides see nothing, or only far things, there."""
-    own = window_m[line]
-    a, b, c, d = window_m[line - 4], window_m[line - 3], window_m[line - 2], window_m[line - 1]
-    for i in range(len(own)):
-        end = own[i] + far
-        thin[i] = np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
-    a, b, c, d = window_m[line + 1], window_m[line + 2], window_m[line + 3], window_m[line + 4]
-    for i in range(len(own)):
-        end = own[i] + far
-        thin[i] &= np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
 
 
 @inlined
@@ -474,7 +331,6 @@ def _label_things(
     soft: F32,
     bins: I32,
     found: tuple[F32, F32, F32, F32, F32],
-    thin: U8,
     alone: U8,
     thresholds: DecisionThresholds,
     labels: U8,
@@ -517,13 +373,16 @@ def _label_things(
         is_ghost = is_behind | is_lost
         label = _IN_CAR if is_lost else label
         label = _BEHIND_WALL if is_behind else label
+        is_sure = is_here & (not is_ghost)
+        is_small = is_sure & (alone[i] == SMALL) & ((texture >= leaf_share) | is_car)
+        label = _SMALL if is_small else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
-        is_up = (level[i] == 0) | ((h > arm_m) & (thin[i] != 0))
-        may_be_pole = is_open & is_here & is_up & (h > foot) & (texture >= leaf_share) & (not is_ghost)
-        is_part = is_wall | (is_car & (thin[i] == 0))
-        is_column = is_open & is_here & (alone[i] != 0)
-        poles[i] = np.uint8(((may_be_pole & (not is_part)) | is_column) & poles_wanted)
+        is_thin, is_piece = alone[i] == THIN, (alone[i] != np.uint8(0)) & (alone[i] < SMALL)
+        is_up = (level[i] == 0) | ((h > arm_m) & is_thin)
+        is_part = is_wall | (is_car & (not is_thin))
+        may_be_pole = is_piece & is_up & (h > foot) & (texture >= leaf_share) & (not is_part)
+        poles[i] = np.uint8(is_open & is_sure & (may_be_pole | (alone[i] == COLUMN)) & poles_wanted)
 
 
 @helper
@@ -531,38 +390,24 @@ def _label_poles(
     shots: I32,
     window_m: F32,
     line: int,
-    counts: tuple[U8, U8, U8, U8],
+    level: U8,
     points: tuple[F32, F32, F32],
-    thin: U8,
     alone: U8,
     rough: Slots,
     thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
-    """Label those of a list of shots that are on poles and trunks."""
-    ranges = window_m[line]
-    side, height, above = points
-    near, level, least = counts[0], counts[3], thresholds.least_near
-    end, n_shots, kind, tall, deep = 0, 0, _UNKNOWN, np.float32(0.0), np.float32(0.0)
+    """Label a list of shots on poles and trunks; of a piece of few shots only whether it is in a crown is known."""
+    side, _, above = points
     for k in range(len(shots)):
         i = shots[k]
-        if np.float32(near[i]) < least:
-            end, n_shots, kind, tall, deep = i + 1, 1, _UNKNOWN, np.float32(0.0), np.float32(0.0)
-        elif i >= end:
-            end, n_shots, kind, tall, deep = _follow_run(ranges, near, side, height, i, thresholds)
-        is_short = kind == _SHORT or (kind == _UNKNOWN and _is_short(ranges, near, height, i, thresholds))
-        if is_short or alone[i] != 0 or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
-            crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
-            if crown >= thresholds.crown_slots:
-                labels[i] = _CROWN
-            elif np.float32(n_shots) >= thresholds.pole_shots and (
-                thin[i] != 0 or alone[i] != 0 or _is_passed(window_m, line, i, thresholds.far_m)
-            ):
-                is_thick = _is_round(deep, tall, thresholds)
-                beside_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / ranges[i])
-                is_thick = is_thick or bool(beside_m >= thresholds.thick_m)
-                upright = _POST if level[i] == 0 or alone[i] != 0 else _ARM
-                labels[i] = _TRUNK if is_thick else upright
+        crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
+        if crown >= thresholds.crown_slots:
+            labels[i] = _CROWN
+        elif alone[i] != FEW:
+            deep_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / window_m[line, i])
+            upright = _POST if level[i] == 0 or alone[i] == COLUMN else _ARM
+            labels[i] = _TRUNK if deep_m >= thresholds.thick_m else upright
 
 
 @inlined
@@ -745,7 +590,7 @@ def fused_labels(
         np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32),
         np.zeros(m, np.float32),
     )  # fmt: skip
-    side, height, thin = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
+    side, height = np.empty(m, np.float32), np.empty(m, np.float32)
     # ring buffer of lines
     pairs = np.empty((3, m), np.uint32)
     for line in range(2):
@@ -767,10 +612,9 @@ def fused_labels(
         _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
-        _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
-        _label_things(place, own, texture[line], bins, found, thin, alone[line], thresholds, row, marks)
+        _label_things(place, own, texture[line], bins, found, alone[line], thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
-        _label_poles(shots[:n], window_m, line + MARGIN, own, place, thin, alone[line], rough, thresholds, row)
+        _label_poles(shots[:n], window_m, line + MARGIN, own[3], place, alone[line], rough, thresholds, row)
         _mark_tops(place[2], own, row, thresholds, marks)
         n = _list_marked(marks, 1, 1, shots)
         _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)

@@ -30,6 +30,12 @@ UPRIGHT_CHORDS = 2
 """Least upright chords, of three, of a shot on an upright surface."""
 _FAR_BINS = np.float32(1e6)
 """Limit of bin numbers, so that they fit an integer."""
+COLUMN, THIN, SHORT, FEW, SMALL = (np.uint8(kind) for kind in (1, 2, 3, 4, 5))
+"""What stands alone: a trunk or post; a thin or short piece of something; one of few shots; something low."""
+PART_M = np.float32(0.7)
+"""Shots that differ by less in range may be of one thing [m]."""
+CLIMB_M, CLIMB_SIDE_M = np.float32(0.3), np.float32(0.4)
+"""A thing is followed upwards from line to line over gaps of this height, and so far to the side [m]."""
 NO_END = 255
 """Lines to one side where a thing goes on, or something stands right beside it."""
 ROUND = np.float32(0.34)
@@ -58,14 +64,13 @@ def _count_on(own: F32, beside: F32, beyond: F32, jump: np.float32, far: np.floa
 
 
 @helper
-def _mark_free(lines: tuple[U8, U8], above: F32, near: U8, smooth: U8, thresholds: ColumnThresholds, marks: U8) -> None:
-    """Mark the smooth shots of a line that few lines see, and lines on both sides see past."""
+def _mark_free(lines: tuple[U8, U8], above: F32, near: U8, thresholds: ColumnThresholds, marks: U8) -> None:
+    """Mark the shots of a line that few lines see, and lines on both sides see past."""
     before, after = lines
     most = np.int32(thresholds.lines)
     for i in range(len(marks)):
         is_free = np.int32(before[i]) + np.int32(after[i]) <= most + np.int32(1)
-        is_held = (np.float32(near[i]) >= thresholds.least_near) & (np.float32(smooth[i]) >= thresholds.smooth)
-        marks[i] = np.uint8(is_free & is_held & (above[i] > thresholds.foot_m))
+        marks[i] = np.uint8(is_free & (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m))
 
 
 @inlined
@@ -93,7 +98,45 @@ def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) 
 
 
 @helper
-def _is_column(
+def _climb(window_m: F32, line: int, i: int, up: int, beams: tuple[F32, F32], most: np.float32) -> np.float32:
+    """Return how much higher than a shot lines around see the same thing, as a slanted plane climbs it [m]."""
+    sine, cosine = beams
+    own, best = window_m[line, i], np.float32(0.0)
+    side, foot = own * sine[i], -(own * cosine[i])
+    for way in (-1, 1):
+        k, j, top, goes_on = line + way, i, foot, True
+        while goes_on and 0 <= k < len(window_m) and top - foot < most:
+            q, goes_on = j, False
+            while 0 <= q < len(sine) and own * (cosine[j] - cosine[q]) < CLIMB_M:
+                there = window_m[k, q]
+                if abs(there * sine[q] - side) < CLIMB_SIDE_M:
+                    top, j, goes_on = max(top, -(there * cosine[q])), q, True
+                q += up
+            k += way
+        best = max(best, top - foot)
+    return best
+
+
+@inlined
+def _is_deep(ranges: F32, points: tuple[F32, F32], ends: tuple[int, int], thresholds: ColumnThresholds) -> bool:
+    """Return whether a low thing is deep along its line, what is behind its panes and gaps included."""
+    (side, above), (first, end) = points, ends
+    inner = outer = abs(side[first])
+    for way in (-1, 1):
+        last = first if way < 0 else end - 1
+        j = last
+        while 0 <= j < len(ranges):
+            if ranges[j] == ranges[j]:
+                is_low = (above[j] > thresholds.foot_m) & (above[j] < thresholds.high_m)
+                if not (is_low and abs(ranges[j] - ranges[last]) < PART_M):
+                    break
+                inner, outer, last = min(inner, abs(side[j])), max(outer, abs(side[j])), j
+            j += way
+    return bool(outer - inner > thresholds.small_m)
+
+
+@helper
+def _kind(
     window_m: F32,
     line: int,
     ends: tuple[int, int],
@@ -101,33 +144,44 @@ def _is_column(
     lines: tuple[U8, U8],
     smooth: U8,
     marks: U8,
+    beams: tuple[F32, F32],
     thresholds: ColumnThresholds,
-) -> bool:
-    """Return whether the run from one shot to before another is a trunk or a post."""
+) -> np.uint8:
+    """Return what the run from one shot to before another is: a trunk or post, something low, or perhaps a piece."""
     (first, end), (side, above), (before, after) = ends, points, lines
-    n = n_free = n_thin = 0
+    n = n_free = n_thin = n_few = n_marked = 0
+    highest = first
     low = inner = np.float32(np.inf)
     high = outer = -low
     for j in range(first, end):
-        n += int(np.float32(smooth[j]) >= thresholds.smooth)
+        is_smooth = np.float32(smooth[j]) >= thresholds.smooth
+        n += int(is_smooth)
         if marks[j] != 0:
-            n_free += 1
             n_seen = np.float32(before[j]) + np.float32(after[j]) - np.float32(1)
-            n_thin += int(n_seen <= thresholds.thin_lines)
-            low, high = min(low, above[j]), max(high, above[j])
+            n_marked += 1
+            n_few += int(n_seen <= thresholds.small_lines)
+            n_free += int(is_smooth)
+            n_thin += int(is_smooth and n_seen <= thresholds.thin_lines)
             inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
+            highest = j if above[j] > high else highest
+            low, high = min(low, above[j]), max(high, above[j])
+    deep, tall, top = outer - inner, high - low, thresholds.high_m
+    is_few = np.float32(n_few) >= max(thresholds.shots, thresholds.small_share * np.float32(end - first))
+    if is_few and high < top and deep <= thresholds.small_m and not _is_deep(window_m[line], points, ends, thresholds):
+        up = 1 if beams[1][max(highest - 1, 0)] > beams[1][min(highest + 1, len(side) - 1)] else -1
+        if high + _climb(window_m, line, highest, up, beams, top) < top:
+            is_post = np.float32(n_free) >= thresholds.share * np.float32(n_marked)
+            return COLUMN if is_post and deep < thresholds.post_m and tall > thresholds.post_tall_m else SMALL
     if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
-        return False
-    if outer - inner > thresholds.deep_m or low > thresholds.low_m:
-        return False
-    if high - low < thresholds.tall_m or high < thresholds.high_m:
-        return False
+        return np.uint8(0)
+    if deep > thresholds.deep_m or low > thresholds.low_m or tall < thresholds.tall_m or high < top:
+        return np.uint8(0)
     if 2 * n_thin > n_free:
-        return True
+        return COLUMN
     n_asked = n_round = k = 0
     stride = max(n_free // SAMPLES, 1)
     for j in range(first, end):
-        if marks[j] == 0:
+        if marks[j] == 0 or np.float32(smooth[j]) < thresholds.smooth:
             continue
         if k % stride == 0:
             across = abs(side[j]) / window_m[line, j]
@@ -135,7 +189,18 @@ def _is_column(
             n_round += int((radius >= thresholds.round_m) & (radius <= thresholds.deep_m))
             n_asked += 1
         k += 1
-    return 2 * n_round > n_asked
+    return COLUMN if 2 * n_round > n_asked else np.uint8(0)
+
+
+@inlined
+def _is_short(ranges: F32, above: F32, first: int, end: int, thresholds: ColumnThresholds) -> bool:
+    """Return whether a run is short, with nothing, or only far things, beyond both ends."""
+    low = high = above[first]
+    for j in range(first, end):
+        low, high = min(low, above[j]), max(high, above[j])
+    is_free = first == 0 or not (ranges[first - 1] <= ranges[first] + thresholds.far_m)
+    is_free &= end == len(ranges) or not (ranges[end] <= ranges[end - 1] + thresholds.far_m)
+    return bool(is_free and high - low < thresholds.tall_m)
 
 
 @kernel()
@@ -146,7 +211,7 @@ def find_columns(
     beams: tuple[F32_1, F32_1],
     thresholds: ColumnThresholds,
 ) -> U8_2:
-    """Mark the shots of upright things that stand alone: no wider than some lines, with something far on both sides.
+    """Say of every shot what it is of, if that stands alone: some lines wide, with something far on both sides.
 
     ``window_m`` (lines + 2 n, M) float32, metres; ``above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines,
     M) uint8; ``beams`` tuple of (M,) float32; returns (lines, M) uint8.
@@ -168,7 +233,7 @@ def find_columns(
             continue
         line, ranges = k - margin, window_m[k]
         above, near, smooth = above_m[line], counts[0][line], counts[1][line]
-        _mark_free((lines, after[line]), above, near, smooth, thresholds, marks)
+        _mark_free((lines, after[line]), above, near, thresholds, marks)
         for i in range(m):
             side[i] = ranges[i] * beams[0][i]
         end = 0
@@ -181,9 +246,16 @@ def find_columns(
             while end < m and _goes_on(ranges, near, above, end - 1, end, thresholds):
                 end += 1
             ends, place = (first, end), (side, above)
-            if _is_column(window_m, k, ends, place, (lines, after[line]), smooth, marks, thresholds):
-                for j in range(first, end):
-                    found[line, j] = marks[j]
+            kind = _kind(window_m, k, ends, place, (lines, after[line]), smooth, marks, beams, thresholds)
+            is_piece = kind == 0 and _is_short(ranges, above, first, end, thresholds)
+            for j in range(first, end):
+                n_seen, own = np.float32(lines[j]) + np.float32(after[line, j]) - np.float32(1), kind
+                if kind == 0 and n_seen <= thresholds.piece_lines:
+                    own = THIN if n_seen <= thresholds.slim_lines else (SHORT if is_piece else own)
+                    own = FEW if own != 0 and np.float32(end - first) < thresholds.shots else own
+                if kind == COLUMN and np.float32(smooth[j]) < thresholds.smooth:
+                    own = np.uint8(0)
+                found[line, j] = own if marks[j] != 0 or kind == SMALL else np.uint8(0)
     return found
 
 
@@ -255,7 +327,7 @@ def _mark_kinds(
         slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
     _mark_rough(pairs, most_rough, rough)
     for i in range(len(above)):
-        is_wall = (up[i] >= UPRIGHT_CHORDS) & (columns[i] == 0)
+        is_wall = (up[i] >= UPRIGHT_CHORDS) & (columns[i] != COLUMN)
         upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & is_wall)
     for i in range(len(above)):
         level[i] = np.uint8(

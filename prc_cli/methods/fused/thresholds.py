@@ -116,7 +116,7 @@ class ColumnThresholds(NamedTuple):
     """... higher than this above the ground [m] ..."""
     jump_m: np.float32 = f32(0.5)
     """... that differ by less than this in range [m] ..."""
-    far_m: np.float32 = f32(1)
+    far_m: np.float32 = f32(0.5)
     """... and what lines beside them see is farther by more than this [m]."""
     shots: np.float32 = f32(6)
     """Fewest such shots of a run ..."""
@@ -134,6 +134,20 @@ class ColumnThresholds(NamedTuple):
     """Most of their shots are seen by so few lines, too few to see whether they are round ..."""
     round_m: np.float32 = f32(0.03)
     """... or are of something round with at least this radius [m]."""
+    small_lines: np.float32 = f32(7)
+    """Lower things seen by so few lines ..."""
+    small_share: np.float32 = f32(0.7)
+    """... in this share of their shots ..."""
+    small_m: np.float32 = f32(0.7)
+    """... and no deeper than this are people and the like [m] ..."""
+    post_m: np.float32 = f32(0.12)
+    """... or bollards, if no deeper than this [m] ..."""
+    post_tall_m: np.float32 = f32(0.4)
+    """... and higher than this [m]."""
+    slim_lines: np.float32 = f32(4)
+    """What so few lines see is thin ..."""
+    piece_lines: np.float32 = f32(24)
+    """... and so few, and lower than tall_m, may be a piece that a slanted plane cuts from a post."""
 
 
 class StripThresholds(NamedTuple):

@@ -95,6 +95,18 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
 
 
+def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
+    ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
+    legs, trunk, head = surface(-3.15, 0.0, 0.85), surface(-3.0, 0.85, 1.5), surface(-3.1, 1.5, 1.75)
+    person = np.minimum(np.minimum(legs, trunk), head)
+    hit[20:24] = np.isfinite(person)
+    noise = np.random.default_rng(3).normal(0, 0.005, ranges.shape)
+    ranges = np.where(hit, person + noise, ranges).astype(np.float32)
+    hit &= HEIGHT_M - ranges * DOWN > 0.4
+    assert (classified(ranges)[hit] == Label.UNCLASSIFIED).mean() > 0.9
+    assert not (classified(ranges, columns={"small_lines": 0})[hit] == Label.UNCLASSIFIED).any()
+
+
 @pytest.mark.parametrize(("radius_m", "label"), [(0.3, Label.VEGETATION), (0.08, Label.POLE), (None, Label.BUILDING)])
 def test_what_stands_alone_is_a_wall_only_if_flat(street: tuple[F32, U8], radius_m: float | None, label: Label) -> None:
     ranges, hit = street[0].copy(), np.zeros(street[0].shape, np.bool_)
