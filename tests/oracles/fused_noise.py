@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from prc_cli.methods.fused.thresholds import AgainThresholds
 MISSING, NOISE, VEGETATION, CAR = 0, 2, 5, 7
 
 
-@dataclass(frozen=True)
-class _Window:
+class _Window(NamedTuple):
     """A shot and what is around it."""
 
     labels: U8
@@ -54,9 +53,8 @@ class _Window:
         return bool(min(sides) >= thresholds.mirror_share * np.float32(24) and fellows <= 1)
 
     def is_leaf(self, thresholds: AgainThresholds) -> bool:
-        around = [(abs(self.range_m[k, j] - self.own), self.labels[k - 2, j]) for k, j in self.around(1)]
-        leaves = sum(bool(off < thresholds.leaf_m and label == VEGETATION) for off, label in around)
-        return bool(leaves >= thresholds.leaves)
+        near = [at for at in self.around(1) if abs(self.range_m[at] - self.own) < thresholds.leaf_m]
+        return sum(self.labels[k - 2, j] == VEGETATION for k, j in near) >= thresholds.leaves
 
     def is_alone(self, thresholds: AgainThresholds) -> bool:
         ranges = np.array([self.range_m[place] for place in self.around()], np.float32)
@@ -75,15 +73,16 @@ def noise_again(
 ) -> U8:
     """Ask again which shots are noise; see :func:`prc_cli.methods.fused.noise_loops.noise_again`."""
     found = voted.copy()
-    for line, i in zip(*np.nonzero((voted == NOISE) & (above_m > thresholds.foot_m)), strict=True):
-        if _Window(labels, range_m, smooth, int(line) + 3, int(i)).is_leaf(thresholds):
-            found[line, i] = Reason.LEAF
-    for line, i in zip(*np.nonzero((voted != MISSING) & (voted != NOISE)), strict=True):
+    for line, i in zip(*np.nonzero(voted), strict=True):
         shot, pairs = _Window(labels, range_m, smooth, int(line) + 3, int(i)), smooth[line + 3, i]
-        is_rough = pairs == 0 and texture[line, i] > thresholds.alone_texture and above_m[line, i] > thresholds.foot_m
+        is_high = above_m[line, i] > thresholds.foot_m
+        is_noise = voted[line, i] == NOISE
+        is_rough = pairs == 0 and texture[line, i] > thresholds.alone_texture and is_high and not is_noise
         is_open = pairs < 2 and labels[line + 1, i] not in (MISSING, NOISE)
-        if is_rough and shot.is_alone(thresholds):
+        if is_noise and is_high and shot.is_leaf(thresholds):
+            found[line, i] = Reason.LEAF
+        elif is_rough and shot.is_alone(thresholds):
             found[line, i] = Reason.RANGE_ALONE
-        elif is_open and shot.is_mirrored(thresholds):
+        elif is_open and not is_noise and shot.is_mirrored(thresholds):
             found[line, i] = Reason.MIRRORED
     return found

@@ -33,8 +33,7 @@ def mean_smoothness(
             every = near[place] >= least_near
             counts = every & (np.abs(range_m[place] - range_m[line + 2, i]) < depth_m)
             if counts.any():
-                seen = np.float32(counts.sum()) / np.float32(every.sum())
-                possible = np.float32(8) * np.float32(counts.sum()) * max(seen, np.float32(0.85))
-                share = np.float32(pairs[place][counts].sum()) / possible
+                seen = max(np.float32(counts.sum()) / np.float32(every.sum()), np.float32(0.85))
+                share = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()) * seen)
                 mean[line, i] = max(mean[line, i], share)
     return mean
