@@ -143,7 +143,7 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         if context is not None:
             # click ends its sentences with a full stop, some after a colon of their own
             said = said.removesuffix(".") + (" " if said.endswith("?") else "; ") + f"see {context.command_path} --help"
-            if isinstance(getattr(error, "param", None), click.Argument):
+            if isinstance(error, click.MissingParameter) and isinstance(error.param, click.Argument):
                 said += f", expected {' '.join(context.command.collect_usage_pieces(context)[1:])}"
         message, code = printable(said), error.exit_code
     except MemoryError as error:

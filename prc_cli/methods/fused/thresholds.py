@@ -134,7 +134,7 @@ class ColumnThresholds(NamedTuple):
     """Most of their shots are seen by so few lines, too few to see whether they are round ..."""
     round_m: np.float32 = f32(0.03)
     """... or are of something round with at least this radius [m]."""
-    small_lines: np.float32 = f32(7)
+    small_lines: np.float32 = f32(5)
     """Lower things seen by so few lines ..."""
     small_share: np.float32 = f32(0.7)
     """... in this share of their shots ..."""
