@@ -118,6 +118,7 @@ class WatchedWorker:
             "OMP_NUM_THREADS": "1",
             "ARROW_DEFAULT_MEMORY_POOL": "system",
             "MALLOC_ARENA_MAX": "2",
+            "PYTHONDONTWRITEBYTECODE": "1",  # a module that no process imported before is no file that a case writes
         }
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.fuzz.worker", str(self._folder)],
