@@ -217,8 +217,10 @@ def heights(rng: Generator, one: Street) -> F32:
 
 
 def kinds(rng: Generator, shape: tuple[int, ...]) -> U8:
-    """Things that stand alone, of any kind."""
-    return np.where(rng.random(shape) < rng.choice([0.0, 0.3]), rng.integers(0, 6, shape), 0).astype(np.uint8)
+    """Things that stand alone, of any kind, in runs along the lines."""
+    wide = (shape[0], -(-shape[1] // 8))
+    found = np.where(rng.random(wide) < rng.choice([0.0, 0.6]), rng.integers(0, 6, wide), 0).astype(np.uint8)
+    return np.where(rng.random(shape) < 0.1, 0, found.repeat(8, axis=1)[:, : shape[1]]).astype(np.uint8)
 
 
 def strips_case(rng: Generator) -> tuple[Any, ...]:
@@ -352,7 +354,8 @@ def decision(rng: Generator) -> DecisionThresholds:
     top_m = min(thresholds.car_top_m, np.float32(15.0))
     lorry_m = min(thresholds.lorry_top_m, np.float32(15.0))
     flat_m, deep_m = np.float32(rng.choice([0.25, 0.0])), np.float32(rng.choice([0.75, 5.0]))
-    thresholds = thresholds._replace(box_flat_m=flat_m, box_deep_m=deep_m)
+    thick_m = np.float32(rng.choice([0.15, 0.02]))
+    thresholds = thresholds._replace(box_flat_m=flat_m, box_deep_m=deep_m, thick_m=thick_m)
     return thresholds._replace(car_top_m=top_m, lorry_top_m=lorry_m)
 
 

@@ -203,6 +203,20 @@ class _Shot:
         across = np.float32(max(seen) - min(seen)) * (abs(self.side) / self.range_m)
         return bool(across >= limits.thick_m)
 
+    def is_round(self) -> bool:
+        """Return whether the run that stands alone around a shot is as deep as the front half of a trunk."""
+        limits, ranges = self.thresholds, self.window[self.line + MARGIN]
+        run = [self.i]
+        for way in (-1, 1):
+            j = self.i + way
+            while 0 <= j < len(ranges) and self.alone[self.line, j] in (1, 2, 3, FEW):
+                if not np.abs(ranges[j] - ranges[j - way]) < limits.jump_m:
+                    break
+                run.append(j)
+                j += way
+        deep, tall = (np.ptp(points[self.line + 2, run]) for points in self.points[:2])
+        return bool(limits.thick_m <= deep < np.float32(0.5) * tall and tall < np.float32(2) * limits.pole_m)
+
     def has_crown(self) -> bool:
         return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)
 
@@ -244,7 +258,7 @@ class _Shot:
             return Reason.CROWN
         if self.kind == FEW:
             return None
-        if self.is_thick():
+        if self.is_round() or self.is_thick():
             return Reason.TRUNK
         return Reason.POST if self.level == 0 or self.kind == COLUMN else Reason.ARM
 

@@ -386,6 +386,27 @@ def _label_things(
 
 
 @helper
+def _round_run(
+    ranges: F32, points: tuple[F32, F32, F32], alone: U8, i: int, thresholds: DecisionThresholds
+) -> tuple[int, bool]:
+    """Return the end of the run of a shot that stands alone, and whether it is as deep as the front half of a trunk.
+
+    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep as its radius, and
+    at least three times as high. What is deeper than that is something else, as is what goes up the whole line.
+    """
+    side, height, _ = points
+    first, end, jump = i, i + 1, thresholds.jump_m
+    while end < len(alone) and 0 < alone[end] < SMALL and abs(ranges[end] - ranges[end - 1]) < jump:
+        end += 1
+    while first > 0 and 0 < alone[first - 1] < SMALL and abs(ranges[first - 1] - ranges[first]) < jump:
+        first -= 1
+    deep = side[first:end].max() - side[first:end].min()
+    tall = height[first:end].max() - height[first:end].min()
+    is_round = (deep >= thresholds.thick_m) & (deep < np.float32(0.5) * tall)
+    return end, bool(is_round & (tall < np.float32(2.0) * thresholds.pole_m))
+
+
+@helper
 def _label_poles(
     shots: I32,
     window_m: F32,
@@ -399,15 +420,18 @@ def _label_poles(
 ) -> None:
     """Label a list of shots on poles and trunks; of a piece of few shots only whether it is in a crown is known."""
     side, _, above = points
+    end, is_round = 0, False
     for k in range(len(shots)):
         i = shots[k]
+        if i >= end:
+            end, is_round = _round_run(window_m[line], points, alone, i, thresholds)
         crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
         if crown >= thresholds.crown_slots:
             labels[i] = _CROWN
         elif alone[i] != FEW:
             deep_m = _depth_across(window_m, line, i, thresholds.jump_m) * (abs(side[i]) / window_m[line, i])
             upright = _POST if level[i] == 0 or alone[i] == COLUMN else _ARM
-            labels[i] = _TRUNK if deep_m >= thresholds.thick_m else upright
+            labels[i] = _TRUNK if is_round or deep_m >= thresholds.thick_m else upright
 
 
 @inlined

@@ -116,7 +116,7 @@ class ColumnThresholds(NamedTuple):
     """... higher than this above the ground [m] ..."""
     jump_m: np.float32 = f32(0.5)
     """... that differ by less than this in range [m] ..."""
-    far_m: np.float32 = f32(0.5)
+    far_m: np.float32 = f32(1)
     """... and what lines beside them see is farther by more than this [m]."""
     shots: np.float32 = f32(6)
     """Fewest such shots of a run ..."""
