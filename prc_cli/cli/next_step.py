@@ -8,6 +8,7 @@ from typing import Any
 
 from prc_cli.cli.options import given_words
 from prc_cli.core.files import suffix_of
+from prc_cli.formats import scan_file
 from prc_cli.formats.labels import KITTI_SUFFIX
 from prc_cli.formats.registry import is_cloud, is_dump, keeps_points
 
@@ -20,10 +21,11 @@ def output_for(source: Path) -> Path:
     >>> output_for(Path("drive.laz")).name, output_for(Path("drive.csv.gz")).name
     ('drive_classified.laz', 'drive_labels.npy')
     """
-    suffix = suffix_of(source)
-    return source.with_name(
-        f"{_stem(source)}_classified{suffix}" if is_cloud(source) else f"{_stem(source)}_labels.npy"
-    )
+    folder = source.parent
+    if scan_file(folder) == source:  # a file in it would be taken for a part of the recording
+        return (folder / ".." if folder.name in ("", "..") else folder.parent) / f"{folder.resolve().name}_labels.npy"
+    end = f"_classified{suffix_of(source)}" if is_cloud(source) else "_labels.npy"
+    return source.with_name(_stem(source) + end)
 
 
 def _stem(path: Path) -> str:

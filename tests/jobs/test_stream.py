@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config
-from prc_cli.core.errors import EvidenceError
+from prc_cli.config import MethodChoice, load_config
+from prc_cli.core.errors import EvidenceError, InputError
 from prc_cli.core.findings import CHECK_NAMES, Finding
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
@@ -75,6 +75,15 @@ def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
     with pytest.raises(EvidenceError):
         stream(io.BytesIO(shuffled(street()).tobytes()), sink, URBAN)
     assert len(sink.getvalue()) == street().size
+
+
+def test_an_end_inside_a_record_is_no_reason_for_a_method() -> None:
+    told: list[MethodChoice] = []
+    config = load_config(options={"input": {"points_per_line": POINTS_PER_LINE}})
+    stream(io.BytesIO(street().tobytes()), io.BytesIO(), config, chosen=told.append)
+    with pytest.raises(InputError, match="ended inside record"):
+        stream(io.BytesIO(street().tobytes() + b"ab"), io.BytesIO(), config, chosen=told.append)
+    assert told[0] == told[1]
 
 
 def test_doubts_are_told_once_and_kept() -> None:

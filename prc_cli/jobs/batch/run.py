@@ -137,7 +137,7 @@ class _Run:
         self._notes: list[str] = []
         self._alarms: list[Alarm] = []
         self._outcomes: dict[str, Outcome] = {}
-        self._running: dict[str, float] = {}
+        self._running: set[str] = set()
         self._stopping = False
         self._started, self._clock = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
 
@@ -159,12 +159,12 @@ class _Run:
                 ended = "stopped"
         except (KeyboardInterrupt, SystemExit) as raised:
             ended, stop = "interrupted", raised
-            self._give_up_running()
+            for name in self._running:  # what the journal calls running is cut off, and the next run does it
+                self._outcomes.pop(name, None)
         except BusyError:  # the journal now belongs to another run
             raise
         except PrcError as error:
             with contextlib.suppress(PrcError):  # the journal itself may not be writable
-                self._give_up_running()
                 self._journal.end_run(error.exit_code)
             raise
         summary = self._summarise(plan, config, run, ended, evaluation)
@@ -263,7 +263,7 @@ class _Run:
                 if item.keeps and not is_again:
                     self._keep_aside(item.task)
                 self._journal.start(item.task, self._owner)
-                self._running[item.task.name] = time.monotonic()
+                self._running.add(item.task.name)
                 # files of a drive may have been finished before it failed
                 is_ours = item.task.overwrite or bool(item.task.drive and is_again)
                 tasks.append(replace(item.task, overwrite=is_ours))
@@ -280,7 +280,7 @@ class _Run:
 
     def _end(self, outcome: Outcome, attempt: int) -> None:
         self._journal.finish(outcome)
-        self._running.pop(outcome.name, None)
+        self._running.discard(outcome.name)
         self._outcomes[outcome.name] = outcome
         if isinstance(outcome, Failed):
             if self._may_go_on(outcome, attempt):
@@ -294,13 +294,6 @@ class _Run:
         """Tell the doubts about a file."""
         for doubt in doubts_of(found):
             self._listener(doubt)
-
-    def _give_up_running(self) -> None:
-        """Record files that were begun and not ended as interrupted, and remove their outcomes."""
-        for name, begun in self._running.items():
-            problem = Problem("interrupted", name, "the run was stopped before its end", "run again")
-            self._journal.finish(Failed(name, None, time.monotonic() - begun, problem))
-            self._outcomes.pop(name, None)
 
     def _compare_classes(self, plan: Plan, known: Mapping[str, Entry]) -> None:
         """Raise an alarm for every file whose class shares are far from those of earlier runs."""
@@ -350,7 +343,7 @@ class _Run:
             n_skipped=len(plan.done) + len(plan.adopted),
             done=tuple(item for item in outcomes if isinstance(item, Done)),
             failed=tuple(item for item in outcomes if isinstance(item, Failed)),
-            standing=tuple(item for item in before if isinstance(item, Failed) and item.problem.kind != "interrupted"),
+            standing=tuple(item for item in before if isinstance(item, Failed)),
             n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
             reasons=tuple(Counter(item.reason for item in plan.todo).most_common()),
             alarms=tuple(self._alarms),

@@ -28,7 +28,7 @@ OWN_FOLDER = ".prc"
 """Folder in the output tree for journal and lock."""
 
 State: TypeAlias = Literal["running", "done", "failed"]
-"""State of a file in the journal. ``running`` without a living run means that the run was killed."""
+"""State of a file in the journal. ``running`` without a living run means that the run was stopped or killed."""
 
 
 @dataclass(frozen=True, slots=True)
