@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,18 @@ import click
 from click.core import ParameterSource
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, stream_options, window_options
-from prc_cli.cli.report import line_progress, print_doubts, print_line, results, table_of
+from prc_cli.cli.options import (
+    QUIET_FORM,
+    ScanPath,
+    Sectioned,
+    add_options,
+    config_from,
+    form_of,
+    form_options,
+    stream_options,
+    window_options,
+)
+from prc_cli.cli.report import end_with, line_progress, print_line, results, table_of
 from prc_cli.cli.safe import printable_lines
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
@@ -32,89 +42,42 @@ from prc_cli.jobs.calibrate.reports import (
 )
 from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 
+_FILE = click.Path(path_type=Path)
+_OPTIONS = [
+    click.option("-o", "--output", type=_FILE, metavar="CONFIG.toml",
+                 help="Write the calibrated configuration, every value with its reason."),
+    click.option("--plot", type=_FILE, metavar="FILE.svg",
+                 help="Draw the shares of supported shots and of background over the thresholds."),
+    click.option("--overwrite", is_flag=True, help="Replace existing outputs."),
+    click.option("--reference", type=_FILE, metavar="LABELS",
+                 help="Codes of the records of IN, in their order: search the parameters that agree best."),
+    click.option("--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml",
+                 shell_complete=complete_mapping, help="Which codes mean which class."),
+    click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
+    click.option("--objective", default=MEAN_F1, show_default=True, metavar="SCORE",
+                 help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground."),
+    click.option("--training-share", type=float, default=0.6, show_default=True, metavar="SHARE",
+                 help="Share of the groups of lines that the search sees; the others give the honest figure."),
+    click.option("--budget", type=click.IntRange(2, 100_000), default=300, show_default=True,
+                 help="Sets of parameters tried at most."),
+    click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True,
+                 help="Draws the training lines."),
+    click.option("--keep", multiple=True, metavar="KEY",
+                 help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies."),
+    click.option("--max-shots", type=click.IntRange(min=1000), default=4_000_000, show_default=True,
+                 help="Shots kept in memory for the search; longer inputs are sampled."),
+]  # fmt: skip
+
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="CONFIG.toml",
-    help="Write the calibrated configuration, every value with its reason.",
-)
-@click.option(
-    "--plot",
-    type=click.Path(path_type=Path),
-    metavar="FILE.svg",
-    help="Draw the shares of supported shots and of background over the thresholds.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
-@click.option(
-    "--reference",
-    type=click.Path(path_type=Path),
-    metavar="LABELS",
-    help="Codes of the records of IN, in their order: search the parameters that agree best.",
-)
-@click.option(
-    "--mapping",
-    default="prc",
-    show_default=True,
-    metavar="NAME|FILE.toml",
-    shell_complete=complete_mapping,
-    help="Which codes mean which class.",
-)
-@click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes.")
-@click.option(
-    "--objective",
-    default=MEAN_F1,
-    show_default=True,
-    metavar="SCORE",
-    help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground.",
-)
-@click.option(
-    "--training-share",
-    type=float,
-    default=0.6,
-    show_default=True,
-    metavar="SHARE",
-    help="Share of the groups of lines that the search sees; the others give the honest figure.",
-)
-@click.option(
-    "--budget",
-    type=click.IntRange(2, 100_000),
-    default=300,
-    show_default=True,
-    help="Sets of parameters tried at most.",
-)
-@click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Draws the training lines."
-)
-@click.option(
-    "--keep",
-    multiple=True,
-    metavar="KEY",
-    help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies.",
-)
-@click.option(
-    "--max-shots",
-    type=click.IntRange(min=1000),
-    default=4_000_000,
-    show_default=True,
-    help="Shots kept in memory for the search; longer inputs are sampled.",
-)
+@add_options(*_OPTIONS)
 @stream_options
 @window_options
-@click.option(
-    "--format",
-    "form",
-    type=click.Choice(["table", "json", "markdown"]),
-    help="How the result is printed.  [default: table]",
-)
-@click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for).")
+@add_options(*form_options("table", "json", "markdown"), QUIET_FORM)
 def calibrate(
-    source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, form: str | None,
-    as_json_flag: bool, quiet: bool, **options: Any,
+    source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, quiet: bool,
+    **options: Any,
 ) -> None:  # fmt: skip
     """Measure the sensor of IN and derive the parameters that follow from it.
 
@@ -131,9 +94,7 @@ def calibrate(
       prc calibrate strip.csv.gz --method prc --reference strip.csv.gz --mapping oakland -o strip.toml
       prc classify drive.laz out.laz --config drive.toml
     """
-    if as_json_flag and form not in (None, "json"):
-        message = f"--json and --format {form} contradict each other"
-        raise click.UsageError(message)
+    form = form_of(options)
     if plot is not None and plot.suffix.lower() != ".svg":
         where = "--plot"
         raise ConfigError(where, f"found {str(plot)!r}, expected a name that ends in .svg")
@@ -150,16 +111,14 @@ def calibrate(
         if target is not None:
             with atomic_output(target, overwrite=overwrite) as temporary:
                 temporary.write_text(text(found), encoding="utf-8")
-    chosen = "json" if as_json_flag else form
-    if chosen in ("json", "markdown"):
-        click.echo(printable_lines((as_json(found) if chosen == "json" else as_markdown(found)).rstrip("\n")))
+    if form != "table":
+        click.echo(printable_lines((as_json(found) if form == "json" else as_markdown(found)).rstrip("\n")))
     elif not quiet:
         _print(found)
     if not quiet:
         for path in wanted:
             print_line(f"wrote {path}")
-    if code := print_doubts(found.doubts):
-        raise SystemExit(code)
+    end_with(found.doubts)
 
 
 SEARCH_OPTIONS = (
@@ -171,18 +130,14 @@ SEARCH_OPTIONS = (
 def _search_options(reference: Path | None, options: dict[str, Any]) -> SearchOptions | None:
     """Build the options of the search, if there is one, from those of the command."""
     if reference is None:
-        _refuse_search_options()
+        context = click.get_current_context()
+        for name in SEARCH_OPTIONS:
+            if context.get_parameter_source(name) not in (ParameterSource.DEFAULT, None):
+                message = f"--{name.replace('_', '-')} needs --reference"
+                raise click.UsageError(message)
         return None
     chosen = {name: options[name] for name in SEARCH_OPTIONS}
     return SearchOptions(reference, dimension=chosen.pop("reference_dimension"), **chosen)
-
-
-def _refuse_search_options() -> None:
-    context = click.get_current_context()
-    for name in SEARCH_OPTIONS:
-        if context.get_parameter_source(name) not in (ParameterSource.DEFAULT, None):
-            message = f"--{name.replace('_', '-')} needs --reference"
-            raise click.UsageError(message)
 
 
 @contextlib.contextmanager
@@ -200,21 +155,17 @@ def _trials(*, quiet: bool) -> Iterator[Tried | None]:
 
 
 def _print(found: Calibration) -> None:
-    _table("measured on the stream", ("", ""), list(sensor_rows(found.sensor)))
+    tables: list[tuple[str, tuple[str, ...], Iterable[Sequence[str]]]]
+    tables = [("measured on the stream", ("", ""), sensor_rows(found.sensor))]
     if found.advice:
-        _table("share of the returns", CURVE_HEADER, list(curve_rows(found)))
-        _table("parameters", ("key", "before", "value", "reason"), list(advice_rows(found)))
-    header, rows = judged_rows(found)
+        tables.append(("share of the returns", CURVE_HEADER, curve_rows(found)))
+        tables.append(("parameters", ("key", "before", "value", "reason"), advice_rows(found)))
     if found.search is not None:
         title = f"{found.search.n_trials} trials; figures on training and on held-out lines"
-        _table(title, header, rows)
+        tables.append((title, *judged_rows(found)))
+    for title, header, rows in tables:
+        table = table_of(title, *header, rows=rows, n_words=len(header))
+        table.show_header = any(header)
+        results().print(table)
     for note in found.notes:
         results().print(f"note: {note}", soft_wrap=True)
-
-
-def _table(title: str, header: tuple[str, ...], rows: list[Any]) -> None:
-    table = table_of(title, *header, n_words=len(header))
-    table.show_header = any(header)
-    for row in rows:
-        table.add_row(*row)
-    results().print(table)

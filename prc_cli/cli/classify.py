@@ -16,9 +16,9 @@ from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options
 from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
+    end_with,
     line_progress,
     print_classes,
-    print_doubts,
     print_line,
     print_notices,
     print_taken,
@@ -115,8 +115,7 @@ def classify(
             print_line(printable(command))
     if profile is not None and not (quiet and as_json):
         print_profile(profile, n_shots, threads)
-    if code := print_doubts(dict.fromkeys(doubt for summary in summaries for doubt in summary.doubts)):
-        raise SystemExit(code)
+    end_with(dict.fromkeys(doubt for summary in summaries for doubt in summary.doubts))
 
 
 def _classify_all(sources: tuple[Path, ...], output: Path, loaded: LoadedConfig, **common: Any) -> list[RunSummary]:

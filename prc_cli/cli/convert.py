@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import ScanPath, Sectioned, config_from, input_options, output_options, window_options
-from prc_cli.cli.report import NOT_KEPT, line_progress, print_assumptions, print_doubts, print_line, print_notices
+from prc_cli.cli.report import NOT_KEPT, end_with, line_progress, print_assumptions, print_line, print_notices
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
@@ -46,8 +46,7 @@ def convert(
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose)
-    if code := print_doubts(summary.doubts):
-        raise SystemExit(code)
+    end_with(summary.doubts)
 
 
 def _print_summary(summary: ConversionSummary, seconds: float, *, verbose: bool) -> None:

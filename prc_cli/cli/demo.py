@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from prc_cli.cli.options import QUIET, add_options
 from prc_cli.cli.report import compiling_note, line_progress, print_classes, print_line, print_taken
 from prc_cli.cli.report_evaluation import print_evaluation
 from prc_cli.config import load_config
@@ -37,23 +38,18 @@ OPEN = {
 
 
 @click.command()
-@click.option(
-    "--output",
-    type=click.Path(path_type=Path),
-    default=Path("prc-demo"),
-    show_default=True,
-    help="Folder for the files.",
-)
-@click.option(
-    "--lines", type=click.IntRange(100, 100_000), default=600, show_default=True, help="Scan lines of the drive."
-)
-@click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another world."
-)
+@add_options(
+    click.option("--output", type=click.Path(path_type=Path), default=Path("prc-demo"), show_default=True,
+                 help="Folder for the files."),
+    click.option("--lines", type=click.IntRange(100, 100_000), default=600, show_default=True,
+                 help="Scan lines of the drive."),
+    click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True,
+                 help="Another seed, another world."),
+)  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="The other methods and scans as well.")
 @click.option("--overwrite", is_flag=True, help="Use a folder that holds files already.")
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+@QUIET
 def demo(
     output: Path, lines: int, seed: int, everything: bool, overwrite: bool, json_wanted: bool, quiet: bool
 ) -> None:

@@ -12,7 +12,16 @@ from typing import Any
 import click
 
 from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import POSES, Sectioned, add_options, numbers, window_options
+from prc_cli.cli.options import (
+    POSES,
+    QUIET_FORM,
+    Sectioned,
+    add_options,
+    form_of,
+    form_options,
+    numbers,
+    window_options,
+)
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
@@ -91,16 +100,13 @@ _OPTIONS = [
     click.option("--intervals", is_flag=True, help="Confidence intervals of all scores, by a block jackknife."),
     click.option("--interval-lines", type=click.IntRange(min=1), default=DEFAULTS.interval_lines, show_default=True,
                  help="Scan lines of a block that is left out as a whole."),
-    click.option("--format", "form", type=click.Choice(["table", "json", "csv", "markdown", "latex", "html"]),
-                 help="How the result is printed.  [default: table]"),
-    click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),
+    *form_options("table", "json", "csv", "markdown", "latex", "html"),
     click.option("-o", "--output", "outputs", multiple=True, type=_PATH, metavar="FILE",
                  help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times."),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     click.option("--picture", "pictures", multiple=True, metavar="[TITLE=]FILE.png",
                  help="Put a picture into the HTML page; may be given several times."),
-    click.option("-q", "--quiet", is_flag=True,
-                 help="Print nothing but errors (and what --json or --format asks for)."),
+    QUIET_FORM,
     click.option("--fail-under", "gates", multiple=True, metavar="SCORE.CLASS=VALUE",
                  help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9."),
 ]  # fmt: skip
@@ -126,10 +132,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
       prc evaluate drive.laz tiles/ --match nearest --unmatched noise --mapping asprs
       prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz --trajectory path.csv --mount 0,25,0
     """
-    if options["as_json_flag"] and options["form"] not in (None, "json"):
-        message = f"--json and --format {options['form']} contradict each other"
-        raise click.UsageError(message)
-    form = "json" if options["as_json_flag"] else options["form"] or "table"
+    form = form_of(options)
     how = _how(options)
     left, right = zip((predicted, reference), *options["pairs"], strict=True)
     name, why = options["mapping"], ""

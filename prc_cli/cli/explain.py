@@ -9,7 +9,7 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, stream_options
+from prc_cli.cli.options import QUIET, ScanPath, Sectioned, config_from, stream_options
 from prc_cli.cli.report import compiling_note, line_progress, results
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.explain import Explanation
@@ -22,7 +22,7 @@ from prc_cli.jobs.explain import explain as explain_shot
 @click.option("--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]")
 @stream_options
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+@QUIET
 def explain(source: Path, place: str, station: int | None, as_json: bool, quiet: bool, **options: Any) -> None:
     """Say why a shot of IN has its class: the rule that decided, its limits, and what the stages measured.
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
-from prc_cli.cli.report import compiling_note, line_progress, print_doubts, print_line, print_notices, print_taken
+from prc_cli.cli.report import compiling_note, end_with, line_progress, print_line, print_notices, print_taken
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import KINDS, Thing, find_objects
 from prc_cli.jobs.objects.write import COLUMNS, plain
@@ -70,5 +70,4 @@ def objects(
         print_notices(summary.record.notices)
         found = ", ".join(f"{n:,} {kind}{'s' * (n != 1)}" for kind, n in summary.n_objects.items())
         print_line(f"{source.name}: {found} in {summary.counts.n_lines:,} lines")
-    if code := print_doubts(summary.doubts):
-        raise SystemExit(code)
+    end_with(summary.doubts)

@@ -162,6 +162,29 @@ output_options = _groups("output")
 """Adds ``--json``, ``--quiet`` and ``--verbose``."""
 
 
+def form_options(*forms: str) -> list[Callable[[Any], Any]]:
+    """Return ``--format`` and ``--json``, for commands that print their result in one of several forms."""
+    return [
+        click.option("--format", "form", type=click.Choice(forms), help="How the result is printed.  [default: table]"),
+        click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),
+    ]
+
+
+QUIET = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+QUIET_FORM = click.option(
+    "-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for)."
+)
+
+
+def form_of(options: Mapping[str, Any]) -> str:
+    """Return the form that :func:`form_options` ask for."""
+    form: str | None = options["form"]
+    if options["as_json_flag"] and form not in (None, "json"):
+        message = f"--json and --format {form} contradict each other"
+        raise click.UsageError(message)
+    return "json" if options["as_json_flag"] else form or "table"
+
+
 POSES = (
     click.option("--trajectory", type=click.Path(path_type=Path), metavar="FILE",
                  help="With nearest: poses that give the shots of a raw drive coordinates, from ranges, scan angles "
@@ -217,11 +240,10 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
     if sort_by_time and trust_order:
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)
-    table: dict[str, Any] = {}
     layout_file: Path | None = options["layout_file"]
+    table: dict[str, Any] = {}
     if layout_file is not None:
-        content = read_toml(layout_file := or_sample(layout_file))
-        table["layout"] = content.get("layout", content)
+        table = layout_in(layout_file := or_sample(layout_file))
     method, preset = options.get("method"), options.get("preset")
     if method is not None and preset is not None and (other := load_config(preset=preset).config.method) != method:
         message = f"--preset {preset} is for --method {other}, not {method}"
@@ -232,6 +254,12 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
         table = merge(table, {"input": {"order": "sort-time" if sort_by_time else "trust"}})
     path: Path | None = options["config_file"]
     return Layers(path and or_sample(path), preset, table, () if layout_file is None else (layout_file,))
+
+
+def layout_in(path: Path) -> dict[str, Any]:
+    """Return the configuration with the layout of a file, which may be its table ``[layout]`` or all of it."""
+    content = read_toml(path)
+    return {"layout": content.get("layout", content)}
 
 
 def table_from(assignments: Iterable[str], options: Mapping[str, Any], keys: Mapping[str, str]) -> dict[str, Any]:

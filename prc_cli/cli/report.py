@@ -74,14 +74,14 @@ def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
-    """Show a bar of scan lines on a terminal, nothing elsewhere; per cent where the number is known."""
+def line_progress(name: str, *, quiet: bool, unit: str = "lines") -> Iterator[Progress | None]:
+    """Show a bar of scan lines, or points, on a terminal, nothing elsewhere; per cent where the number is known."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
     from tqdm import tqdm
 
-    with tqdm(desc=printable(name), unit=" lines", unit_scale=True, leave=False) as bar:
+    with tqdm(desc=printable(name), unit=f" {unit}", unit_scale=True, leave=False) as bar:
         yield LineBar(bar)
 
 
@@ -113,11 +113,19 @@ def print_doubts(doubts: Iterable[Finding]) -> int:
     return code
 
 
-def table_of(title: str, *headings: str, n_words: int = 1, **column: Any) -> Table:
+def end_with(doubts: Iterable[Finding]) -> None:
+    """Print doubts, and end the command with their exit code if there are any."""
+    if code := print_doubts(doubts):
+        raise SystemExit(code)
+
+
+def table_of(title: str, *headings: str, rows: Iterable[Sequence[str]] = (), n_words: int = 1, **column: Any) -> Table:
     """Return a table whose first columns hold words, the others numbers."""
     table = Table(title=title)
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="left" if i < n_words else "right", **column)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -163,9 +171,7 @@ def print_notices(notices: Iterable[str]) -> None:
 def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:
     """Print the assumptions and the counts of the reader."""
     if assumptions:
-        table = table_of("taken for granted", "key", "value", "why", n_words=3)
-        for item in assumptions:
-            table.add_row(item.key, item.value, item.why)
-        console().print(table)
+        rows = ((item.key, item.value, item.why) for item in assumptions)
+        console().print(table_of("taken for granted", "key", "value", "why", rows=rows, n_words=3))
     for name, count in tally.counts():
         console().print(f"{name}: {count:,} records")

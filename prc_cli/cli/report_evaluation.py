@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rich.table import Table
-
-from prc_cli.cli.report import results
+from prc_cli.cli.report import results, table_of
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
@@ -15,8 +13,8 @@ from prc_cli.evaluation.reports import (
     match_line,
     overall_line,
     percent,
+    score_row,
     split_table,
-    with_interval,
 )
 from prc_cli.evaluation.scores import CLASS_SCORES, Evaluation, GateResult, Interval, Scores, scores
 
@@ -27,24 +25,19 @@ MAX_PARTS = 40
 def print_evaluation(matrix: ConfusionMatrix, found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> None:
     """Print a confusion matrix with row shares, and the scores, on stdout."""
     shown = matrix.trimmed()
-    table = Table(title="reference in rows, predicted in columns: records (share of the row)")
-    table.add_column("reference", overflow="fold")
-    for name in shown.predicted_names:
-        table.add_column(name, justify="right", overflow="fold")
-    for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True):
-        cells = (f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True))
-        table.add_row(name, *cells)
-    results().print(table)
-    table = Table(title="scores")
-    table.add_column("class", overflow="fold")
-    for score in CLASS_SCORES:
-        table.add_column(score, justify="right", overflow="fold")
-    for item in scores(shown).classes:
-        values = ((getattr(item, score), intervals.get(f"{score}.{item.name}")) for score in CLASS_SCORES)
-        table.add_row(item.name, *(with_interval(value, interval) for value, interval in values))
-    results().print(table)
+    rows = [
+        (name, *(f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True)))
+        for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True)
+    ]
+    title = "reference in rows, predicted in columns: records (share of the row)"
+    _print(title, ("reference", *shown.predicted_names), rows)
+    _print("scores", ("class", *CLASS_SCORES), [score_row(item, intervals) for item in scores(shown).classes])
     counts = f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}"
     results().print(f"{counts}: {overall_line(found, intervals)}")
+
+
+def _print(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    results().print(table_of(title, *header, rows=rows, overflow="fold"))
 
 
 def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> None:
@@ -53,22 +46,11 @@ def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> 
         results().print(f"intervals: {found.interval_method}")
     for split, parts in found.splits.items():
         header, rows = split_table(parts, found.matrix.trimmed())
-        table = Table(title=f"by {split}")
-        for heading in header:
-            table.add_column(heading, justify="left" if heading == "part" else "right", overflow="fold")
-        for row in rows[:MAX_PARTS]:
-            table.add_row(*row)
-        results().print(table)
+        _print(f"by {split}", header, rows[:MAX_PARTS])
         if len(rows) > MAX_PARTS:
             results().print(f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them")
     if found.three is not None:
-        header, rows = found.three.table()
-        table = Table(title="three labellings")
-        for heading in header:
-            table.add_column(heading, justify="left" if heading == "class" else "right", overflow="fold")
-        for row in rows:
-            table.add_row(*row)
-        results().print(table)
+        _print("three labellings", *found.three.table())
         for sentence in found.three.sentences():
             results().print(sentence)
     for gate in gates:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
 from prc_cli.cli.options import add_options, output_options, table_from
 from prc_cli.cli.report import compiling_note, console, line_progress, print_line, print_notices, results, table_of
@@ -155,10 +154,8 @@ def scanners(as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps({name: scanner.model_dump() for name, scanner in SCANNERS.items()}, indent=2))
         return
-    table = Table(title="scanners")
-    headings = ("name", "lines/s", "shots a line", "field", "range", "noise", "returns", "kind")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in ("name", "kind") else "right")
+    table = table_of("scanners", "name", "lines/s", "shots a line", "field", "range", "noise", "returns")
+    table.add_column("kind")
     for name, scanner in SCANNERS.items():
         kind = "static" if scanner.is_static else f"profiler, slant {scanner.slant_deg:g}°"
         kind = "spinning" if scanner.spins else kind
@@ -217,15 +214,9 @@ def _run(kind: Kind, options: dict[str, Any]) -> None:
     start = time.perf_counter()
     with line_progress(output.name, quiet=quiet) as progress:
         summary = simulate_file(
-            kind,
-            output,
-            settings,
-            beside=beside,
-            reference=options.get("reference", "truth"),
-            threads=options["threads"],
-            overwrite=options["overwrite"],
-            progress=progress,
-        )
+            kind, output, settings, beside=beside, reference=options.get("reference", "truth"),
+            threads=options["threads"], overwrite=options["overwrite"], progress=progress,
+        )  # fmt: skip
     if options["as_json"]:
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:
@@ -236,12 +227,9 @@ def _print_summary(summary: SimulationSummary, seconds: float, *, verbose: bool)
     counts, record = summary.counts, summary.record
     total = int(counts.labels.sum())
     if verbose:
-        table = table_of("reference", "class", "shots", "share")
-        for label in Label:
-            if counts.labels[label]:
-                share = f"{counts.labels[label] / total:.1%}"
-                table.add_row(label.name.lower(), f"{counts.labels[label]:,}", share)
-        console().print(table)
+        found = ((label.name.lower(), int(counts.labels[label])) for label in Label)
+        rows = ((name, f"{n:,}", f"{n / total:.1%}") for name, n in found if n)
+        console().print(table_of("reference", "class", "shots", "share", rows=rows))
     print_notices(record.notices)
     for path in summary.files:
         print_line(f"{path} ({path.stat().st_size:,} bytes)")

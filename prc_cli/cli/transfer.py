@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
-from prc_cli.cli.options import POSES, Sectioned, add_options, numbers, output_options
-from prc_cli.cli.report import LineBar, console, print_assumptions
+from prc_cli.cli.options import POSES, Sectioned, add_options, layout_in, numbers, output_options
+from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, table_of
 from prc_cli.config import load_config
-from prc_cli.core.config import read_toml
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.options import Layout
 from prc_cli.jobs.transfer import TransferSummary
 from prc_cli.jobs.transfer import transfer as transfer_files
 from prc_cli.jobs.transfer.options import TransferOptions
@@ -75,8 +69,8 @@ def transfer(
     """
     options = TransferOptions(**{**matching, "mount": numbers(matching["mount"], "--mount")})
     start = time.perf_counter()
-    layout = _layout(layout_file)
-    with _progress(registered.name, quiet=quiet) as progress:
+    layout = None if layout_file is None else load_config(options=layout_in(layout_file)).config.layout
+    with line_progress(registered.name, quiet=quiet, unit="points") as progress:
         summary = transfer_files(
             labels, registered, output, options, points=points, layout=layout, overwrite=overwrite, progress=progress
         )
@@ -86,47 +80,22 @@ def transfer(
         _print_summary(summary, time.perf_counter() - start, verbose=verbose)
 
 
-@contextlib.contextmanager
-def _progress(name: str, *, quiet: bool) -> Iterator[Callable[[int], object] | None]:
-    """Show a progress bar of points on a terminal; nothing elsewhere."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    with tqdm(desc=name, unit=" points", unit_scale=True, leave=False) as bar:
-        yield LineBar(bar)
-
-
-def _layout(path: Path | None) -> Layout | None:
-    if path is None:
-        return None
-    content = read_toml(path)
-    return load_config(None, None, {"layout": content.get("layout", content)}).config.layout
-
-
 def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -> None:
     counts, record = summary.counts, summary.record
-    lines = [
-        f"points matched: {_share(counts.n_matched, counts.n_points)}, {counts.n_changed:,} changed their class",
-        f"points not matched, class kept: {counts.n_points - counts.n_matched:,}",
-        f"labels matched: {_share(counts.n_labels_matched, counts.n_labels)}",
+    rows = [
+        (item.name, str(item.code), f"{item.count:,}", f"{item.count / counts.n_points:.1%}") for item in record.classes
     ]
-    table = Table(title=f"{summary.output.name}: classes")
-    for heading in ("class", "code", "points", "share"):
-        table.add_column(heading, justify="left" if heading == "class" else "right")
-    for item in record.classes:
-        table.add_row(item.name, str(item.code), f"{item.count:,}", f"{item.count / counts.n_points:.1%}")
-    console().print(table)
-    for line in lines:
-        console().print(line, soft_wrap=True)
+    console().print(table_of(f"{summary.output.name}: classes", "class", "code", "points", "share", rows=rows))
+    matched = _share(counts.n_matched, counts.n_points)
+    print_line(f"points matched: {matched}, {counts.n_changed:,} changed their class")
+    print_line(f"points not matched, class kept: {counts.n_points - counts.n_matched:,}")
+    print_line(f"labels matched: {_share(counts.n_labels_matched, counts.n_labels)}")
     if verbose:
         print_assumptions(record.assumptions, ReadTally())
     for notice in record.notices:
-        console().print(f"note: {notice}", soft_wrap=True)
+        print_line(f"note: {notice}")
     rate = counts.n_points / seconds / 1e6 if seconds else 0.0
-    text = f"{summary.output}: {counts.n_points:,} points in {seconds:.1f} s ({rate:.2g} million points a second)"
-    console().print(text, soft_wrap=True)
+    print_line(f"{summary.output}: {counts.n_points:,} points in {seconds:.1f} s ({rate:.2g} million points a second)")
 
 
 def _share(part: int, whole: int) -> str:

@@ -120,7 +120,7 @@ def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
     parts = [
         "Reference in rows, predicted in columns: records (share of the row).",
         _table(["reference", *shown.predicted_names, "sum"], matrix_rows),
-        _table(["class", *CLASS_SCORES], [_score_row(item, intervals) for item in result.classes]),
+        _table(["class", *CLASS_SCORES], [score_row(item, intervals) for item in result.classes]),
         f"Scored {result.n_scored} records, ignored {result.n_ignored}: {overall_line(result, intervals)}.",
     ]
     if isinstance(found, Evaluation):
@@ -296,7 +296,8 @@ def _sides(found: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
     return ("predicted", found.predicted), ("reference", found.reference)
 
 
-def _score_row(item: ClassScores, intervals: Mapping[str, Interval]) -> list[str]:
+def score_row(item: ClassScores, intervals: Mapping[str, Interval]) -> list[str]:
+    """Return the name of a class and its scores with their intervals, as text."""
     values = ((getattr(item, name), intervals.get(f"{name}.{item.name}")) for name in CLASS_SCORES)
     return [item.name, *(with_interval(value, interval) for value, interval in values)]
 
