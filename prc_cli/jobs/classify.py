@@ -328,7 +328,7 @@ def _classify(
             overwrite=overwrite,
         ) as writer,
     ):
-        counts, found, told = write_labels(stream, writer, loaded.config, threads, progress, str(source))
+        counts, found, told = write_labels(stream, writer, loaded.config, threads, progress)
         record = run_record(stream.info, counts, loaded, beside.result())
         record = replace(record, notices=(*record.notices, *told), engine=engine)
         check_unchanged(source, before)
@@ -350,18 +350,43 @@ def user_names(config: RunConfig) -> dict[int, str]:
     return {code: name for code, name in config.classes.user_names().items() if code in given}
 
 
+class Judge:
+    """Checks the labels of a watched stream while they pass."""
+
+    def __init__(self, stream: EvidenceStream, config: RunConfig) -> None:
+        self._stream, self._params = stream, config.classifier
+        self._result = ResultWatch(usual_labels(config, stream.info))
+
+    def label(
+        self, blocks: Iterator[ScanBlock], *, threads: int = 1, wanted: Wanted = LABELS_ALONE
+    ) -> Iterator[LabelledBlock]:
+        """Label the blocks of the stream, as :func:`label_blocks`."""
+        labelled = label_blocks(blocks, self._params, threads=threads, wanted=wanted)
+        try:
+            for item in labelled:
+                self._result.see(item)
+                yield item
+        finally:
+            close_items(labelled)
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the answers of all checks of the stream and its labels, at its end; refuse what speaks against it."""
+        found = (*self._stream.findings(), *accept(self._result.findings(), self._stream.accepted))
+        refuse(self._stream.info.path, found)
+        return found
+
+
 def write_labels(
-    stream: EvidenceStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None, where: str
+    stream: EvidenceStream, writer: Taker, config: RunConfig, threads: int, progress: Progress | None
 ) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
     """Read, classify and write in parallel, until all threads have ended; return counts, findings and notices."""
-    counts, result = Counts.none(), ResultWatch(usual_labels(config, stream.info))
+    counts, judge = Counts.none(), Judge(stream, config)
 
     def write(item: LabelledBlock) -> None:
         nonlocal counts
         with timed("writing"):
             writer.add(item)
             counts = counts.add(item)
-            result.see(item)
 
     with ExitStack() as stack:
         blocks = timed_items(stream.blocks(), "reading")
@@ -369,7 +394,7 @@ def write_labels(
         if threads > 1:
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
-        labelled = label_blocks(blocks, config.classifier, threads=threads, wanted=wanted_by(config.output))
+        labelled = judge.label(blocks, threads=threads, wanted=wanted_by(config.output))
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
@@ -377,8 +402,7 @@ def write_labels(
         for item in labelled:
             put(item)
             advance(progress, item.block, info, config.input.window)
-    found = (*stream.findings(), *accept(result.findings(), stream.accepted))
-    refuse(where, found)
+    found = judge.findings()
     missed = config.classifier.method().notices(counts.labels, counts.tally, segments=config.output.segment_ids)
     return counts, found, (*missed, *notices(found))
 
@@ -491,21 +515,11 @@ def classify_ranges(
             else _directed(config, block, angle_deg, engine)
         )
         config = loaded.config
-        found: tuple[Finding, ...] = ()
-        if block.range_m.size >= LEAST_SHOTS:
-            watch = watched(_InMemory(block), config.input, refuses=False, others=loaded.findings)
-            list(watch.blocks())
-            found = watch.findings()
-        refuse("range_m", found)
-        threads = threads_of(engine, threads)
-        wanted = wanted_by(config.output)
-        labelled = list(label_blocks(iter([block]), config.classifier, threads=threads, wanted=wanted))
-        if block.range_m.size >= LEAST_SHOTS:
-            result = ResultWatch(config.classifier.method().usual)
-            for item in labelled:
-                result.see(item)
-            found = (*found, *accept(result.findings(), config.input.accept_doubts or ()))
-            refuse("range_m", found)
+        stream = watched(_InMemory(block), config.input, others=loaded.findings)
+        judge, is_judged = Judge(stream, config), block.range_m.size >= LEAST_SHOTS
+        blocks = iter(list(stream.blocks()) if is_judged else [block])
+        labelled = list(judge.label(blocks, threads=threads_of(engine, threads), wanted=wanted_by(config.output)))
+        found = judge.findings() if is_judged else ()
     for doubt in doubts(found):
         told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
         warnings.warn(told, DoubtWarning, stacklevel=2)

@@ -21,6 +21,7 @@ from prc_cli.jobs.info import Inspection, inspect
 
 _ROWS = 1 << 16
 _KEPT = ("lines", "columns", "range")
+_KEYS = {"scale", "missing"}
 
 
 def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = False) -> str:
@@ -124,10 +125,7 @@ def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
         problem = "nothing repeats in its bytes, expected records of one size"
         raise InputError(str(path), problem, "write the layout by hand: docs, Input formats, Raw binary")
     rows = [
-        _field_line(
-            {"name": field.name, "type": field.type}
-            | field.model_dump(include={"scale", "missing"}, exclude_defaults=True)
-        )
+        _field_line({"name": field.name, "type": field.type} | field.model_dump(include=_KEYS, exclude_defaults=True))
         for field in found.fields
     ]
     lines = [
@@ -157,9 +155,8 @@ def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
             continue
         guessed: dict[str, object] = {"name": name, "source": int(source.columns[column].key)}
         if name == "range":
-            scale, missing = range_scale(shown[column])
-            whole = bool(np.all(shown[column][np.isfinite(shown[column])] % 1 == 0))
-            scale, missing = range_scale(shown[column].astype(np.int64)) if whole else (scale, missing)
+            stored = shown[column][np.isfinite(shown[column])]  # what is no number is missing by itself
+            scale, missing = range_scale(stored.astype(np.int64) if np.all(stored % 1 == 0) else stored)
             guessed |= ({"scale": scale} if scale != 1 else {}) | ({} if missing is None else {"missing": missing})
         fields.append(guessed)
     has_header = told["header_line"] is not None and any(told["columns"])

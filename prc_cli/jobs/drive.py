@@ -130,7 +130,7 @@ class _Run:
                 for part, output, start, stop in zip(self.parts, self.outputs, firsts[:-1], firsts[1:], strict=True)
             ]  # fmt: skip
             divided = DividedWriter(writers, firsts)
-            _, found, told = write_labels(stream, divided, loaded.config, threads, progress, str(self.parts[0]))
+            _, found, told = write_labels(stream, divided, loaded.config, threads, progress)
             for part, state in zip(self.parts, before, strict=True):
                 check_unchanged(part, state)
             for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):

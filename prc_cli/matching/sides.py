@@ -72,11 +72,9 @@ class KeyedSource(DerivedSource):
         """Refuse codes that are not as many as the records."""
         if self.codes is None or n[0] == n[1]:
             return
-        problem = f"found {n[1]} class codes, expected "
-        if n[1] < n[0]:
-            problem += f"one for every record of {self.source.path}, which has more"
-        else:
-            problem += f"{n[0]} as {self.source.path} has records"
+        more = f"{n[0]} as {self.source.path} has records"
+        expected = f"one for every record of {self.source.path}, which has more" if n[1] < n[0] else more
+        problem = f"found {n[1]} class codes, expected {expected}"
         raise InputError(self.codes.path, problem, "name the input that was classified")
 
     def _to_codes(self, codes: NDArray[Any], record: I64) -> U8:
@@ -278,11 +276,18 @@ class SideTally:
     low: float = np.inf
     high: float = -np.inf
     """Bounds of the key."""
+    n_columns: int = 0
+    """Up to the last one that has a record, where the key is the cell."""
 
     @property
     def n_usable(self) -> int:
         """Records that can find a partner."""
         return self.n_records - self.n_not_finite
+
+    @property
+    def n_lines(self) -> int:
+        """Scan lines up to the last one that has a record, where the key is the cell."""
+        return int(self.high // _LONGEST_LINE) + 1
 
 
 @dataclass(frozen=True)
@@ -352,6 +357,7 @@ class Side:
                 if KEY in values and len(record):
                     self.tally.low = min(self.tally.low, float(values[KEY].min()))
                     self.tally.high = max(self.tally.high, float(values[KEY].max()))
+                    self.tally.n_columns = max(self.tally.n_columns, int((values[KEY] % _LONGEST_LINE).max()) + 1)
                 yield RecordChunk(first - n, {name: values[name] for name in names}, len(record), record)
             if first == n_before:
                 raise InputError(file.codes.path, "no records, expected class codes", "check the file")

@@ -99,7 +99,7 @@ def known(out: Path) -> list[Entry]:
     ("number", "n_times"),
     [
         (signal.SIGTERM, 1),
-        pytest.param(signal.SIGINT, 1, marks=pytest.mark.long),
+        (signal.SIGINT, 1),
         pytest.param(signal.SIGINT, 3, marks=pytest.mark.long),
     ],
 )

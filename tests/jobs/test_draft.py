@@ -68,6 +68,13 @@ def test_a_dump_of_ranges_alone(tmp_path: Path, n_lines: int) -> None:
     np.testing.assert_array_equal(ranges_read(path), image()[:n_lines])
 
 
+def test_empty_cells_are_missing_by_themselves(tmp_path: Path) -> None:
+    path = tmp_path / "d.csv"
+    cells = ["" if np.isnan(metres) else f"{1000 * metres:.0f}" for metres in image().ravel()]
+    path.write_text("".join(f"{cell};{4000 + shot / 4500:.6f}\n" for shot, cell in enumerate(cells)))
+    assert drafted(path)["layout"]["fields"][0] == {"name": "range", "source": 0, "scale": 0.001}
+
+
 def test_noise_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "d.bin"
     path.write_bytes(np.random.default_rng(0).bytes(50_000))

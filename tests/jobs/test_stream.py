@@ -77,13 +77,15 @@ def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
     assert len(sink.getvalue()) == street().size
 
 
-def test_an_end_inside_a_record_is_no_reason_for_a_method() -> None:
+def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method() -> None:
     told: list[MethodChoice] = []
+    whole, cut = io.BytesIO(), io.BytesIO()
     config = load_config(options={"input": {"points_per_line": POINTS_PER_LINE}})
-    stream(io.BytesIO(street().tobytes()), io.BytesIO(), config, chosen=told.append)
-    with pytest.raises(InputError, match="ended inside record"):
-        stream(io.BytesIO(street().tobytes() + b"ab"), io.BytesIO(), config, chosen=told.append)
+    stream(io.BytesIO(street().tobytes()), whole, config, chosen=told.append)
+    with pytest.raises(InputError, match=f"stdin: ended inside record {street().size}: found 2 bytes of 4"):
+        stream(io.BytesIO(street().tobytes() + b"ab"), cut, config, chosen=told.append)
     assert told[0] == told[1]
+    assert cut.getvalue() == whole.getvalue()
 
 
 def test_doubts_are_told_once_and_kept() -> None:

@@ -206,6 +206,17 @@ def test_a_thinned_file_is_doubted_where_it_is_classified(labelled: Path, tmp_pa
     assert "thinned" in {one.check for one in doubts}
 
 
+def test_labels_made_on_the_way_are_checked(tmp_path: Path) -> None:
+    image, rng = street(), np.random.default_rng(1)
+    stray = rng.random(image.shape) < 0.2
+    image[stray] = rng.uniform(1, 80, int(stray.sum()))
+    np.savez(tmp_path / "drive.npz", range_m=image, angle_deg=np.rad2deg(angles()))
+    for n, accepts in enumerate(([], ["noise-share"])):
+        rules = config(accept_doubts=accepts)
+        summary = thin(tmp_path / "drive.npz", tmp_path / f"{n}.npz", config=rules, labels=CLASSIFY)
+        assert [doubt.check for doubt in summary.doubts] == ["noise-share"][n:]
+
+
 def frame(path: Path) -> Any:
     """A frame of 16 rings as KITTI stores it, with points that share a cell; x, y, z and intensity of every record."""
     turn, ring = np.meshgrid(np.linspace(-np.pi, np.pi, 720, endpoint=False), np.arange(16))

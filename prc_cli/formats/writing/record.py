@@ -156,13 +156,13 @@ def read_record(output: Path) -> Any:
 
 
 def dense_line_beside(path: Path) -> int | None:
-    """Return M where the run record beside labels says that there is one for every cell, in order; else None."""
+    """Return M where the run record beside labels says that there is one for every cell from line 0 on; else None."""
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         record = read_record(path)
-        stream, tally = record["stream"], record["tally"]
+        stream, tally, inputs = record["stream"], record["tally"], record["config"]["input"]
         m, others = stream["points_per_line"], ("n_collisions", "n_extra_returns", "n_unplaced")
         if record["program"] == PROGRAM and m * stream["n_lines"] == stream["n_records"] and m:
-            return None if any(tally[name] for name in others) else int(m)
+            return None if {"only_lines", "only_time"} & set(inputs) or any(tally[name] for name in others) else int(m)
     return None
 
 

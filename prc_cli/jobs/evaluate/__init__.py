@@ -34,7 +34,10 @@ from prc_cli.jobs.evaluate.registered import Registered
 from prc_cli.matching.join import CODE, KEY, SAME, Columns, JoinTally, UnsortedError, columns_of, in_step, merge_join
 from prc_cli.matching.keys import KeyRule, MutualKeys
 from prc_cli.matching.pairs import files_of
-from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, ROW, SECONDS, Side
+from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SECONDS, Side
+
+APART_M, MOST_APART = 0.5, 0.25
+"""Ranges of one cell that differ by more are not one shot; the share of them in two scans of one street is .38 [m]."""
 
 
 def evaluate_all(
@@ -121,18 +124,11 @@ def evaluate_all(
     splits = {
         SPLITS[name]: scored_parts(counts, name, names, options) for name in asked_parts(options) if name in SPLITS
     }
-    match = MatchReport(
-        " and ".join(dict.fromkeys(how)),
-        counts.n_predicted,
-        counts.n_reference,
-        counts.n_matched,
-        max(counts.tolerances) if counts.tolerances else tolerance_of(options),
-        tuple(
-            sentence.replace("{n}", f"{n:,}" if options.match == "nearest" else str(n))
-            for sentence, n in counts.notes.items()
-        ),
-        counts.n_reference_matched,
-    )
+    tolerance = max(counts.tolerances) if counts.tolerances else tolerance_of(options)
+    shown = "{:,}" if options.match == "nearest" else "{}"
+    notes = tuple(sentence.replace("{n}", shown.format(n)) for sentence, n in counts.notes.items())
+    n = counts.n_predicted, counts.n_reference, counts.n_matched, tolerance, notes, counts.n_reference_matched
+    match = MatchReport(" and ".join(dict.fromkeys(how)), *n)
     label = "" if isinstance(mapping, ClassMapping) else str(mapping)
     three = None if counts.third is None else counts.third.result(str(options.third))
     plan = counts.plan.picture() if three is not None else None
@@ -207,8 +203,11 @@ def _compare(
         else:
             pairs = _pairs(left, right, plan, tally, on_disk, options, counts.mapping, third)
         try:
+            n_apart = 0
             for item in pairs:
                 counting.add(item)
+                if RANGE in item.one and RANGE in item.other:
+                    n_apart += int(np.count_nonzero(np.abs(item.one[RANGE] - item.other[RANGE]) > APART_M))
         except _UnequalError:
             counts.note("the files hold other records, or others first: matched by cell (scan line, column)")
             options = replace(options, match="cell")
@@ -221,6 +220,9 @@ def _compare(
             continue
         break
     counting.finish(left.path)
+    if n_apart > MOST_APART * tally.n_pairs:
+        problem = f"{n_apart} of {tally.n_pairs} shots have other ranges than in {right.path}: another scan"
+        raise InputError(left.path, problem, "give both files of the same one")
     _report(left, right, tally, counts, options)
     outside = (0, 0)
     if registered is not None:
@@ -259,8 +261,9 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
         problem = f"no confidence in {left.path}, expected a dimension or column of this name"
         hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
         raise ConfigError("--by-confidence, --min-confidence", problem, hint)
-    predicted = [name for name in wanted if name in has]
-    reference = [name for name in wanted if name not in has and name in other_has]
+    shared = {RANGE}.intersection(has, other_has) if options.match == "cell" else set()
+    predicted = [name for name in {**wanted, **dict.fromkeys(shared)} if name in has]
+    reference = [*shared, *(name for name in wanted if name not in has and name in other_has)]
     if "blocks" in asked or LINE in asked:
         predicted += [FILE, ROW]
     keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
@@ -352,7 +355,18 @@ def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: 
         counts.note("return numbers are not on both sides: not compared")
 
 
+def _refuse_other_scan(whole: Side, other: Side) -> None:
+    """Refuse records whose cells lie outside a grid that is whole: the files are of two scans."""
+    (lines, columns), (far, wide) = ((one.tally.n_lines, one.tally.n_columns) for one in (whole, other))
+    if whole.tally.n_usable > (lines - 1) * columns and (far > lines or wide > columns):
+        problem = f"its records lie in {far} lines of {wide} shots, but {whole.path} has {lines} of {columns}"
+        raise InputError(other.path, f"{problem}: another scan", "give both files of the same one")
+
+
 def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions, outside: tuple[int, int]) -> None:
+    if options.match == "cell":
+        _refuse_other_scan(left, right)
+        _refuse_other_scan(right, left)
     n_left, n_right = left.tally.n_usable - outside[0], right.tally.n_usable - outside[1]
     smaller, other, found, of = (left, right, tally.n_pairs, n_left)
     if n_right < n_left:

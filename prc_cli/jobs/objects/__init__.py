@@ -22,7 +22,7 @@ from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_unchanged, file_state, prepare_outputs
-from prc_cli.core.findings import Doubted, Finding, accept, notices, refuse
+from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.core.types import U8
 from prc_cli.formats import check_input, open_source
@@ -30,14 +30,13 @@ from prc_cli.formats.labels import NAMES
 from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record, usual_labels
+from prc_cli.jobs.classify import Counts, Judge, Progress, run_record
 from prc_cli.jobs.convert import open_items
 from prc_cli.jobs.objects.grow import RULES, Grower, Rule, Thing, runs_of
 from prc_cli.jobs.objects.write import check_suffix, open_things
 from prc_cli.jobs.progress import advance
 from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 
 KINDS: tuple[str, ...] = tuple(RULES)
@@ -173,7 +172,7 @@ class _Run:
         self._growers: dict[int, Grower] = {}
         self._counts, self._n = Counts.none(), Counter[str]()
         self._watch: EvidenceStream | None = None
-        self._result: ResultWatch | None = None
+        self._judge: Judge | None = None
         self._found: tuple[Finding, ...] = ()
 
     def things(self, output: Path, progress: Progress | None) -> Iterator[Thing]:
@@ -189,11 +188,7 @@ class _Run:
                 for thing in grower.finish():
                     yield self._numbered(thing)
         assert self._watch is not None
-        assert self._result is not None
-        accepted = self._loaded.config.input.accept_doubts or ()
-        judged = () if self._takes_classes else accept(self._result.findings(), accepted)
-        self._found = (*self._watch.findings(), *judged)
-        refuse(str(self._source), self._found)
+        self._found = self._watch.findings() if self._judge is None else self._judge.findings()
 
     def summary(self) -> ObjectsSummary:
         """Return the summary of a finished run."""
@@ -212,21 +207,15 @@ class _Run:
         # coordinates that come with the directions of a leaning plane are not those of the input
         is_own = first is not None and first.xyz_m is not None
         stream = with_beams(stream, config.input)
-        self._result = ResultWatch(usual_labels(config, stream.info))
         self._watch = watched(
             stream, config.input, most_noise_m=method.needs.most_noise_m, others=self._loaded.findings
         )
         if self._takes_classes:
             return (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
         wanted = Wanted(stages=True, confidence=config.output.confidence)
-        labelled = label_blocks(self._watch.blocks(), config.classifier, wanted=wanted)
-        return self._judged(labelled, self._result, is_own=is_own)
-
-    @staticmethod
-    def _judged(items: Iterator[LabelledBlock], result: ResultWatch, *, is_own: bool) -> Iterator[LabelledBlock]:
-        for item in items:
-            result.see(item)
-            yield item if is_own else replace(item, block=replace(item.block, xyz_m=None))
+        self._judge = Judge(self._watch, config)
+        labelled = self._judge.label(self._watch.blocks(), wanted=wanted)
+        return (item if is_own else replace(item, block=replace(item.block, xyz_m=None)) for item in labelled)
 
     def _add(self, item: StreamItem) -> Iterator[Thing]:
         block, labelled = item.block, self._as_stored(item) if item.labelled is None else item.labelled

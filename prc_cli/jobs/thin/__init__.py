@@ -34,7 +34,7 @@ from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Counts, Progress, label_blocks, run_record
+from prc_cli.jobs.classify import Counts, Judge, Progress, run_record
 from prc_cli.jobs.convert import OpenedItems, find_losses, how_to_read, open_items, prepare_output, record_of_scanners
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.frames import frames_of, labels_of, thin_frames
@@ -42,7 +42,7 @@ from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without
 from prc_cli.matching.sides import CONFIDENCE
 from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.evidence.watch import EvidenceStream, watched
+from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.grid import GridStream
 
 CLASSIFY = "classify"
@@ -248,10 +248,9 @@ def _joined(source: Path, output: Path, frames: list[Path], found: list[Thinning
         ClassSaving(code, names[code], n, n_kept[code], n_bytes[code]) for code, n in sorted(n_input.items())
     )
     sizes = (sum(getattr(one, key) for one in found) for key in ("bytes_input", "bytes_output", "n_lines"))
-    bytes_input, bytes_output, n_lines = sizes
+    n_read, n_written, n_lines = sizes
     doubts = {doubt.check: doubt for one in found for doubt in one.doubts}
-    rest = bytes_input, bytes_output, n_lines, tuple(doubts.values())
-    return ThinningSummary(output, record, classes, found[0].rules, *rest)
+    return ThinningSummary(output, record, classes, found[0].rules, n_read, n_written, n_lines, tuple(doubts.values()))
 
 
 _METHOD = "classified on the way: "
@@ -274,16 +273,15 @@ class _Run:
         self.n_input, self.n_kept = Counter[int](), Counter[int]()
         """Returns by class code."""
         self.counts = Counts.none()
-        self._watch: EvidenceStream | None = None
-        """What is classified on the way."""
+        self._judge: Judge | None = None
+        self._found: tuple[Finding, ...] = ()
 
     def copy(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
         """Leave records out of a LAS or LAZ file."""
         las = read_las(self.source)
         check_copied(las)
         with contextlib.ExitStack() as stack:
-            files = atomic_outputs(self.output, record_path(self.output))
-            temporary, beside = stack.enter_context(files)
+            temporary, beside = stack.enter_context(atomic_outputs(self.output, record_path(self.output)))
             stays = stack.enter_context(DiskColumn(self.output, np.uint8, 1, n_records=las.n_records))
             with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (opened, items):
                 hints = _check_lines(self.source, opened)
@@ -297,10 +295,7 @@ class _Run:
                     advance(progress, block, opened.info)
                 self._check_labels(opened.info)
                 if len(set(self.counts.scanners.values())) > 1:
-                    hints = (
-                        *hints,
-                        "lines of scanners differ in length: the highest column that is left is taken for it",
-                    )
+                    hints += ("lines of scanners differ in length: the highest column that is left is taken for it",)
                 record = self._record(opened.info, hints)
             notices = copy_las(
                 las, self.output, temporary, lambda n: (part.view(np.bool_) for part in stays.chunks(n)), record
@@ -342,9 +337,8 @@ class _Run:
         with open_writer(labels, overwrite=True) as writer:
             for item in items:
                 kept, kept_extra = self._choose(item)
-                writer.add_item(
-                    StreamItem(item.block, _codes_of(item.codes, kept), _codes_of(item.extra_codes, kept_extra))
-                )
+                codes = _codes_of(item.codes, kept), _codes_of(item.extra_codes, kept_extra)
+                writer.add_item(StreamItem(item.block, *codes))
                 advance(progress, item.block, opened.info)
             self._check_labels(opened.info)
             record = self._record(opened.info, opened.notices)
@@ -353,26 +347,18 @@ class _Run:
 
     def summary(self, record: RunRecord) -> ThinningSummary:
         """Return the summary."""
-        names = self.loaded.config.classes.names()
+        names = {**self.loaded.config.classes.names(), NO_CODE: "none"}
         bytes_input = self.source.stat().st_size
         outputs = (self.output,) if is_bag(self.output) else outputs_of(self.output)[:-1]
         bytes_output = sum(path.stat().st_size for path in outputs)
         counts = [(code, n, self.n_kept[code]) for code, n in sorted(self.n_input.items())]
-        n_dropped = sum(n - kept for _, n, kept in counts)
-        saved = bytes_input - bytes_output
+        n_dropped, saved = sum(n - kept for _, n, kept in counts), bytes_input - bytes_output
         classes = tuple(
-            ClassSaving(
-                code,
-                "none" if code == NO_CODE else names.get(code, f"class {code}"),
-                n,
-                kept,
-                round(saved * (n - kept) / n_dropped) if n_dropped else 0,
-            )
+            ClassSaving(code, names.get(code, f"class {code}"), n, kept, round(saved * (n - kept) / max(1, n_dropped)))
             for code, n, kept in counts
         )
         rules, n_lines = tuple(map(str, self.rules)), self.counts.n_lines
-        found = () if self._watch is None else self._watch.findings()
-        return ThinningSummary(self.output, record, classes, rules, bytes_input, bytes_output, n_lines, found)
+        return ThinningSummary(self.output, record, classes, rules, bytes_input, bytes_output, n_lines, self._found)
 
     @contextlib.contextmanager
     def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[StreamItem]]]:
@@ -382,8 +368,9 @@ class _Run:
         def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
             directed = with_beams(stream, config.input) if config.needs_beams else stream
             needs, wanted = config.classifier.method().needs, Wanted(confidence=self.min_confidence is not None)
-            self._watch = watched(directed, config.input, most_noise_m=needs.most_noise_m, others=self.loaded.findings)
-            return label_blocks(self._watch.blocks(), config.classifier, wanted=wanted)
+            watch = watched(directed, config.input, most_noise_m=needs.most_noise_m, others=self.loaded.findings)
+            self._judge = Judge(watch, config)
+            return self._judge.label(watch.blocks(), wanted=wanted)
 
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
@@ -478,8 +465,8 @@ class _Run:
         record = run_record(info, self.counts, self.loaded)
         choice = self.loaded.choice if self.classify else None
         method = () if choice is None else (f"{_METHOD}method {choice.method}: {choice.why}",)
-        doubts = () if self._watch is None else notices(self._watch.findings())
-        record = replace(record, notices=(*record.notices, *method, note, *told, *hints, *doubts))
+        self._found = () if self._judge is None else self._judge.findings()
+        record = replace(record, notices=(*record.notices, *method, note, *told, *hints, *notices(self._found)))
         return record_of_scanners(record, self.counts)
 
 

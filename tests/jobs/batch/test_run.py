@@ -7,7 +7,6 @@ import os
 import pickle
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -46,8 +45,7 @@ from prc_cli.jobs.batch.types import (
 )
 from prc_cli.jobs.batch.worker import run_task
 from tests import patience
-from tests.patience import HANGS_S
-from tests.street import street, write_csv, write_endless, write_npz, write_raw
+from tests.street import street, write_csv, write_npz, write_raw
 
 Script = Callable[[Task, int], Outcome]
 """What becomes of a task at its n-th attempt."""
@@ -410,43 +408,6 @@ def test_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
     assert not [name for name in tree(outs[0]) if name.endswith(".part")]
     assert tree(outs[0]) == tree(outs[1])
     assert told(one) == told(three)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="sends signals")
-def test_ctrl_c_stops_a_real_run_within_seconds(tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    for i in range(3):
-        write_endless(tmp_path / "in" / f"{i}.npy")
-    script = """
-import sys
-from pathlib import Path
-from prc_cli.jobs.batch.run import run_batch
-from prc_cli.jobs.batch.types import BatchSettings, Progress
-from prc_cli.cli import _leave_on_signals
-_leave_on_signals()
-folder = Path(sys.argv[1])
-def hear(event):
-    if isinstance(event, Progress):
-        print("progress", flush=True)
-try:
-    run_batch(BatchSettings(folder / "in", folder / "out", jobs=2), listener=hear)
-except KeyboardInterrupt:
-    sys.exit(130)
-"""
-    command = [sys.executable, "-c", script, str(tmp_path)]
-    with patience.start(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "progress\n"
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-        process.stdout.read()
-        assert process.wait(HANGS_S) == 130
-    written = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert written["ended"] == "interrupted"
-    entries = {entry.name: entry for entry in read_entries(tmp_path / "out" / OWN_FOLDER)}
-    assert {entry.state for entry in entries.values()} <= {"done", "running"}
-    assert not [path.name for path in (tmp_path / "out").iterdir() if path.suffix in (".npy", ".part")]
-    assert not (tmp_path / "out" / OWN_FOLDER / "lock.json").exists()
 
 
 def test_workers_that_cannot_be_started_leave_files_to_the_next_run(settings: BatchSettings) -> None:

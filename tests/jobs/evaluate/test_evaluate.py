@@ -362,6 +362,25 @@ def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
     assert found.matrix.n_ignored == expected.matrix.n_ignored
 
 
+def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
+    """Wherever the lines, the columns or the ranges show it; labels of a part begin at a line that nobody knows."""
+    config = load_config(preset="urban")
+    for name, image in (("a", street()), ("b", street(100)), ("c", 1.5 * street(seed=2))):
+        np.savez(tmp_path / f"{name}.npz", range_m=image, angle_deg=np.rad2deg(angles()))
+        for suffix in (".npy", ".laz"):
+            classify(tmp_path / f"{name}.npz", tmp_path / f"{name}{suffix}", config)
+    part = load_config(preset="urban", options={"input": {"only_lines": "20:120"}})
+    classify(tmp_path / "a.npz", tmp_path / "part.npy", part)
+    for one, other, said in (
+        ("b.npy", "a.laz", "137 lines of 180 shots, but .* has 100 of 180: another scan"),
+        ("a.laz", "b.npy", "137 lines of 180 shots, but .* has 100 of 180: another scan"),
+        ("a.laz", "c.laz", "shots have other ranges than in .*: another scan"),
+        ("part.npy", "a.laz", "matched by order needs equal counts"),
+    ):
+        with pytest.raises(InputError, match=said):
+            evaluate_all([tmp_path / one], [tmp_path / other])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("other", [".laz", ".ply"])
 @pytest.mark.parametrize("labels", [".npy", ".csv", "grid.csv"])
