@@ -18,11 +18,10 @@ from pydantic.fields import FieldInfo
 from prc_cli import methods
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
+from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml, samples_folder
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.samples import samples_folder
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.registry import has_layout, is_dump

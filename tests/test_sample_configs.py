@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from prc_cli.config import PRESETS, load_config, preset_file, preset_table
-from prc_cli.core.config import flatten, merge
-from prc_cli.core.samples import samples_folder
+from prc_cli.core.config import flatten, merge, samples_folder
 from prc_cli.jobs.batch.plan import BatchConfig
 from prc_cli.jobs.batch.types import ConfigLayers
 

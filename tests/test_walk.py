@@ -19,7 +19,7 @@ import pytest
 import prc_cli
 from prc_cli.cli import cli
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.samples import samples_folder
+from prc_cli.core.config import samples_folder
 from prc_cli.formats import open_source
 from tests.runner import runner
 from tests.street import angles, street

@@ -23,8 +23,7 @@ from prc_cli import __version__
 from prc_cli.cli.guard import REPEATED_S, begin
 from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.errors import PrcError
-from prc_cli.core.interrupts import raise_or_hold
-from prc_cli.core.process import claim_process, no_collecting
+from prc_cli.core.process import claim_process, no_collecting, raise_or_hold
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),

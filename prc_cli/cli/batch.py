@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
-from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import add_options, layers_from, output_options, stream_options
+from prc_cli.cli.options import add_options, complete_mapping, layers_from, output_options, stream_options
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import atomic_output, read_own, remove_stale
-from prc_cli.core.interrupts import raise_or_hold
+from prc_cli.core.process import raise_or_hold
 
 if TYPE_CHECKING:
     from prc_cli.jobs.batch.report import BatchSummary

@@ -11,12 +11,12 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import (
     QUIET_FORM,
     ScanPath,
     Sectioned,
     add_options,
+    complete_mapping,
     config_from,
     form_of,
     form_options,

@@ -13,7 +13,6 @@ import click
 
 from prc_cli.cli.next_step import after_classify
 from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
-from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
     end_with,
@@ -21,7 +20,9 @@ from prc_cli.cli.report import (
     print_classes,
     print_line,
     print_notices,
+    print_profile,
     print_taken,
+    profile_of,
 )
 from prc_cli.cli.safe import printable
 from prc_cli.config import LoadedConfig

@@ -11,12 +11,12 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import (
     POSES,
     QUIET_FORM,
     Sectioned,
     add_options,
+    complete_mapping,
     form_of,
     form_options,
     numbers,
@@ -34,8 +34,7 @@ from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
 from prc_cli.evaluation.scores import Evaluation, GateResult, check_gates, parse_gate, refuse_failed, scores
 from prc_cli.jobs.evaluate import evaluate_all
-from prc_cli.jobs.evaluate.chosen import mapping_of_runs
-from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.evaluate.options import EvaluateOptions, mapping_of_runs
 from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.jobs.render.colours import origin
 from prc_cli.matching.pairs import files_of

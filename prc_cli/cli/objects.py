@@ -12,8 +12,7 @@ import click
 from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
 from prc_cli.cli.report import compiling_note, end_with, line_progress, print_line, print_notices, print_taken
 from prc_cli.jobs.classify import load_classifier
-from prc_cli.jobs.objects import KINDS, Thing, find_objects
-from prc_cli.jobs.objects.write import COLUMNS, plain
+from prc_cli.jobs.objects import COLUMNS, KINDS, Thing, find_objects, plain
 
 
 @click.command(cls=Sectioned)

@@ -10,8 +10,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.completing import complete_mapping
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, stream_options
+from prc_cli.cli.options import ScanPath, Sectioned, complete_mapping, config_from, stream_options
 from prc_cli.cli.report import line_progress, print_line
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions, RenderResult

@@ -1,6 +1,7 @@
 """Machinery of the configuration: strict parameter models, layered TOML tables, errors that name the key.
 
-The stages declare their own keys; :mod:`prc_cli.config` combines their models.
+The stages declare their own keys; :mod:`prc_cli.config` combines their models. The sample configurations, which hold
+presets and class mappings, lie where :func:`samples_folder` says.
 """
 
 from __future__ import annotations
@@ -157,3 +158,25 @@ def model_in(annotation: Any) -> type[BaseModel] | None:
             if isinstance(inner, type) and issubclass(inner, BaseModel):
                 return inner
     return None
+
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def samples_folder(package: Path = _PACKAGE) -> Path:
+    """Return the folder of the sample configurations: inside an installed package, beside the package in a checkout."""
+    installed = package / "sample_configs"
+    return installed if installed.is_dir() else package.parent / "sample_configs"
+
+
+def or_sample(path: Path) -> Path:
+    """Return a file, or where there is none the sample configuration of this name.
+
+    >>> or_sample(Path("kitti_frame.toml")).is_file(), or_sample(Path("no_sample.toml")).is_file()
+    (True, False)
+    """
+    if path.exists() or path.is_absolute() or ".." in path.parts:
+        return path
+    own = path.relative_to("sample_configs") if path.parts[:1] == ("sample_configs",) else path
+    sample = samples_folder() / own
+    return sample if sample.is_file() else path

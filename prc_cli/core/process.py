@@ -2,6 +2,10 @@
 
 Limits are switched on in processes that a crash may end: the child of :mod:`prc_cli.cli.guard` and the workers of
 ``prc batch``. A step that needs more processor time ends the process (SIGXCPU), more memory is a ``MemoryError``.
+
+Python may run a signal handler while the arguments of a compiled loop are unpacked. An exception there leaves the
+loop's caller with a broken result. So the signal handlers of the command line call :func:`raise_or_hold`, which raises
+at once, or, inside a :func:`held` function, when that function ends.
 """
 
 from __future__ import annotations
@@ -12,9 +16,10 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 _T = TypeVar("_T")
 
@@ -148,3 +153,42 @@ def _tell(what: int, value: int) -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt is not None:
         mallopt(what, value)
+
+
+_P = ParamSpec("_P")
+
+
+class _Held(threading.local):
+    """State per thread: signals are handled in the main thread, which must not wait for loops of other threads."""
+
+    depth = 0
+    pending: BaseException | None = None
+
+
+_STATE = _Held()
+
+
+def raise_or_hold(error: BaseException) -> None:
+    """Raise now, or when the running compiled code has ended; for signal handlers."""
+    if _STATE.depth:
+        _STATE.pending = error
+        return
+    raise error
+
+
+def held(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Wrap a function so that interrupts are raised only after it has ended."""
+
+    @wraps(function)
+    def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
+        _STATE.depth += 1
+        try:
+            result = function(*arguments, **named)
+        finally:
+            _STATE.depth -= 1
+            if not _STATE.depth and _STATE.pending is not None:
+                error, _STATE.pending = _STATE.pending, None
+                raise error
+        return result
+
+    return call

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from prc_cli.core.config import Params, build, read_toml
+from prc_cli.core.config import Params, build, read_toml, samples_folder
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.samples import samples_folder
 from prc_cli.core.types import I64
 
 Side: TypeAlias = Literal["predicted", "reference"]

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.brief import Brief
-from prc_cli.core.bytewise import count_bytes
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import ClassCodes, Label, count_bytes
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
 from prc_cli.core.files import check_unchanged, file_state, prepare_outputs, suffix_of
 from prc_cli.core.findings import Doubted, Finding, accept, doubts, notices, refuse

@@ -25,7 +25,7 @@ from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.bags import BAG
-from prc_cli.formats.raw_binary.frames import FrameFolder
+from prc_cli.formats.raw_binary.write import FrameFolder
 from prc_cli.formats.registry import format_of
 from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing import (

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.interrupts import held
-from prc_cli.core.process import absent, no_collecting
+from prc_cli.core.process import absent, held, no_collecting
 
 _TABLE = Path(__file__).with_name("__init__.pyi")
 _REFERENCE = "prc_cli.reference."

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from prc_cli.jobs.objects.write import COLUMNS
+from prc_cli.jobs.objects import COLUMNS
 from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
 

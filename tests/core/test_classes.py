@@ -7,8 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from prc_cli.core.bytewise import count_bytes, recode
-from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
+from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label, count_bytes, recode
 from prc_cli.core.types import F64
 
 

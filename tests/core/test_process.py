@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from prc_cli import kernels
-from prc_cli.core.interrupts import held, raise_or_hold
-from prc_cli.core.process import absent
+from prc_cli.core.process import absent, held, raise_or_hold
 from prc_cli.core.profile import peak_memory, profiling, timed
 from tests import patience
 from tests.patience import HANGS_S

@@ -18,7 +18,7 @@ from prc_cli.formats.tables.read import open_table
 from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import holders
 from prc_cli.jobs.batch.outputs import own_folder
-from prc_cli.jobs.evaluate.chosen import mapping_of_runs
+from prc_cli.jobs.evaluate.options import mapping_of_runs
 from prc_cli.streams.open import open_input
 from prc_cli.streams.trajectory import load_trajectory
 from tests.fuzz.seeds import LAYOUT

@@ -11,7 +11,7 @@ from typing import Any
 import lazrs
 import numpy as np
 
-from prc_cli.core.bytewise import count_bytes
+from prc_cli.core.classes import count_bytes
 from prc_cli.core.errors import ConfigError, OutputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import read_ahead

@@ -15,8 +15,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from prc_cli.core.bytewise import count_bytes, recode
-from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
+from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label, count_bytes, recode
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo

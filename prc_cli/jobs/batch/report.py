@@ -40,8 +40,7 @@ from prc_cli.jobs.batch.types import (
     Shard,
     own_name,
 )
-from prc_cli.jobs.evaluate.chosen import DEFAULT_MAPPING, MAPPINGS, mapping_of_runs
-from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.evaluate.options import DEFAULT_MAPPING, MAPPINGS, EvaluateOptions, mapping_of_runs
 from prc_cli.matching.pairs import stem_of
 
 SCHEMA = 1

@@ -21,8 +21,7 @@ from typing import IO, Any
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import OutputExistsError, PrcError
-from prc_cli.core.interrupts import raise_or_hold
-from prc_cli.core.process import claim_process, hold_limits, return_memory
+from prc_cli.core.process import claim_process, hold_limits, raise_or_hold, return_memory
 from prc_cli.core.profile import peak_memory
 from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
 from prc_cli.jobs.batch.types import Compared, Comparison, Done, Failed, InputPrint, Outcome, Problem, Task

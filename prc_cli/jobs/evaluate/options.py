@@ -1,15 +1,21 @@
-"""Options of ``prc evaluate``."""
+"""Options of ``prc evaluate``, and the class mapping that fits predicted files where none is given."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from prc_cli.core.errors import ConfigError
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.window import Window
 from prc_cli.evaluation.confusion import check_edges
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.formats.labels import open_codes
+from prc_cli.formats.writing.record import PROGRAM, read_record
 
 TIME_TOLERANCE_S = 6e-7
 """Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s. Shots of scanners up to 1 MHz
@@ -134,3 +140,48 @@ def tolerance_of(options: EvaluateOptions) -> float | None:
     if options.tolerance is None and options.match == "time":
         return TIME_TOLERANCE_S
     return options.tolerance
+
+
+DEFAULT_MAPPING = "prc"
+"""Where no run record says otherwise."""
+
+MAPPINGS = {"sequential-angle": "street_scan", "fused": "street", "rings": "street"}
+"""Preset by method; forests have the classes of PRC, whatever the method."""
+
+
+def mapping_of_runs(
+    predicted: Sequence[Path], reference: Sequence[Path] = (), dimension: str | None = None
+) -> tuple[str, str]:
+    """Choose the preset with the classes of the method that wrote the predicted files, and the reference's codes."""
+    asked = {_asked_by(path) for path in predicted}
+    name, method = asked.pop() if len(asked) == 1 else (DEFAULT_MAPPING, "")
+    why = [f"the run record says {method}"] if method else []
+    if reference and (other := _listing(load_mapping(name), reference[0], dimension)):
+        name = other
+        why.append("it lists the reference's codes")
+    return name, ", ".join(why)
+
+
+def _listing(mapping: ClassMapping, reference: Path, dimension: str | None) -> str:
+    """Return the likest preset that lists the first codes of a reference, where a mapping does not; else empty."""
+    try:
+        codes = np.unique(next(iter(open_codes(reference, dimension).chunks()), ()))
+    except (PrcError, OSError):  # whoever compares the files says so
+        return ""
+    names = mapping.fitting(codes, "reference") if mapping.is_unlisted(codes, "reference").any() else []
+    # codes of one kind of data alone leave no doubt
+    kinds = {load_mapping(name).is_unlisted(np.arange(1 << 16), "reference").tobytes() for name in names}
+    return names[0] if len(kinds) == 1 else ""
+
+
+def _asked_by(path: Path) -> tuple[str, str]:
+    """Return the preset for one file and its method; a record that is missing or damaged asks for nothing."""
+    try:
+        record = read_record(path)
+        config = record["config"]
+        method = config["method"]
+        forest = method == "fused" and config["fused"]["environment"] == "forest"
+        name = DEFAULT_MAPPING if forest or record["program"] != PROGRAM else MAPPINGS.get(method, DEFAULT_MAPPING)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return DEFAULT_MAPPING, ""
+    return (DEFAULT_MAPPING, "") if name == DEFAULT_MAPPING else (name, method)

@@ -10,12 +10,135 @@ from threading import RLock
 
 import numpy as np
 
-from prc_cli.core.types import F64
-from prc_cli.simulation.forest.floor import Floor
+from prc_cli.core.types import F64, Mask
 from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.forest.terrain import CELL_M, Purpose, Rows, Terrain, first_number, generator
-from prc_cli.simulation.forest.trees import Stand, Stems, footprints, tree_bodies, triangles
+from prc_cli.simulation.forest.trees import Stand, Stems, cones, ellipsoids, footprints, tree_bodies, triangles
 from prc_cli.simulation.world import Bodies, Material
+
+_ELBOW_M = 0.35
+"""What is higher than the knee stays this far off the path [m]."""
+
+
+class Floor:
+    """Makes the floor of a cell."""
+
+    def __init__(self, params: ForestSceneParams, terrain: Terrain, rows: Rows) -> None:
+        self._params, self._terrain, self._rows = params, terrain, rows
+
+    def growth(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return what grows in a cell."""
+        return Bodies.join(
+            [
+                self._mounds(i, j, chance),
+                self._herbs(i, j, chance),
+                self._shrubs(i, j, chance),
+                self._saplings(i, j, chance),
+            ]
+        )
+
+    def dead_wood(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return logs and stumps of a cell."""
+        return Bodies.join([self._logs(i, j, chance), self._stumps(i, j, chance)])
+
+    def _places(self, per_ha: float, i: int, j: int, chance: np.random.Generator) -> F64:
+        """Return random points on the ground of a cell, (n, 3)."""
+        n = chance.poisson(per_ha / 10_000 * CELL_M**2)
+        xy = (chance.random((n, 2)) + np.array([i, j])) * CELL_M
+        return np.column_stack([xy, self._terrain.height(xy[:, 0], xy[:, 1])])
+
+    def _off_path(self, places: F64, reach: F64) -> Mask:
+        """Return which places leave the path free with all that is around them; (n,) bool."""
+        return np.asarray(self._rows.distance(places[:, 0], places[:, 1]) > reach + _ELBOW_M)
+
+    def _mounds(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return mounds and boulders, sunk into the ground."""
+        place = self._places(self._params.mounds_per_ha, i, j, chance)
+        n = len(place)
+        half = np.column_stack([chance.uniform(0.3, 1.3, n), chance.uniform(0.3, 1.0, n), chance.uniform(0.15, 0.5, n)])
+        place[:, 2] -= 0.25 * half[:, 2]
+        return ellipsoids(place, half, chance.uniform(0, np.pi, n), Material.SOIL)
+
+    def _herbs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return patches near the ground: moss and grass, which are ground, and dwarf shrubs, which are not."""
+        parts = []
+        for material, share, low, high, density in (
+            (Material.GRASS, 0.35, 0.05, 0.15, 8.0),
+            (Material.UNDERGROWTH, 0.65, 0.12, 0.4, 3.5),
+        ):
+            place = self._places(share * self._params.herbs_per_ha, i, j, chance)
+            n = len(place)
+            half = np.column_stack([chance.uniform(0.4, 1.4, (n, 2)), chance.uniform(low, high, n)])
+            leaves = density * self._params.leaf_density * chance.uniform(0.6, 1.4, n)
+            parts.append(ellipsoids(place, half, chance.uniform(0, np.pi, n), material, leaves))
+        return Bodies.join(parts)
+
+    def _shrubs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return shrubs of two tufts each."""
+        place = self._places(self._params.shrubs_per_ha, i, j, chance)
+        width, tall = chance.uniform(0.3, 1.0, (2, len(place)))
+        tall = 0.4 + 1.6 * tall * width
+        centre = np.repeat(place[:, None], 2, axis=1)
+        centre[..., :2] += chance.uniform(-0.6, 0.6, centre[..., :2].shape) * width[:, None, None]
+        centre[..., 2] += tall[:, None] * (0.35, 0.65)
+        half = np.stack(
+            [width[:, None] * (1.0, 0.7), width[:, None] * (0.8, 0.6), tall[:, None] * (0.4, 0.35)], axis=-1
+        )
+        density = 1.6 * self._params.leaf_density * chance.uniform(0.5, 1.5, half.shape[:2])
+        yaw = chance.uniform(0, np.pi, half.shape[:2])
+        keep = self._off_path(place, 1.6 * width)
+        return ellipsoids(centre[keep], half[keep], yaw[keep], Material.UNDERGROWTH, density[keep])
+
+    def _saplings(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return young spruces: a thin stem and three tufts, one narrower than the other."""
+        place = self._places(self._params.saplings_per_ha, i, j, chance)
+        tall = 0.6 + 4.4 * chance.random(len(place)) ** 2
+        width = 0.15 + tall * chance.uniform(0.12, 0.25, len(place))
+        density = 2.0 * self._params.leaf_density * chance.uniform(0.6, 1.4, (len(place), 3))
+        keep = self._off_path(place, width)
+        place, tall, width, density = place[keep], tall[keep], width[keep], density[keep]
+        up = np.zeros_like(place)
+        up[:, 2] = tall
+        foot = 0.004 + 0.008 * tall
+        stems = cones(place, place + up, foot, 0.2 * foot, Material.UNDERGROWTH)
+        centre = place[:, None] + up[:, None] * np.array([0.25, 0.52, 0.8])[:, None]
+        half = np.stack([width[:, None] * (1.0, 0.7, 0.35)] * 2 + [tall[:, None] * (0.2, 0.2, 0.2)], axis=-1)
+        tufts = ellipsoids(centre, half, np.zeros(half.shape[:2]), Material.UNDERGROWTH, density)
+        return Bodies.join([stems, tufts])
+
+    def _logs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return dead stems and branches that lie about, in two pieces so that they follow the ground."""
+        middle = self._places(self._params.logs_per_ha, i, j, chance)
+        n = len(middle)
+        length = 1.0 + 5.0 * chance.random(n) ** 2
+        thick = chance.uniform(0.02, 0.03, n) * length
+        azimuth = chance.uniform(0, 2 * np.pi, n)
+        away = length[:, None] / 2 * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+        nodes = []
+        for end in (-1.0, 0.0, 1.0):
+            xy = middle[:, :2] + end * away
+            nodes.append(np.column_stack([xy, self._terrain.height(xy[:, 0], xy[:, 1])]))
+        nodes[1][:, 2] = np.maximum(nodes[1][:, 2], (nodes[0][:, 2] + nodes[2][:, 2]) / 2)
+        for node in nodes:
+            node[:, 2] += 0.8 * thick
+        first = cones(nodes[0], nodes[1], thick, 0.8 * thick, Material.DEAD_WOOD)
+        second = cones(nodes[1], nodes[2], 0.8 * thick, 0.6 * thick, Material.DEAD_WOOD)
+        return Bodies.join([first, second])
+
+    def _stumps(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return stumps with their cut faces."""
+        place = self._places(self._params.stumps_per_ha, i, j, chance)
+        n = len(place)
+        radius, tall = chance.uniform(0.08, 0.22, n), chance.uniform(0.15, 0.5, n)
+        keep = self._off_path(place, radius)
+        place, radius, tall = place[keep], radius[keep], tall[keep]
+        foot, top = place.copy(), place.copy()
+        foot[:, 2] -= 0.15
+        top[:, 2] += tall
+        sides = cones(foot, top, 1.25 * radius, radius, Material.DEAD_WOOD)
+        face = np.column_stack([radius, radius, np.full(len(radius), 0.02)])
+        return Bodies.join([sides, ellipsoids(top, face, np.zeros(len(radius)), Material.DEAD_WOOD)])
+
 
 _OVERHANG_M = 6.0
 """No body reaches farther out of its cell than this [m]."""
