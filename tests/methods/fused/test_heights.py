@@ -24,9 +24,8 @@ def heights(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> 
         replace(block, first_line=a, range_m=block.range_m[a : a + size], is_last=a + size >= block.n_lines)
         for a in range(0, block.n_lines, size)
     )
-    found = label_blocks(
-        pieces, load_config(preset=preset).config.classifier, wanted=Wanted(stages=True), threads=threads
-    )
+    method = load_config(preset=preset).config.classifier
+    found = label_blocks(pieces, method, wanted=Wanted(stages=True), threads=threads)
     return np.concatenate([item.above_m for item in found if item.above_m is not None])
 
 
@@ -54,8 +53,7 @@ def test_a_leaning_plane_has_true_heights() -> None:
     up = -ranges * np.cos(BEAM) * 0.8
     xyz = np.stack([np.sqrt(np.maximum(ranges**2 - up**2, 0)), np.zeros_like(up), up], axis=-1).astype(np.float32)
     block = ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM)
-    above = np.full(ranges.shape, 2.0, np.float32)
-    above[0, 0] = 1e9
+    above = np.where(np.arange(ranges.size).reshape(ranges.shape), np.float32(2.0), np.float32(1e9))
     found = true_heights(above, block)
     assert np.isnan(found[0, 0])
     np.testing.assert_allclose(found[1:], 1.6, rtol=1e-5)
