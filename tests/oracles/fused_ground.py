@@ -46,7 +46,7 @@ def walk_ground(
             start_m = _lowest(shots, sums) if lost < 0 or lost >= LOST_LINES else start_m
         profiles = []
         for memory_of_side, columns, sign in zip(memories, sides, (1, -1), strict=True):
-            on_way = [i for i in columns if level[i]]
+            on_way = [i for i in columns if level[i] and lost != -1]
             out_m = side_m[line] * np.float32(sign)
             steps = _steps(on_way, out_m, height_m[line], memory_of_side, start_m, thresholds)
             walked[line, [i for i, _ in steps]] = True

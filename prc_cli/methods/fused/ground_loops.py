@@ -320,6 +320,8 @@ def walk_ground(
             own[i] = False
         for s in range(2):
             columns = sides[0] if s == 0 else sides[1]
+            # a stream may begin amid a line, in which no ground is seen
+            columns = columns[: len(columns) if lost != -1 else 0]
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
             profile, known = profiles[s * BINS : (s + 1) * BINS], (heights[s], ages[s])
             for b in range(BINS):

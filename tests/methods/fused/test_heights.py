@@ -20,16 +20,13 @@ from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, s
 
 def heights(preset: str, block: ScanBlock, size: int = 50, threads: int = 1) -> F32:
     """Label a block in pieces; return the heights of all lines."""
-    params = load_config(preset=preset).config.classifier
     pieces = (
-        replace(block, first_line=a, range_m=block.range_m[a : a + size],
-                xyz_m=None if block.xyz_m is None else block.xyz_m[a : a + size],
-                is_last=a + size >= block.n_lines)
+        replace(block, first_line=a, range_m=block.range_m[a : a + size], is_last=a + size >= block.n_lines)
         for a in range(0, block.n_lines, size)
-    )  # fmt: skip
-    found = [item.above_m for item in label_blocks(pieces, params, wanted=Wanted(stages=True), threads=threads)]
-    assert all(one is not None for one in found)
-    return np.concatenate([one for one in found if one is not None])
+    )
+    method = load_config(preset=preset).config.classifier
+    found = label_blocks(pieces, method, wanted=Wanted(stages=True), threads=threads)
+    return np.concatenate([item.above_m for item in found if item.above_m is not None])
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
@@ -43,14 +40,12 @@ def test_heights_are_those_above_the_road(preset: str) -> None:
     assert np.quantile(np.abs(found - expected)[road], 0.99) < 0.08
     facade = (kind == BUILDING) & np.isfinite(found)
     facade[50:100] = False  # behind the car
-    # the sidewalk before it is 0.12 m higher than the road
-    assert np.quantile(np.abs(found - expected)[facade], 0.9) < 0.16
+    assert np.quantile(np.abs(found - expected)[facade], 0.9) < 0.16  # the sidewalk before it is 0.12 m higher
 
 
 def test_they_do_not_depend_on_threads_and_cuts() -> None:
     block = ScanBlock(0, street_lines(150)[0], beam_rad=BEAM, is_last=True)
-    whole = heights("fused", block, 150)
-    np.testing.assert_array_equal(heights("fused", block, 17, threads=3), whole)
+    np.testing.assert_array_equal(heights("fused", block, 17, threads=3), heights("fused", block, 150))
 
 
 def test_a_leaning_plane_has_true_heights() -> None:
@@ -58,8 +53,7 @@ def test_a_leaning_plane_has_true_heights() -> None:
     up = -ranges * np.cos(BEAM) * 0.8
     xyz = np.stack([np.sqrt(np.maximum(ranges**2 - up**2, 0)), np.zeros_like(up), up], axis=-1).astype(np.float32)
     block = ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM)
-    above = np.full(ranges.shape, 2.0, np.float32)
-    above[0, 0] = 1e9
+    above = np.where(np.arange(ranges.size).reshape(ranges.shape), np.float32(2.0), np.float32(1e9))
     found = true_heights(above, block)
     assert np.isnan(found[0, 0])
     np.testing.assert_allclose(found[1:], 1.6, rtol=1e-5)
@@ -91,3 +85,10 @@ def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
         np.testing.assert_allclose(found, expected[~np.isnan(ranges)], atol=1e-4)
     else:
         assert output.read_text().splitlines()[0].endswith("height_above_ground")
+
+
+def test_a_stream_may_begin_amid_a_line_below_eaves() -> None:
+    ranges, degrees = street_lines(60)[0], np.rad2deg(BEAM)
+    ranges[0] = np.where((degrees > 100) & (degrees < 110), -0.3 / np.cos(BEAM), np.nan)
+    found = heights("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[1:, np.abs(degrees) < 45]
+    assert np.nanquantile(np.abs(found), 0.9) < 0.1
