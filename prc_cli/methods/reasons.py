@@ -105,7 +105,7 @@ RULES: dict[Reason, Rule] = {
         "upright and thin: lines beside it, or shots above and below, see past it",
         ("decision.pole_m", "decision.far_m", "columns.tall_m", "columns.lines"),
     ),
-    Reason.ARM: Rule("thin and high above the ground: an arm or a lamp", ("decision.arm_m", "decision.far_m")),
+    Reason.ARM: Rule("thin or short, high above the ground: an arm or a lamp", ("decision.arm_m", "decision.far_m")),
     Reason.BOX: Rule(
         "small, with a level top, and far things beyond it: a bin or a cabinet",
         ("decision.box_m", "decision.box_lines"),

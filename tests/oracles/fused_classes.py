@@ -185,7 +185,7 @@ class _Shot:
             return False
         if self.kind == COLUMN:
             return True
-        if self.level > 0 and not (self.above > self.thresholds.arm_m and self.kind == THIN):
+        if self.level > 0 and not self.above > self.thresholds.arm_m:
             return False
         if self.is_in_wall() or (is_car and self.kind != THIN):
             return False

@@ -191,20 +191,23 @@ class _Lines:
         return np.float32(bulge * (abs(away * self.beams[0][i]) / away) / np.float32(0.34))
 
     def kind(self, line: int, run: list[int], free: list[int]) -> int:
-        if self.is_low(line, run, free):
-            is_smooth = sum(self.is_smooth(line, i) for i in free) >= self.limits.share * np.float32(len(free))
-            is_post = is_smooth and np.ptp(self.side(line, free)) < self.limits.post_m
-            return COLUMN if is_post and np.ptp(self.above[line, free]) > self.limits.post_tall_m else SMALL
+        reach = self.reach(line, run, free)
+        if reach is not None and reach < self.limits.high_m:
+            is_post = sum(self.is_smooth(line, i) for i in free) >= self.limits.share * np.float32(len(free))
+            is_post &= bool(np.ptp(self.above[line, free]) > self.limits.post_tall_m)
+            is_thin = np.ptp(self.side(line, free)) < self.limits.post_m
+            return COLUMN if is_thin and (is_post or reach < self.limits.post_top_m) else SMALL
         return COLUMN if self.is_column(line, run, free) else 0
 
-    def is_low(self, line: int, run: list[int], free: list[int]) -> bool:
+    def reach(self, line: int, run: list[int], free: list[int]) -> np.float32 | None:
+        """Return how high something small reaches; None = it is not small."""
         limits, above = self.limits, self.above[line, free]
         few = np.float32(sum(self.n_seen(line, i) <= limits.small_lines for i in free))
         if few < max(limits.shots, limits.small_share * np.float32(len(run))) or above.max() >= limits.high_m:
-            return False
+            return None
         if np.ptp(self.side(line, free)) > limits.small_m or self.depth(line, run) > limits.small_m:
-            return False
-        return bool(above.max() + self.climb(line, free[int(np.argmax(above))]) < limits.high_m)
+            return None
+        return np.float32(above.max() + self.climb(line, free[int(np.argmax(above))]))
 
     def depth(self, line: int, run: list[int]) -> np.float32:
         """Return how deep a run is together with low things close behind or before it, beyond both ends."""

@@ -98,7 +98,7 @@ def decide(
     5. few near neighbours behind a wall, and either no smooth pair, or rough and far behind it: noise; so is what is
        isolated in a car without a smooth pair;
     6. part of a low object with level surfaces: car;
-    7. thin and upright, or thin and high above the ground: vegetation below a crown or where it is thick (a trunk),
+    7. thin and upright, or short and high above the ground: vegetation below a crown or where it is thick (a trunk),
        otherwise pole; so is what is small to all sides and has a level top, whatever it was so far: bins, cabinets;
     8. in rough surroundings, and neither in or above a wall nor seen through its windows: vegetation;
     9. otherwise: building.

@@ -379,7 +379,7 @@ def _label_things(
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_thin, is_piece = alone[i] == THIN, (alone[i] != np.uint8(0)) & (alone[i] < SMALL)
-        is_up = (level[i] == 0) | ((h > arm_m) & is_thin)
+        is_up = (level[i] == 0) | (h > arm_m)
         is_part = is_wall | (is_car & (not is_thin))
         may_be_pole = is_piece & is_up & (h > foot) & (texture >= leaf_share) & (not is_part)
         poles[i] = np.uint8(is_open & is_sure & (may_be_pole | (alone[i] == COLUMN)) & poles_wanted)

@@ -67,9 +67,8 @@ def _count_on(own: F32, beside: F32, beyond: F32, jump: np.float32, far: np.floa
 def _mark_free(lines: tuple[U8, U8], above: F32, near: U8, thresholds: ColumnThresholds, marks: U8) -> None:
     """Mark the shots of a line that few lines see, and lines on both sides see past."""
     before, after = lines
-    most = np.int32(thresholds.lines)
     for i in range(len(marks)):
-        is_free = np.int32(before[i]) + np.int32(after[i]) <= most + np.int32(1)
+        is_free = np.int32(before[i]) + np.int32(after[i]) <= np.int32(thresholds.lines) + np.int32(1)
         marks[i] = np.uint8(is_free & (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m))
 
 
@@ -169,9 +168,10 @@ def _kind(
     is_few = np.float32(n_few) >= max(thresholds.shots, thresholds.small_share * np.float32(end - first))
     if is_few and high < top and deep <= thresholds.small_m and not _is_deep(window_m[line], points, ends, thresholds):
         up = 1 if beams[1][max(highest - 1, 0)] > beams[1][min(highest + 1, len(side) - 1)] else -1
-        if high + _climb(window_m, line, highest, up, beams, top) < top:
-            is_post = np.float32(n_free) >= thresholds.share * np.float32(n_marked)
-            return COLUMN if is_post and deep < thresholds.post_m and tall > thresholds.post_tall_m else SMALL
+        reach = high + _climb(window_m, line, highest, up, beams, top)
+        if reach < top:
+            is_post = np.float32(n_free) >= thresholds.share * np.float32(n_marked) and tall > thresholds.post_tall_m
+            return COLUMN if deep < thresholds.post_m and (is_post or reach < thresholds.post_top_m) else SMALL
     if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
         return np.uint8(0)
     if deep > thresholds.deep_m or low > thresholds.low_m or tall < thresholds.tall_m or high < top:
@@ -195,12 +195,10 @@ def _kind(
 @inlined
 def _is_short(ranges: F32, above: F32, first: int, end: int, thresholds: ColumnThresholds) -> bool:
     """Return whether a run is short, with nothing, or only far things, beyond both ends."""
-    low = high = above[first]
-    for j in range(first, end):
-        low, high = min(low, above[j]), max(high, above[j])
+    tall = above[first:end].max() - above[first:end].min()
     is_free = first == 0 or not (ranges[first - 1] <= ranges[first] + thresholds.far_m)
     is_free &= end == len(ranges) or not (ranges[end] <= ranges[end - 1] + thresholds.far_m)
-    return bool(is_free and high - low < thresholds.tall_m)
+    return bool(is_free and tall < thresholds.tall_m)
 
 
 @kernel()

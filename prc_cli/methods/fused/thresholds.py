@@ -143,7 +143,9 @@ class ColumnThresholds(NamedTuple):
     post_m: np.float32 = f32(0.12)
     """... or bollards, if no deeper than this [m] ..."""
     post_tall_m: np.float32 = f32(0.4)
-    """... and higher than this [m]."""
+    """... and either seen higher than this in one line [m] ..."""
+    post_top_m: np.float32 = f32(1.25)
+    """... or ending below this: people are taller [m]."""
     slim_lines: np.float32 = f32(4)
     """What so few lines see is thin ..."""
     piece_lines: np.float32 = f32(24)
@@ -261,10 +263,10 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32 = f32(6)
     """Fewest shots of its run."""
-    thick_m: np.float32 = f32(0.15)
+    thick_m: np.float32 = f32(0.12)
     """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
     arm_m: np.float32 = f32(3)
-    """Above this height thin level things may be poles: arms and lamps [m]."""
+    """Above this height level pieces may be poles: arms and lamps [m]."""
     box_m: np.float32 = f32(2)
     """Bins and cabinets are lower than this [m]; 0 = there are none."""
     box_flat_m: np.float32 = f32(0.25)
