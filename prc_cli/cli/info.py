@@ -45,6 +45,7 @@ def info(
     """Say whether FILE can be classified, what to type, and what it holds.
 
     The same options as for classify say how lines, columns and ranges are found. --verbose tells all that is known.
+    The exit code is 0 for a file that can be read, also where the answer is no: ask "classifiable" of --json.
 
     \b
     Example: prc info drive.laz --lines time:200 --columns time:1000000
@@ -129,15 +130,12 @@ LIST_THEM = " (--checks lists them)"
 def _command(inspection: Inspection, options: dict[str, Any]) -> str:
     """Return the command that classifies the file: the options given and those that mend it; may be empty."""
     doubts = inspection.doubts
-    mends = [one.option for one in doubts if one.option]
-    if inspection.mend:
-        mends = [inspection.mend]
-    elif inspection.missing:
-        mends = list(inspection.missing)
-    elif inspection.problem:
+    mends = [inspection.mend] if inspection.mend else list(inspection.missing)
+    if not mends and inspection.problem:
         against = [one for one in doubts if one.verdict is Verdict.AGAINST]
         if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
             return ""
+    mends = mends or [one.option for one in doubts if one.option]
     words = ["prc", "classify", inspection.path, str(output_for(Path(inspection.path)))]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
     return shlex.join([*words, *given_words(options, mended)]) + "".join(f" {mend}" for mend in mends)

@@ -128,10 +128,8 @@ def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
         _field_line({"name": field.name, "type": field.type} | field.model_dump(include=_KEYS, exclude_defaults=True))
         for field in found.fields
     ]
-    lines = [
-        "", "[layout]", f"header_bytes = {found.header_bytes}", f'endian = "{found.endian}"', "fields = [", *rows, "]",
-    ]  # fmt: skip
-    return lines, found
+    header = ["", "[layout]", f"header_bytes = {found.header_bytes}", f'endian = "{found.endian}"', "fields = ["]
+    return [*header, *rows, "]"], found
 
 
 def _field_line(values: dict[str, object]) -> str:

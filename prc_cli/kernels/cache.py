@@ -6,6 +6,7 @@ Whenever the cache fails, the kernel is compiled in memory, so that no run stops
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import tempfile
@@ -155,8 +156,9 @@ def open_to_others(folder: Path) -> str:
             if why := who_may_change(above, may_add=True):
                 return f"{above}: {why}"
         for path in folder.rglob("*"):
-            if why := who_may_change(path):
-                return f"{path.relative_to(folder)}: {why}"
+            with contextlib.suppress(FileNotFoundError):  # another process, which compiles, has renamed it since
+                if why := who_may_change(path):
+                    return f"{path.relative_to(folder)}: {why}"
     except OSError as error:
         return f"it cannot be looked at ({error.strerror or error})"
     return ""

@@ -53,8 +53,9 @@ def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
 def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[object, ...]) -> None:
     """Where the number of records speaks against M, or none is given, the command to type has the estimate."""
     source = write_raw(tmp_path / "drive.bin", street())
-    found = json.loads(prc("info", source, "--json", *told).out)
-    assert found["classifiable"] is False
+    result = prc("info", source, "--json", *told)
+    found = json.loads(result.out)
+    assert (result.code, found["classifiable"]) == (0, False)  # the file was read: no is an answer
     words = found["command"].split()
     assert words[-2:] == ["-M", str(POINTS_PER_LINE)]
     assert prc(*words[1:]).code == 0

@@ -17,6 +17,7 @@ from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
 from prc_cli.jobs.render.colours import LABEL_TABLE, RecordClasses, Vocabulary
 from prc_cli.jobs.render.scan import draw_scan
+from tests.jobs.test_convert import config, two_scanners
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
 
@@ -100,6 +101,13 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive: Path, urban
         assert any(text.startswith("not scored") for text, _ in panel.key)
     assert [text for text, _ in classes.key] == ["building 100.0 %"]
     assert not any("%" in text for text, _ in difference.key if not text.startswith("no return"))
+
+
+def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
+    source, read = two_scanners(tmp_path / "two.las"), config(preset="urban", scanner="point_source_id")
+    for number, station in enumerate((None, 8)):
+        found = render(source, tmp_path / f"{number}.png", read, RenderOptions(station=station))
+        assert f"scanner {station or 3} of 2" in found.drawn, found.drawn
 
 
 @pytest.mark.parametrize(

@@ -137,6 +137,14 @@ def test_temporary_folder_that_others_can_write_is_not_trusted(tmp_path: Path, m
 
 
 @posix_only
+def test_a_file_that_another_process_renames_meanwhile_is_no_danger(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    monkeypatch.setattr(Path, "rglob", lambda folder, _: iter([folder / "gone.nbi.tmp"]))
+    assert cache.open_to_others(tmp_path) == ""
+
+
+@posix_only
 def test_temporary_folder_of_somebody_else_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     folder = cache._temporary_cache()

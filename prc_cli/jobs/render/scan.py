@@ -104,22 +104,17 @@ def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
     return stream
 
 
-def of_station(stream: ScanStream, station: int | None) -> Iterator[ScanBlock]:
-    """Yield the blocks of one scanner, by default the first."""
-    others: set[int] = set()
-    chosen, found = station, False
+def of_station(stream: ScanStream, station: int | None, met: dict[int, None] | None = None) -> Iterator[ScanBlock]:
+    """Yield the blocks of one scanner, by default the first; note in ``met`` all that are met."""
+    met = {} if met is None else met
     for block in stream.blocks():
-        if chosen is None:
-            chosen = block.scanner
-        if block.scanner == chosen:
-            found = True
+        met.setdefault(block.scanner)
+        if block.scanner == (next(iter(met)) if station is None else station):
             yield block
-        else:
-            others.add(block.scanner)
-    if not found and others:
-        numbers = ", ".join(str(number) for number in sorted(others)[:20])
-        shown = f"one, number {numbers}" if len(others) == 1 else f"{len(others)}, numbers {numbers}"
-        shown += ", ..." if len(others) > 20 else ""
+    if station is not None and met and station not in met:
+        numbers = ", ".join(str(number) for number in sorted(met)[:20])
+        shown = f"one, number {numbers}" if len(met) == 1 else f"{len(met)}, numbers {numbers}"
+        shown += ", ..." if len(met) > 20 else ""
         raise ConfigError("--station", f"found {station}, but {stream.info.path} holds {shown}")
 
 
@@ -231,6 +226,8 @@ class Part:
     stop: int
     n_lines: int
     """Lines of the whole stream."""
+    scanner: str = ""
+    """Which it is of several."""
 
     @property
     def is_whole(self) -> bool:
@@ -335,8 +332,12 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
     info = stream.info
     many = loaded.config.input.scanner != "none" or info.facts.has_scans or len(info.facts.scanners) > 1
     n_lines = info.n_lines if not many and options.station is None else None
+    scanner, met = "", dict[int, None]()
     if n_lines is None:
-        n_lines = sum(block.n_lines for block in of_station(stream, options.station))
+        n_lines = sum(block.n_lines for block in of_station(stream, options.station, met))
+    if len(met) > 1:
+        number, names = next(iter(met)) if options.station is None else options.station, info.facts.scanners
+        scanner = f"scanner {number} of {len(met)}" + (f": {names[number]}" if number < len(names) else "")
     k = loaded.config.prc.lines_per_block
     n_blocks = -(-n_lines // k)
     block = options.block
@@ -346,14 +347,14 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
         if not 0 <= block < n_blocks:
             problem = f"found {block}, expected 0 to {n_blocks - 1}: {n_lines:,} lines in blocks of {k}"
             raise ConfigError("--block", problem)
-        return Part(block * k, min((block + 1) * k, n_lines), n_lines)
+        return Part(block * k, min((block + 1) * k, n_lines), n_lines, scanner)
     if options.lines is not None:
         first, stop = options.lines
         if not 0 <= first < stop or first >= n_lines:
             problem = f"found {first}:{stop}, expected A:B within 0:{n_lines} and A below B"
             raise ConfigError("--only-lines", problem)
-        return Part(first, min(stop, n_lines), n_lines)
-    return Part(0, n_lines, n_lines)
+        return Part(first, min(stop, n_lines), n_lines, scanner)
+    return Part(0, n_lines, n_lines, scanner)
 
 
 def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOptions) -> _Layout:
@@ -578,7 +579,6 @@ def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, nam
         lines = f"block {part.first // loaded.config.prc.lines_per_block}, {lines}"
     step = thinned(drawing.thinned_by)
     return heading(
-        name, labelled, lines, f"{step} drawn" if step else "",
-        "" if options.station is None else f"scanner {options.station}",
+        name, labelled, lines, f"{step} drawn" if step else "", part.scanner,
         f"without {', '.join(options.hide)}" if options.hide else "",
     )  # fmt: skip

@@ -134,7 +134,7 @@ def render_viewer(
         kept = _collect(stream, config, chosen, words, given, progress)
         shots, notes = _shots(source, config, chosen, stream, kept)
     part = kept.part
-    head = heading(origin, f"{part.sentence()} lines", thinned(kept.step))
+    head = heading(origin, f"{part.sentence()} lines", part.scanner, thinned(kept.step))
     text = viewer_page(
         shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.",
         why="" if given is not None else _explain(source, config, chosen),
