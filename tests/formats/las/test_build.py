@@ -10,7 +10,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.las import laz as codec_module
-from prc_cli.formats.writing.coordinates import SPACING_M
+from prc_cli.formats.writing.columns import SPACING_M
 from tests.formats.common import FOREST, labelled, random_labels, write
 
 SOURCE = Path("drive.bin")
