@@ -19,7 +19,7 @@ from prc_cli.jobs.render.colours import LABEL_TABLE, RecordClasses, Vocabulary
 from prc_cli.jobs.render.scan import draw_scan
 from prc_cli.jobs.render.viewer import _Kept, render_viewer
 from tests.browser import chromium
-from tests.imaging.test_viewer import decoded
+from tests.imaging.test_pictures import decoded
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
 

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
 from prc_cli.matching import join as join_module
-from prc_cli.matching.join import CODE, KEY, SAME, Columns, JoinTally, UnsortedError, in_step, merge_join
-from prc_cli.matching.keys import NearestLabel
+from prc_cli.matching.join import CODE, KEY, SAME, Columns, Joined, JoinTally, UnsortedError, in_step, merge_join
+from prc_cli.matching.keys import MutualKeys, NearestLabel
 from prc_cli.matching.pairs import pair_files
-from tests.matching.samples import cut, join_by_key, pairs_of
 
 RNG = np.random.default_rng
 
@@ -274,3 +273,26 @@ def test_a_file_against_a_folder(tmp_path: Path) -> None:
         pair_files(folder, folder / "a.npy")
     with pytest.raises(InputError, match="nowhere: no such folder"):
         pair_files(tmp_path / "nowhere", folder)
+
+
+def cut(columns: Columns, seed: int, most: int = 7) -> Iterator[Columns]:
+    """Yield columns in chunks of random length."""
+    random = np.random.default_rng(seed)
+    n, first = len(columns[KEY]), 0
+    while first < n:
+        stop = first + int(random.integers(0, most))
+        yield {name: values[first:stop] for name, values in columns.items()}
+        first = stop
+
+
+def pairs_of(joined: Iterator[Joined]) -> set[tuple[int, int]]:
+    pairs = (item.pairs() for item in joined if len(item.at))
+    found = [(int(a), int(b)) for one, other in pairs for a, b in zip(one["id"], other["id"], strict=True)]
+    assert len(found) == len(set(found))
+    return set(found)
+
+
+def join_by_key(
+    left: Iterator[Columns], right: Iterator[Columns], tolerance: float, tally: JoinTally
+) -> Iterator[Joined]:
+    return merge_join(left, right, MutualKeys(tolerance), tolerance, tally)
