@@ -30,7 +30,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.contest_data import DATA
-from benchmarks.peak import CHILD
+from benchmarks.user import CHILD
 from prc_cli.core.types import F64, I64, Mask
 
 OAKLAND = "## Oakland's registered points"

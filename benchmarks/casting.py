@@ -16,7 +16,7 @@ from importlib import metadata
 import numpy as np
 
 from prc_cli.core.types import F64
-from prc_cli.simulation.casting import cast
+from prc_cli.simulation.sensor import cast
 from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.simulation.trajectory import Shots, aim
 from prc_cli.simulation.world import Bodies, Shape

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peak import peak_mib
+from benchmarks.user import peak_mib
 from prc_cli.formats import open_source
 from prc_cli.formats.clouds.ply import read_ply_header
 from prc_cli.formats.options import InputConfig

@@ -45,8 +45,10 @@ from benchmarks.contest_runs import (
     Run,
     Store,
     data_sets,
+    f1,
+    judged,
+    print_things,
 )
-from benchmarks.contest_things import f1, judged, print_things
 from benchmarks.simulated import commands, printed_at, say
 
 IMAGES = ROOT / "docs" / "images"

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.drives import POINTS_PER_LINE, write_csv, write_drive, write_raw
-from benchmarks.peak import peak_mib
+from benchmarks.user import peak_mib
 
 FULL_LINES = (4643, 46_426)
 LIMIT_MIB = 256

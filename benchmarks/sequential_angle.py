@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.contest_data import Scan, views
 from benchmarks.contest_methods import label
-from benchmarks.peak import peak_mib
+from benchmarks.user import peak_mib
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.classes import ClassCodes, Label, Surface

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 from benchmarks.contest_data import ROOT
@@ -40,3 +40,18 @@ def in_own_process(arguments: list[str]) -> tuple[int, str]:
     command = [sys.executable, "-m", "prc_cli", *arguments]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     return done.returncode, done.stderr
+
+
+CHILD = """
+import resource, subprocess, sys
+# a process takes over the peak of the one that starts it: this one is small
+code = subprocess.run([sys.executable, "-m", "prc_cli", *sys.argv[1:]], stdout=sys.stderr).returncode
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024))
+sys.exit(code)
+"""
+
+
+def peak_mib(arguments: Sequence[str]) -> float:
+    """Run ``prc`` with these arguments; return its peak memory [MiB]."""
+    command = [sys.executable, "-c", CHILD, *arguments]
+    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

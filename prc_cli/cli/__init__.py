@@ -21,8 +21,7 @@ import click
 
 from prc_cli import __version__
 from prc_cli.cli.guard import REPEATED_S, begin
-from prc_cli.cli.safe import printable, printable_lines
-from prc_cli.core.errors import PrcError
+from prc_cli.core.errors import PrcError, printable, printable_lines
 from prc_cli.core.process import claim_process, no_collecting, raise_or_hold
 
 COMMANDS: dict[str, tuple[str, str]] = {

@@ -15,7 +15,7 @@ from typing import Any
 
 from prc_cli import __version__
 from prc_cli.cli.report import console, results, table_of
-from prc_cli.cli.safe import printable
+from prc_cli.core.errors import printable
 from prc_cli.core.findings import is_doubt
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores

@@ -24,8 +24,7 @@ from prc_cli.cli.options import (
     window_options,
 )
 from prc_cli.cli.report import end_with, line_progress, print_line, results, table_of
-from prc_cli.cli.safe import printable_lines
-from prc_cli.core.errors import ConfigError
+from prc_cli.core.errors import ConfigError, printable_lines
 from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.jobs.calibrate import Calibration, SearchOptions
 from prc_cli.jobs.calibrate import calibrate as calibrate_file

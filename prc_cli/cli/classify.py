@@ -24,8 +24,8 @@ from prc_cli.cli.report import (
     print_taken,
     profile_of,
 )
-from prc_cli.cli.safe import printable
 from prc_cli.config import LoadedConfig
+from prc_cli.core.errors import printable
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
 from prc_cli.jobs.classify import classify as classify_file

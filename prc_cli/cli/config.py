@@ -9,9 +9,9 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import config_from, stream_options
-from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.config import json_schema, load_config, preset_summaries, sample_summaries, to_toml
 from prc_cli.core.config import read_toml
+from prc_cli.core.errors import printable, printable_lines
 
 
 @click.group()

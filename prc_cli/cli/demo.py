@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
+from prc_cli.cli.evaluate import print_evaluation
 from prc_cli.cli.options import QUIET, add_options
 from prc_cli.cli.report import compiling_note, line_progress, print_classes, print_line, print_taken
-from prc_cli.cli.report_evaluation import print_evaluation
 from prc_cli.config import load_config
 from prc_cli.evaluation.reports import NO_INTERVALS, as_dict, overall_line
 from prc_cli.evaluation.scores import scores

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from prc_cli.cli.report import console, results
-from prc_cli.cli.safe import printable
+from prc_cli.core.errors import printable
 
 BROKEN = 1
 """Exit code when a check is bad."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from itertools import pairwise
 from pathlib import Path
@@ -22,23 +22,46 @@ from prc_cli.cli.options import (
     numbers,
     window_options,
 )
-from prc_cli.cli.report import console
-from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
-from prc_cli.cli.safe import printable_lines
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.cli.report import console, results, table_of
+from prc_cli.core.errors import ConfigError, InputError, printable_lines
 from prc_cli.core.files import atomic_output, check_output, open_to_read
 from prc_cli.core.window import Window, parse_window
+from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html, check_picture
 from prc_cli.evaluation.latex import as_latex
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
-from prc_cli.evaluation.scores import Evaluation, GateResult, check_gates, parse_gate, refuse_failed, scores
+from prc_cli.evaluation.reports import (
+    NO_INTERVALS,
+    as_csv,
+    as_json,
+    as_markdown,
+    doubts,
+    gate_cells,
+    match_line,
+    overall_line,
+    percent,
+    score_row,
+    split_table,
+)
+from prc_cli.evaluation.scores import (
+    CLASS_SCORES,
+    Evaluation,
+    GateResult,
+    Interval,
+    Scores,
+    check_gates,
+    parse_gate,
+    refuse_failed,
+    scores,
+)
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions, mapping_of_runs
 from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.jobs.render.colours import origin
 from prc_cli.matching.pairs import files_of
 
+MAX_PARTS = 40
+"""Most parts of a split shown on a terminal."""
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
 """Report formats by the suffix of ``--output``."""
 
@@ -280,3 +303,42 @@ def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
         check_picture(str(path), content)
         pictures.append((title, content))
     return pictures
+
+
+def print_evaluation(matrix: ConfusionMatrix, found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> None:
+    """Print a confusion matrix with row shares, and the scores, on stdout."""
+    shown = matrix.trimmed()
+    rows = [
+        (name, *(f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True)))
+        for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True)
+    ]
+    title = "reference in rows, predicted in columns: records (share of the row)"
+    _print(title, ("reference", *shown.predicted_names), rows)
+    _print("scores", ("class", *CLASS_SCORES), [score_row(item, intervals) for item in scores(shown).classes])
+    counts = f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}"
+    results().print(f"{counts}: {overall_line(found, intervals)}")
+
+
+def _print(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    results().print(table_of(title, *header, rows=rows, overflow="fold"))
+
+
+def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> None:
+    """Print the parts of an evaluation, its gates and how the records were matched, on stdout."""
+    if found.intervals:
+        results().print(f"intervals: {found.interval_method}")
+    for split, parts in found.splits.items():
+        header, rows = split_table(parts, found.matrix.trimmed())
+        _print(f"by {split}", header, rows[:MAX_PARTS])
+        if len(rows) > MAX_PARTS:
+            results().print(f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them")
+    if found.three is not None:
+        _print("three labellings", *found.three.table())
+        for sentence in found.three.sentences():
+            results().print(sentence)
+    for gate in gates:
+        name, limit, value = gate_cells(gate)
+        results().print(f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}")
+    results().print(match_line(found.match))
+    for note in (*found.match.notes, *doubts(found)):
+        results().print(note)

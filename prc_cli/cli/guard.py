@@ -20,7 +20,7 @@ import threading
 import time
 from pathlib import Path
 
-from prc_cli.cli.safe import printable
+from prc_cli.core.errors import printable
 from prc_cli.core.process import STEP_CPU_S, hold_limits
 
 SWITCH = "PRC_GUARD"

@@ -15,9 +15,8 @@ import click
 
 from prc_cli.cli.next_step import output_for
 from prc_cli.cli.options import ScanPath, Sectioned, config_from, given_words, output_options, stream_options
-from prc_cli.cli.safe import printable
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.errors import PrcError
+from prc_cli.core.errors import PrcError, printable
 from prc_cli.core.findings import LABEL_CHECKS, Verdict
 from prc_cli.formats.las.vlrs import short_crs
 from prc_cli.formats.records import Contents

@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.errors import printable, printable_lines
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import Profile, StageTime, peak_memory
 

@@ -11,9 +11,9 @@ import click
 
 from prc_cli.cli.options import add_options, output_options, table_from
 from prc_cli.cli.report import compiling_note, console, line_progress, print_line, print_notices, results, table_of
-from prc_cli.cli.safe import printable_lines
 from prc_cli.config import params_to_toml
 from prc_cli.core.classes import Label
+from prc_cli.core.errors import printable_lines
 from prc_cli.jobs.simulate import Beside, SimulationSummary, check_simulation
 from prc_cli.jobs.simulate import simulate as simulate_file
 from prc_cli.simulation.drive import load_simulator

@@ -1,4 +1,4 @@
-"""Exceptions of the package: where, what was found, what was expected, what to do.
+"""Exceptions of the package: where, what was found, what was expected, what to do; and names that can be printed.
 
 The command line catches :class:`PrcError` once and turns it into one line and an exit code that scripts can
 trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 done, but look at it
@@ -82,3 +82,21 @@ class BusyError(PrcError):
     """An output folder that another run is working in; nothing was done."""
 
     exit_code = 5
+
+
+def printable(text: str) -> str:
+    """Return a text as one printable line: control characters and bytes that are not UTF-8 are escaped."""
+    return "".join(_shown(character) for character in text)
+
+
+def printable_lines(text: str) -> str:
+    """Return a text of several lines, each made :func:`printable`."""
+    return "".join(character if character == "\n" else _shown(character) for character in text)
+
+
+def _shown(character: str) -> str:
+    if character.isprintable():
+        return character
+    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8, in Python's encoding of file names
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return ascii(character)[1:-1]

@@ -24,16 +24,8 @@ class ClassContexts(Protocol):
         """Yield the contexts kept, ``n`` at a time, fewer at the end."""
 
 
-def _align_nothing(n_records: int) -> None:
-    """Leave the chunks as they are."""
-
-
-def _skip_nothing() -> None:
-    """Decode all that is asked for."""
-
-
-def _check_nothing() -> None:
-    """Decode no more than what is asked for."""
+def _nothing(*_: int) -> None:
+    """Change nothing: neither how chunks are cut nor what is decoded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +72,11 @@ class SourceFacts:
     """LAZ of point formats 6-10: filled while the records are read, for rewriting the same file."""
     describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)
     """Returns the header's values, ready for JSON, for ``prc info``."""
-    align_chunks: Callable[[int], None] = field(default=_align_nothing, repr=False, compare=False)
+    align_chunks: Callable[[int], None] = field(default=_nothing, repr=False, compare=False)
     """Makes chunks end at multiples of this many records, so that blocks need not be joined; changes no value."""
-    skip_intensity: Callable[[], None] = field(default=_skip_nothing, repr=False, compare=False)
+    skip_intensity: Callable[[], None] = field(default=_nothing, repr=False, compare=False)
     """Leaves ``intensity`` undefined for shots where it does not choose between returns: it is slow to decode."""
-    check_layers: Callable[[], None] = field(default=_check_nothing, repr=False, compare=False)
+    check_layers: Callable[[], None] = field(default=_nothing, repr=False, compare=False)
     """Decodes what nobody asks for too, so that damage in it is found: what is copied as bytes must be sound."""
 
     def rule(self, key: str) -> KnownRule | None:

@@ -3,11 +3,11 @@ r"""An evaluation as LaTeX tables (``booktabs``), to be read into a paper with `
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.reports import NO_INTERVALS, Found, match_line, matrix_of, split_table
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, Evaluation, Interval, figure, scores
+from prc_cli.evaluation.reports import NO_INTERVALS, Found, match_line, matrix_of, overall_line, score_row, split_table
+from prc_cli.evaluation.scores import CLASS_SCORES, Evaluation, scores
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -75,15 +75,13 @@ def _row_shares(shown: ConfusionMatrix) -> str:
 def _scores(shown: ConfusionMatrix, evaluation: Evaluation | None) -> str:
     intervals = NO_INTERVALS if evaluation is None else evaluation.intervals
     found = scores(shown)
-    overall = ", ".join(
-        f"{name.replace('_', ' ')} {_with_interval(getattr(found, name), intervals.get(name))}"
-        for name in OVERALL_SCORES
-    )
-    caption = f"Scores of {_count(found.n_scored)} records ({_count(found.n_ignored)} not scored): {overall}."
+    n_scored, n_ignored = _count(found.n_scored), _count(found.n_ignored)
+    caption = f"Scores of {n_scored} records ({n_ignored} not scored): {overall_line(found, intervals, '--')}."
     if evaluation is not None and intervals:
         caption += f" Intervals: {escape(evaluation.interval_method)}."
     header = ["Class", *(_TITLES.get(name, name.capitalize()) for name in CLASS_SCORES)]
-    return _table(caption, "scores", header, [_score_row(item, intervals) for item in found.classes])
+    rows = [list(map(escape, score_row(item, intervals, "--"))) for item in found.classes]
+    return _table(caption, "scores", header, rows)
 
 
 def _splits(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
@@ -107,11 +105,6 @@ def _source(found: Evaluation | None) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{len(names)} files"
-
-
-def _score_row(item: ClassScores, intervals: Mapping[str, Interval]) -> list[str]:
-    values = ((getattr(item, name), intervals.get(f"{name}.{item.name}")) for name in CLASS_SCORES)
-    return [escape(item.name), *(_with_interval(value, interval) for value, interval in values)]
 
 
 def _table(
@@ -150,9 +143,3 @@ def _count(value: int) -> str:
 
 def _share(value: float) -> str:
     return "--" if math.isnan(value) else f"{value:.3f}"
-
-
-def _with_interval(value: float, interval: Interval | None) -> str:
-    if interval is None or math.isnan(value) or math.isnan(interval.low) or math.isnan(interval.high):
-        return _share(value)
-    return f"{_share(value)} ({figure(interval.low)}--{figure(interval.high)})"

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import (
@@ -26,12 +26,10 @@ from prc_cli.evaluation.scores import (
     MatchReport,
     Scores,
     SplitPart,
+    ThreeWay,
     figure,
     scores,
 )
-
-if TYPE_CHECKING:
-    from prc_cli.evaluation.three import ThreeWay
 
 Found: TypeAlias = ConfusionMatrix | Evaluation
 
@@ -136,7 +134,7 @@ def matrix_of(found: Found) -> ConfusionMatrix:
     return found.matrix if isinstance(found, Evaluation) else found
 
 
-def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> str:
+def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS, dash: str = "-") -> str:
     """Return the overall scores as part of a sentence.
 
     >>> import numpy as np
@@ -144,7 +142,7 @@ def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
     'accuracy 0.800, balanced accuracy 0.800, kappa 0.600'
     """
     return ", ".join(
-        f"{name.replace('_', ' ')} {with_interval(getattr(found, name), intervals.get(name))}"
+        f"{name.replace('_', ' ')} {with_interval(getattr(found, name), intervals.get(name), dash)}"
         for name in OVERALL_SCORES
     )
 
@@ -209,15 +207,17 @@ def percent(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.1%}"
 
 
-def with_interval(value: float, interval: Interval | None) -> str:
-    """Return a score and its interval.
+def with_interval(value: float, interval: Interval | None, dash: str = "-") -> str:
+    """Return a score and its interval; a dash if the score is undefined.
 
     >>> with_interval(0.5, Interval(0.41, 0.6))
     '0.500 (0.410-0.600)'
     """
-    if interval is None or math.isnan(value) or math.isnan(interval.low) or math.isnan(interval.high):
+    if math.isnan(value):
+        return dash
+    if interval is None or math.isnan(interval.low) or math.isnan(interval.high):
         return figure(value)
-    return f"{figure(value)} ({figure(interval.low)}-{figure(interval.high)})"
+    return f"{figure(value)} ({figure(interval.low)}{dash}{figure(interval.high)})"
 
 
 def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
@@ -296,10 +296,10 @@ def _sides(found: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
     return ("predicted", found.predicted), ("reference", found.reference)
 
 
-def score_row(item: ClassScores, intervals: Mapping[str, Interval]) -> list[str]:
+def score_row(item: ClassScores, intervals: Mapping[str, Interval], dash: str = "-") -> list[str]:
     """Return the name of a class and its scores with their intervals, as text."""
     values = ((getattr(item, name), intervals.get(f"{name}.{item.name}")) for name in CLASS_SCORES)
-    return [item.name, *(with_interval(value, interval) for value, interval in values)]
+    return [item.name, *(with_interval(value, interval, dash) for value, interval in values)]
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -279,13 +279,12 @@ class Contents:
         }
 
 
-def watched_contents(source: RecordSource, contents: Contents, also: tuple[str, ...] = ()) -> Iterator[RecordChunk]:
+def watched_contents(source: RecordSource, contents: Contents) -> Iterator[RecordChunk]:
     """Read a source once and count its records on the way."""
     there = set(source.dimensions)
     classes = next((name for name in CLASS_NAMES if name in there), None)
-    counted = (*AXES, "time", "return_number", "number_of_returns", "point_source_id")
-    names = [name for name in (*counted, *also) if name in there] + ([classes] if classes else [])
-    for chunk in source.chunks(tuple(dict.fromkeys(names))):
+    counted = (*AXES, "time", "return_number", "number_of_returns", "point_source_id", classes)
+    for chunk in source.chunks(tuple(name for name in counted if name in there)):
         contents.see(chunk.values)
         yield chunk
 

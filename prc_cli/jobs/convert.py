@@ -28,7 +28,7 @@ from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import Held, format_of, is_cloud
 from prc_cli.formats.writing import check_stream_output, open_stream_writer, outputs_of, stream_format, stream_suffix
 from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
-from prc_cli.formats.writing.coordinates import LinesApart
+from prc_cli.formats.writing.columns import LinesApart
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.jobs.classify import Counts, Progress, run_record

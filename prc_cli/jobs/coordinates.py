@@ -24,7 +24,7 @@ from prc_cli.formats import open_source
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.writing.base import NO_CODE
-from prc_cli.formats.writing.coordinates import SPACING_M, LinesApart, Placement
+from prc_cli.formats.writing.columns import SPACING_M, LinesApart, Placement
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import reading_beside
 from prc_cli.methods.rings.pipeline import is_fan

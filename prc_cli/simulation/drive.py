@@ -13,9 +13,8 @@ from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlo
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels import load_kernels
-from prc_cli.simulation.casting import Hits, cast
 from prc_cli.simulation.scanners import Scanner
-from prc_cli.simulation.sensor import Measured, goes_behind, scan
+from prc_cli.simulation.sensor import Hits, Measured, cast, goes_behind, scan
 from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
 from prc_cli.simulation.world import PROPERTIES, Bodies, BodiesNear, Material, Shape, hashed
 

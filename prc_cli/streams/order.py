@@ -38,7 +38,7 @@ MAX_RUNS = 64
 """Runs of rising times that are kept."""
 CHECK_RECORDS = 1 << 20
 """The share is checked after this many records each, independent of chunks, and at the end."""
-_WEEK_S = 604_800.0
+WEEK_S = 604_800.0
 _PLAIN_S = 1e15
 """Larger times are shown in exponent notation."""
 
@@ -107,15 +107,15 @@ class OrderEvidence:
         >>> watch.evidence().sentence()
         'gps_time decreases in 33.3 % of 3 steps, first at record 2: 1.50 s after 2.00 s'
         """
-        unknown = f"; {_grouped(self.n_not_finite)} records have none" if self.n_not_finite else ""
+        unknown = f"; {self.n_not_finite:,} records have none" if self.n_not_finite else ""
         if self.first is None or self.largest is None:
-            return f"{self.what} never decreases in {_grouped(self.n_steps)} steps{unknown}"
+            return f"{self.what} never decreases in {self.n_steps:,} steps{unknown}"
         if self.share_back >= 1e-3:
             share, place, step = f"{100 * self.share_back:.1f} %", "first", self.first
         else:
-            share, place, step = _grouped(self.n_back), "largest", self.largest
+            share, place, step = f"{self.n_back:,}", "largest", self.largest
         return (
-            f"{self.what} decreases in {share} of {_grouped(self.n_steps)} steps, {place} at record {step.record}: "
+            f"{self.what} decreases in {share} of {self.n_steps:,} steps, {place} at record {step.record}: "
             f"{_shown(step.value, step)} s after {_shown(step.before, step)} s{unknown}"
         )
 
@@ -128,11 +128,6 @@ def _shown(time_s: float, step: StepBack) -> str:
     size = min(step.before - step.value, _PLAIN_S)
     digits = min(max(2, 1 - math.floor(math.log10(float(f"{size:.1g}")))), 9)
     return f"{time_s:.{digits}f}"
-
-
-def _grouped(number: int) -> str:
-    """Group digits: 10,682."""
-    return f"{number:,}"
 
 
 class OrderWatch:
@@ -260,7 +255,7 @@ class OrderWatch:
 
 def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> str:
     """Return what to do with an input whose times are out of order."""
-    if evidence.n_back == 1 and abs(evidence.largest_back - _WEEK_S) < _WEEK_S / 100:
+    if evidence.n_back == 1 and abs(evidence.largest_back - WEEK_S) < WEEK_S / 100:
         return "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
     if path.lower().endswith(".copc.laz"):
         # every node of the octree begins anew
@@ -315,7 +310,6 @@ def take_turns(block: ScanBlock) -> bool:
     return bool(falls_in_line and not (np.diff(block.time_s, axis=0) < 0).any())
 
 
-WEEK_S = 604_800.0
 TOLERANCE = 0.01
 """Tolerance of the step back as a share of a week, for pauses and clock errors."""
 ADDED, STEPS = "week added", "week steps"

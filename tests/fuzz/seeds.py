@@ -255,7 +255,7 @@ def _recorded(name: str) -> bytes:
     import tempfile
 
     from tests.formats.bags import recordings as made
-    from tests.formats.bags.test_cloud import drive, messages
+    from tests.formats.bags.test_read import drive, messages
 
     dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "u1"), ("t", "<u4")])
     clouds = messages(drive(60), dtype, every=20)
@@ -347,7 +347,7 @@ def _pulses(name: str) -> bytes:
 def _copc(point_format: int) -> bytes:
     import tempfile
 
-    from tests.formats.las.copc_files import make_copc
+    from tests.formats.las.test_copc import make_copc
 
     with tempfile.TemporaryDirectory() as folder:
         make_copc(Path(folder) / "a.copc.laz", point_format, n=300)

@@ -207,7 +207,7 @@ def test_the_same_damage_can_be_made_again(number: int, suffix: str, data: bytes
 
 @given(st.text())
 def test_what_is_unprintable(text: str) -> None:
-    from prc_cli.cli.safe import printable, printable_lines
+    from prc_cli.core.errors import printable, printable_lines
 
     assert not unprintable(printable(text))
     assert not unprintable(printable_lines(text))

@@ -1,9 +1,10 @@
-"""Joins by keys, and streams side by side."""
+"""Joins by keys, streams side by side, and pairs of files."""
 
 from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
 from prc_cli.matching import join as join_module
-from prc_cli.matching.join import CODE, KEY, SAME, Columns, JoinTally, UnsortedError, in_step, merge_join
-from prc_cli.matching.keys import NearestLabel
-from tests.matching.samples import cut, join_by_key, pairs_of
+from prc_cli.matching.join import CODE, KEY, SAME, Columns, Joined, JoinTally, UnsortedError, in_step, merge_join
+from prc_cli.matching.keys import MutualKeys, NearestLabel
+from prc_cli.matching.pairs import pair_files
 
 RNG = np.random.default_rng
 
@@ -230,3 +231,68 @@ def test_lengths_that_differ_are_counted_to_the_end(one: int, other: int) -> Non
     streams = [({"a": np.zeros(1)} for _ in range(n)) for n in (one, other)]
     assert len(list(in_step(streams, lambda n: seen.append(list(n))))) == min(one, other)
     assert seen == [[one, other]]
+
+
+def fill(folder: Path, *names: str) -> Path:
+    folder.mkdir()
+    for name in names:
+        (folder / name).touch()
+    return folder
+
+
+def test_two_files_are_a_pair_whatever_their_names(tmp_path: Path) -> None:
+    assert pair_files(Path("a.npy"), Path("b.las")) == ((Path("a.npy"), Path("b.las")),)
+
+
+def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:
+    left = fill(tmp_path / "run", "b.1.npy", "a.npy", "a.npy.prc.json", ".c.npy", "notes.md")
+    right = fill(tmp_path / "reference", "a.csv.gz", "b.1.LABEL", "README")
+    (right / "more.npy").mkdir()
+    assert pair_files(left, right) == ((left / "a.npy", right / "a.csv.gz"), (left / "b.1.npy", right / "b.1.LABEL"))
+
+
+@pytest.mark.parametrize(
+    ("run", "reference", "message"),
+    [
+        (("a.npy",), ("a.csv", "b.csv"), "reference: 1 file has no partner in .*run: b; give partners"),
+        (("a.npy", "b.npy"), ("a.csv",), "run: 1 file has no partner in .*reference: b"),
+        (("a.npy", "a.csv"), ("a.las",), "run: a.csv and a.npy have one name"),
+        ((), ("a.las",), "run: no files with class codes in it"),
+        (("a.txt.md",), ("a.las",), "run: no files with class codes in it"),
+    ],
+)
+def test_folders_that_do_not_fit(tmp_path: Path, run: tuple[str], reference: tuple[str], message: str) -> None:
+    left, right = fill(tmp_path / "run", *run), fill(tmp_path / "reference", *reference)
+    with pytest.raises(InputError, match=message):
+        pair_files(left, right)
+
+
+def test_a_file_against_a_folder(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "run", "a.npy")
+    with pytest.raises(InputError, match="a.npy: a file against the folder .*run; give two files or two folders"):
+        pair_files(folder, folder / "a.npy")
+    with pytest.raises(InputError, match="nowhere: no such folder"):
+        pair_files(tmp_path / "nowhere", folder)
+
+
+def cut(columns: Columns, seed: int, most: int = 7) -> Iterator[Columns]:
+    """Yield columns in chunks of random length."""
+    random = np.random.default_rng(seed)
+    n, first = len(columns[KEY]), 0
+    while first < n:
+        stop = first + int(random.integers(0, most))
+        yield {name: values[first:stop] for name, values in columns.items()}
+        first = stop
+
+
+def pairs_of(joined: Iterator[Joined]) -> set[tuple[int, int]]:
+    pairs = (item.pairs() for item in joined if len(item.at))
+    found = [(int(a), int(b)) for one, other in pairs for a, b in zip(one["id"], other["id"], strict=True)]
+    assert len(found) == len(set(found))
+    return set(found)
+
+
+def join_by_key(
+    left: Iterator[Columns], right: Iterator[Columns], tolerance: float, tally: JoinTally
+) -> Iterator[Joined]:
+    return merge_join(left, right, MutualKeys(tolerance), tolerance, tally)

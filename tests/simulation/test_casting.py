@@ -11,9 +11,8 @@ import pytest
 from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64, I32
-from prc_cli.simulation.casting import Hits, cast
 from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.sensor import Measured, goes_behind, scan
+from prc_cli.simulation.sensor import Hits, Measured, cast, goes_behind, scan
 from prc_cli.simulation.world import Bodies, Material, Shape
 
 FLOOR = (Shape.TRIANGLE, [-50, -50, -2, 50, -50, -2, 0, 90, -2])

@@ -51,7 +51,9 @@ class ArrayStream:
     applies to all its shots.
     """
 
-    def __init__(self, path: Path, config: InputConfig, chunk_shots: int = CHUNK_SHOTS, lines_at_once: int = 1) -> None:
+    def __init__(
+        self, path: Path, config: InputConfig, lines_at_once: int = 1, *, chunk_shots: int = CHUNK_SHOTS
+    ) -> None:
         _check_rules(path, config)
         self._config = config
         self._file = ArrayFile(path)
@@ -298,8 +300,3 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
         hint = "check input.points_per_line, or set input.partial_line to pad"
         raise InputError(header.where, problem, hint)
     return n_lines + bool(rest), wanted, shape[0]
-
-
-def open_array(path: Path, config: InputConfig, lines_at_once: int) -> ArrayStream:
-    """Open a range image."""
-    return ArrayStream(path, config, lines_at_once=lines_at_once)

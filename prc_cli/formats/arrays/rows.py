@@ -60,9 +60,9 @@ class NpyHeader:
         shape = self.stored_shape
         return (shape[1], shape[0], *shape[2:]) if self.turned else shape
 
-    def check_numbers(self, kinds: str = "iuf", expected: str = "floats or integers") -> None:
+    def check_numbers(self, expected: str = "floats or integers") -> None:
         """Refuse arrays of anything but numbers."""
-        if self.dtype.kind not in kinds:
+        if self.dtype.kind not in "iuf":
             names = self.dtype.names
             found = _KINDS.get(self.dtype.kind, f"type {self.dtype.name}")
             found = found if names is None else f"records with the fields {', '.join(names[:8])}"

@@ -25,7 +25,7 @@ FORMATS = (
     Format(
         name=BAG,
         scans=_SUFFIXES,
-        images="prc_cli.formats.bags.read:open_bag",
+        images="prc_cli.formats.bags.read:BagStream",
         streams=dict.fromkeys(_SUFFIXES, "laser scans of a profiler, clouds of a spinning scanner, with classes"),
         write_stream="prc_cli.formats.bags.write:BagStreamWriter",
         holds=frozenset(("codes", "relative", "angles", "times", "intensity")),

@@ -37,7 +37,7 @@ def is_labels(topic: Topic, topics: Collection[Topic]) -> bool:
 class BagStream:
     """A bag as a :class:`prc_cli.core.stream.ScanStream`."""
 
-    def __init__(self, path: Path, config: InputConfig) -> None:
+    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
         check_rules(path, config, "a recording of scans")
         self._path, self._config = path, config
         self.bag = Bag(path)
@@ -253,8 +253,3 @@ class _TopicReader:
         if self._other:
             return f"packets of a scanner that is not known ({self._other}), expected {KNOWN} or Ouster", NEEDED
         return "no message with shots, expected scans", "name another topic: --topic NAME"
-
-
-def open_bag(path: Path, config: InputConfig, lines_at_once: int) -> BagStream:
-    """Open a bag, whose blocks are as long as its scans."""
-    return BagStream(path, config)

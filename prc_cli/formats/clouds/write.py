@@ -16,8 +16,15 @@ from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
 from prc_cli.formats.raw_binary.read import CHUNK_RECORDS
 from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import NO_CODE, ScatterWriter, StagedWriter, StreamItem, StreamShape
-from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, OptionalColumn, Values, asked_columns
-from prc_cli.formats.writing.coordinates import LinesApart
+from prc_cli.formats.writing.columns import (
+    RANGE,
+    ExtraDimension,
+    LabelOutput,
+    LinesApart,
+    OptionalColumn,
+    Values,
+    asked_columns,
+)
 from prc_cli.formats.writing.record import RunRecord
 
 CLOUD_SUFFIXES = (".ply", ".pcd")

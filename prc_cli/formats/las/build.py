@@ -23,8 +23,7 @@ from prc_cli.formats.las.laz import LasSink, LazSink, PointSink, Target, batch_s
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr, standard_columns
 from prc_cli.formats.las.vlrs import RECORD_TEXT, lookup_vlr, vlr_of_crs
 from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape
-from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, asked_columns
-from prc_cli.formats.writing.coordinates import LinesApart
+from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, LinesApart, asked_columns
 from prc_cli.formats.writing.record import RunRecord
 
 SCAN_LINE = ExtraDimension("scan_line", np.dtype("<u4"), "scan line in the stream")

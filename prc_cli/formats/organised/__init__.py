@@ -3,11 +3,11 @@
 from prc_cli.formats.registry import Format
 
 FORMATS = (
-    Format(name="PTX", scans=(".ptx",), images="prc_cli.formats.organised.ptx:open_ptx"),
+    Format(name="PTX", scans=(".ptx",), images="prc_cli.formats.organised.ptx:PtxStream"),
     Format(
         name="E57",
         scans=(".e57",),
-        images="prc_cli.formats.organised.e57_read:open_e57",
+        images="prc_cli.formats.organised.e57_read:E57Stream",
         streams={".e57": "organised scans, relative to the scanner"},
         write_stream="prc_cli.formats.organised.e57_write:E57Stream",
         makes_xyz=True,

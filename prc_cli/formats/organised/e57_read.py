@@ -257,7 +257,7 @@ class E57Stream:
     several returns.
     """
 
-    def __init__(self, path: Path, config: InputConfig) -> None:
+    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
         check_rules(path, config)
         self._path, self._config = path, config
         self._scans: list[_Scan] = []
@@ -566,8 +566,3 @@ def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterat
                 handle.seek(first * _POINT.itemsize)
                 raw = handle.read((stop - first) * _POINT.itemsize)
             yield np.frombuffer(raw, _POINT)
-
-
-def open_e57(path: Path, config: InputConfig, lines_at_once: int) -> E57Stream:
-    """Open a E57 file, whose blocks are as long as its scans."""
-    return E57Stream(path, config)

@@ -125,7 +125,7 @@ class _Scan:
 class PtxStream:
     """A PTX file as a stream; points at 0, 0, 0 are missing shots, the header turns z up and has the origin."""
 
-    def __init__(self, path: Path, config: InputConfig) -> None:
+    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
         check_rules(path, config)
         self._path, self._config = path, config
         with open_to_read(path) as handle:
@@ -349,8 +349,3 @@ def _intensity_scale(scan: _Scan) -> float:
         if n_seen >= _LOOKED_AT:
             break
     return INTENSITY_STEPS
-
-
-def open_ptx(path: Path, config: InputConfig, lines_at_once: int) -> PtxStream:
-    """Open a PTX file, whose blocks are as long as its scans."""
-    return PtxStream(path, config)

@@ -2,4 +2,4 @@
 
 from prc_cli.formats.registry import Format
 
-FORMATS = (Format(name="capture", scans=(".pcap", ".pcapng"), images="prc_cli.formats.packets.read:open_capture"),)
+FORMATS = (Format(name="capture", scans=(".pcap", ".pcapng"), images="prc_cli.formats.packets.read:PacketStream"),)

@@ -105,7 +105,7 @@ class _Scanner:
 class PacketStream:
     """A capture as a :class:`prc_cli.core.stream.ScanStream`."""
 
-    def __init__(self, path: Path, config: InputConfig) -> None:
+    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
         check_rules(path, config, "packets of scanners")
         self._path, self._config = path, config
         self._metadata = find_metadata(path, config)
@@ -252,8 +252,3 @@ def find_metadata(path: Path | None, config: InputConfig) -> Metadata | None:
         return None if named.suffix in (".yml", ".yaml") else read_metadata(named)
     beside = None if path is None else path.with_suffix(".json")
     return read_metadata(beside) if beside is not None and beside.is_file() else None
-
-
-def open_capture(path: Path, config: InputConfig, lines_at_once: int) -> PacketStream:
-    """Open a capture, whose blocks are as long as its scans."""
-    return PacketStream(path, config)

@@ -12,7 +12,7 @@ import numpy as np
 from prc_cli.core.files import output_errors, temporary_name
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
-from prc_cli.formats.writing.coordinates import coordinates
+from prc_cli.formats.writing.columns import coordinates
 
 EVEN_RAD = 1e-10
 """Angles are written as start and step if all are this close to even steps [rad]."""

@@ -27,8 +27,8 @@ from prc_cli.formats.writing.columns import (
     OutputConfig,
     Values,
     class_names,
+    coordinates,
 )
-from prc_cli.formats.writing.coordinates import coordinates
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import ClassCount, RunRecord, fingerprint, record_path
 

@@ -220,7 +220,7 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
             reason = f"on the plateau of its curve: supports {at:.1%} of the returns, {PLATEAU_M:g} m {plateau:.1%}"
         else:
             place = int(np.argmax(good)) if good.any() else len(grid) - 1
-            value = round_up(float(grid[place]), 2)
+            value = round_up(float(grid[place]))
             least = f"{need:.0%} of that and {ZETA_SIGMAS:g} times the noise of {1000 * noise:.2g} mm"
             reason = (
                 f"{configured:g} m supports {at:.1%} of the returns, {PLATEAU_M:g} m {plateau:.1%}; this is the "
@@ -253,7 +253,7 @@ def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice
         bounds.append((length, text))
     value, reason = max(bounds, key=lambda item: item[0])
     others = "; ".join(f"{other:.2g} m for: {text}" for other, text in bounds[1:] if other != value)
-    value = round_up(value, 2)
+    value = round_up(value)
     share = float(np.interp(math.log(value), np.log(curves.lengths), curves.background_share()))
     reason += f"; marks {share:.1%} of the returns" + (f" (less is asked by the rest: {others})" if others else "")
     return Advice("prc.background.d_c", params.background.d_c, value, reason)
@@ -276,17 +276,17 @@ def _range_noise(sensor: SensorEstimate, configured: float) -> Advice:
         reason = "no stretch of the stream is flat enough to measure the noise: as configured"
         return Advice(key, configured, configured, reason)
     reason = f"deviation of flat stretches at the median range, {middle:.3g} m"
-    return Advice(key, configured, min(10.0, round_up(noise, 2)), reason)
+    return Advice(key, configured, min(10.0, round_up(noise)), reason)
 
 
-def round_up(value: float, digits: int) -> float:
-    """Round up to significant digits.
+def round_up(value: float) -> float:
+    """Round up to two significant digits.
 
-    >>> round_up(0.3061, 2), round_up(0.05, 2)
+    >>> round_up(0.3061), round_up(0.05)
     (0.31, 0.05)
     """
     if value <= 0:
         return value
-    unit = digits - 1 - math.floor(math.log10(value))
+    unit = 1 - math.floor(math.log10(value))
     # a value with no more digits stays as it is, despite rounding errors in the last bit
     return round(math.ceil(round(value * 10.0**unit, 6)) / 10.0**unit, max(0, unit))

@@ -13,8 +13,7 @@ from prc_cli.core.types import I64
 from prc_cli.core.window import Window
 from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping, UnlistedError, load_mapping
-from prc_cli.evaluation.scores import Evaluation, MatchReport
-from prc_cli.evaluation.three import ThreeCounts
+from prc_cli.evaluation.scores import Evaluation, MatchReport, ThreeCounts
 from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.evaluate.counts import (

@@ -24,8 +24,7 @@ from prc_cli.evaluation.confusion import (
     range_groups,
 )
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.scores import FEW_BLOCKS, LEVEL, Interval, SplitPart, block_intervals
-from prc_cli.evaluation.three import NO_STATE, ThreeCounts
+from prc_cli.evaluation.scores import FEW_BLOCKS, LEVEL, NO_STATE, Interval, SplitPart, ThreeCounts, block_intervals
 from prc_cli.jobs.evaluate.cuts import ScoredWindow
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.join import CODE, Columns
@@ -44,7 +43,7 @@ EDGE_M = 0.5
 _MOST_PIXELS = 1600
 _WHITE = (255, 255, 255)
 STATE_COLOURS = ((222, 222, 222), (0, 114, 178), (230, 159, 0), (180, 20, 40), (204, 121, 167))
-"""Colours of :data:`~prc_cli.evaluation.three.STATES` (Okabe and Ito's, safe for the colour-blind)."""
+"""Colours of :data:`~prc_cli.evaluation.scores.STATES` (Okabe and Ito's, safe for the colour-blind)."""
 
 
 class StatePlan:

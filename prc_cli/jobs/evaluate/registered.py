@@ -12,7 +12,7 @@ import numpy as np
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.evaluation.three import LOST, NOISE
+from prc_cli.evaluation.scores import LOST, NOISE
 from prc_cli.formats.las.vlrs import same_crs, short_crs
 from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.jobs.evaluate.counts import Compared, Counts, Plan

@@ -22,7 +22,7 @@ from prc_cli.core.stream import LabelledBlock, ScanStream
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.records import RecordSource
-from prc_cli.formats.writing.coordinates import behind
+from prc_cli.formats.writing.columns import behind
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Progress, label_blocks

@@ -1,7 +1,11 @@
-"""Oncoming cars and people who walk: where they are at any time, computed without what was before.
+"""Cars, vans and lorries, standing or oncoming, and people who walk: where they are at any time.
+
+A car is a body with wheel arches, a cabin of glass with a roof and pillars, wheels, and a gap below. Measures are those
+of common models: cars 3.8 to 4.8 m long, 1.75 to 1.85 m wide and 1.45 to 1.65 m high with 16 to 20 cm of ground
+clearance and tyres of 62 to 66 cm; vans 5 to 5.6 m long and 1.95 to 2.5 m high; lorries of 7.5 t.
 
 All of one stream have the same speed, so that they are beads on a string that moves along the street; which beads are
-near a place at a time follows by arithmetic.
+near a place at a time follows by arithmetic, without what was before.
 """
 
 from __future__ import annotations
@@ -11,11 +15,169 @@ from functools import lru_cache
 
 import numpy as np
 
-from prc_cli.simulation.street import cars
-from prc_cli.simulation.street.pile import Frame, Pile
+from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
 from prc_cli.simulation.street.plan import PIECE_M, Purpose, StreetSceneParams, generator, junction_of
 from prc_cli.simulation.street.road import Ground, frame_at
 from prc_cli.simulation.world import Bodies, Material
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """Measures of a car; u is forward from its middle, w is up [m]."""
+
+    half: float
+    wide: float
+    """Half of its width."""
+    clearance: float
+    tyre: float
+    """Radius of a tyre."""
+    axles: Span
+    """Rear, front."""
+    deck: tuple[tuple[float, float], ...]
+    """Upper edge of the body from the rear to the front, (u, w)."""
+    cabin: tuple[float, float, float, float]
+    """Foot of the rear window, rear and front of the roof, foot of the windscreen."""
+    roof: float
+    lean: float
+    """The roof is narrower than the waist by this much on either side."""
+    glazed: bool
+    """False = a van or lorry whose cabin has panes at its front only."""
+
+    def waist(self, u: float) -> float:
+        """Upper edge of the body [m]."""
+        places, heights = zip(*self.deck, strict=True)
+        return float(np.interp(u, places, heights))
+
+
+def draw_model(rng: np.random.Generator, vans: float = 0.12) -> Model:
+    """Draw a car, or a van with a probability."""
+    u = rng.random(6).tolist()
+    if u[0] < vans:
+        return _van(u)
+    half, tyre = 1.9 + 0.45 * u[1], 0.31 + 0.02 * u[2]
+    roof, hatch = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0), u[4] < 0.6
+    waist = 0.62 * roof
+    rear = -half + (0.10 if hatch else 0.75)
+    deck = ((-half, 0.50), (-half + 0.05, waist - 0.03), (half - 1.20, waist), (half - 0.25, 0.72), (half, 0.48))
+    cabin = (rear, rear + (0.45 if hatch else 0.75), half - 1.95, half - 1.10)
+    wide = 0.875 + 0.05 * u[5]
+    return Model(half, wide, 0.17 + 0.03 * u[2], tyre, (-0.60 * half, 0.64 * half), deck, cabin, roof, 0.17, True)
+
+
+def _van(u: list[float]) -> Model:
+    half, roof = 2.5 + 0.3 * u[1], 1.95 + 0.55 * u[3]
+    deck = ((-half, 1.10), (half - 0.85, 1.10), (half - 0.15, 0.85), (half, 0.50))
+    cabin = (-half + 0.02, -half + 0.12, half - 1.55, half - 0.75)
+    return Model(half, 0.98, 0.20, 0.33, (-0.58 * half, 0.66 * half), deck, cabin, roof, 0.10, u[4] < 0.3)
+
+
+def car(pile: Pile, frame: Frame, model: Model) -> None:
+    """Add a car."""
+    _body(pile, frame, model)
+    _cabin(pile, frame, model)
+    under = (-model.half + 0.15, model.half - 0.15), (-model.wide + 0.25, model.wide - 0.25)
+    pile.box(frame, (*under, (model.clearance + 0.02, 0.62)), Material.CAR_BODY)
+    for axle in model.axles:
+        for side in (-1.0, 1.0):
+            wheel = frame.at(axle, side * (model.wide - 0.12), model.tyre)
+            pile.ellipsoid(wheel, (model.tyre, 0.13, model.tyre), frame.yaw, Material.TYRE)
+
+
+def _body(pile: Pile, frame: Frame, model: Model) -> None:
+    """Flanks with arches over the wheels, bonnet and boot, ends."""
+    arch, above = model.tyre + 0.05, 2 * model.tyre + 0.04
+    low = [(-model.half, model.clearance + 0.1)]
+    for axle in model.axles:
+        low += [(axle - arch, model.clearance), (axle - 0.6 * arch, above), (axle + 0.6 * arch, above)]
+        low += [(axle + arch, model.clearance)]
+    low += [(model.half, model.clearance + 0.1)]
+    # the upper edge has corners above the arches, so that no triangle lies across an arch
+    upper = sorted({*model.deck, *((u, model.waist(u)) for u, w in low if w == above)})
+    for side in (-1.0, 1.0):
+        under = [frame.at(u, side * model.wide, w) for u, w in low]
+        over = [frame.at(u, side * (model.wide - 0.03), w) for u, w in upper]
+        i = j = 0
+        # triangles between the lower and the upper edge, from the rear to the front
+        while i + 1 < len(low) or j + 1 < len(over):
+            if j + 1 == len(over) or (i + 1 < len(low) and low[i + 1][0] < upper[j + 1][0]):
+                pile.triangle(under[i], under[i + 1], over[j], Material.CAR_BODY)
+                i += 1
+            else:
+                pile.triangle(under[i], over[j + 1], over[j], Material.CAR_BODY)
+                j += 1
+    inner = model.wide - 0.03
+    for (u0, w0), (u1, w1) in zip(model.deck[:-1], model.deck[1:], strict=True):
+        corners = (u0, -inner, w0), (u1, -inner, w1), (u1, inner, w1), (u0, inner, w0)
+        pile.face(frame, corners, Material.CAR_BODY)
+    for end in (-model.half, model.half):
+        foot, top = low[0][1], model.waist(end)
+        corners = (end, -model.wide, foot), (end, model.wide, foot), (end, inner, top), (end, -inner, top)
+        pile.face(frame, corners, Material.CAR_BODY)
+
+
+def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
+    """Windows all around under a roof, and what is seen through them: seats."""
+    back, roof_back, roof_front, front = model.cabin
+    wide, narrow = model.wide - 0.04, model.wide - model.lean
+
+    def corner(foot: float, top: float, side: float, up: float) -> Point:
+        """Point of a pillar between its foot (0) and the roof (1)."""
+        low, v = model.waist(foot) - 0.02, wide + up * (narrow - wide)
+        return frame.at(foot + up * (top - foot), side * v, low + up * (model.roof - low))
+
+    side_glass = Material.CAR_GLASS if model.glazed else Material.CAR_BODY
+    rear, fore = (back, roof_back), (front, roof_front)
+    for side in (-1.0, 1.0):
+        levels = ((0.0, 0.88, side_glass), (0.88, 1.0, Material.CAR_BODY))
+        for low, high, material in levels:
+            a, b = corner(*rear, side, low), corner(*fore, side, low)
+            c, d = corner(*fore, side, high), corner(*rear, side, high)
+            pile.quad((a, b, c, d), material)
+        if not model.glazed:
+            _door_pane(pile, frame, model, side)
+    for pillar, material in ((fore, Material.CAR_GLASS), (rear, side_glass)):
+        a, b = corner(*pillar, -1.0, 0.0), corner(*pillar, 1.0, 0.0)
+        c, d = corner(*pillar, 1.0, 1.0), corner(*pillar, -1.0, 1.0)
+        pile.quad((a, b, c, d), material)
+    a, b = corner(*rear, -1.0, 1.0), corner(*rear, 1.0, 1.0)
+    c, d = corner(*fore, 1.0, 1.0), corner(*fore, -1.0, 1.0)
+    pile.quad((a, b, c, d), Material.CAR_BODY)
+    if model.glazed:
+        for u in (roof_front - 0.3, 0.5 * (back + roof_front) + 0.2):
+            seats = ((u - 0.35, u - 0.2), (-0.6, 0.6), (0.6, model.roof - 0.25))
+            pile.box(frame, seats, Material.CAR_BODY)
+
+
+def _door_pane(pile: Pile, frame: Frame, model: Model, side: float) -> None:
+    """Side window of a van's cabin, a little before its flank."""
+    back, front = model.cabin[2] - 0.35, model.cabin[3] - 0.25
+    share = [0.12, 0.62]
+    rise = model.roof - model.waist(back)
+
+    def spot(u: float, up: float) -> Point:
+        wide = model.wide - 0.04 + (model.wide - model.lean - model.wide + 0.04) * up
+        return frame.at(u, side * (wide + 0.01), model.waist(u) + up * rise)
+
+    a, b, c, d = spot(back, share[0]), spot(front, share[0]), spot(front - 0.4, share[1]), spot(back, share[1])
+    pile.quad((a, b, c, d), Material.CAR_GLASS)
+
+
+def lorry(pile: Pile, frame: Frame, length: float) -> None:
+    """Add a small lorry: a cabin with a windscreen before a box on wheels."""
+    half, wide = 0.5 * length, 1.15
+    pile.box(frame, ((-half, half - 1.9), (-wide - 0.05, wide + 0.05), (1.0, 3.3)), Material.CAR_BODY)
+    pile.box(frame, ((-half + 0.3, half - 0.2), (-0.45, 0.45), (0.55, 1.0)), Material.CAR_BODY)
+    pile.box(frame, ((half - 1.75, half), (-wide, wide), (0.5, 1.45)), Material.CAR_BODY)
+    pile.box(frame, ((half - 1.75, half - 0.15), (-wide + 0.05, wide - 0.05), (1.45, 2.55)), Material.CAR_BODY)
+    corners = (half - 0.02, -1.0, 1.5), (half - 0.02, 1.0, 1.5), (half - 0.13, 1.0, 2.4), (half - 0.13, -1.0, 2.4)
+    pile.face(frame, corners, Material.CAR_GLASS)
+    for side in (-1.0, 1.0):
+        v = side * (wide - 0.04)
+        spots = (half - 1.3, v, 1.5), (half - 0.35, v, 1.5), (half - 0.45, v, 2.3), (half - 1.3, v, 2.3)
+        pile.face(frame, spots, Material.CAR_GLASS)
+        for axle in (-half + 1.4, half - 0.9):
+            wheel = frame.at(axle, side * (wide - 0.16), 0.42)
+            pile.ellipsoid(wheel, (0.42, 0.16, 0.42), frame.yaw, Material.TYRE)
 
 
 def person(pile: Pile, frame: Frame, rng: np.random.Generator, stride: float) -> None:
@@ -120,7 +282,7 @@ def _mover(
     pile = Pile(_FIRST_NUMBER + stream.index * _STREAM_NUMBERS + (number + 2.0**30) * _EACH)
     pile.velocity = velocity
     if stream.cars:
-        cars.car(pile, begin, cars.draw_model(rng))
+        car(pile, begin, draw_model(rng))
     else:
         upright = Frame(begin.x, begin.y, begin.z - _step_down(ground, seed, s, stream.d), begin.yaw)
         person(pile, upright, rng, rng.uniform(0.3, 0.7))

@@ -7,9 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from prc_cli.simulation.street import cars, furniture
+from prc_cli.simulation.street import furniture, movers
 from prc_cli.simulation.street import furniture as trees
-from prc_cli.simulation.street.movers import person
 from prc_cli.simulation.street.pile import Frame, Pile, Span
 from prc_cli.simulation.street.plan import (
     BUILDING_LINE_M,
@@ -106,7 +105,7 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
     after_lorry = False
     for i in range(count):
         low = start + 6.0 * i
-        model, chance, turn = cars.draw_model(rng, kerb.params.vans), rng.random(4), rng.random()
+        model, chance, turn = movers.draw_model(rng, kerb.params.vans), rng.random(4), rng.random()
         long = bool(chance[0] < 0.03 and i + 1 < count)
         high = low + (12.0 if long else 6.0)
         blocked = any(high > span[0] and low < span[1] for span in closed)
@@ -131,9 +130,9 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
         if backwards:
             frame = replace(frame, yaw=frame.yaw + np.pi, slope=-frame.slope, roll=-frame.roll)
         if long:
-            cars.lorry(kerb.pile, frame, 7.5)
+            movers.lorry(kerb.pile, frame, 7.5)
         else:
-            cars.car(kerb.pile, frame, model)
+            movers.car(kerb.pile, frame, model)
 
 
 def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
@@ -156,7 +155,7 @@ def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
     for _ in range(int(rng.poisson(0.8 * kerb.params.people))):
         s, yaw = start + PIECE_M * rng.random(), rng.uniform(0.0, 2.0 * np.pi)
         if side.junction is None or not side.junction.bend[0] < s < side.junction.bend[1]:
-            person(pile, replace(kerb.frame(s, BUILDING_LINE_M - 0.45), yaw=yaw), rng, 0.0)
+            movers.person(pile, replace(kerb.frame(s, BUILDING_LINE_M - 0.45), yaw=yaw), rng, 0.0)
 
 
 def _at_junction(kerb: Kerb, rng: np.random.Generator, *, town: bool) -> None:
@@ -226,14 +225,14 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
     if lot.kind == "house" and not built_up and rng.random() < kerb.params.trees:
         trees.tree(kerb.pile, kerb.frame(low + 2.5, BUILDING_LINE_M + lot.setback + 17.0), trees.STREET, rng)
     if lot.driveway is not None and rng.random() < 0.4:
-        model = cars.draw_model(rng)
+        model = movers.draw_model(rng)
         s, d = 0.5 * sum(lot.driveway), BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
         frame = frame_at(kerb.ground, s, kerb.side.side * d, tilted=True)
         fall = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
         # the bonnet points into the garden: u away from the street, v along it
         yaw = frame.yaw + kerb.side.side * 0.5 * np.pi
         turned = replace(frame, yaw=yaw, slope=fall, roll=-kerb.side.side * frame.slope)
-        cars.car(kerb.pile, turned, model)
+        movers.car(kerb.pile, turned, model)
 
 
 def _boundary(kerb: Kerb) -> Literal["any", "hedge", "fence"]:
@@ -249,13 +248,13 @@ def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
     low, high = lot.span
     away = BUILDING_LINE_M + 1.3 + float(kerb.variety.random()) * (min(depth, 9.0) - 2.6)
     for i in range(int((high - low) / 6.0)):
-        model, u = cars.draw_model(kerb.variety, kerb.params.vans), kerb.variety.random(2).tolist()
+        model, u = movers.draw_model(kerb.variety, kerb.params.vans), kerb.variety.random(2).tolist()
         if u[0] > 0.8:
             continue
         s = low + 6.0 * i + 3.0 + 0.3 * u[1]
         frame = frame_at(kerb.ground, s, kerb.side.side * away, tilted=True)
         roll = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
-        cars.car(kerb.pile, replace(frame, roll=kerb.side.side * roll), model)
+        movers.car(kerb.pile, replace(frame, roll=kerb.side.side * roll), model)
 
 
 def _wires(pile: Pile, ground: Ground, plan: Plan, params: StreetSceneParams, seed: int) -> None:

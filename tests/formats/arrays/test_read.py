@@ -73,7 +73,7 @@ def test_rows_that_are_rings_are_exchanged(tmp_path: Path, chunk: int, given: st
     elif given == "angles":
         arrays["zenith_deg"] = 90 - np.rad2deg(elevation[:, 0])
     np.savez(tmp_path / "a.npz", **{name: np.asarray(value, order=order) for name, value in arrays.items()})
-    stream = ArrayStream(tmp_path / "a.npz", config(points_per_line=16 if given == "M" else None), chunk)
+    stream = ArrayStream(tmp_path / "a.npz", config(points_per_line=16 if given == "M" else None), chunk_shots=chunk)
     assert (stream.info.n_lines, stream.info.points_per_line) == (90, 16)
     block = whole(stream)
     np.testing.assert_array_equal(block.range_m, ranges.T)
@@ -97,7 +97,7 @@ def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk:
     arrays = {"xyz": xyz, "intensity": intensity, "range_m": ranges, "time_s": 100 + np.arange(7) * 0.02}
     degrees = np.linspace(-90, 90, 5)
     path = save_npz(tmp_path, compressed=compressed, **arrays, **{angles: degrees}, note=np.array("x"))
-    stream = ArrayStream(path, AUTO, chunk)
+    stream = ArrayStream(path, AUTO, chunk_shots=chunk)
     assert stream.info.angle_rad is not None
     np.testing.assert_array_equal(stream.info.angle_rad, np.deg2rad(degrees))
     # a chunk of one line does not show how far lines are apart
@@ -196,7 +196,7 @@ def test_damaged_npy(tmp_path: Path, change: Any, found: str) -> None:
 
 def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
     path = save(tmp_path, np.ones((40_000, 5), np.float32))
-    blocks = ArrayStream(path, AUTO, 5000).blocks()
+    blocks = ArrayStream(path, AUTO, chunk_shots=5000).blocks()
     next(blocks)
     path.write_bytes(path.read_bytes()[:-100_000])
     with pytest.raises(InputError, match=r"the numbers end in row 35000, expected 40000 rows"):

@@ -28,7 +28,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify
 from tests.formats import common
 from tests.formats.bags import recordings as made
-from tests.formats.bags.test_cloud import drive, messages
+from tests.formats.bags.test_read import drive, messages
 from tests.runner import runner
 
 POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")]
