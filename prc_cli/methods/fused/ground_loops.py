@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_1, I32_2, U8, U8_2, Mask, Mask_2
-from prc_cli.kernels.cache import (
-    helper,
-    inlined,
-    kernel,
-)
+from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
 Memory = tuple[F32, I32, F32, F32]
