@@ -124,8 +124,8 @@ def smooth_case(rng: Generator) -> tuple[Any, ...]:
         tolerance_m=rng.choice([0.0, 0.006, 0.2]),
         tolerance_per_m=rng.choice([0.0, 0.01]),
         gap_m=rng.choice([0.4, 5.0]),
-        gap_steps=16.0,
         apart_m=rng.choice([0.0, 0.5, 1.0, 3.0]),
+        leaf_m=rng.choice([0.0, 1.0, 4.0]),
     )
     return *one.seen, chosen
 

@@ -55,7 +55,7 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
         tolerance = thresholds.tolerance_m + thresholds.tolerance_per_m * r
         gap = max(thresholds.gap_m, thresholds.gap_steps * (r * step))
         to_edge = min(column, range_m.shape[1] - 1 - column)
-        wanted = min(thresholds.apart_m / (r * step), np.float32(8))
+        wanted = min(max(thresholds.apart_m / (r * step), 1 + (2 * r * step <= thresholds.leaf_m)), np.float32(8))
         stride = max(min(int(wanted), to_edge // 2), 1)
         for b, c in PAIRS_IN_LINE:
             first, second = points[y, x + stride * b], points[y, x + stride * c]

@@ -212,14 +212,14 @@ def _pairs_in_line(
 
 
 @helper
-def _strides(ranges: F32, step: np.float32, apart: np.float32, strides: I32) -> None:
+def _strides(ranges: F32, step: np.float32, thresholds: SmoothThresholds, strides: I32) -> None:
     """Write with every how many columns the shots of a line are compared: fewer at its ends, one for missing shots."""
     m = len(ranges)
-    most = np.float32(MOST_STRIDE)
+    most, apart, leaf = np.float32(MOST_STRIDE), thresholds.apart_m, np.float32(0.5) * thresholds.leaf_m
     for i in range(m):
-        # NaN stays NaN, which no comparison holds for
-        columns = apart / (ranges[i] * step)
-        strides[i] = np.int32(min(columns, most)) if columns >= np.float32(2.0) else np.int32(1)
+        spacing = ranges[i] * step  # NaN stays NaN, which no comparison holds for
+        columns = apart / spacing
+        strides[i] = np.int32(min(columns, most)) if columns >= np.float32(2.0) else np.int32(1) + (spacing <= leaf)
     for i in range(min(2 * MOST_STRIDE, m)):
         inside = np.int32(max(i // 2, 1))
         strides[i] = min(strides[i], inside)
@@ -319,7 +319,7 @@ def smooth_counts(range_m: F32_2, sine: F32_1, cosine: F32_1, step: np.float32, 
         ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
         a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
         _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
-        _strides(ranges, step, thresholds.apart_m, strides)
+        _strides(ranges, step, thresholds, strides)
         _pairs_farther(ranges, (side[c], height[c]), step, thresholds, strides, row)
         lines = side[a], side[b], side[c], side[d], side[e]
         heights = height[a], height[b], height[c], height[d], height[e]

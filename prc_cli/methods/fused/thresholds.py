@@ -53,7 +53,9 @@ class SmoothThresholds(NamedTuple):
     gap_steps: np.float32 = f32(16)
     """... or so many distances between adjacent columns, if that is more."""
     apart_m: np.float32 = f32(0.012)
-    """Shots of a line are compared at least so far from each other, where columns allow it [m]."""
+    """Shots of a line are compared at least so far from each other, where columns allow it [m] ..."""
+    leaf_m: np.float32 = f32(0.03)
+    """... and two columns apart, up to this distance: leaves are smaller [m]."""
 
 
 class SpacingThresholds(NamedTuple):
