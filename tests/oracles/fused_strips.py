@@ -127,10 +127,7 @@ class _Lines:
         return (len(self.window) - len(self.above)) // 2
 
     def beyond(self, line: int, i: int, way: int) -> tuple[int, bool] | None:
-        """Return how far away the first line is that sees past the thing of a shot, and whether far past it.
-
-        None: it sees no end, or something before it.
-        """
+        """Return how far away the first line is that sees past the thing of a shot, and whether far; None: none."""
         k = line + self.margin
         while 0 <= k + 2 * way < len(self.window):
             own, there, beyond = (self.window[k + n * way, i] for n in range(3))
@@ -154,11 +151,8 @@ class _Lines:
     def is_held(self, line: int, i: int) -> bool:
         return bool(self.near[line, i] >= self.limits.least_near and self.above[line, i] > self.limits.foot_m)
 
-    def is_free(self, line: int, i: int) -> bool:
-        return self.is_held(line, i) and self.seen(line, i, far=True) is not None
-
-    def is_narrow(self, line: int, i: int) -> bool:
-        return self.is_held(line, i) and self.seen(line, i, far=False) is not None
+    def free(self, line: int, run: list[int], *, far: bool) -> list[int]:
+        return [i for i in run if self.is_held(line, i) and self.seen(line, i, far=far) is not None]
 
     def is_smooth(self, line: int, i: int) -> bool:
         return bool(self.smooth[line, i] >= self.limits.smooth)
@@ -224,7 +218,6 @@ class _Lines:
         return climbed if climbed < limits.high_m and (is_person or self.is_far(free, narrow)) else None
 
     def is_fence(self, line: int, i: int) -> bool:
-        """Return whether enough lines farther away see something as far away in the direction of a shot."""
         at = line + self.margin
         away = np.abs(np.arange(len(self.window)) - at)
         alike = np.abs(self.window[:, i] - self.window[at, i]) < np.float32(0.2)
@@ -292,13 +285,10 @@ def find_columns(
     found = np.zeros(above_m.shape, np.uint8)
     for line in range(len(above_m)):
         for run in lines.runs(line):
-            free = [i for i in run if lines.is_free(line, i)]
-            narrow = [i for i in run if lines.is_narrow(line, i)]
+            free, narrow = lines.free(line, run, far=True), lines.free(line, run, far=False)
             kind = lines.kind(line, run, free, narrow) if free or narrow else 0
             for i in run if kind == SMALL else free:
                 is_odd = kind == COLUMN and not lines.is_smooth(line, i)
-                if kind and not is_odd:
-                    found[line, i] = FENCE if lines.is_fence(line, i) else kind
-                elif not kind:
-                    found[line, i] = lines.piece(line, run, i)
+                own = kind or lines.piece(line, run, i)
+                found[line, i] = (FENCE if kind and lines.is_fence(line, i) else own) * (not is_odd)
     return found
