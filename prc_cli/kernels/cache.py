@@ -132,8 +132,7 @@ def loops_folder(folder: Path, source: Path) -> Path:
 @cache
 def writable_cache() -> Path | None:
     """Return the folder for compiled kernels, which only this user may write to: configured, cache, temporary."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    if given:
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
         folder = Path(given).resolve()
         if not _is_writable(folder):
             return None
@@ -166,8 +165,7 @@ def open_to_others(folder: Path) -> str:
 
 def _temporary_cache() -> Path:
     """Return the name of a private folder of this user in the shared temporary folder."""
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    return Path(tempfile.gettempdir()) / f"prc-cli-{user}"
+    return Path(tempfile.gettempdir()) / f"prc-cli-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
 
 
 def _is_writable(folder: Path) -> bool:

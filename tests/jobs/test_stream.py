@@ -78,8 +78,7 @@ def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
 
 
 def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method() -> None:
-    told: list[MethodChoice] = []
-    whole, cut = io.BytesIO(), io.BytesIO()
+    told, whole, cut = list[MethodChoice](), io.BytesIO(), io.BytesIO()
     config = load_config(options={"input": {"points_per_line": POINTS_PER_LINE}})
     stream(io.BytesIO(street().tobytes()), whole, config, chosen=told.append)
     with pytest.raises(InputError, match=f"stdin: ended inside record {street().size}: found 2 bytes of 4"):

@@ -211,8 +211,7 @@ def test_labels_made_on_the_way_are_checked(tmp_path: Path) -> None:
     stray = rng.random(image.shape) < 0.2
     image[stray] = rng.uniform(1, 80, int(stray.sum()))
     np.savez(tmp_path / "drive.npz", range_m=image, angle_deg=np.rad2deg(angles()))
-    for n, accepts in enumerate(([], ["noise-share"])):
-        rules = config(accept_doubts=accepts)
+    for n, rules in enumerate((config(), config(accept_doubts=["noise-share"]))):
         summary = thin(tmp_path / "drive.npz", tmp_path / f"{n}.npz", config=rules, labels=CLASSIFY)
         assert [doubt.check for doubt in summary.doubts] == ["noise-share"][n:]
 

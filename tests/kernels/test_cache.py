@@ -137,9 +137,7 @@ def test_temporary_folder_that_others_can_write_is_not_trusted(tmp_path: Path, m
 
 
 @posix_only
-def test_a_file_that_another_process_renames_meanwhile_is_no_danger(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
+def test_a_file_that_is_renamed_meanwhile_is_no_danger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "rglob", lambda folder, _: iter([folder / "gone.nbi.tmp"]))
     assert cache.open_to_others(tmp_path) == ""
 
