@@ -263,7 +263,7 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32 = f32(6)
     """Fewest shots of its run."""
-    thick_m: np.float32 = f32(0.12)
+    thick_m: np.float32 = f32(0.14)
     """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
     arm_m: np.float32 = f32(3)
     """Above this height level pieces may be poles: arms and lamps [m]."""
