@@ -98,8 +98,8 @@ RULES: dict[Reason, Rule] = {
     Reason.CROWN: Rule("thin and upright, below a crown", ("decision.crown_slots",)),
     Reason.TRUNK: Rule("thin and upright, and as thick and round as a trunk", ("decision.thick_m",)),
     Reason.SMALL: Rule(
-        "low, shallow and seen by few lines, with far things on both sides",
-        ("columns.high_m", "columns.small_m", "columns.small_lines"),
+        "low, shallow and seen by few lines, which see past it on both sides",
+        ("columns.high_m", "columns.person_m", "columns.small_m", "columns.small_lines"),
     ),
     Reason.POST: Rule(
         "upright and thin: lines beside it, or shots above and below, see past it",

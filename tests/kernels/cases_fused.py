@@ -219,7 +219,7 @@ def heights(rng: Generator, one: Street) -> F32:
 def kinds(rng: Generator, shape: tuple[int, ...]) -> U8:
     """Things that stand alone, of any kind, in runs along the lines."""
     wide = (shape[0], -(-shape[1] // 8))
-    found = np.where(rng.random(wide) < rng.choice([0.0, 0.6]), rng.integers(0, 6, wide), 0).astype(np.uint8)
+    found = np.where(rng.random(wide) < rng.choice([0.0, 0.6]), rng.integers(0, 7, wide), 0).astype(np.uint8)
     return np.where(rng.random(shape) < 0.1, 0, found.repeat(8, axis=1)[:, : shape[1]]).astype(np.uint8)
 
 
@@ -269,6 +269,7 @@ def columns_case(rng: Generator) -> tuple[Any, ...]:
         small_lines=rng.choice([1, 7]),
         small_share=rng.choice([0.2, 0.7]),
         small_m=rng.choice([0.1, 0.7, 3.0]),
+        person_m=rng.choice([0.5, 1.5]),
         post_m=rng.choice([0.12, 1.0]),
         post_tall_m=rng.choice([0.1, 0.4]),
         post_top_m=rng.choice([0.6, 1.25]),

@@ -16,7 +16,7 @@ MISSING, _, NOISE, GROUND = range(4)
 Slots = NDArray[np.uint64]
 
 MARGIN, BESIDE = 20, 12
-COLUMN, THIN, _, FEW, SMALL = range(1, 6)
+COLUMN, THIN, _, FEW, SMALL, FENCE = range(1, 7)
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 
 
@@ -181,7 +181,7 @@ class _Shot:
         return int(self.alone[self.line, self.i]) if self.strip is not None else 0
 
     def is_standing(self, *, is_car: bool) -> bool:
-        if self.kind in (0, SMALL) or not self.thresholds.pole_m > 0:
+        if self.kind in (0, SMALL, FENCE) or not self.thresholds.pole_m > 0:
             return False
         if self.kind == COLUMN:
             return True
@@ -243,8 +243,8 @@ class _Shot:
             return Reason.IN_CAR
         if self.is_standing(is_car=is_car) and (upright := self._upright()):
             return upright
-        if self.kind == SMALL and (is_car or self.texture >= self.thresholds.leaf_share):
-            return Reason.SMALL
+        if self.kind >= SMALL and (is_car or self.texture >= self.thresholds.leaf_share):
+            return Reason.SMALL if self.kind == SMALL else Reason.SMOOTH
         if is_car:
             return Reason.LEVEL_BODY
         if rough:

@@ -13,7 +13,7 @@ from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, 
 
 N, WIDTH, HALF_WIDTH, SLOT = 320, np.float32(0.5), np.float32(0.25), np.float32(0.25)
 NOTHING = np.float32(-1e9)
-COLUMN, THIN, SHORT, FEW, SMALL = range(1, 6)
+COLUMN, THIN, SHORT, FEW, SMALL, FENCE = range(1, 7)
 
 Slots = NDArray[np.uint64]
 
@@ -126,8 +126,8 @@ class _Lines:
     def margin(self) -> int:
         return (len(self.window) - len(self.above)) // 2
 
-    def beyond(self, line: int, i: int, way: int) -> int | None:
-        """Return how far away the first line is that no longer sees the thing of a shot; None: it sees no end."""
+    def beyond(self, line: int, i: int, way: int) -> tuple[int, bool] | None:
+        """Return how far away the first line is that sees past the thing of a shot, and whether far; None: none."""
         k = line + self.margin
         while 0 <= k + 2 * way < len(self.window):
             own, there, beyond = (self.window[k + n * way, i] for n in range(3))
@@ -135,27 +135,30 @@ class _Lines:
             k += way
             if np.isnan(own) or np.abs(own - there) < self.limits.jump_m:
                 continue
-            return abs(k - line - self.margin) if not there <= own + self.limits.far_m else None
+            if there <= own + self.limits.jump_m:
+                return None
+            return abs(k - line - self.margin), not there <= own + self.limits.far_m
         return None
 
-    def seen(self, line: int, i: int) -> range | None:
-        """Return the lines of the window that see the thing of a shot, if those beside them see past it."""
+    def seen(self, line: int, i: int, *, far: bool) -> range | None:
+        """Return the lines of the window that see the thing of a shot, if those beside them see past it, or far."""
         before, after = self.beyond(line, i, -1), self.beyond(line, i, 1)
-        if before is None or after is None or before + after - 1 > self.limits.lines:
+        if before is None or after is None or (far and not (before[1] and after[1])):
             return None
-        return range(line + self.margin - before + 1, line + self.margin + after)
+        lines = range(line + self.margin - before[0] + 1, line + self.margin + after[0])
+        return lines if len(lines) <= (self.limits.lines if far else self.limits.small_lines) else None
 
     def is_held(self, line: int, i: int) -> bool:
         return bool(self.near[line, i] >= self.limits.least_near and self.above[line, i] > self.limits.foot_m)
 
-    def is_free(self, line: int, i: int) -> bool:
-        return self.is_held(line, i) and self.seen(line, i) is not None
+    def free(self, line: int, run: list[int], *, far: bool) -> list[int]:
+        return [i for i in run if self.is_held(line, i) and self.seen(line, i, far=far) is not None]
 
     def is_smooth(self, line: int, i: int) -> bool:
         return bool(self.smooth[line, i] >= self.limits.smooth)
 
     def n_seen(self, line: int, i: int) -> int:
-        lines = self.seen(line, i)
+        lines = self.seen(line, i, far=True)
         assert lines is not None
         return len(lines)
 
@@ -177,7 +180,7 @@ class _Lines:
         return runs
 
     def radius(self, line: int, i: int) -> np.float32:
-        lines, away = self.seen(line, i), self.window[line + self.margin, i]
+        lines, away = self.seen(line, i, far=True), self.window[line + self.margin, i]
         assert lines is not None
         n, q = len(lines), max(len(lines) // 4, 1)
         if n < 3:
@@ -190,38 +193,35 @@ class _Lines:
         bulge = np.float32(0.5) * (left + right) - middle
         return np.float32(bulge * (abs(away * self.beams[0][i]) / away) / np.float32(0.34))
 
-    def kind(self, line: int, run: list[int], free: list[int]) -> int:
-        reach = self.reach(line, run, free)
-        if reach is not None and reach < self.limits.high_m:
-            is_post = sum(self.is_smooth(line, i) for i in free) >= self.limits.share * np.float32(len(free))
-            is_post &= bool(np.ptp(self.above[line, free]) > self.limits.post_tall_m)
-            is_thin = np.ptp(self.side(line, free)) < self.limits.post_m
-            return COLUMN if is_thin and (is_post or reach < self.limits.post_top_m) else SMALL
-        return COLUMN if self.is_column(line, run, free) else 0
+    def kind(self, line: int, run: list[int], free: list[int], narrow: list[int]) -> int:
+        reach, limits = self.reach(line, run, free, narrow), self.limits
+        if reach is None:
+            return COLUMN if free and self.is_column(line, run, free) else 0
+        is_post = sum(self.is_smooth(line, i) for i in narrow) >= limits.share * np.float32(len(narrow))
+        is_post &= bool(np.ptp(self.above[line, narrow]) > limits.post_tall_m)
+        is_thin = self.is_far(free, narrow) and np.ptp(self.side(line, narrow)) < limits.post_m
+        return COLUMN if is_thin and (is_post or reach < limits.post_top_m) else SMALL
 
-    def reach(self, line: int, run: list[int], free: list[int]) -> np.float32 | None:
+    def is_far(self, free: list[int], narrow: list[int]) -> bool:
+        return bool(len({*free} & {*narrow}) >= self.limits.small_share * np.float32(len(narrow)))
+
+    def reach(self, line: int, run: list[int], free: list[int], narrow: list[int]) -> np.float32 | None:
         """Return how high something small reaches; None = it is not small."""
-        limits, above = self.limits, self.above[line, free]
-        few = np.float32(sum(self.n_seen(line, i) <= limits.small_lines for i in free))
-        if few < max(limits.shots, limits.small_share * np.float32(len(run))) or above.max() >= limits.high_m:
+        limits, above = self.limits, self.above[line, narrow]
+        if len(narrow) < max(limits.shots, limits.small_share * np.float32(len(run))) or above.max() >= limits.high_m:
             return None
-        if np.ptp(self.side(line, free)) > limits.small_m or self.depth(line, run) > limits.small_m:
+        if np.ptp(self.side(line, narrow)) > limits.small_m:
             return None
-        return np.float32(above.max() + self.climb(line, free[int(np.argmax(above))]))
+        climbed = np.float32(above.max() + self.climb(line, narrow[int(np.argmax(above))]))
+        is_cut = above.min() > np.float32(1) and np.ptp(above) <= limits.post_tall_m
+        is_person = climbed > limits.person_m and not is_cut
+        return climbed if climbed < limits.high_m and (is_person or self.is_far(free, narrow)) else None
 
-    def depth(self, line: int, run: list[int]) -> np.float32:
-        """Return how deep a run is together with low things close behind or before it, beyond both ends."""
-        ranges, parts = self.window[line + self.margin], [run[0], run[-1]]
-        for last, shots in ((run[0], range(run[0], -1, -1)), (run[-1], range(run[-1], len(ranges)))):
-            for j in shots:
-                if np.isnan(ranges[j]):
-                    continue
-                is_low = self.limits.foot_m < self.above[line, j] < self.limits.high_m
-                if not (is_low and np.abs(ranges[j] - ranges[last]) < np.float32(0.7)):
-                    break
-                last = j
-                parts.append(j)
-        return np.float32(np.ptp(self.side(line, [run[0], *parts])))
+    def is_fence(self, line: int, i: int) -> bool:
+        at = line + self.margin
+        away = np.abs(np.arange(len(self.window)) - at)
+        alike = np.abs(self.window[:, i] - self.window[at, i]) < np.float32(0.2)
+        return bool(alike[(away >= 9) & (away <= 30)].sum() >= 6 and self.above[line, i] < self.limits.high_m)
 
     def climb(self, line: int, i: int) -> np.float32:
         """Return how much higher lines around see the thing of a shot."""
@@ -285,10 +285,10 @@ def find_columns(
     found = np.zeros(above_m.shape, np.uint8)
     for line in range(len(above_m)):
         for run in lines.runs(line):
-            if not (free := [i for i in run if lines.is_free(line, i)]):
-                continue
-            kind = lines.kind(line, run, free)
+            free, narrow = lines.free(line, run, far=True), lines.free(line, run, far=False)
+            kind = lines.kind(line, run, free, narrow) if free or narrow else 0
             for i in run if kind == SMALL else free:
                 is_odd = kind == COLUMN and not lines.is_smooth(line, i)
-                found[line, i] = (kind or lines.piece(line, run, i)) * (not is_odd)
+                own = kind or lines.piece(line, run, i)
+                found[line, i] = (FENCE if kind and lines.is_fence(line, i) else own) * (not is_odd)
     return found

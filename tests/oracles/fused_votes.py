@@ -21,7 +21,7 @@ def vote_labels(
     """Let the shots around vote; see :func:`prc_cli.methods.fused.votes_loops.vote_labels`."""
     voted = labels[1:-1].copy()
     m = labels.shape[1]
-    for row, i in zip(*np.nonzero((voted != MISSING) & (voted != NOISE) & (voted != GROUND)), strict=True):
+    for row, i in zip(*np.nonzero(~np.isin(voted, (MISSING, OTHER, NOISE, GROUND))), strict=True):
         line, own = row + 1, labels[row + 1, i]
         asked = (line - 1, i), (line + 1, i), (line, max(i - 4, 0)), (line, min(i + 4, m - 1))
         if all(labels[place] in (own, MISSING, NOISE) for place in asked):

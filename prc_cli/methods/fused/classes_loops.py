@@ -31,7 +31,7 @@ MOST_SMOOTH = 8
 """Greatest number of smooth pairs that counts."""
 LEAST_COLUMNS = 2
 """Least half width of a place, in columns."""
-COLUMN, THIN, _, FEW, SMALL = (np.uint8(kind) for kind in (1, 2, 3, 4, 5))
+COLUMN, THIN, _, FEW, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`strips_loops`."""
 HANGS = 16
@@ -201,8 +201,7 @@ def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, thre
 def _count_bins(levels: U8, counts: U8) -> None:
     """Count the bins with a level surface around every bin of a line."""
     n = len(levels)
-    for q in range(n):
-        counts[q] = levels[q]
+    counts[:] = levels
     for away in range(1, CAR_REACH + 1):
         for q in range(n - away):
             counts[q] += levels[q + away]
@@ -374,8 +373,8 @@ def _label_things(
         label = _IN_CAR if is_lost else label
         label = _BEHIND_WALL if is_behind else label
         is_sure = is_here & (not is_ghost)
-        is_small = is_sure & (alone[i] == SMALL) & ((texture >= leaf_share) | is_car)
-        label = _SMALL if is_small else label
+        is_small = is_sure & (alone[i] >= SMALL) & ((texture >= leaf_share) | is_car)
+        label = (_SMOOTH if alone[i] == FENCE else _SMALL) if is_small else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
         is_thin, is_piece = alone[i] == THIN, (alone[i] != np.uint8(0)) & (alone[i] < SMALL)

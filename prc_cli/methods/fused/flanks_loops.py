@@ -36,8 +36,7 @@ def _count_ground(
 ) -> None:
     """Count the shots of the ground in every bin of a line, and write how deep it lies below the scanner."""
     sine, cosine = beams
-    for q in range(2 * BINS):
-        bins[q] = 0
+    bins[:] = 0
     for i in range(len(ranges)):
         if (abs(above[i]) < soil_m) & (upright[i] <= 1):
             y = ranges[i] * sine[i]
@@ -148,8 +147,7 @@ def find_flanks(
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
-        for q in range(2 * STRIPS):
-            found[line, q] = levels[line, q]
+        found[line] = levels[line]
         _add_around(length, line, lines, lengths)
         _add_around(wall, line, lines, walls)
         _add_around(place, line, lines, places)

@@ -30,16 +30,22 @@ UPRIGHT_CHORDS = 2
 """Least upright chords, of three, of a shot on an upright surface."""
 _FAR_BINS = np.float32(1e6)
 """Limit of bin numbers, so that they fit an integer."""
-COLUMN, THIN, SHORT, FEW, SMALL = (np.uint8(kind) for kind in (1, 2, 3, 4, 5))
-"""What stands alone: a trunk or post; a thin or short piece of something; one of few shots; something low."""
-PART_M = np.float32(0.7)
-"""Shots that differ by less in range may be of one thing [m]."""
+COLUMN, THIN, SHORT, FEW, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
+"""What stands alone: a trunk or post; a thin or short piece; one of few shots; something low; a part of a fence."""
+FENCE_LINES, FENCE_M, FENCE_SEEN = (9, 30), np.float32(0.2), 6
+"""So many of the lines this far before and after see a fence in the direction of a shot, as far away [m]."""
 CLIMB_M, CLIMB_SIDE_M = np.float32(0.3), np.float32(0.4)
 """A thing is followed upwards from line to line over gaps of this height, and so far to the side [m]."""
-NO_END = 255
-"""Lines to one side where a thing goes on, or something stands right beside it."""
+COUNT, CLOSE = np.uint8(63), np.uint8(64)
+"""Bits of the lines to one side that see a thing, and of an end beside which something stands close behind it."""
+NO_END = np.uint8(127)
+"""Where a thing goes on, or something stands before its end."""
+FREE, NARROW = np.uint8(1), np.uint8(2)
+"""Marks of shots that lines on both sides see far past, and of those that few lines see."""
 ROUND = np.float32(0.34)
 """By how much of its radius the middle half of a round thing is nearer than its outer quarters."""
+CHEST_M = np.float32(1.0)
+"""What begins above this is somebody only if it is higher than a piece of a roof between windows [m]."""
 SAMPLES = 8
 """Shots of a run by which its depth is measured, at most."""
 
@@ -58,18 +64,28 @@ def _count_on(own: F32, beside: F32, beyond: F32, jump: np.float32, far: np.floa
     """
     for i in range(len(own)):
         there = beside[i] if beside[i] == beside[i] else beyond[i]
-        goes_on, is_end = (own[i] != own[i]) | (abs(own[i] - there) < jump), not (there <= own[i] + far)
-        more = np.uint8(min(lines[i], np.uint8(NO_END - 1)) + np.uint8(1))
-        lines[i] = more if goes_on else (np.uint8(1) if is_end else np.uint8(NO_END))
+        goes_on, is_end = (own[i] != own[i]) | (abs(own[i] - there) < jump), not (there <= own[i] + jump)
+        more = np.uint8(min(lines[i] & COUNT, COUNT - np.uint8(1)) + np.uint8(1)) | (lines[i] & CLOSE)
+        end = np.uint8(1) if not (there <= own[i] + far) else np.uint8(1) | CLOSE
+        lines[i] = more if goes_on else (end if is_end else NO_END)
 
 
 @helper
 def _mark_free(lines: tuple[U8, U8], above: F32, near: U8, thresholds: ColumnThresholds, marks: U8) -> None:
     """Mark the shots of a line that few lines see, and lines on both sides see past."""
     before, after = lines
+    most, few = np.int32(thresholds.lines) + np.int32(1), np.int32(thresholds.small_lines) + np.int32(1)
     for i in range(len(marks)):
-        is_free = np.int32(before[i]) + np.int32(after[i]) <= np.int32(thresholds.lines) + np.int32(1)
-        marks[i] = np.uint8(is_free & (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m))
+        n = np.int32(before[i] & COUNT) + np.int32(after[i] & COUNT)
+        is_held = (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m)
+        is_free, is_narrow = (n <= most) & ((before[i] | after[i]) < CLOSE), n <= few
+        marks[i] = is_held * (is_free * FREE + is_narrow * NARROW)
+
+
+@inlined
+def _n_seen(before: np.uint8, after: np.uint8) -> np.float32:
+    """Return how many lines see the thing of a shot."""
+    return np.float32(before & COUNT) + np.float32(after & COUNT) - np.float32(1)
 
 
 @inlined
@@ -82,7 +98,7 @@ def _goes_on(ranges: F32, near: U8, above: F32, i: int, j: int, thresholds: Colu
 @inlined
 def _bulge(window_m: F32, line: int, i: int, before: np.uint8, after: np.uint8) -> np.float32:
     """Return by how much the middle half of the lines that see a thing is nearer than both outer quarters; else 0."""
-    first, n = line - int(before) + 1, int(before) + int(after) - 1
+    first, n = line - int(before & COUNT) + 1, int(before & COUNT) + int(after & COUNT) - 1
     quarter = max(n // 4, 1)
     if n < 3:
         return np.float32(0.0)
@@ -117,21 +133,12 @@ def _climb(window_m: F32, line: int, i: int, up: int, beams: tuple[F32, F32], mo
 
 
 @inlined
-def _is_deep(ranges: F32, points: tuple[F32, F32], ends: tuple[int, int], thresholds: ColumnThresholds) -> bool:
-    """Return whether a low thing is deep along its line, what is behind its panes and gaps included."""
-    (side, above), (first, end) = points, ends
-    inner = outer = abs(side[first])
-    for way in (-1, 1):
-        last = first if way < 0 else end - 1
-        j = last
-        while 0 <= j < len(ranges):
-            if ranges[j] == ranges[j]:
-                is_low = (above[j] > thresholds.foot_m) & (above[j] < thresholds.high_m)
-                if not (is_low and abs(ranges[j] - ranges[last]) < PART_M):
-                    break
-                inner, outer, last = min(inner, abs(side[j])), max(outer, abs(side[j])), j
-            j += way
-    return bool(outer - inner > thresholds.small_m)
+def _is_fence(window_m: F32, line: int, i: int) -> bool:
+    """Return whether many lines farther along the street see something as far away in the direction of a shot."""
+    n, own = 0, window_m[line, i]
+    for k in range(max(line - FENCE_LINES[1], 0), min(line + FENCE_LINES[1] + 1, len(window_m))):
+        n += (abs(k - line) >= FENCE_LINES[0]) & (abs(window_m[k, i] - own) < FENCE_M)
+    return n >= FENCE_SEEN
 
 
 @helper
@@ -148,30 +155,37 @@ def _kind(
 ) -> np.uint8:
     """Return what the run from one shot to before another is: a trunk or post, something low, or perhaps a piece."""
     (first, end), (side, above), (before, after) = ends, points, lines
-    n = n_free = n_thin = n_few = n_marked = 0
-    highest = first
-    low = inner = np.float32(np.inf)
-    high = outer = -low
+    n = n_free = n_thin = n_few = n_far = n_even = 0
+    head, top = first, thresholds.high_m
+    low = inner = few_low = few_inner = np.float32(np.inf)
+    high = outer = few_high = few_outer = -low
     for j in range(first, end):
         is_smooth = np.float32(smooth[j]) >= thresholds.smooth
         n += int(is_smooth)
-        if marks[j] != 0:
-            n_seen = np.float32(before[j]) + np.float32(after[j]) - np.float32(1)
-            n_marked += 1
-            n_few += int(n_seen <= thresholds.small_lines)
+        if marks[j] & FREE != 0:
             n_free += int(is_smooth)
-            n_thin += int(is_smooth and n_seen <= thresholds.thin_lines)
+            n_thin += int(is_smooth and _n_seen(before[j], after[j]) <= thresholds.thin_lines)
             inner, outer = min(inner, abs(side[j])), max(outer, abs(side[j]))
-            highest = j if above[j] > high else highest
             low, high = min(low, above[j]), max(high, above[j])
-    deep, tall, top = outer - inner, high - low, thresholds.high_m
+        if marks[j] & NARROW != 0:
+            n_few += 1
+            n_far += int(marks[j] & FREE != 0)
+            n_even += int(is_smooth)
+            head = j if above[j] > few_high else head
+            few_inner, few_outer = min(few_inner, abs(side[j])), max(few_outer, abs(side[j]))
+            few_low, few_high = min(few_low, above[j]), max(few_high, above[j])
+    deep, tall = few_outer - few_inner, few_high - few_low
     is_few = np.float32(n_few) >= max(thresholds.shots, thresholds.small_share * np.float32(end - first))
-    if is_few and high < top and deep <= thresholds.small_m and not _is_deep(window_m[line], points, ends, thresholds):
-        up = 1 if beams[1][max(highest - 1, 0)] > beams[1][min(highest + 1, len(side) - 1)] else -1
-        reach = high + _climb(window_m, line, highest, up, beams, top)
-        if reach < top:
-            is_post = np.float32(n_free) >= thresholds.share * np.float32(n_marked) and tall > thresholds.post_tall_m
-            return COLUMN if deep < thresholds.post_m and (is_post or reach < thresholds.post_top_m) else SMALL
+    if is_few and few_high < top and deep <= thresholds.small_m:
+        up = 1 if beams[1][max(head - 1, 0)] > beams[1][min(head + 1, len(side) - 1)] else -1
+        climbed = few_high + _climb(window_m, line, head, up, beams, top)
+        is_far = np.float32(n_far) >= thresholds.small_share * np.float32(n_few)
+        is_person = climbed > thresholds.person_m and (few_low <= CHEST_M or tall > thresholds.post_tall_m)
+        if climbed < top and (is_person or is_far):
+            is_post = np.float32(n_even) >= thresholds.share * np.float32(n_few) and tall > thresholds.post_tall_m
+            is_post = is_far and deep < thresholds.post_m and (is_post or climbed < thresholds.post_top_m)
+            return COLUMN if is_post else SMALL
+    deep, tall = outer - inner, high - low
     if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
         return np.uint8(0)
     if deep > thresholds.deep_m or low > thresholds.low_m or tall < thresholds.tall_m or high < top:
@@ -181,7 +195,7 @@ def _kind(
     n_asked = n_round = k = 0
     stride = max(n_free // SAMPLES, 1)
     for j in range(first, end):
-        if marks[j] == 0 or np.float32(smooth[j]) < thresholds.smooth:
+        if marks[j] & FREE == 0 or np.float32(smooth[j]) < thresholds.smooth:
             continue
         if k % stride == 0:
             across = abs(side[j]) / window_m[line, j]
@@ -217,14 +231,14 @@ def find_columns(
     n_lines, m = above_m.shape
     margin = (len(window_m) - n_lines) // 2
     jump, far = thresholds.jump_m, thresholds.far_m
-    after, lines = np.empty((n_lines, m), np.uint8), np.full(m, np.uint8(NO_END))
+    after, lines = np.empty((n_lines, m), np.uint8), np.full(m, NO_END)
     for k in range(len(window_m) - 3, margin - 1, -1):
         _count_on(window_m[k], window_m[k + 1], window_m[k + 2], jump, far, lines)
         if k < margin + n_lines:
             after[k - margin] = lines
     found = np.zeros((n_lines, m), np.uint8)
     marks, side = np.empty(m, np.uint8), np.empty(m, np.float32)
-    lines[:] = np.uint8(NO_END)
+    lines[:] = NO_END
     for k in range(2, margin + n_lines):
         _count_on(window_m[k], window_m[k - 1], window_m[k - 2], jump, far, lines)
         if k < margin:
@@ -243,17 +257,18 @@ def find_columns(
                 first -= 1
             while end < m and _goes_on(ranges, near, above, end - 1, end, thresholds):
                 end += 1
-            ends, place = (first, end), (side, above)
-            kind = _kind(window_m, k, ends, place, (lines, after[line]), smooth, marks, beams, thresholds)
+            ends, place, seen = (first, end), (side, above), (lines, after[line])
+            kind = _kind(window_m, k, ends, place, seen, smooth, marks, beams, thresholds)
             is_piece = kind == 0 and _is_short(ranges, above, first, end, thresholds)
             for j in range(first, end):
-                n_seen, own = np.float32(lines[j]) + np.float32(after[line, j]) - np.float32(1), kind
+                n_seen, own = _n_seen(lines[j], after[line, j]), kind
                 if kind == 0 and n_seen <= thresholds.piece_lines:
                     own = THIN if n_seen <= thresholds.slim_lines else (SHORT if is_piece else own)
                     own = FEW if own != 0 and np.float32(end - first) < thresholds.shots else own
-                if kind == COLUMN and np.float32(smooth[j]) < thresholds.smooth:
-                    own = np.uint8(0)
-                found[line, j] = own if marks[j] != 0 or kind == SMALL else np.uint8(0)
+                is_own = marks[j] & FREE != 0 and (kind != COLUMN or np.float32(smooth[j]) >= thresholds.smooth)
+                if is_own or kind == SMALL:
+                    is_fence = kind != 0 and above[j] < thresholds.high_m and _is_fence(window_m, k, j)
+                    found[line, j] = FENCE if is_fence else own
     return found
 
 
@@ -400,8 +415,7 @@ def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8)
                 first, last = min(first, side[j]), max(last, side[j])
         low = max(int(_bin(first, STRIP_M / np.float32(2.0))) + STRIPS, 0)
         high = min(int(_bin(last, STRIP_M / np.float32(2.0))) + STRIPS, 2 * STRIPS - 1)
-        for q in range(low, high + 1):
-            levels[q] = 1
+        levels[low : high + 1] = 1
 
 
 @kernel()
@@ -434,8 +448,7 @@ def fill_strips(
             every[k, b] = rough[k, b] = np.uint64(0)
             length[k, b] = wall[k, b] = place[k, b] = np.float32(0.0)
             top[k, b] = NO_TOP
-        for q in range(2 * STRIPS):
-            levels[k, q] = np.uint8(0)
+        levels[k] = np.uint8(0)
         own, above = range_m[k], above_m[k]
         for i in range(m):
             side[i] = own[i] * beams[0][i]
@@ -514,8 +527,7 @@ def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
 @helper
 def _lines_around(values: F32, line: int, there: U8, counts: U8) -> None:
     """Count the lines, of five, that have something in a strip or beside it."""
-    for b in range(STRIPS):
-        counts[b] = 0
+    counts[:] = 0
     there[0] = there[STRIPS + 1] = 0
     for k in range(line, line + 2 * LINES + 1):
         for b in range(STRIPS):

@@ -134,12 +134,14 @@ class ColumnThresholds(NamedTuple):
     """Most of their shots are seen by so few lines, too few to see whether they are round ..."""
     round_m: np.float32 = f32(0.03)
     """... or are of something round with at least this radius [m]."""
-    small_lines: np.float32 = f32(5)
+    small_lines: np.float32 = f32(7)
     """Lower things seen by so few lines ..."""
     small_share: np.float32 = f32(0.7)
     """... in this share of their shots ..."""
-    small_m: np.float32 = f32(0.7)
+    small_m: np.float32 = f32(0.5)
     """... and no deeper than this are people and the like [m] ..."""
+    person_m: np.float32 = f32(1.5)
+    """... if they go up to this, or nothing stands close behind them [m] ..."""
     post_m: np.float32 = f32(0.12)
     """... or bollards, if no deeper than this [m] ..."""
     post_tall_m: np.float32 = f32(0.4)

@@ -46,31 +46,22 @@ def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
     """Mark the shots whose label differs from that of a shot a few columns away, or of an adjacent line."""
     m = len(own)
     for i in range(m):
-        label = own[i]
-        votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-        unsettled[i] = votes & (_differs(before[i], label) | _differs(after[i], label))
-    if m <= VOTERS:
-        first, last = own[0], own[m - 1]
-        for i in range(m):
-            label = own[i]
-            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-            unsettled[i] |= votes & (_differs(first, label) | _differs(last, label))
-        return
+        unsettled[i] = _differs(before[i], own[i]) | _differs(after[i], own[i])
+    # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost shot
+    n = min(VOTERS, m)
     for way in range(2):
-        # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost shot
-        asker = own[: m - VOTERS] if way == 0 else own[VOTERS:]
-        asked = own[VOTERS:] if way == 0 else own[: m - VOTERS]
-        marks = unsettled[: m - VOTERS] if way == 0 else unsettled[VOTERS:]
-        for i in range(m - VOTERS):
-            label = asker[i]
-            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-            marks[i] |= votes & _differs(asked[i], label)
+        asker = own[: m - n] if way == 0 else own[n:]
+        asked = own[n:] if way == 0 else own[: m - n]
+        marks = unsettled[: m - n] if way == 0 else unsettled[n:]
+        for i in range(m - n):
+            marks[i] |= _differs(asked[i], asker[i])
         end = own[m - 1] if way == 0 else own[0]
-        for k in range(VOTERS):
-            i = m - VOTERS + k if way == 0 else k
-            label = own[i]
-            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
-            unsettled[i] |= votes & _differs(end, label)
+        for k in range(n):
+            i = m - n + k if way == 0 else k
+            unsettled[i] |= _differs(end, own[i])
+    for i in range(m):
+        label = own[i]
+        unsettled[i] &= (label != _MISSING) & (label != _NOISE) & (label != _GROUND) & (label != _OTHER)
 
 
 @helper
@@ -148,8 +139,8 @@ def vote_labels(
 ) -> U8_2:
     """Let every shot that is neither ground nor noise take the label of most of the shots around it.
 
-    A shot keeps its label where the shots four columns to both sides and in the adjacent lines have the same one. Noise
-    does not vote.
+    A small thing keeps its label, and so does a shot where those four columns to both sides and in the adjacent lines
+    have the same one. Noise does not vote.
 
     ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` tuple of (M,) float32;
     returns (lines, M) uint8.
@@ -167,8 +158,7 @@ def vote_labels(
         if line < 2:
             continue
         own, row = labels[line - 1], voted[line - 2]
-        for i in range(m):
-            row[i] = own[i]
+        row[:] = own
         _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
         a, b = (line - 2) % 3, (line - 1) % 3
         lines = (side[a], height[a], weights[a]), (side[b], height[b], weights[b]), (side[c], height[c], weights[c])
