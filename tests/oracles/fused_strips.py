@@ -41,7 +41,8 @@ def fill_strips(
             continue
         bit = np.uint64(1 << min(int(above[k, i] / SLOT), 63))
         every[k, strip] |= bit
-        beside = smooth[k, i - 1 : i + 2] if 0 < i < ranges.shape[1] - 1 else smooth[k, i]
+        reach = min(i, ranges.shape[1] - 1 - i, 2)
+        beside = smooth[k, i - reach : i + reach + 1]
         if np.all(beside <= thresholds.rough):
             rough[k, strip] |= bit
         stands_for = ranges[k, i] * step / max(abs(y) / ranges[k, i], np.float32(0.3))

@@ -304,16 +304,17 @@ def _list_counted(
 
 @helper
 def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
-    """Mark the shots of a line that are rough between rough ones.
+    """Mark the shots of a line that are rough between two rough ones on either side.
 
-    In crowns all shots are; at the ends of a pole or an edge of a wall a single one is.
+    In crowns all shots are; at the ends of a pole or an edge of a wall, where every second one is compared, two are.
     """
     m = len(pairs)
     for i in range(m):
         rough[i] = np.uint8(np.float32(pairs[i]) <= most)
-    before, own, after = pairs[: m - 2], rough[1 : m - 1], pairs[2:]
-    for i in range(m - 2):
-        own[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
+    for away in (1, 2):
+        before, own, after = pairs[: m - 2 * away], rough[away : m - away], pairs[2 * away :]
+        for i in range(m - 2 * away):
+            own[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
 
 
 @helper
