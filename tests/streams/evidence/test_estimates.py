@@ -21,7 +21,7 @@ from prc_cli.streams.evidence import periods as estimates
 from prc_cli.streams.evidence.figures import LineSample, Window, figures_of
 from prc_cli.streams.evidence.lines import other_reading
 from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates
-from prc_cli.streams.evidence.place import SAMPLE_LINES, place_of, place_of_blocks
+from prc_cli.streams.evidence.place import MOST_LINES, SAMPLE_LINES, place_of, place_of_blocks
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -268,6 +268,16 @@ def test_the_answer_depends_on_the_lines_alone(cut: int) -> None:
         return found
 
     assert place_of_blocks(iter(blocks())) == place_of(lines[5 : 5 + SAMPLE_LINES], BEAM)
+
+
+@pytest.mark.parametrize("cut", [1, 64, 100, 400])
+def test_where_the_first_lines_leave_it_open_more_are_looked_at(cut: int) -> None:
+    lines = np.concatenate([forest_lines(24), street_lines(MOST_LINES)[0]])
+    first = place_of(lines[:SAMPLE_LINES], BEAM)
+    blocks = (ScanBlock(at, lines[at : at + cut], beam_rad=BEAM) for at in range(0, len(lines), cut))
+    found = place_of_blocks(blocks)
+    assert (first.kind, found.kind) == ("forest", "street")
+    assert found == place_of(lines[:MOST_LINES], BEAM)
 
 
 @pytest.mark.parametrize("chunk", [1, 31, 32, 33, 300])
