@@ -92,7 +92,7 @@ class ThinningSummary(Doubted):
         }
 
 
-def thin(  # noqa: PLR0913 - all but the files and rules are named
+def thin(
     source: Path | str,
     output: Path | str,
     rules: tuple[ThinRule, ...] | None = None,
