@@ -19,6 +19,8 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import MAX_RINGS, ScanBlock
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.bags.messages import Cursor, expect
+from prc_cli.formats.bags.numbers import RingNumbers
+from prc_cli.formats.bags.sweep import SLACK, Sweep, azimuths, share_times
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets.columns import MAX_EMPTY, MAX_SHIFT, SPARE_CELLS, ColumnLines, Columns, choose
 
@@ -26,8 +28,6 @@ CLOUD = "sensor_msgs/PointCloud2"
 RINGS = ("ring", "channel", "laser_id")
 TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
 LIGHTS = ("intensity", "reflectivity", "signal", "i")
-_WIDTHS = (4, 8, 16, 32, 40, 64, 80, 128, MAX_RINGS)
-"""Rings of scanners: a ring that does not return in the first message has its place."""
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _MAX_FIELDS = 100
 _ABSOLUTE_S = 1e6
@@ -142,6 +142,20 @@ class Timing:
     """(rings,) float64, by ring: how long after the first of a column its laser fires [s]."""
     is_together: bool = False
     """Whether all lasers of a column fire at one time."""
+    fired_s: F64 | None = None
+    """(columns,) float64, when every column was fired, where the period does not tell it [s]."""
+
+    @property
+    def n_columns(self) -> int:
+        """Number of columns."""
+        return int(self.column.max()) + 1
+
+    def starts_s(self, n: int) -> F64:
+        """Return when each of the first columns was fired, (n,) float64 [s]."""
+        if self.fired_s is not None:
+            return self.fired_s[:n]
+        starts: F64 = self.start_s + np.arange(n, dtype=np.float64) * self.period_s
+        return starts
 
     def again(self, ring: I64, time_s: F64, n_first: int) -> Timing | None:
         """Return the columns of later points, the first of which are one column; None where the clock does not fit."""
@@ -174,7 +188,12 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
         if not period or not every[-1] * _LEAST_PERIOD_S < _MOST_COLUMNS * period:
             return None
         number = np.cumsum(np.rint(np.diff(every, prepend=0.0) * (_LEAST_PERIOD_S / period))).astype(np.int64)
-        return Timing(period, start, number[which], np.zeros(int(ring.max()) + 1), is_together=True)
+        # between columns that returned; a period in whole microseconds would run away from them
+        known_s = start + every * _LEAST_PERIOD_S
+        fired_s: F64 = np.interp(np.arange(int(number[-1]) + 1), number, known_s)
+        period = float(every[-1]) * _LEAST_PERIOD_S / max(int(number[-1]), 1)
+        late_s = np.zeros(int(ring.max()) + 1)
+        return Timing(period, start, number[which], late_s, is_together=True, fired_s=fired_s)
     order = np.lexsort((time_s, ring))
     own, at = ring[order], time_s[order]
     steps = np.diff(at)
@@ -242,23 +261,45 @@ class CloudLines:
     def __init__(self, where: str, scanner: int, first: Cloud, config: InputConfig) -> None:
         self._where, self._config = where, config
         has = np.isfinite(first.range_m) & (first.ring >= 0) & np.isfinite(first.time_s)
-        if not has.any() or first.ring[has].max() >= MAX_RINGS:
+        numbers = RingNumbers.of(first.ring[has]) if has.any() else None
+        if numbers is None:
             found = "no point" if not has.any() else f"ring {int(first.ring[has].max())}"
-            problem = f"found {found} in the first message, expected points of rings 0 to {MAX_RINGS - 1}"
+            problem = f"found {found} in the first message, expected points of at most {MAX_RINGS} rings"
             raise InputError(where, problem, "record the scanner's own topic")
-        n_rings = int(first.ring[has].max()) + 1
-        self.points_per_line = next(width for width in _WIDTHS if width >= n_rings)
+        self.points_per_line, self._numbers = numbers.n_rings, numbers
         self.has_returns = False
-        timing = find_columns(first.ring[has], first.time_s[has])
-        if timing is None:
-            problem = "the points of a ring have one time, expected a time a point"
-            raise InputError(where, problem, "let the driver write the times of the points")
-        self._place, shift = _geometry(first.ring[has], timing, first.xyz_m[has], self.points_per_line)
+        ring, time_s, xyz_m = numbers.of_points(first.ring[has]), first.time_s[has], first.xyz_m[has]
+        self._sweep: Sweep | None = None
+        """Where times do not tell columns."""
+        azimuth_rad = azimuths(xyz_m)
+        is_coarse = share_times(ring, time_s, azimuth_rad)
+        if is_coarse:
+            self._sweep = Sweep.of(ring, time_s, azimuth_rad, self.points_per_line)
+        timing = None if is_coarse else find_columns(ring, time_s)
+        if self._sweep is not None:
+            place = _place(ring, xyz_m, self.points_per_line)
+            shift = np.zeros_like(self._sweep.shift)
+            shift[place] = self._sweep.shift
+        elif timing is not None:
+            place = _place(ring, xyz_m, self.points_per_line)
+            shift = _stagger(ring, timing, azimuth_rad, place)
+        else:
+            raise self._no_columns(ring, time_s, is_coarse=is_coarse)
+        self._place = place
         self._lines = ColumnLines(where, scanner, shift, config)
         self._rest: _Points | None = None
-        """Points of the last column: the next message may have more of it."""
+        """Points of the last columns: the next message may have more of them."""
         self._rest_line = 0
         self._timing = timing
+
+    def _no_columns(self, ring: I64, time_s: F64, *, is_coarse: bool) -> InputError:
+        """Return why the points of a first message lie in no columns."""
+        if not is_coarse or len(np.unique(time_s)) < 3:
+            problem = "the points of a ring have one time, expected a time a point"
+            return InputError(self._where, problem, "let the driver write the times of the points")
+        most = int(np.bincount(ring).max())
+        problem = f"{most} points of a ring share {len(np.unique(time_s))} times, and look all around at one time"
+        return InputError(self._where, problem, "record every scanner with a topic or a frame of its own")
 
     def add(self, cloud: Cloud, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield the lines that are complete."""
@@ -267,53 +308,88 @@ class CloudLines:
             cloud.ring, cloud.time_s, cloud.xyz_m, cloud.range_m, cloud.intensity,
             np.arange(first_record, first_record + cloud.n_records),
         )  # fmt: skip
-        use = (cloud.ring >= 0) & np.isfinite(cloud.time_s)
+        if cloud.n_records and cloud.ring.max() >= len(self._numbers.index):
+            problem = f"found ring {int(cloud.ring.max())}, expected {m} rings as in the first message"
+            raise InputError(self._where, problem, "record every set-up in a bag of its own")
+        points = points._replace(ring=self._numbers.of_points(points.ring))
+        use = (points.ring >= 0) & np.isfinite(cloud.time_s)
         if not use.all():
             points = points.part(use)
-        if len(points.ring) and points.ring.max() >= m:
-            problem = f"found ring {int(points.ring.max())}, expected {m} rings as in the first message"
-            raise InputError(self._where, problem, "record every set-up in a bag of its own")
         n_new, n_rest = len(points.ring), 0 if self._rest is None else len(self._rest.ring)
-        self._lines.count_not_fired(cloud.n_records - n_new)
+        n_strange = int(np.count_nonzero((cloud.ring >= 0) & ~use & np.isfinite(cloud.range_m)))
+        self._lines.count_unplaced(n_strange)
+        self._lines.count_not_fired(cloud.n_records - n_new - n_strange)
         if self._rest is not None:
             points = _Points(*(np.concatenate([a, b]) for a, b in zip(self._rest, points, strict=True)))
         if not len(points.ring):
             return
-        timing = self._timing.again(points.ring, points.time_s, n_rest) or find_columns(points.ring, points.time_s)
+        if self._sweep is not None:
+            yield from self._add_by_azimuth(points, self._sweep)
+            return
+        again = None if self._timing is None else self._timing.again(points.ring, points.time_s, n_rest)
+        timing = again or find_columns(points.ring, points.time_s)
         if timing is None:
             self._rest = points
             if len(points.ring) > _MOST_WAITING:
                 problem = f"the times of {len(points.ring)} points tell no columns, expected a time a firing"
                 raise InputError(self._where, problem, "let the driver write the times of the points")
             return
-        n = int(timing.column.max()) + 1
-        if n * m > MAX_EMPTY * len(points.ring) + SPARE_CELLS:
-            problem = f"{n_new} points lie in {n} columns of {timing.period_s:.3g} s, expected many to a column"
-            raise InputError(self._where, problem, "look at the times of the points")
+        n = timing.n_columns
+        self._check_size(n, timing, len(points.ring))
         base = self._rest_line - (int(np.median(timing.column[:n_rest])) if n_rest else 0)
         is_last = timing.column == n - 1
         self._rest, self._rest_line, self._timing = points.part(is_last), base + n - 1, timing
         if n > 1:
             yield from self._lines.add(self._columns(points, ~is_last, n - 1, base))
 
+    def _add_by_azimuth(self, points: _Points, sweep: Sweep) -> Iterator[ScanBlock]:
+        """Take points whose times do not tell columns."""
+        placed = sweep.place(points.ring, points.time_s, azimuths(points.xyz_m))
+        late_s = np.zeros(self.points_per_line)
+        timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
+        n = timing.n_columns
+        self._check_size(n, timing, len(points.ring))
+        waits = placed.column >= n - SLACK
+        self._rest, self._rest_line, self._timing = points.part(waits), placed.base + max(n - SLACK, 0), timing
+        if n > SLACK:
+            yield from self._lines.add(self._columns(points, ~waits, n - SLACK, placed.base))
+
+    def _check_size(self, n: int, timing: Timing, n_points: int) -> None:
+        if n * self.points_per_line > MAX_EMPTY * n_points + SPARE_CELLS:
+            problem = f"{n_points} points lie in {n} columns of {timing.period_s:.3g} s, expected many to a column"
+            raise InputError(self._where, problem, "look at the times of the points")
+
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
         rest = self._rest
         if rest is not None and len(rest.ring):
-            late_s = self._timing.late_s
-            start_s = float((rest.time_s - late_s[rest.ring.clip(max=len(late_s) - 1)]).min())
-            self._timing = replace(self._timing, start_s=start_s, column=np.zeros(len(rest.ring), np.int64))
-            yield from self._lines.add(self._columns(rest, np.ones(len(rest.ring), np.bool_), 1, self._rest_line))
+            n, base = 1, self._rest_line
+            if self._sweep is not None:
+                placed = self._sweep.place(rest.ring, rest.time_s, azimuths(rest.xyz_m))
+                late_s = np.zeros(self.points_per_line)
+                self._timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
+                n, base = self._timing.n_columns, placed.base
+            elif self._timing is not None:
+                late_s = self._timing.late_s
+                start_s = float((rest.time_s - late_s[rest.ring.clip(max=len(late_s) - 1)]).min())
+                column = np.zeros(len(rest.ring), np.int64)
+                self._timing = replace(self._timing, start_s=start_s, column=column, fired_s=None)
+            yield from self._lines.add(self._columns(rest, np.ones(len(rest.ring), np.bool_), n, base))
             self._rest = None
         yield from self._lines.finish()
 
     def lost(self) -> str:
-        """Return a sentence on columns that did not arrive, empty if all did."""
-        return self._lines.lost()
+        """Return a sentence on what is unusual about rings, times and columns; empty if nothing is."""
+        of_times = ""
+        if self._sweep is not None:
+            step_deg = math.degrees(self._sweep.step_rad)
+            of_times = f"points of several columns share a time: columns are azimuths, {step_deg:.3g} deg apart"
+        return "; ".join(told for told in (self._numbers.note, of_times, self._lines.lost()) if told)
 
     def _columns(self, points: _Points, use: Mask, n: int, base: int) -> Columns:
         """Put points into the cells of ``n`` columns; the second of a cell is its further return."""
         m, timing = self.points_per_line, self._timing
+        assert timing is not None
         point = np.flatnonzero(use)
         cell = (timing.column * m + self._place[points.ring])[point]
         # of several points of a cell, the first one is written last
@@ -321,7 +397,8 @@ class CloudLines:
         first[cell[::-1]] = point[::-1]
         again = first[cell] != point
         second[cell[again][::-1]] = point[again][::-1]
-        self._lines.count_not_fired(int(np.count_nonzero(again)) - int(np.count_nonzero(second >= 0)))
+        # a cell holds two returns
+        self._lines.count_collisions(int(np.count_nonzero(again)) - int(np.count_nonzero(second >= 0)))
         returns = [first, second] if again.any() else [first]
         cells = np.stack(returns, axis=-1).reshape(n, m, -1)
 
@@ -335,16 +412,22 @@ class CloudLines:
         late: F64 = np.zeros(m)
         late[self._place[: len(timing.late_s)]] = timing.late_s[:m]
         time_s = pick(points.time_s, own, np.nan)
-        fired = timing.start_s + np.arange(n)[:, None] * timing.period_s + late
+        starts_s = timing.starts_s(n)
+        if timing.is_together:
+            # empty cells have the very time of their column
+            own_s = np.fmin.reduce(time_s, axis=1)
+            starts_s = np.where(np.isnan(own_s), starts_s, own_s)
+        fired = starts_s[:, None] + late
+        is_made_up = np.isnan(time_s) | (self._sweep is not None)
         return Columns(
-            base + np.arange(n), range_m, pick(points.record, own, -1), np.where(np.isnan(time_s), fired, time_s),
+            base + np.arange(n), range_m, pick(points.record, own, -1), np.where(is_made_up, fired, time_s),
             pick(points.xyz_m, own, np.nan), light, further_m,
             None if other is None else pick(points.record, other, -1),
         )  # fmt: skip
 
 
-def _geometry(ring: I64, timing: Timing, xyz_m: F32, m: int) -> tuple[I64, I64]:
-    """Return the place of every ring in a line, from low to high, and the shift of every place in columns."""
+def _place(ring: I64, xyz_m: F32, m: int) -> I64:
+    """Return the place of every ring in a line, from low to high, (m,) int64."""
     x, y, z = xyz_m.astype(np.float64).T
     elevation = np.arctan2(z, np.hypot(x, y))
     present = np.unique(ring)
@@ -356,7 +439,7 @@ def _geometry(ring: I64, timing: Timing, xyz_m: F32, m: int) -> tuple[I64, I64]:
     order = np.argsort(every, kind="stable")
     place: I64 = np.empty(m, np.int64)
     place[order] = np.arange(m)
-    return place, _stagger(ring, timing, np.arctan2(y, x), place)
+    return place
 
 
 def _stagger(ring: I64, timing: Timing, azimuth: F64, place: I64) -> I64:

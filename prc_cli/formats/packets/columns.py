@@ -80,11 +80,19 @@ class ColumnLines:
         """First line that was not given out."""
         self._next = 0
         """Least column that may come."""
-        self._n_columns = self._n_lost = self._unplaced = self._not_fired = 0
+        self._n_columns = self._n_lost = self._unplaced = self._not_fired = self._collisions = 0
 
     def count_not_fired(self, n: int) -> None:
         """Count records of columns that the scanner itself marks as empty; they have no place in a line."""
         self._not_fired += n
+
+    def count_unplaced(self, n: int) -> None:
+        """Count records that lie in no ring."""
+        self._unplaced += n
+
+    def count_collisions(self, n: int) -> None:
+        """Count records whose cell is full."""
+        self._collisions += n
 
     def add(self, columns: Columns) -> Iterator[ScanBlock]:
         """Take columns; yield the lines that are complete."""
@@ -204,8 +212,9 @@ class ColumnLines:
             )  # fmt: skip
             n_records += int(np.count_nonzero(lines.further_record >= 0))
             tally = tally + replace(more, n_extra_returns=len(line))
-        n_records += self._unplaced + self._not_fired
-        unplaced, self._unplaced, self._not_fired = self._unplaced, 0, 0
+        n_records += self._unplaced + self._not_fired + self._collisions
+        unplaced, collisions = self._unplaced, self._collisions
+        self._unplaced = self._not_fired = self._collisions = 0
         return ScanBlock(
             first_line=self._base,
             range_m=ranges,
@@ -215,7 +224,7 @@ class ColumnLines:
             xyz_m=lines.xyz_m,
             intensity=lines.intensity,
             extra=extra,
-            tally=tally + ReadTally(n_records=n_records, n_unplaced=unplaced),
+            tally=tally + ReadTally(n_records=n_records, n_unplaced=unplaced, n_collisions=collisions),
         )
 
 

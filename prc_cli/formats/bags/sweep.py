@@ -1,0 +1,194 @@
+"""Firing columns of clouds whose points share times: those of packets, or times cut to a part of a second.
+
+Such times tell the turn, and how fast the scanner turns; the azimuth tells the column. Along every ring columns rise
+strictly and follow the azimuth as closely as possible (isotonic regression), as in frames of rings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I64, Mask
+from prc_cli.formats.packets.columns import MAX_SHIFT
+
+SAME_SHOT_RAD = 3e-4
+"""Returns of one shot differ less in azimuth; columns are 0.05 deg apart and more [rad]."""
+MANY = 0.01
+"""Share of points that share a ring and a time with another column from which times do not tell columns."""
+SAME_SHOT = 0.1
+"""The same, in columns."""
+SLACK = 3
+"""Columns that wait for the points of the next message."""
+NEIGHBOUR = 1.5
+"""Steps below this multiple of the median are between neighbours."""
+DENSEST = 25.0
+"""Percentile of steps for the step: cells must be fine enough where shots are densest."""
+WINDOW = 16
+"""Steps in a row that one is measured over."""
+TOO_WIDE = 3.0
+"""Points of a time lie within what the scanner turns until the next, this often at most; else others are among them."""
+TOO_WIDE_RAD = math.radians(30.0)
+"""A group may be this much wider: the lasers of a column look this far apart [rad]."""
+_TURN = 2 * math.pi
+
+
+def wrap(angle: F64) -> F64:
+    """Bring angles into [-pi, pi)."""
+    wrapped: F64 = (angle + math.pi) % _TURN - math.pi
+    return wrapped
+
+
+def share_times(ring: I64, time_s: F64, azimuth_rad: F64) -> bool:
+    """Return whether many points have the ring and the time of a point of another column."""
+    order = np.lexsort((azimuth_rad, time_s, ring))
+    is_same = (np.diff(ring[order]) == 0) & (np.diff(time_s[order]) == 0)
+    is_other = np.abs(wrap(np.diff(azimuth_rad[order]))) > SAME_SHOT_RAD
+    return bool(np.count_nonzero(is_same & is_other) > MANY * len(ring))
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Columns of points."""
+
+    column: I64
+    """(n,) int64, column of every point, from 0."""
+    base: int
+    """Number of column 0 since the first of the recording."""
+    time_s: F64
+    """(columns,) float64, when each was fired, about [s]."""
+
+
+@dataclass(slots=True)
+class Sweep:
+    """How a scanner turns, and how far it has come."""
+
+    rate_rad_s: float
+    """Turned in a second; positive = anticlockwise seen from above."""
+    step_rad: float
+    """From column to column [rad]."""
+    shift: I64
+    """(rings,) int64, columns that a ring looks ahead."""
+    time_s: float
+    """A time ..."""
+    azimuth_rad: float
+    """... and the azimuth at it, counted on over all turns [rad]."""
+    begin: float = math.nan
+    """Place of the first column, in columns."""
+    next: int = 0
+    """First column that was not given out."""
+    last_s: float = -math.inf
+    """Time of the last column that was given out."""
+
+    @classmethod
+    def of(cls, ring: I64, time_s: F64, azimuth_rad: F64, n_rings: int) -> Sweep | None:
+        """Measure the turning of a first message; None where its times do not tell it."""
+        every, middle, spread = _groups(time_s, azimuth_rad)
+        if len(every) < 3:
+            return None
+        steps = wrap(np.diff(middle))
+        rate = float(steps.sum()) / float(every[-1] - every[0])
+        usual = float(np.median(np.abs(steps)))
+        if not rate or usual > math.pi / 2 or float(np.median(spread)) > TOO_WIDE * usual + TOO_WIDE_RAD:
+            return None
+        sweep = cls(rate, 0.0, np.zeros(n_rings, np.int64), float(every[0]), float(middle[0]))
+        along = sweep.along(time_s, azimuth_rad)
+        sweep.step_rad = find_step(ring, along)
+        if not sweep.step_rad:
+            return None
+        ahead = (along - abs(rate) * (time_s - every[0])) / sweep.step_rad
+        own = np.array([np.median(ahead[ring == one]) for one in np.unique(ring)])
+        shift = np.rint(own - own.mean()).astype(np.int64).clip(-MAX_SHIFT, MAX_SHIFT)
+        # columns that wait for others make up for less
+        sweep.shift[np.unique(ring)] = np.where(np.abs(shift) < SLACK, 0, shift)
+        return sweep
+
+    def along(self, time_s: F64, azimuth_rad: F64) -> F64:
+        """Return how far the scanner had turned at points, the way it turns [rad]."""
+        way = math.copysign(1.0, self.rate_rad_s)
+        expected = self.azimuth_rad + self.rate_rad_s * (time_s - self.time_s)
+        turned: F64 = way * (azimuth_rad + _TURN * np.rint((expected - azimuth_rad) / _TURN))
+        return turned
+
+    def place(self, ring: I64, time_s: F64, azimuth_rad: F64) -> Placed:
+        """Return the columns of the next points."""
+        along = self.along(time_s, azimuth_rad)
+        place = along / self.step_rad - self.shift[ring]
+        if math.isnan(self.begin):
+            self.begin = float(place.min())
+        column = rising_columns(ring, place - self.begin)
+        # what is placed again with what follows it may come to lie a little farther back
+        column = np.where(column >= self.next - SLACK, np.maximum(column, self.next), column)
+        least = int(column.min())
+        n = int(column.max()) - least + 1
+        fired = np.array([np.median(time_s - place * (self.step_rad / abs(self.rate_rad_s)))])
+        fired = fired + (self.begin + least + np.arange(n)) * (self.step_rad / abs(self.rate_rad_s))
+        # columns are fired one after the other, however the clock of packets jumps
+        fired = np.maximum(fired, self.last_s)
+        self.next = max(self.next, least + n - SLACK)
+        self.last_s = max(self.last_s, float(fired[max(n - SLACK - 1, 0)]))
+        newest = time_s == time_s.max()
+        self.time_s, way = float(time_s.max()), math.copysign(1.0, self.rate_rad_s)
+        self.azimuth_rad = way * float(np.median(along[newest]))
+        return Placed(column - least, least, fired)
+
+
+def _groups(time_s: F64, azimuth_rad: F64) -> tuple[F64, F64, F64]:
+    """Return the times, the mean azimuth of the points of each, and how far they spread around it."""
+    every, which = np.unique(time_s, return_inverse=True)
+    unit = [np.bincount(which.ravel(), wave(azimuth_rad)) for wave in (np.cos, np.sin)]
+    middle: F64 = np.arctan2(unit[1], unit[0])
+    off = np.abs(wrap(azimuth_rad - middle[which.ravel()]))
+    return every, middle, 2 * np.bincount(which.ravel(), off) / np.bincount(which.ravel())
+
+
+def find_step(ring: I64, along_rad: F64) -> float:
+    """Return the angle from column to column where they are densest [rad]; 0 = unknown."""
+    order = np.lexsort((along_rad, ring))
+    steps = np.diff(along_rad[order])
+    steps = steps[(np.diff(ring[order]) == 0) & (steps > SAME_SHOT_RAD)]
+    if not len(steps):
+        return 0.0
+    # shots are left out more often than not: the usual step is among the short ones
+    usual = float(np.percentile(steps, DENSEST))
+    near = steps[steps < NEIGHBOUR * usual]
+    n = len(near) // WINDOW * WINDOW
+    means = near[:n].reshape(-1, WINDOW).mean(axis=1) if n else near
+    return float(np.percentile(means, DENSEST))
+
+
+def rising_columns(ring: I64, place: F64) -> I64:
+    """Return the column of every point: it rises along a ring, and follows the place.
+
+    Returns of one shot have one place, and one column:
+
+    >>> rising_columns(np.zeros(5, np.int64), np.array([0.1, 0.9, 0.9, 1.2, 4.0])).tolist()
+    [0, 1, 1, 2, 4]
+    """
+    from scipy.optimize import isotonic_regression  # imported here: loading takes time
+
+    order = np.lexsort((place, ring))
+    own, at = ring[order], place[order]
+    is_new: Mask = np.ones(len(at), np.bool_)
+    is_new[1:] = (np.diff(own) != 0) | (np.diff(at) > SAME_SHOT)
+    shot = np.cumsum(is_new) - 1
+    starts = np.flatnonzero(is_new)
+    first, ring_of = at[starts], own[starts]
+    column = np.empty(len(first), np.int64)
+    borders = [*np.flatnonzero(np.diff(ring_of, prepend=-1)).tolist(), len(first)]
+    for begin, stop in pairwise(borders):
+        # strictly rising = ordinal plus a function that does not fall
+        ordinal = np.arange(stop - begin)
+        column[begin:stop] = np.rint(isotonic_regression(first[begin:stop] - ordinal).x).astype(np.int64) + ordinal
+    found = np.empty(len(ring), np.int64)
+    found[order] = column[shot]
+    return found
+
+
+def azimuths(xyz_m: F32) -> F64:
+    """Return azimuths of points, (n, 3) float32, (n,) float64 [rad]."""
+    azimuth: F64 = np.arctan2(xyz_m[:, 1].astype(np.float64), xyz_m[:, 0].astype(np.float64))
+    return azimuth
