@@ -16,8 +16,8 @@ from prc_cli.core.errors import EvidenceError
 
 CHECK_NAMES = (
     "thinned",
-    "ranges", "rounding", "missing-code", "shot-order", "line-length", "columns-along", "line-order", "standing",
-    "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers", "dropouts",
+    "ranges", "rounding", "missing-code", "shot-order", "few-lines", "line-length", "columns-along", "line-order",
+    "standing", "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers", "dropouts",
     "range-noise", "units", "angle-step", "down", "method", "ground-below", "ground-lean", "below-ground",
     "noise-share", "indoors", "few-rings", "classes-along",
 )  # fmt: skip

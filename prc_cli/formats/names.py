@@ -31,6 +31,13 @@ _UNIT = re.compile(r"(?P<name>.+?) ?(?:_|\(|\[| ) ?(?P<unit>mm|cm|m|ft|s|ms|us|n
 many of them would take hours."""
 ZENITH = "zenith"
 """Angles from straight up: straight down is 180 degrees."""
+_FROM_UP = (ZENITH, "zenith_angle", "polar", "polar_angle", "colatitude")
+"""Vertical angles from straight up."""
+_FROM_LEVEL = ("elevation", "elevation_angle", "altitude", "inclination")
+"""Vertical angles from level, upwards: straight down is -90 degrees."""
+_VERTICAL = ("vertical_angle", "vertical", "v")
+"""Vertical angles from up or from level: the ranges tell which."""
+_HORIZONTAL = ("azimuth", "horizontal_angle", "horizontal", "hz", "phi", "az")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +89,11 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
     plain = [split_unit(name)[0] for name in names]
     found: dict[str, Usual] = {}
     for standard in (*STANDARD_NAMES, "ring"):
-        for alias in NAMES.get(standard, (standard,)):
+        aliases = NAMES.get(standard, (standard,))
+        if standard == "angle" and "range" in found:
+            # of two directions the vertical one turns within a line
+            aliases = (*aliases[:2], *_vertical_names(plain), *aliases[2:])
+        for alias in aliases:
             if (alias in _BESIDE_RANGE and "range" not in found) or (alias == "r" and {"g", "b"} <= set(lowered)):
                 continue
             known = lowered if alias in lowered or standard not in UNITS else plain
@@ -91,6 +102,14 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
                 found[standard] = Usual(names[index], index, unit_of(standard, names[index]))
                 break
     return found
+
+
+def _vertical_names(plain: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of vertical angles, where a horizontal one is beside them; alone they may be heights."""
+    by_word = {name.replace(" ", "_"): name for name in plain}
+    if not by_word.keys() & set(_HORIZONTAL):
+        return ()
+    return tuple(by_word[word] for word in (*_FROM_UP, *_FROM_LEVEL, *_VERTICAL) if word in by_word)
 
 
 def find_columns(
@@ -161,7 +180,14 @@ def _check_once(where: str, names: Sequence[str], name: str) -> None:
 
 
 def angle_rules(name: str | None) -> tuple[KnownRule, ...]:
-    """Return what the name of the angles says of straight down."""
-    if name is None or split_unit(name)[0] != ZENITH:
-        return ()
-    return (KnownRule("nadir", "180", f"{name!r} counts from straight up"),)
+    """Return what the name of the angles says of straight down.
+
+    >>> [rule.value for name in ("zenith", "Elevation [deg]", "scan_angle") for rule in angle_rules(name)]
+    ['180', '-90']
+    """
+    word = "" if name is None else split_unit(name)[0].replace(" ", "_")
+    if word in _FROM_UP:
+        return (KnownRule("nadir", "180", f"{name!r} counts from straight up"),)
+    if word in _FROM_LEVEL:
+        return (KnownRule("nadir", "-90", f"{name!r} counts from level"),)
+    return ()

@@ -65,10 +65,14 @@ def choice_by_request(config: RunConfig, *, engine: Engine = "compiled") -> Meth
 
 
 def choice_by_beams(
-    first: ScanBlock, blocks: Iterator[ScanBlock], known: str = "the angles of the beams are known"
+    first: ScanBlock,
+    blocks: Iterator[ScanBlock],
+    known: str = "the angles of the beams are known",
+    *,
+    may_spin: bool = True,
 ) -> MethodChoice:
-    """Return the choice for an input whose beam directions are known."""
-    if first.beam_rad is not None and is_fan(first.beam_rad):
+    """Return the choice for an input whose beam directions are known; ``may_spin``: it is no static scan."""
+    if may_spin and first.beam_rad is not None and is_fan(first.beam_rad):
         return MethodChoice("rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do")
     place = place_of_blocks(blocks)
     if place.kind == "forest":
@@ -100,7 +104,10 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
                     break
         is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
-        return choice_by_beams(next(iter(directed.blocks())), directed.blocks(), *known), directed
+        first_block = next(iter(directed.blocks()))
+        # rows of a tripod's scan may see as little as rings do, where the sky was cut off
+        may_spin = not stream.info.facts.has_scans
+        return choice_by_beams(first_block, directed.blocks(), *known, may_spin=may_spin), directed
     except (InputError, ConfigError) as refusal:
         scanner = refusal.where.rpartition(": ")[2] if isinstance(refusal, InputError) else ""
         every = stream.info.facts.scanners

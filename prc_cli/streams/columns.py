@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import RecordChunk
+from prc_cli.streams.steps import ONE, Step
 
 Table: TypeAlias = dict[str, NDArray[Any]]
 
@@ -84,6 +85,8 @@ class ColumnRule:
     """Shots a second."""
     line_hz: float | None = None
     """Lines a second, where lines are found by time."""
+    step: Step = ONE
+    """Step of the column numbers."""
 
 
 def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I64:
@@ -92,7 +95,7 @@ def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I6
     shots = records if starts.all() else take(records, starts)
     line: I64 = shots[LINE]
     if rule.dimension is not None:
-        return columns_by_dimension(shots[rule.dimension])
+        return columns_by_dimension(shots[rule.dimension], rule.step)
     if rule.grid is not None:
         column = columns_by_angle(shots["angle"], rule.grid)
         return spread_columns(column, line) if rule.grid.is_spread else column
@@ -136,8 +139,11 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
         return time_s + ordinal / shot_hz, ordinal, state
 
 
-def columns_by_dimension(number: NDArray[Any]) -> I64:
-    """Take column numbers from the input; values that are not whole numbers from 0 on mean none."""
+def columns_by_dimension(number: NDArray[Any], step: Step = ONE) -> I64:
+    """Take column numbers from the input; values that are not whole numbers from 0 on, by steps, mean none."""
+    if step.size > 1:
+        column, is_on_step = step.ordinal(columns_by_dimension(number))
+        return np.where(is_on_step & (column >= 0), column, NO_COLUMN)
     if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
         column = number.astype(np.int64)
         if not is_within(column, MAX_COLUMN):

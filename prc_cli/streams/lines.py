@@ -39,6 +39,7 @@ from prc_cli.streams.columns import (
 from prc_cli.streams.evidence.periods import MAX_SHOTS, WEAK_PERIOD, estimate_points_per_line
 from prc_cli.streams.order import OrderWatch
 from prc_cli.streams.rules import GridRules
+from prc_cli.streams.steps import ONE, Step
 
 MAX_FILL = 1.05
 """Longest duration of a line in periods: with more, the column number or the rate is wrong."""
@@ -110,6 +111,8 @@ class LineRules:
     """Records of the whole input if known, else 0."""
     n_spare: int | None = None
     """Cells allowed in addition to those for the records; None = any number of lines."""
+    step: Step = ONE
+    """Step of the line numbers of the dimension."""
 
     @property
     def begins_with_first(self) -> bool:
@@ -120,7 +123,7 @@ class LineRules:
 def find_lines(shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rules: LineRules) -> Found:
     """Find the line of the next shots."""
     if rules.dimension is not None:
-        return lines_by_dimension(shots[rules.dimension], state, rules.where)
+        return lines_by_dimension(shots[rules.dimension], state, rules.where, rules.step)
     if rules.line_hz is None:
         if rules.sweep is not None:
             line, wrap = lines_by_wrap(shots["angle"], rules.sweep, state.wrap)
@@ -137,9 +140,12 @@ def find_lines(shots: Table, time_s: F64 | None, n_shots: int, state: LineState,
     return lines_by_time(time_s, rules.line_hz, rules.half_shot_s, rules.origin_s, state, since)
 
 
-def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> Found:
-    """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines."""
-    if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
+def lines_by_dimension(number: NDArray[Any], state: LineState, where: str, step: Step = ONE) -> Found:
+    """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines.
+
+    Numbers are divided by their ``step``; those that are not on it have no line.
+    """
+    if step.size == 1 and number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
         if state.offset is None and len(number):
             state = replace(state, offset=int(number[0]))
         # fast path: nearly every file has 32-bit numbers
@@ -152,7 +158,8 @@ def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> Fo
     if odd.any():
         problem = f"found line number {value[int(np.argmax(odd))]:g}, expected whole numbers"
         raise InputError(where, problem, "name the dimension that counts lines: --lines dimension:NAME")
-    line = value.astype(np.int64)
+    line, is_on_step = step.ordinal(value.astype(np.int64))
+    known &= is_on_step
     if state.offset is None and known.any():
         state = replace(state, offset=int(line[int(np.argmax(known))]))
     return line - (state.offset or 0), known, state

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption
@@ -44,6 +46,7 @@ from prc_cli.streams.lines import (
 )
 from prc_cli.streams.ranges import clean_measured
 from prc_cli.streams.rules import GridRules
+from prc_cli.streams.steps import ONE, Step, find_step
 
 PROBE_RECORDS = 1 << 18
 """Number of first records used for estimates."""
@@ -92,12 +95,21 @@ class ScannerSetup:
 
 
 @dataclass(frozen=True, slots=True)
+class Steps:
+    """Steps of the numbers of lines and columns."""
+
+    lines: Step = ONE
+    columns: Step = ONE
+
+
+@dataclass(frozen=True, slots=True)
 class Estimates:
     """Estimates for a scanner, as far as its rules need them."""
 
     sweep: Sweep | None = None
     angle_grid: AngleGrid | None = None
     timing: ShotTiming = UNKNOWN
+    steps: Steps = Steps()
 
 
 def set_up(
@@ -107,17 +119,18 @@ def set_up(
     m = rules.points_per_line
     if m is not None and rules.config.points_per_line is None:
         check_found_columns(rules.path, m, source.n_records)
-    estimates, probes = probe(source, rules)
+    steps = _steps(source, rules)
+    estimates, probes = probe(source, rules, steps)
     n_lines: int | None = None
     n_known = source.n_records or 0
     sizes: dict[int, int | None] = dict.fromkeys(estimates, m)
-    taken = _estimate_assumptions(rules, estimates)
+    taken = [*_step_assumptions(rules, steps), *_estimate_assumptions(rules, estimates)]
     if m is None:
         for scanner, found in estimates.items():
             grid = found.angle_grid
             sizes[scanner] = grid.n_columns if grid is not None and grid.whole_turn else None
         if None in sizes.values() or not sizes:
-            extents = _survey(source, rules, estimates, end)
+            extents = _survey(source, rules, estimates, end, Estimates(steps=_usual_step(steps)))
             n_lines = sum(n for n, _, _ in extents.values())
             n_known = max(n_known, sum(n for _, n, _ in extents.values()))
             sizes = {scanner: sizes.get(scanner) or max(extents[scanner][2], 1) for scanner in sorted(extents)}
@@ -133,16 +146,16 @@ def set_up(
             continue
         if m is None:
             check_found_columns(rules.path, size, source.n_records)
-        setup, told = _set_up_one(
-            rules, scanner, size, estimates.get(scanner, Estimates()), probes.get(scanner), n_known
-        )
+        estimate = estimates.get(scanner) or Estimates(steps=_usual_step(steps))
+        setup, told = _set_up_one(rules, scanner, size, estimate, probes.get(scanner), n_known)
         setups[scanner] = setup
         taken += told
     if m is None:
         if not setups:
             raise nothing_placed(rules.path)
         return setups, None, n_lines, tuple(taken)
-    default, _ = _set_up_one(rules, 0, m, Estimates(timing=_given_timing(rules)), None, source.n_records or 0)
+    unseen = Estimates(timing=_given_timing(rules), steps=_usual_step(steps))
+    default, _ = _set_up_one(rules, 0, m, unseen, None, source.n_records or 0)
     return setups, default, n_lines, tuple(taken)
 
 
@@ -150,14 +163,14 @@ def _set_up_one(
     rules: GridRules, scanner: int, m: int, found: Estimates, first: WholeLines | None, n_known: int
 ) -> tuple[ScannerSetup, list[Assumption]]:
     """Return the setup of one scanner from its first lines, if they were needed."""
-    columns = column_rule(rules, found.angle_grid)
+    columns = column_rule(rules, found)
     lines = replace(line_rules(rules, m, found), spent=rules.spent, n_known=n_known)
     # fixed lines: every shot has a cell, no limit needed
     if rules.lines != "fixed":
         n_spare, max_gap = SPARE_CELLS if rules.scanner is None else MIN_CELLS, rules.config.max_gap_lines
         # a raised limit for gaps needs some more cells
         lines = replace(lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare)
-    angle = _angles(rules, m, found.angle_grid, first)
+    angle = _angles(rules, m, found, first)
     if first is None or angle is None or not rules.height_names:
         return ScannerSetup(m, lines, columns, angle), []
     down_rad, cos_tilt, told = _down(rules, _with_angles(first, columns, angle, rules), scanner)
@@ -203,30 +216,40 @@ def _size_reason(rules: GridRules, end: WindowEnd | None, *, whole_pass: bool) -
     return f"highest column in the input{where}"
 
 
-def column_rule(rules: GridRules, grid: AngleGrid | None) -> ColumnRule:
+def column_rule(rules: GridRules, found: Estimates) -> ColumnRule:
     """Return the column rule of a scanner."""
-    return ColumnRule(rules.column_dimension, grid, rules.shot_hz, rules.line_hz)
+    return ColumnRule(
+        dimension=rules.column_dimension,
+        grid=found.angle_grid,
+        shot_hz=rules.shot_hz,
+        line_hz=rules.line_hz,
+        step=found.steps.columns,
+    )
 
 
 def _survey(
-    source: RecordSource, rules: GridRules, estimates: dict[int, Estimates], end: WindowEnd | None
+    source: RecordSource,
+    rules: GridRules,
+    estimates: dict[int, Estimates],
+    end: WindowEnd | None,
+    unseen: Estimates,
 ) -> dict[int, tuple[int, int, int]]:
     """Read the input once for lines, shots and M of every scanner: the whole of it, or to the end of a window."""
     extents: dict[int, tuple[int, int, int]] = {}
-    for whole in whole_lines(source, rules, lambda one: line_rules(rules, None, estimates.get(one, Estimates()))):
+    for whole in whole_lines(source, rules, lambda one: line_rules(rules, None, estimates.get(one, unseen))):
         if end is not None and extents and end.passed(whole.first_line, whole.records):
             break
         _, n_shots, size = extents.get(whole.scanner, (0, 0, 0))
         records = whole.records
         if n_rows(records):
-            grid = estimates.get(whole.scanner, Estimates()).angle_grid
+            rule = column_rule(rules, estimates.get(whole.scanner, unseen))
             line = records[LINE][records[START]]
             n_shots += len(line)
             if rules.columns == "order":
                 borders = np.flatnonzero(np.diff(line, prepend=-1, append=np.iinfo(np.int64).max))
                 size = max(size, int(np.diff(borders).max(initial=0)))
             else:
-                column = find_columns(records, column_rule(rules, grid), whole.origin_s)
+                column = find_columns(records, rule, whole.origin_s)
                 size = max(size, int(column.max(initial=-1)) + 1)
         extents[whole.scanner] = (whole.stop_line, n_shots, size)
     return extents
@@ -259,10 +282,10 @@ def _down(rules: GridRules, records: Table, scanner: int) -> tuple[float | None,
     return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
 
 
-def _angles(rules: GridRules, size: int, grid: AngleGrid | None, first: WholeLines | None) -> F64 | None:
+def _angles(rules: GridRules, size: int, found: Estimates, first: WholeLines | None) -> F64 | None:
     """Return the scan angle of every column, (M,) [rad], None if unknown."""
-    if grid is not None:
-        return grid.angles(size)
+    if found.angle_grid is not None:
+        return found.angle_grid.angles(size)
     if rules.gives_angles:
         start, step = rules.config.angle_start or 0.0, rules.config.angle_step or 0.0
         return np.deg2rad(start + step * np.arange(size, dtype=np.float64))
@@ -271,7 +294,7 @@ def _angles(rules: GridRules, size: int, grid: AngleGrid | None, first: WholeLin
     if rules.columns == "order" and rules.lines != "fixed":
         return None
     angle = first.records["angle"][first.records[START]]
-    return column_angles(angle, find_columns(first.records, column_rule(rules, None), None), size)
+    return column_angles(angle, find_columns(first.records, column_rule(rules, found), None), size)
 
 
 def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) -> LineRules:
@@ -296,7 +319,57 @@ def line_rules(rules: GridRules, points_per_line: int | None, found: Estimates) 
         max_gap_lines=rules.config.max_gap_lines,
         refuse_back=rules.line_dimension is not None and rules.config.order == "require",
         slack=SLACK if rules.lines in ("dimension", "time") else 0,
+        step=found.steps.lines,
     )
+
+
+def _steps(source: RecordSource, rules: GridRules) -> dict[int, Steps]:
+    """Return the steps of line and column numbers of every scanner in the first records."""
+    line, column = rules.line_dimension, rules.column_dimension
+    if line is None and column is None:
+        return {}
+    names = tuple(dict.fromkeys(name for name in (line, column, rules.scanner) if name is not None))
+    first = first_records(source, rules.scanner, names, PROBE_RECORDS, to_end=False)
+    return {
+        scanner: Steps(
+            ONE if line is None else find_step(records[line]),
+            ONE if column is None else _column_number_step(records[column], rules.points_per_line),
+        )
+        for scanner, records in first.items()
+    }
+
+
+def _column_number_step(number: NDArray[Any], points_per_line: int | None) -> Step:
+    """Return the step of column numbers; where they fit into a line of the M that is given, it is meant."""
+    is_meant = points_per_line is not None and np.all(columns_by_dimension(number) < points_per_line)
+    return ONE if is_meant else find_step(number)
+
+
+def _usual_step(steps: dict[int, Steps]) -> Steps:
+    """Return the steps of a scanner that the first records lack: those that the others have in common."""
+    kinds = set(steps.values())
+    return kinds.pop() if len(kinds) == 1 else Steps()
+
+
+RISE = "rise by"
+"""How assumptions say that numbers have a step."""
+
+
+def step_notes(assumptions: tuple[Assumption, ...]) -> tuple[str, ...]:
+    """Return what a run tells of the steps that it divides out."""
+    return tuple(one.why for one in assumptions if RISE in one.why)
+
+
+def _step_assumptions(rules: GridRules, steps: dict[int, Steps]) -> list[Assumption]:
+    """Report the steps that numbers are divided by."""
+    taken = []
+    for scanner, step in steps.items():
+        which = "" if rules.scanner is None else f" of scanner {scanner}"
+        for key, name, one in (("lines", "line", step.lines), ("columns", "column", step.columns)):
+            if one.size > 1:
+                why = f"the {name} numbers{which} {RISE} {one.size}: they are divided by it"
+                taken.append(Assumption(f"input.{key}", f"every {one.size} numbers", why))
+    return taken
 
 
 def _estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> list[Assumption]:
@@ -366,7 +439,9 @@ def _shot_step(time_s: F64, period_s: float) -> float:
     return float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)]))
 
 
-def probe(source: RecordSource, rules: GridRules) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
+def probe(
+    source: RecordSource, rules: GridRules, steps: dict[int, Steps]
+) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
     """Read the first records of every scanner; estimate sweep, column angles and timing."""
     m, has_angle = rules.points_per_line, rules.has("angle")
     needs_sweep = rules.lines == "angle-wrap" or rules.columns == "angle"
@@ -377,7 +452,8 @@ def probe(source: RecordSource, rules: GridRules) -> tuple[dict[int, Estimates],
     needs_timing = rules.line_hz is not None and rules.shot_hz is None
     needs_timing = needs_timing and (m is None or rules.column_dimension is not None)
     if not needs_sweep and not for_angles and not needs_timing:
-        return ({0: Estimates(timing=_given_timing(rules))} if rules.scanner is None else {}), {}
+        alone = Estimates(timing=_given_timing(rules), steps=_usual_step(steps))
+        return ({0: alone} if rules.scanner is None else {}), {}
     beside = (*(("angle",) if has_angle else ()), *rules.height_names)
     names = tuple(dict.fromkeys((*rules.names, *beside)))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
@@ -391,7 +467,8 @@ def probe(source: RecordSource, rules: GridRules) -> tuple[dict[int, Estimates],
     for scanner, records in first.items():
         where = source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
         sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
-        found = Estimates(sweep, None, _timing(rules, records) if needs_timing else _given_timing(rules))
+        timing = _timing(rules, records) if needs_timing else _given_timing(rules)
+        found = Estimates(sweep, None, timing, steps.get(scanner) or _usual_step(steps))
         if needs_sweep or for_angles:
             # lines that go back are refused while reading, not here
             lenient = replace(line_rules(rules, m, found), refuse_back=False)
@@ -420,7 +497,7 @@ def _with_grid(rules: GridRules, found: Estimates, whole: WholeLines, where: str
     if rules.line_hz is not None and rules.points_per_line is None:
         # where shots are missing, columns give the distance between them better
         timing = replace(timing, shot_s=min(timing.shot_s, 1 / (rules.line_hz * grid.n_columns)))
-    return Estimates(found.sweep, grid, timing)
+    return replace(found, angle_grid=grid, timing=timing)
 
 
 @dataclass(slots=True)

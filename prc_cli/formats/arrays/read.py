@@ -89,7 +89,7 @@ class ArrayStream:
             n_lines=self._n_lines,
             angle_rad=self._angle_rad,
             line_hz=self._find_line_hz(),
-            down_rad=math.pi if angle_rules(angles) else None,
+            down_rad=next((math.radians(float(rule.value)) for rule in angle_rules(angles)), None),
             assumptions=tuple(assumed),
             facts=SourceFacts(time_name=TIME, has_line_times=has_line_times),
         )

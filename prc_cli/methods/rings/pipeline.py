@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from prc_cli.core.classes import LABEL_BITS, Label
-from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.stream import MAX_RINGS, LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of, check_block
 from prc_cli.methods.returns import label_extra_returns
@@ -54,7 +54,7 @@ def is_fan(beam_rad: F64) -> bool:
     >>> is_fan(np.deg2rad([65.0, 80, 90, 92])), is_fan(np.deg2rad([-90.0, -30, 30, 90])), is_fan(np.deg2rad([1.0] * 9))
     (True, False, False)
     """
-    if len(beam_rad) < FEWEST_RINGS:
+    if not FEWEST_RINGS <= len(beam_rad) <= MAX_RINGS:
         return False
     return bool(np.ptp(beam_rad) < WIDEST_FAN_RAD and np.abs(beam_rad).min() > STEEPEST_RAD)
 

@@ -14,6 +14,7 @@ from prc_cli.formats.ranges import KEY
 from prc_cli.streams.evidence.figures import Seen, figures_of, most_turned
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
+    LEAST_LINES,
     check_columns_along,
     check_dropouts,
     check_line_length,
@@ -58,6 +59,23 @@ def check_thinned(dropped: str) -> tuple[Finding, ...]:
         return ()
     hint = "classify the file it was made from, and thin afterwards"
     return (Finding("thinned", Verdict.DOUBTFUL, dropped, "every shot: classes follow from neighbours", hint),)
+
+
+LEAST_SHOTS = 1000
+"""Streams of fewer shots are pieces that nobody classifies for their labels."""
+LONGEST_LINE = 10_000
+"""Shots of a stream of one line, from which on no rule has found its lines."""
+
+
+def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
+    """Ask whether the stream has lines enough to judge it, or any lines at all."""
+    if n_shots < LEAST_SHOTS:
+        return
+    found = f"{n_lines} scan lines, too few to judge" if n_lines > 1 else f"all {n_shots:,} shots are in one scan line"
+    is_lineless = n_lines <= 1 and n_shots >= LONGEST_LINE
+    hint = "tell the lines in another way: --lines dimension:NAME, time:HZ or elevation:DEG, or -M"
+    told = verdict(doubtful=n_lines < LEAST_LINES, against=is_lineless)
+    yield Finding("few-lines", told, found, f"at least {LEAST_LINES} lines", hint)
 
 
 def check_collisions(seen: Seen) -> Finding | None:

@@ -30,6 +30,8 @@ MAX_LINES, MAX_COLUMNS = 512, 128
 """Most lines and columns kept of a scanner: 0.3 MB."""
 LEAST_LINES, LEAST_RETURNS = 32, 1000
 """Fewer kept lines, or fewer returns in them, are too few to tell."""
+LEAST_SHARE = 0.5
+"""Kept columns have at least this share of the returns that all have, unless columns are empty at regular steps."""
 DOWN_RAD = math.radians(60.0)
 """What lies this near to straight down is ground, or stands on it."""
 NEAR_M, BELOW_M = 20.0, 1.0
@@ -58,10 +60,8 @@ class _Kept:
     """Lines of one scanner, evenly over all that have passed."""
 
     def __init__(self, item: LabelledBlock) -> None:
-        m = item.block.points_per_line
-        step = -(-m // MAX_COLUMNS)
-        self.columns = slice((step - 1) // 2, None, step)
-        n_columns = len(range(m)[self.columns])
+        self.columns = _columns_with_returns(item.block.range_m)
+        n_columns = len(self.columns)
         self.beam_rad = None if item.block.beam_rad is None else item.block.beam_rad[self.columns].copy()
         self.angle_rad = None if item.block.angle_rad is None else item.block.angle_rad[self.columns].copy()
         self.line = np.empty(MAX_LINES, np.int64)
@@ -84,8 +84,8 @@ class _Kept:
             rows = slice(line - item.block.first_line, int(lines[-1]) - item.block.first_line + 1, self.stride)
             at = slice(self.n, self.n + len(lines))
             self.line[at] = lines
-            self.range_m[at] = item.block.range_m[rows, self.columns]
-            self.labels[at] = item.labels[rows, self.columns]
+            self.range_m[at] = item.block.range_m[rows][:, self.columns]
+            self.labels[at] = item.labels[rows][:, self.columns]
             self.n = at.stop
             line = int(lines[-1]) + 1
 
@@ -101,6 +101,18 @@ class _Kept:
         return _Sample(
             self.line[: self.n], self.range_m[: self.n], self.labels[: self.n], self.beam_rad, self.angle_rad
         )
+
+
+def _columns_with_returns(range_m: F32) -> I64:
+    """Return evenly spread columns, (n,) int64; where these miss most returns, of the columns that have some."""
+    step = -(-range_m.shape[1] // MAX_COLUMNS)
+    even = np.arange((step - 1) // 2, range_m.shape[1], step)
+    n_returns = np.count_nonzero(np.isfinite(range_m), axis=0)
+    if n_returns[even].mean() >= LEAST_SHARE * n_returns.mean():
+        return even
+    there = np.flatnonzero(n_returns)
+    step = -(-len(there) // MAX_COLUMNS)
+    return there[(step - 1) // 2 :: step]
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +156,12 @@ class ResultWatch:
 def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
     """Ask all checks of the result of one scanner."""
     there = sample.labels != Label.MISSING
-    if len(sample.line) < LEAST_LINES or np.count_nonzero(there) < LEAST_RETURNS:
+    if np.count_nonzero(there) < LEAST_RETURNS:
         return
     noise = sample.labels == Label.NOISE
     yield _noise(there, noise, sample.labels == Label.UNCLASSIFIED, usual)
+    if len(sample.line) < LEAST_LINES:
+        return
     solid, level = there & ~noise, np.isin(sample.labels, usual.level)
     yield from _indoors(solid, sample.range_m, usual)
     if usual.columns:

@@ -21,7 +21,7 @@ from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.writing.record import dropped_beside
-from prc_cli.streams.evidence.checks import ask_all, check_thinned
+from prc_cli.streams.evidence.checks import ask_all, check_few_lines, check_thinned
 from prc_cli.streams.evidence.figures import LineSample, Seen
 from prc_cli.streams.evidence.lines import LEAST_LINES, LineRepeats, check_repeats, with_other_reading
 from prc_cli.streams.evidence.table import worst_of
@@ -53,6 +53,8 @@ class EvidenceStream(Brief):
     dropped: str = ""
     """What a run record says of shots that were left out."""
     others: tuple[Finding, ...] = ()
+    is_part: bool = False
+    """Whether only a window of the lines was asked for, which may be short."""
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
     _repeats: LineRepeats = field(default_factory=LineRepeats, init=False)
@@ -118,11 +120,19 @@ class EvidenceStream(Brief):
         """Return what asks all checks of what has been seen so far, now or in another thread."""
         is_long = sum(one.n_lines for one in self._scanners.values()) >= LEAST_LINES  # short streams are not judged
         others = [
-            *([check_repeats(self._repeats)] if is_whole else []),
+            *(self._of_whole() if is_whole else ()),
             *check_thinned(self.dropped),
             *(self.others if is_long else ()),
         ]
         return partial(_ask_of_all, self.seen(), tuple(others), self.accepted)
+
+    def _of_whole(self) -> Iterator[Finding]:
+        """Yield the answers that need the whole stream."""
+        yield check_repeats(self._repeats)
+        if self.is_part:
+            return
+        scanners = self._scanners.items()
+        yield from worst_of({key: check_few_lines(one.n_lines, one.n_shots) for key, one in scanners})
 
 
 def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
@@ -150,7 +160,8 @@ def watched(
 ) -> EvidenceStream:
     """Watch a stream; ``config`` says which findings the user accepts."""
     dropped = stream.info.facts.dropped or dropped_beside(Path(stream.info.path))
-    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m, dropped, others)
+    is_part = config.window is not None
+    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m, dropped, others, is_part)
 
 
 class LiveEvidence:

@@ -11,6 +11,7 @@ from prc_cli import classify_ranges, load_config
 from prc_cli.core.classes import LABEL_BITS, Label, Reason
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
+from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.rings.pipeline import RingsParams, is_fan, upside_down
@@ -222,3 +223,12 @@ def test_a_sweep_of_two_scanners_in_a_feather_file(prc: Prc, real_data: Path, tm
         both = (found & ground)[scanner].sum()
         assert both / found[scanner].sum() > 0.95
         assert both / ground[scanner].sum() > 0.9
+
+
+def test_rows_of_a_static_scan_are_no_rings() -> None:
+    """They may see as little as rings do, where empty rows were cut off."""
+    beam = np.deg2rad(np.linspace(65, 110, 200))
+    block = ScanBlock(0, np.full((4, 200), 9.0, np.float32), beam_rad=beam)
+    assert choice_by_beams(block, iter([block])).method == "rings"
+    assert choice_by_beams(block, iter([block]), may_spin=False).method == "fused"
+    assert not is_fan(np.deg2rad(np.linspace(65, 110, 497)))
