@@ -51,6 +51,8 @@ class SourceFacts:
     """Coordinate system of x, y, z: WKT or ``EPSG:CODE``."""
     time_name: str = "time"
     """Name of the times in messages."""
+    range_name: str = "range"
+    """What the file calls the slant range."""
     has_line_times: bool = False
     """Whether lines are judged by the time of their first shot: the file holds one time per line, which blocks repeat
     for each shot, or shots of a line are fired out of turn."""

@@ -17,9 +17,9 @@ from prc_cli.core.errors import EvidenceError
 CHECK_NAMES = (
     "thinned",
     "ranges", "rounding", "missing-code", "shot-order", "few-lines", "line-length", "columns-along", "line-order",
-    "standing", "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers", "dropouts",
-    "range-noise", "units", "angle-step", "down", "method", "ground-below", "ground-lean", "below-ground",
-    "noise-share", "indoors", "few-rings", "classes-along",
+    "standing", "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers",
+    "dropouts", "range-noise", "units", "coordinates", "angle-step", "down", "method", "ground-below", "ground-lean",
+    "below-ground", "noise-share", "indoors", "few-rings", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
 LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "few-rings", "classes-along")

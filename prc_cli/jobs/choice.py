@@ -102,7 +102,7 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
             for _ in directed.blocks():
                 if every and isinstance(directed, BeamStream) and len(directed.known | directed.late) >= len(every):
                     break
-        is_measured = any(one.key == ANGLES for one in directed.info.assumptions)
+        is_measured = any(one.key == ANGLES and one.value.startswith("measured") for one in directed.info.assumptions)
         known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
         first_block = next(iter(directed.blocks()))
         # rows of a tripod's scan may see as little as rings do, where the sky was cut off

@@ -49,6 +49,7 @@ MADE_UP_RAD = (0.1, math.pi - 0.1)
 """Placeholder directions of the outermost columns, where none are known and nothing can be classified [rad]."""
 KEY = "input.nadir"
 ANGLES = "input.angles"
+MEASURED = f"--set {ANGLES}=measured"
 _ANGLES_ALONE = (
     "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG if none), and --set input.nadir=DEG if known"
 )
@@ -225,7 +226,8 @@ class BeamFinder:
         if are_radians(angle):
             span = math.degrees(float(np.ptp(angle)))
             problem = f"the angles of a line span {span:.3g} deg, as radians of a turn do: name them angle_rad"
-            raise InputError(self._where(scanner), problem, f"if they are degrees, give {KEY}")
+            hint = f"if they are degrees, give {KEY}; if they are of another scale: {MEASURED}"
+            raise InputError(self._where(scanner), problem, hint)
         range_m = range_m[spread_rows(len(range_m), SAMPLE_LINES)]
         guess = guess_down(angle, range_m)
         if guess is None:
@@ -305,6 +307,8 @@ class BeamFinder:
         ways = self._ways_of_coordinates(origin_only=isinstance(error, WrongOriginError))
         if isinstance(error, WrongOriginError):
             return f"give {' or '.join(ways)}"
+        if self.info.angle_rad is not None and not self.measures:
+            ways = [f"{MEASURED} if the recorded angles are of another scale", *ways]
         return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{_ANGLES_ALONE}"
 
     def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:

@@ -38,7 +38,7 @@ from prc_cli.streams.lines import WholeLines, check_partial_line, nothing_placed
 from prc_cli.streams.order import OrderWatch, WeekSource, sorted_by_time, times_of_trajectory, week_steps
 from prc_cli.streams.ranges import clean_measured
 from prc_cli.streams.rules import GridRules, resolve_rules
-from prc_cli.streams.setup import ScannerSetup, WindowEnd, set_up, step_notes
+from prc_cli.streams.setup import ScannerSetup, WindowEnd, set_up, setup_notes
 
 MAX_BLOCK_CELLS = 1 << 21
 """Most cells of a block (at least a line): long gaps are cut into several blocks."""
@@ -85,7 +85,7 @@ def open_grid(
         cos_tilt=1.0 if alone is None else alone.cos_tilt,
         downs={one: (setup.down_rad, setup.cos_tilt) for one, setup in setups.items() if setup.down_rad is not None},
         assumptions=(*told, *rules.assumptions, *found),
-        facts=replace(source.facts, notes=(*source.facts.notes, *step_notes(found))),
+        facts=replace(source.facts, notes=(*source.facts.notes, *setup_notes(found))),
         dimensions=records.dimensions,
     )
     if only_ranges and "intensity" not in (*rules.names, *rules.ranges.names):

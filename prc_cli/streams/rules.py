@@ -69,6 +69,8 @@ class GridRules:
     """Dimension with the scanner id."""
     height_names: tuple[str, ...]
     """Dimensions beside the scan angle for finding straight down: range and registered heights, or none."""
+    point_names: tuple[str, ...]
+    """Dimensions beside the scan angle that test it: range and registered coordinates, or none."""
     whole_turn: bool
     """Whether lines are whole turns, by their times, though no shot of some angles ever returns."""
     points_per_line: int | None
@@ -197,6 +199,7 @@ def resolve_rules(
         shot_hz=shot_hz,
         scanner=scanner,
         height_names=_height_names(source, config, range_) if geometry else (),
+        point_names=_point_names(source, range_) if geometry else (),
         whole_turn=columns == "angle" and _is_whole_turn(source, first),
         points_per_line=m,
         assumptions=(*taken, *ranges.assumptions, *told_m),
@@ -305,6 +308,12 @@ def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tup
     has_angles = "angle" in source.dimensions or (config.angle_start is not None and config.angle_step is not None)
     is_there = range_.startswith("dimension:") and has_angles and "z" in source.dimensions
     return (range_.partition(":")[2], "z") if is_there and config.nadir is None else ()
+
+
+def _point_names(source: RecordSource, range_: str) -> tuple[str, ...]:
+    """Return the dimensions that test recorded scan angles, if there are ranges, angles and coordinates."""
+    is_there = range_.startswith("dimension:") and {"angle", *XYZ} <= set(source.dimensions)
+    return (range_.partition(":")[2], *XYZ) if is_there else ()
 
 
 def _argument(rule: str) -> str | None:

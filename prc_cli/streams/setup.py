@@ -14,9 +14,21 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption
-from prc_cli.core.types import F64, I64
+from prc_cli.core.types import F32, F64, I64
 from prc_cli.core.window import Window
 from prc_cli.formats.records import RecordSource
+from prc_cli.streams.agreement import (
+    ANGLES,
+    CONTINUED,
+    CONTRADICTED,
+    MOST_OFF,
+    NOT_USED,
+    continued,
+    contradicted_share,
+    stuck_columns,
+    turns_back,
+)
+from prc_cli.streams.angle_step import measure_step
 from prc_cli.streams.angles import Sweep, column_angles, find_angle_grid, find_sweep
 from prc_cli.streams.columns import (
     LINE,
@@ -170,11 +182,15 @@ def _set_up_one(
         n_spare, max_gap = SPARE_CELLS if rules.scanner is None else MIN_CELLS, rules.config.max_gap_lines
         # a raised limit for gaps needs some more cells
         lines = replace(lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare)
-    angle = _angles(rules, m, found, first)
+    recorded = _angles(rules, m, found, first)
+    angle, told = _agreed_angles(rules, first, columns, recorded, scanner)
     if first is None or angle is None or not rules.height_names:
-        return ScannerSetup(m, lines, columns, angle), []
-    down_rad, cos_tilt, told = _down(rules, _with_angles(first, columns, angle, rules), scanner)
-    return ScannerSetup(m, lines, columns, angle, down_rad, cos_tilt), [told]
+        return ScannerSetup(m, lines, columns, angle), told
+    of_columns = rules.gives_angles or angle is not recorded
+    down_rad, cos_tilt, told_down = _down(
+        rules, _with_angles(first, columns, angle) if of_columns else first.records, scanner
+    )
+    return ScannerSetup(m, lines, columns, angle, down_rad, cos_tilt), [*told, told_down]
 
 
 def most_cells(n_records: int) -> int:
@@ -255,11 +271,63 @@ def _survey(
     return extents
 
 
-def _with_angles(whole: WholeLines, rule: ColumnRule, angle_rad: F64, rules: GridRules) -> Table:
-    """Return records with scan angles: those of their columns where the configuration gives them."""
+def _agreed_angles(
+    rules: GridRules, first: WholeLines | None, rule: ColumnRule, angle: F64 | None, scanner: int
+) -> tuple[F64 | None, list[Assumption]]:
+    """Return recorded angles, mended where they are cut off; None where x, y, z show that they are others."""
+    if first is None or angle is None or rules.gives_angles or rules.config.angles == "measured":
+        return angle, []
+    key = ANGLES if rules.scanner is None else f"{ANGLES} of {rules.scanner} {scanner}"
+    taken: list[Assumption] = []
+    is_stuck = stuck_columns(angle)
+    if is_stuck.any() and rules.columns != "angle":
+        shown = f"{math.degrees(float(angle[is_stuck][0])):.4g} deg"
+        problem = f"the scan angles of {np.count_nonzero(is_stuck)} of {len(angle)} columns are cut off at {shown}"
+        mended = continued(angle, is_stuck)
+        if mended is None:
+            return None, [Assumption(key, NOT_USED, f"{problem}: none is used")]
+        angle = mended
+        taken = [Assumption(key, CONTINUED, f"{problem}: these follow from the other columns")]
+    if rules.columns != "angle" and turns_back(angle):
+        return None, [Assumption(key, NOT_USED, "the scan angles run back within the line: none is used")]
+    share = _contradicted(rules, first, rule, angle)
+    if share is None or share <= MOST_OFF:
+        return angle, taken
+    problem = f"x, y, z contradict range and scan angle in {share:.0%} of the columns"
+    if rules.columns != "angle":
+        measured = measure_step(_image(rules, first, rule, len(angle)))
+        agreed = None if measured is None else _contradicted(rules, first, rule, measured.angles(len(angle)))
+        if agreed is not None and agreed <= MOST_OFF:
+            return None, [Assumption(key, NOT_USED, f"{problem}: the recorded angles are not used")]
+    return angle, [*taken, Assumption(key, CONTRADICTED, problem)]
+
+
+def _contradicted(rules: GridRules, first: WholeLines, rule: ColumnRule, angle: F64) -> float | None:
+    """Return the share of columns whose x, y, z contradict range and angle; None where there are none."""
+    if not rules.point_names:
+        return None
+    shots = take(first.records, first.records[START])
+    range_m, _, _ = clean_measured(shots, replace(rules.ranges, sensor_xyz=False))
+    xyz_m = np.stack([np.asarray(shots[name], np.float64) for name in rules.point_names[1:]], axis=1)
+    column = find_columns(first.records, rule, first.origin_s)
+    return contradicted_share(range_m.astype(np.float64), xyz_m, shots[LINE], column, angle)
+
+
+def _image(rules: GridRules, first: WholeLines, rule: ColumnRule, size: int) -> F32:
+    """Return the ranges of the first lines, (lines, M) float32 [m]."""
+    shots = take(first.records, first.records[START])
+    range_m, _, _ = clean_measured(shots, replace(rules.ranges, sensor_xyz=False))
+    column = find_columns(first.records, rule, first.origin_s)
+    is_cell = (column >= 0) & (column < size)
+    line = shots[LINE] - first.first_line
+    image = np.full((first.stop_line - first.first_line, size), np.nan, np.float32)
+    image[line[is_cell], column[is_cell]] = range_m[is_cell]
+    return image[np.isfinite(image).any(axis=1)]
+
+
+def _with_angles(whole: WholeLines, rule: ColumnRule, angle_rad: F64) -> Table:
+    """Return records with the scan angles of their columns."""
     records = whole.records
-    if not rules.gives_angles:
-        return records
     column = find_columns(records, rule, whole.origin_s)
     is_cell = (column >= 0) & (column < len(angle_rad))
     of_shot = np.where(is_cell, angle_rad[np.where(is_cell, column, 0)], np.nan)
@@ -355,9 +423,9 @@ RISE = "rise by"
 """How assumptions say that numbers have a step."""
 
 
-def step_notes(assumptions: tuple[Assumption, ...]) -> tuple[str, ...]:
-    """Return what a run tells of the steps that it divides out."""
-    return tuple(one.why for one in assumptions if RISE in one.why)
+def setup_notes(assumptions: tuple[Assumption, ...]) -> tuple[str, ...]:
+    """Return what a run tells of steps that it divides out, and of recorded angles that it does not use."""
+    return tuple(one.why for one in assumptions if RISE in one.why or one.value in (CONTINUED, NOT_USED))
 
 
 def _step_assumptions(rules: GridRules, steps: dict[int, Steps]) -> list[Assumption]:
@@ -454,7 +522,7 @@ def probe(
     if not needs_sweep and not for_angles and not needs_timing:
         alone = Estimates(timing=_given_timing(rules), steps=_usual_step(steps))
         return ({0: alone} if rules.scanner is None else {}), {}
-    beside = (*(("angle",) if has_angle else ()), *rules.height_names)
+    beside = (*(("angle",) if has_angle else ()), *rules.height_names, *rules.point_names)
     names = tuple(dict.fromkeys((*rules.names, *beside)))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
     # find every scanner where the rules depend on its angles or timing

@@ -133,6 +133,7 @@ class CloudSource(FieldSource):
             rules += [rule for rule in rings if rule.key not in {one.key for one in head.rules}]
         rules += angle_rules(found["angle"].name if "angle" in found else None)
         self.facts = SourceFacts(
+            range_name=found["range"].name if "range" in found else "range",
             points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
             rules=tuple(rules),
             notes=tuple(notes),

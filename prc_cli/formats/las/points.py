@@ -119,6 +119,8 @@ class RecordLayout:
     """Notices about extra bytes."""
     angle_name: str | None = None
     """Extra dimension that holds the scan angles; None = a field of the point format, if any."""
+    range_name: str = "range"
+    """Extra dimension that holds the slant range."""
 
 
 @cache
@@ -175,7 +177,8 @@ def read_layout(header: LasHeader) -> RecordLayout:
     if left:
         columns.append(("undescribed bytes", f"V{left}"))
         notes.append(f"{left} bytes of every record are described nowhere and not read")
-    return RecordLayout(np.dtype(columns), fields, tuple(found), tuple(notes), taken.get("angle"))
+    angle_name, range_name = taken.get("angle"), taken.get("range", "range")
+    return RecordLayout(np.dtype(columns), fields, tuple(found), tuple(notes), angle_name, range_name)
 
 
 def _take_usual(fields: dict[str, Field], described: dict[str, ExtraBytes]) -> dict[str, str]:

@@ -126,6 +126,7 @@ class LasSource:
             points_per_line=find_points_per_line(self.header),
             crs_wkt=self.crs_wkt,
             time_name="gps_time",
+            range_name=self._layout.range_name,
             rules=angle_rules(self._layout.angle_name),
             notes=self.notes,
             refused=refused_by_laspy(self.header),

@@ -221,7 +221,8 @@ class TextSource(FieldSource):
         columns = find_columns(where, names, layout, tuple(map(str, range(n))), hint)
         super().__init__(path, "text", columns, TextBody(path, self.text, block_bytes))
         rules = angle_rules(columns["angle"].name if "angle" in columns else None)
-        self.facts = SourceFacts(notes=self.notes, rules=rules, describe=self.describe)
+        range_name = columns["range"].name if "range" in columns else "range"
+        self.facts = SourceFacts(notes=self.notes, range_name=range_name, rules=rules, describe=self.describe)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F32
 from prc_cli.formats.ranges import KEY
+from prc_cli.streams.agreement import ANGLES, CONTRADICTED, MOST_OFF
 from prc_cli.streams.evidence.figures import Seen, figures_of, most_turned
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
@@ -76,6 +77,20 @@ def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
     hint = "tell the lines in another way: --lines dimension:NAME, time:HZ or elevation:DEG, or -M"
     told = verdict(doubtful=n_lines < LEAST_LINES, against=is_lineless)
     yield Finding("few-lines", told, found, f"at least {LEAST_LINES} lines", hint)
+
+
+def check_coordinates(seen: Seen) -> Finding | None:
+    """Ask whether x, y, z agree with ranges and scan angles, as the setup compared them."""
+    told = {one.value: one.why for one in seen.info.assumptions if one.key.startswith(ANGLES)}
+    if CONTRADICTED not in told:
+        return None
+    found = told[CONTRADICTED].replace("range", f"the range {seen.info.facts.range_name!r}", 1)
+    hint = (
+        "name the slant range: --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; if only the angles are wrong: "
+        f"--set {ANGLES}=measured"
+    )
+    expected = f"at most {MOST_OFF:.0%}"
+    return Finding("coordinates", Verdict.DOUBTFUL, found, expected, hint, f"--set {ANGLES}=measured")
 
 
 def check_collisions(seen: Seen) -> Finding | None:
@@ -241,6 +256,7 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
     yield check_dropouts(figures)
     yield (height := check_height(seen))
     if not _is_against(height):
+        yield check_coordinates(seen)
         yield check_down(seen)
         yield check_angle_step(seen)
 

@@ -127,7 +127,7 @@ def check_angle_step(seen: Seen) -> Finding | None:
     """Compare the angle between shots with the one that planes show; doubt a measured one that is uncertain."""
     if seen.angle_rad is not None and are_radians(seen.angle_rad):
         found = f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
-        hint = "if they are radians, name them angle_rad"
+        hint = f"if they are radians, name them angle_rad; if they are of another scale: {_MEASURED}"
         return Finding(ANGLE_STEP, Verdict.AGAINST, found, "degrees: the numbers of a turn in radians span 6.28", hint)
     step_rad = None if seen.beam_rad is None else _even_step(seen.beam_rad)
     if step_rad is None:
@@ -146,9 +146,14 @@ def check_angle_step(seen: Seen) -> Finding | None:
     told = verdict(doubtful=is_doubtful, against=is_doubtful and not 1 / FAR_FACTOR < factor < FAR_FACTOR)
     found = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use"
     shown = f"{math.degrees(measured.step_rad):.4g} deg, known to {measured.off:.1%}"
-    hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M" if told else ""
+    hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M"
+    hint += f"; to use those that the ranges show: {_MEASURED}"
+    hint = hint if told else ""
     expected = f"{1 - MOST_DOUBTLESS:g} to {1 + MOST_DOUBTLESS:g}"
     return Finding(ANGLE_STEP, told, f"{found} ({shown})", expected, hint)
+
+
+_MEASURED = "--set input.angles=measured"
 
 
 def _even_step(beam_rad: F64) -> float | None:

@@ -298,7 +298,9 @@ def test_angle_step(monkeypatch: pytest.MonkeyPatch, factor: float, off: float, 
     step = AngleStep(math.radians(factor), off, 100)
     monkeypatch.setattr(geometry, "measure_step", lambda _: step)
     said = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use ({factor:.4g} deg, known to "
-    hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M" if verdict else ""
+    hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M"
+    hint += "; to use those that the ranges show: --set input.angles=measured"
+    hint = hint if verdict else ""
     assert verdict_of_shots(check_angle_step(shots())) == (
         verdict,
         f"angle-step: {said}{off:.1%}), expected 0.92 to 1.08{hint}",
