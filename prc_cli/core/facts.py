@@ -70,6 +70,8 @@ class SourceFacts:
     """Why the usual library refuses the file, whose damage is copied; empty if it does not."""
     dropped: str = ""
     """What the run record inside the file says of shots that were left out; empty = nothing."""
+    repeated: str = ""
+    """What a recording holds twice, of which one was read, known after reading; empty = nothing."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
     """LAZ of point formats 6-10: filled while the records are read, for rewriting the same file."""
     describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)

@@ -99,6 +99,11 @@ class InputConfig(Params):
     )
     min_range: float = Field(0.0, ge=0.0, description="ranges at or below are missing [m]")
     max_range: float | None = Field(None, gt=0.0, description="ranges beyond are missing [m]")
+    time_unit: Literal["auto", "s", "ms", "us", "ns", "turn"] = Field(
+        "auto",
+        description="unit of the times of points in clouds of bags and in lists of points; auto = in clouds the unit "
+        "in which the scanner turns as scanners do, else as the format says; turn = parts of a turn (clouds)",
+    )
     time_origin: float | None = Field(
         None, description="time at which line 0, column 0 was fired [s]; default: the first record's time"
     )

@@ -8,7 +8,7 @@ are staggered; how far is found from the first message.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,6 +21,16 @@ from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.bags.messages import Cursor, expect
 from prc_cli.formats.bags.numbers import RingNumbers
 from prc_cli.formats.bags.sweep import SLACK, Sweep, azimuths, share_times
+from prc_cli.formats.bags.times import (
+    LONG_S,
+    UNITS_S,
+    counts_turns,
+    find_crowd,
+    find_turning,
+    find_unit,
+    turn_times,
+    unit_note,
+)
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets.columns import MAX_EMPTY, MAX_SHIFT, SPARE_CELLS, ColumnLines, Columns, choose
 
@@ -29,9 +39,13 @@ RINGS = ("ring", "channel", "laser_id")
 TIMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset")
 LIGHTS = ("intensity", "reflectivity", "signal", "i")
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_NO_RINGS = (
+    "prc needs scan lines: let the driver write the ring and the time of every point. Livox and other scanners without "
+    "rings are not supported"
+)
 _MAX_FIELDS = 100
-_ABSOLUTE_S = 1e6
-"""Times beyond are not counted from the stamp of the message [s]."""
+_ABSOLUTE_S = 2.0
+"""Times that are usually beyond are not counted from the stamp of the message: no message takes as long [s]."""
 _LEAST_PERIOD_S = 1e-6
 _TURN = 2 * math.pi
 _NEAR_COLUMNS = 8
@@ -40,6 +54,8 @@ _MOST_WAITING = 1 << 20
 """Most points that wait for others to tell their columns."""
 _MOST_COLUMNS = 1e9
 """Most columns of a message."""
+_LONG_COLUMNS = 4096
+"""More columns than this between two messages are a pause."""
 _FITS = 0.1
 """Points of a later message lie within this share of the period of the columns that the clock gives."""
 
@@ -49,10 +65,14 @@ class Cloud:
     """A message, decoded; points in its order, those without coordinates included."""
 
     frame: str
+    stamp_s: float
+    """Time of the message [s]."""
     ring: I64
     """(n,) int64."""
-    time_s: F64
-    """(n,) float64 [s]."""
+    time: F64
+    """(n,) float64, as stored: see :meth:`times`; NaN where points have none."""
+    usual_unit_s: float
+    """Unit of such a stored time by custom: floats are seconds, whole numbers nanoseconds [s]."""
     xyz_m: F32
     """(n, 3) float32 [m]; NaN = no return."""
     range_m: F32
@@ -64,6 +84,21 @@ class Cloud:
     def n_records(self) -> int:
         """Points, with and without coordinates."""
         return len(self.ring)
+
+    @property
+    def has_times(self) -> bool:
+        """Whether the times of the points differ."""
+        known = self.time[np.isfinite(self.time) & np.isfinite(self.range_m)]
+        return len(known) > 0 and float(known.min()) < float(known.max())
+
+    def times(self, unit_s: float) -> F64:
+        """Return the time of every point, (n,) float64 [s], of times in a unit."""
+        with np.errstate(all="ignore"):
+            time_s: F64 = self.time * unit_s
+        # empty points may have no time of their own
+        known = time_s[np.isfinite(time_s) & np.isfinite(self.range_m)]
+        is_absolute = len(known) > 0 and float(np.median(np.abs(known))) > _ABSOLUTE_S
+        return time_s if is_absolute else time_s + self.stamp_s
 
 
 def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
@@ -93,9 +128,12 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
     """Return the type of a point, with what is read of it: x, y, z, ring, time, light (missing where there is none)."""
     names = {"x": ("x",), "y": ("y",), "z": ("z",), "ring": RINGS, "time": TIMES, "light": LIGHTS}
     held = {part: [fields[one] for one in known if one in fields][:1] for part, known in names.items()}
-    lacking = [part for part, found in held.items() if not found and part != "light"]
+    lacking = [part for part, found in held.items() if not found and part not in ("light", "time")]
+    shown = ", ".join(fields)[:200]
+    expect(not _is_livox(fields), f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS)
     has_all = bool(step) and not lacking
-    expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {', '.join(fields)[:200]})")
+    hint = _NO_RINGS if lacking == ["ring"] else ""
+    expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {shown})", hint)
     parts = {part: found[0] for part, found in held.items() if found}
     expect(all(kind in TYPES for _, kind in parts.values()), "has fields of a type that is not there")
     kinds = [np.dtype(order + TYPES[kind]) for _, kind in parts.values()]
@@ -103,6 +141,11 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
     inside = all(at + kind.itemsize <= step for at, kind in zip(offsets, kinds, strict=True))
     expect(inside, f"has fields beyond the {step} bytes of a point")
     return np.dtype({"names": list(parts), "formats": kinds, "offsets": offsets, "itemsize": step})
+
+
+def _is_livox(fields: Collection[str]) -> bool:
+    """Whether points are those of the driver of Livox: its beams draw rosettes, and ``line`` is a laser, no cone."""
+    return "tag" in fields and ("line" in fields or "ring" in fields)
 
 
 def _decoded(frame: str, stamp_s: float, table: NDArray[np.void]) -> Cloud:
@@ -115,18 +158,16 @@ def _decoded(frame: str, stamp_s: float, table: NDArray[np.void]) -> Cloud:
         is_missing = ~(np.isfinite(ranges) & (ranges > 0))
         if is_missing.any():
             xyz[is_missing], ranges[is_missing] = np.nan, np.nan
-        times = table["time"].astype(np.float64)
-        if table.dtype["time"].kind in "iu":
-            times *= 1e-9
-        is_absolute = bool(np.nanmax(np.abs(times), initial=0.0) > _ABSOLUTE_S)
-        times = times if is_absolute else times + stamp_s
+        has_times = "time" in (table.dtype.names or ())
+        times = table["time"].astype(np.float64) if has_times else np.full(len(table), np.nan)
+        unit_s = 1e-9 if has_times and table.dtype["time"].kind in "iu" else 1.0
         stored = table["ring"]
         if stored.dtype.kind == "f":
             stored = np.where(np.isfinite(stored), stored, -1).clip(-1, 1 << 20)
         rings: I64 = stored.astype(np.int64).clip(-1, 1 << 20)
         has_light = "light" in (table.dtype.names or ())
         lit = table["light"].astype(np.float32) if has_light else np.full(len(table), np.nan, np.float32)
-    return Cloud(frame, rings, times, xyz, ranges, lit)
+    return Cloud(frame, stamp_s, rings, times, unit_s, xyz, ranges, lit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +198,7 @@ class Timing:
         starts: F64 = self.start_s + np.arange(n, dtype=np.float64) * self.period_s
         return starts
 
-    def again(self, ring: I64, time_s: F64, n_first: int) -> Timing | None:
+    def again(self, ring: I64, time_s: F64, n_first: int, fits: float = _FITS) -> Timing | None:
         """Return the columns of later points, the first of which are one column; None where the clock does not fit."""
         if self.is_together or not n_first or ring.max() >= len(self.late_s):
             return None
@@ -165,7 +206,7 @@ class Timing:
         start = float(np.median(after_s[:n_first]))
         exact = (after_s - start) / self.period_s
         number = np.rint(exact)
-        if not (number.min() == 0 and number.max() < _MOST_WAITING and np.abs(exact - number).max() < _FITS):
+        if not (number.min() == 0 and number.max() < _MOST_WAITING and np.abs(exact - number).max() < fits):
             return None
         return Timing(self.period_s, start, number.astype(np.int64), self.late_s)
 
@@ -254,13 +295,22 @@ class _Points(NamedTuple):
         """Return some of the points."""
         return _Points(*(values[where] for values in self))
 
+    def joined(self, after: _Points) -> _Points:
+        """Return these points and those after them."""
+        return _Points(*(np.concatenate([a, b]) for a, b in zip(self, after, strict=True)))
+
 
 class CloudLines:
     """Gathers messages of one scanner into blocks."""
 
-    def __init__(self, where: str, scanner: int, first: Cloud, config: InputConfig) -> None:
+    def __init__(
+        self, where: str, scanner: int, first: Cloud, between_s: Callable[[], float], config: InputConfig
+    ) -> None:
         self._where, self._config = where, config
-        has = np.isfinite(first.range_m) & (first.ring >= 0) & np.isfinite(first.time_s)
+        self._has_times = first.has_times
+        self._between_s = 0.0 if self._has_times else between_s()
+        """Time from message to message, if their points have no times [s]."""
+        has = np.isfinite(first.range_m) & (first.ring >= 0) & (np.isfinite(first.time) | (not self._has_times))
         numbers = RingNumbers.of(first.ring[has]) if has.any() else None
         if numbers is None:
             found = "no point" if not has.any() else f"ring {int(first.ring[has].max())}"
@@ -268,11 +318,16 @@ class CloudLines:
             raise InputError(where, problem, "record the scanner's own topic")
         self.points_per_line, self._numbers = numbers.n_rings, numbers
         self.has_returns = False
-        ring, time_s, xyz_m = numbers.of_points(first.ring[has]), first.time_s[has], first.xyz_m[has]
+        self._usual_unit_s = first.usual_unit_s if self._has_times else 1.0
+        self._unit_s = _unit(first, has, between_s, config) if self._has_times else 1.0
+        of_points_s = self._times(first)
+        crowd = find_crowd(of_points_s[has])
+        has &= (of_points_s >= crowd.begin_s) & (of_points_s <= crowd.end_s)
+        ring, time_s, xyz_m = numbers.of_points(first.ring[has]), of_points_s[has], first.xyz_m[has]
         self._sweep: Sweep | None = None
         """Where times do not tell columns."""
         azimuth_rad = azimuths(xyz_m)
-        is_coarse = share_times(ring, time_s, azimuth_rad)
+        is_coarse = not self._has_times or share_times(ring, time_s, azimuth_rad)
         if is_coarse:
             self._sweep = Sweep.of(ring, time_s, azimuth_rad, self.points_per_line)
         timing = None if is_coarse else find_columns(ring, time_s)
@@ -290,6 +345,10 @@ class CloudLines:
         self._rest: _Points | None = None
         """Points of the last columns: the next message may have more of them."""
         self._rest_line = 0
+        self._rest_s: float | None = None
+        """When the last column was fired [s]."""
+        self._early: _Points | None = None
+        """Points whose times are those of a later message."""
         self._timing = timing
 
     def _no_columns(self, ring: I64, time_s: F64, *, is_coarse: bool) -> InputError:
@@ -303,30 +362,64 @@ class CloudLines:
 
     def add(self, cloud: Cloud, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield the lines that are complete."""
-        m = self.points_per_line
-        points = _Points(
-            cloud.ring, cloud.time_s, cloud.xyz_m, cloud.range_m, cloud.intensity,
-            np.arange(first_record, first_record + cloud.n_records),
-        )  # fmt: skip
-        if cloud.n_records and cloud.ring.max() >= len(self._numbers.index):
-            problem = f"found ring {int(cloud.ring.max())}, expected {m} rings as in the first message"
-            raise InputError(self._where, problem, "record every set-up in a bag of its own")
-        points = points._replace(ring=self._numbers.of_points(points.ring))
-        use = (points.ring >= 0) & np.isfinite(cloud.time_s)
-        if not use.all():
-            points = points.part(use)
-        n_new, n_rest = len(points.ring), 0 if self._rest is None else len(self._rest.ring)
-        n_strange = int(np.count_nonzero((cloud.ring >= 0) & ~use & np.isfinite(cloud.range_m)))
-        self._lines.count_unplaced(n_strange)
-        self._lines.count_not_fired(cloud.n_records - n_new - n_strange)
-        if self._rest is not None:
-            points = _Points(*(np.concatenate([a, b]) for a, b in zip(self._rest, points, strict=True)))
+        points = self._usable(cloud, first_record)
         if not len(points.ring):
             return
+        crowd = find_crowd(points.time_s)
+        if self._early is not None:
+            points, self._early = points.joined(self._early), None
+        is_later = points.time_s > crowd.end_s
+        if is_later.any():
+            self._early = points.part(is_later)
+            points = points.part(~is_later)
+        yield from self._take(points)
+
+    def _times(self, cloud: Cloud) -> F64:
+        """Return the time of every point, (n,) float64 [s]; NaN = unknown."""
+        if self._has_times:
+            return cloud.times(self._unit_s)
+        return cloud.stamp_s + turn_times(cloud.ring, azimuths(cloud.xyz_m), self._between_s)
+
+    def _usable(self, cloud: Cloud, first_record: int) -> _Points:
+        """Return the points that have a ring and a time near that of the message; count the others."""
+        if cloud.n_records and cloud.ring.max() >= len(self._numbers.index):
+            problem = (
+                f"found ring {int(cloud.ring.max())}, expected {self.points_per_line} rings as in the first message"
+            )
+            raise InputError(self._where, problem, "record every set-up in a bag of its own")
+        time_s, ring = self._times(cloud), self._numbers.of_points(cloud.ring)
+        record = np.arange(first_record, first_record + cloud.n_records)
+        points = _Points(ring, time_s, cloud.xyz_m, cloud.range_m, cloud.intensity, record)
+        returned = np.isfinite(cloud.range_m)
+        use = (ring >= 0) & np.isfinite(time_s)
+        known_s = time_s[use & returned]
+        if len(known_s):
+            crowd = find_crowd(known_s)
+            use &= (time_s >= crowd.begin_s) & (returned | (time_s <= crowd.end_s + LONG_S))
+        if not use.all():
+            n_strange = int(np.count_nonzero((cloud.ring >= 0) & ~use & returned))
+            self._lines.count_unplaced(n_strange)
+            self._lines.count_not_fired(cloud.n_records - int(np.count_nonzero(use)) - n_strange)
+            points = points.part(use)
+        return points
+
+    def skip(self, cloud: Cloud) -> None:
+        """Count the points of a message that had come before."""
+        self._lines.count_not_fired(cloud.n_records)
+
+    def _take(self, points: _Points, *, more: bool = True) -> Iterator[ScanBlock]:
+        """Take points that follow those before, the last ones if there are no more; yield complete lines."""
+        rest, n_rest = self._rest, 0
+        if rest is not None and len(rest.ring) and self._is_pause(rest, points):
+            yield from self._give_rest()
+        elif rest is not None:
+            points, n_rest = rest.joined(points), len(rest.ring)
         if self._sweep is not None:
             yield from self._add_by_azimuth(points, self._sweep)
             return
-        again = None if self._timing is None else self._timing.again(points.ring, points.time_s, n_rest)
+        again = None
+        if self._timing is not None:
+            again = self._timing.again(points.ring, points.time_s, n_rest, _FITS if more else 1.0)
         timing = again or find_columns(points.ring, points.time_s)
         if timing is None:
             self._rest = points
@@ -336,11 +429,25 @@ class CloudLines:
             return
         n = timing.n_columns
         self._check_size(n, timing, len(points.ring))
-        base = self._rest_line - (int(np.median(timing.column[:n_rest])) if n_rest else 0)
+        before = -int(np.median(timing.column[:n_rest])) if n_rest else self._columns_since(timing)
+        base = self._rest_line + before
         is_last = timing.column == n - 1
         self._rest, self._rest_line, self._timing = points.part(is_last), base + n - 1, timing
+        self._rest_s = float(timing.starts_s(n)[-1])
         if n > 1:
             yield from self._lines.add(self._columns(points, ~is_last, n - 1, base))
+
+    def _is_pause(self, rest: _Points, points: _Points) -> bool:
+        period_s = self._timing.period_s if self._timing is not None else 0.0
+        if self._sweep is not None:
+            period_s = self._sweep.step_rad / abs(self._sweep.rate_rad_s)
+        return float(points.time_s.min() - rest.time_s.max()) > max(_LONG_COLUMNS * period_s, LONG_S)
+
+    def _columns_since(self, timing: Timing) -> int:
+        """Return the columns from the last one that was given out to the first of a timing; 0 without any."""
+        if self._rest_s is None:
+            return 0
+        return max(1, round((timing.start_s - self._rest_s) / timing.period_s))
 
     def _add_by_azimuth(self, points: _Points, sweep: Sweep) -> Iterator[ScanBlock]:
         """Take points whose times do not tell columns."""
@@ -359,31 +466,42 @@ class CloudLines:
             problem = f"{n_points} points lie in {n} columns of {timing.period_s:.3g} s, expected many to a column"
             raise InputError(self._where, problem, "look at the times of the points")
 
+    def _give_rest(self) -> Iterator[ScanBlock]:
+        """Yield the columns that wait."""
+        rest, self._rest = self._rest, None
+        if rest is None or not len(rest.ring):
+            return
+        n, base = 1, self._rest_line
+        if self._sweep is not None:
+            placed = self._sweep.place(rest.ring, rest.time_s, azimuths(rest.xyz_m))
+            late_s = np.zeros(self.points_per_line)
+            self._timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
+            n, base = self._timing.n_columns, placed.base
+        elif self._timing is not None:
+            late_s = self._timing.late_s
+            start_s = float((rest.time_s - late_s[rest.ring.clip(max=len(late_s) - 1)]).min())
+            column = np.zeros(len(rest.ring), np.int64)
+            self._timing = replace(self._timing, start_s=start_s, column=column, fired_s=None)
+        yield from self._lines.add(self._columns(rest, np.ones(len(rest.ring), np.bool_), n, base))
+
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
-        rest = self._rest
-        if rest is not None and len(rest.ring):
-            n, base = 1, self._rest_line
-            if self._sweep is not None:
-                placed = self._sweep.place(rest.ring, rest.time_s, azimuths(rest.xyz_m))
-                late_s = np.zeros(self.points_per_line)
-                self._timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
-                n, base = self._timing.n_columns, placed.base
-            elif self._timing is not None:
-                late_s = self._timing.late_s
-                start_s = float((rest.time_s - late_s[rest.ring.clip(max=len(late_s) - 1)]).min())
-                column = np.zeros(len(rest.ring), np.int64)
-                self._timing = replace(self._timing, start_s=start_s, column=column, fired_s=None)
-            yield from self._lines.add(self._columns(rest, np.ones(len(rest.ring), np.bool_), n, base))
-            self._rest = None
+        while self._early is not None:
+            early, self._early = self._early, None
+            is_later = early.time_s > find_crowd(early.time_s).end_s
+            if is_later.any():
+                self._early = early.part(is_later)
+            yield from self._take(early.part(~is_later), more=False)
+        yield from self._give_rest()
         yield from self._lines.finish()
 
     def lost(self) -> str:
         """Return a sentence on what is unusual about rings, times and columns; empty if nothing is."""
-        of_times = ""
+        of_times = unit_note(self._unit_s, self._usual_unit_s)
         if self._sweep is not None:
             step_deg = math.degrees(self._sweep.step_rad)
-            of_times = f"points of several columns share a time: columns are azimuths, {step_deg:.3g} deg apart"
+            of_times = "points of several columns share a time" if self._has_times else "the points have no times"
+            of_times += f": columns are azimuths, {step_deg:.3g} deg apart"
         return "; ".join(told for told in (self._numbers.note, of_times, self._lines.lost()) if told)
 
     def _columns(self, points: _Points, use: Mask, n: int, base: int) -> Columns:
@@ -424,6 +542,20 @@ class CloudLines:
             pick(points.xyz_m, own, np.nan), light, further_m,
             None if other is None else pick(points.record, other, -1),
         )  # fmt: skip
+
+
+def _unit(first: Cloud, has: Mask, between_s: Callable[[], float], config: InputConfig) -> float:
+    """Return the unit of the stored times [s]: as told, or the one in which the scanner turns as scanners do."""
+    if config.time_unit == "turn":
+        return between_s()
+    if config.time_unit != "auto":
+        return UNITS_S[config.time_unit]
+    turning = find_turning(first.ring[has], first.time[has], azimuths(first.xyz_m[has]))
+    if turning is None:
+        return first.usual_unit_s
+    if counts_turns(first.time[has], turning):
+        return between_s()
+    return find_unit(first.usual_unit_s, turning)
 
 
 def _place(ring: I64, xyz_m: F32, m: int) -> I64:

@@ -12,11 +12,16 @@ from numpy.typing import DTypeLike, NDArray
 class ShortMessageError(ValueError):
     """A message ends before its fields do, or its lengths are wrong; the text says how."""
 
+    def __init__(self, problem: str, hint: str = "") -> None:
+        self.hint = hint
+        """How to get another message; empty if the message is damaged."""
+        super().__init__(problem)
 
-def expect(is_so: bool, otherwise: str) -> None:
-    """Refuse a message with a text where something is not so."""
+
+def expect(is_so: bool, otherwise: str, hint: str = "") -> None:
+    """Refuse a message with a text, and a hint, where something is not so."""
     if not is_so:
-        raise ShortMessageError(otherwise)
+        raise ShortMessageError(otherwise, hint)
 
 
 class Cursor:

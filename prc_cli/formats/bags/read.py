@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
@@ -17,10 +19,13 @@ from prc_cli.formats.bags.messages import OUSTER, PACKED, ShortMessageError, par
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import check_rules, check_width
 from prc_cli.formats.packets.read import PacketLines, find_metadata, is_scan
+from prc_cli.formats.packets.repeats import Repeats
 from prc_cli.formats.packets.spinning import KNOWN, NEEDED, describe
 
 MAX_SCANNERS = 256
 """Most scanners of a bag."""
+FIRST_CLOUDS, USUAL_TURN_S = 9, 0.1
+"""Clouds whose stamps tell how long a turn takes, and the turn of most scanners [s]."""
 LASERS = (LASER, ECHOES)
 READABLE = (*PACKED, *LASERS, CLOUD)
 """Types of messages that hold scans."""
@@ -41,6 +46,8 @@ class BagStream:
         check_rules(path, config, "a recording of scans")
         self._path, self._config = path, config
         self.bag = Bag(path)
+        self._left_out: dict[Topic, ShortMessageError] = {}
+        """Why clouds cannot be read."""
         self._firsts = self._first_messages()
         self._frames = self._readable()
         self.topics = self._choose()
@@ -48,6 +55,7 @@ class BagStream:
         self._notes: list[str] = []
         self._numbers: dict[str, int] = {}
         """Numbers of scanners, in the order they are met."""
+        self._repeated = ""
         self._has_returns = False
         self._widest = self._look()
         check_width(path, self._widest, config)
@@ -81,6 +89,7 @@ class BagStream:
                 has_returns=self._has_returns,
                 scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
                 notes=tuple(notes),
+                repeated=self._repeated,
                 describe=self._describe,
             ),
         )
@@ -110,9 +119,10 @@ class BagStream:
                     frames[topic] = parse_cloud(first.data, is_cdr=topic.is_cdr).frame
                 elif topic.kind in LASERS:
                     frames[topic] = parse_laser(first.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES).frame
-            except ShortMessageError:
+            except ShortMessageError as error:
                 if topic.kind == CLOUD:
                     del frames[topic]
+                    self._left_out[topic] = error
         return frames
 
     def _choose(self) -> tuple[Topic, ...]:
@@ -136,6 +146,9 @@ class BagStream:
         others = [one for one, frame in self._frames.items() if one.kind == CLOUD or frame not in clouds]
         if packed or others:
             return tuple(sorted(packed or others, key=lambda topic: topic.name))
+        if self._left_out:
+            topic, error = next(iter(self._left_out.items()))
+            raise InputError(f"{self._path}: {topic.name}", str(error), error.hint or "record the scanner's own topic")
         ended = f" ({self.bag.problem})" if self.bag.problem else ""
         problem = f"no topic with scans{ended}, expected {', '.join(READABLE)}; it has: {shown}"
         raise InputError(str(self._path), problem, "record the scanner's own topic")
@@ -157,7 +170,18 @@ class BagStream:
         return widest
 
     def _reader(self, topic: Topic) -> _TopicReader:
-        return _TopicReader(self._path, topic, self._numbers, self._config)
+        return _TopicReader(self._path, topic, self._numbers, self._config, lambda: self._between_s(topic))
+
+    def _between_s(self, topic: Topic) -> float:
+        """Return the usual time between the stamps of the first clouds of a topic, 0.1 s if there is one cloud [s]."""
+        stamps: list[float] = []
+        for message in self.bag.messages({topic}):
+            stamps.append(parse_cloud(message.data, is_cdr=topic.is_cdr).stamp_s)
+            if len(stamps) == FIRST_CLOUDS:
+                break
+        steps = np.diff(stamps)
+        steps = steps[steps > 0]
+        return float(np.median(steps)) if len(steps) else USUAL_TURN_S
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""
@@ -170,6 +194,8 @@ class BagStream:
         for reader in readers.values():
             yield from reader.finish()
         self._notes = [note for reader in readers.values() for note in reader.notes()]
+        twice = [reader.repeats.told(f"messages or packets of {topic.name}") for topic, reader in readers.items()]
+        self._repeated = next((told for told in twice if told), "")
 
 
 _L = TypeVar("_L", CloudLines, LaserLines, PacketLines)
@@ -178,8 +204,16 @@ _L = TypeVar("_L", CloudLines, LaserLines, PacketLines)
 class _TopicReader:
     """Turns the messages of a topic into blocks; every frame of it is a scanner."""
 
-    def __init__(self, path: Path, topic: Topic, numbers: dict[str, int], config: InputConfig) -> None:
+    def __init__(
+        self,
+        path: Path,
+        topic: Topic,
+        numbers: dict[str, int],
+        config: InputConfig,
+        between_s: Callable[[], float] = lambda: USUAL_TURN_S,
+    ) -> None:
         self._where, self._topic = f"{path}: {topic.name}", topic
+        self._between_s = between_s
         self._numbers, self._config = numbers, config
         self._metadata = find_metadata(None, config) if topic.kind in PACKED else None
         self.frames: dict[str, Any] = {}
@@ -188,24 +222,33 @@ class _TopicReader:
         self._other = ""
         self.n_taken = 0
         """Records of the last message."""
+        self.repeats = Repeats()
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield blocks as there is enough for one."""
         kind, is_cdr = self._topic.kind, self._topic.is_cdr
+        # ROS 1 counts the messages of a sender in their first four bytes
+        content = message.data if is_cdr else message.data[4:]
         try:
             if kind in PACKED:
                 yield from self._packets(message, first_record)
             elif kind == CLOUD:
                 cloud = parse_cloud(message.data, is_cdr=is_cdr)
                 self.n_taken = cloud.n_records
-                yield from self._scanner(cloud.frame, CloudLines, cloud).add(cloud, first_record)
+                if self.repeats.is_again(content):
+                    self._scanner(cloud.frame, CloudLines, cloud, self._between_s).skip(cloud)
+                    return
+                lines = self._scanner(cloud.frame, CloudLines, cloud, self._between_s)
+                yield from lines.add(cloud, first_record)
             else:
                 scan = parse_laser(message.data, is_cdr=is_cdr, is_multi=kind == ECHOES)
                 self.n_taken = scan.n_records
+                if self.repeats.is_again(content):
+                    return
                 yield from self._scanner(scan.frame, LaserLines, scan).add(scan, first_record)
         except ShortMessageError as error:
-            problem = f"the message {error}"
-            raise InputError(f"{self._where}: message {self._n}", problem, "copy the bag again") from None
+            hint = error.hint or "copy the bag again"
+            raise InputError(f"{self._where}: message {self._n}", f"the message {error}", hint) from None
         self._n += 1
 
     def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
@@ -233,6 +276,10 @@ class _TopicReader:
                 self._other = describe(data)
                 continue
             lines = self._scanner(frame, PacketLines, data, self._metadata)
+            if self.repeats.is_again(data):
+                lines.skip()
+                self.n_taken += lines.n_records
+                continue
             yield from lines.add(data, time_s, first_record + self.n_taken)
             self.n_taken += lines.n_records
 

@@ -6,6 +6,7 @@ shot that points along its line, and keeps the shot's own time. Columns that did
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
@@ -26,6 +27,8 @@ SPARE_CELLS = 1 << 20
 """Number of cells always allowed."""
 MAX_SHIFT = 512
 """Most columns by which a ring lies before or behind the others."""
+PAUSE_LINES = 1000
+"""Lines without returns that stand for a pause of the recording."""
 SAME_CLOCK_S = 1.0
 """A scanner's clock within this of the capture's is taken to be set by GPS or PTP [s]."""
 
@@ -64,6 +67,13 @@ class Columns(NamedTuple):
         return [values for values in self[1:] if values is not None]
 
 
+def _sorted(columns: Columns) -> Columns:
+    """Return columns in the order of their numbers: packets may overtake each other."""
+    if (np.diff(columns.line) > 0).all():
+        return columns
+    return columns.part(np.argsort(columns.line, kind="stable"))
+
+
 class ColumnLines:
     """Puts columns of one scanner into lines."""
 
@@ -80,6 +90,10 @@ class ColumnLines:
         """First line that was not given out."""
         self._next = 0
         """Least column that may come."""
+        self._n_shortened = 0
+        """Lines of pauses that were left out."""
+        self._pauses: list[tuple[float, int]] = []
+        """Time of the first shot after a pause [s], and its lines."""
         self._n_columns = self._n_lost = self._unplaced = self._not_fired = self._collisions = 0
 
     def count_not_fired(self, n: int) -> None:
@@ -87,7 +101,7 @@ class ColumnLines:
         self._not_fired += n
 
     def count_unplaced(self, n: int) -> None:
-        """Count records that lie in no ring."""
+        """Count records that lie in no ring, or have a time of no column."""
         self._unplaced += n
 
     def count_collisions(self, n: int) -> None:
@@ -115,14 +129,23 @@ class ColumnLines:
             yield from self._give(self._next + self._span)
 
     def lost(self) -> str:
-        """Return a sentence on columns that did not arrive, empty if all did."""
-        if not self._n_lost:
-            return ""
-        share = self._n_lost / (self._n_lost + self._n_columns)
-        return f"{self._n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots"
+        """Return a sentence on columns that did not arrive, and on pauses; empty if all did."""
+        said = []
+        if self._n_lost:
+            share = self._n_lost / (self._n_lost + self._n_columns)
+            said.append(f"{self._n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots")
+        if self._pauses:
+            begin_s, n = self._pauses[0]
+            more = f", the first of {len(self._pauses)}," if len(self._pauses) > 1 else ""
+            said.append(
+                f"the recording has a pause{more} of {n:,} columns before {begin_s:.3f} s: {PAUSE_LINES:,} lines "
+                "without returns stand for it (input.max_gap_lines)"
+            )
+        return "; ".join(said)
 
     def _in_turn(self, columns: Columns) -> Columns:
-        """Leave out columns that come too late, and check the gaps."""
+        """Leave out columns that come too late, and shorten pauses of the recording."""
+        columns = self._after_pauses(_sorted(columns))
         before = np.append(self._next - 1, columns.line)
         keep = columns.line > np.maximum.accumulate(before)[:-1]
         if not keep.all():
@@ -134,21 +157,30 @@ class ColumnLines:
         if not columns.n:
             return columns
         gaps = np.diff(np.append(self._next - 1, columns.line)) - 1
-        limit, worst = self._config.max_gap_lines, int(gaps.argmax())
-        if gaps[worst] > limit:
-            problem = (
-                f"{int(gaps[worst])} columns did not arrive before the one of record {int(columns.record[worst].min())}"
-                f", expected at most {limit}"
-            )
-            hint = "split the file there, or set input.max_gap_lines if the gap is real"
-            raise InputError(self._where, problem, hint)
         self._n_columns += columns.n
         self._n_lost += int(gaps.sum())
         if self._n_lost > MAX_EMPTY * self._n_columns + SPARE_CELLS // self._m:
             problem = f"{self._n_lost} columns did not arrive, {self._n_columns} did, expected most of them"
-            raise InputError(self._where, problem, "copy it from the archive again")
+            raise InputError(self._where, problem, f"shorten the pauses: --set input.max_gap_lines={PAUSE_LINES}")
         self._next = int(columns.line[-1]) + 1
         return columns
+
+    def _after_pauses(self, columns: Columns) -> Columns:
+        """Shorten the gaps that are longer than the longest, and keep where they were."""
+        columns = columns._replace(line=columns.line - self._n_shortened)
+        gaps = np.diff(np.append(self._next - 1, columns.line)) - 1
+        longest = self._config.max_gap_lines
+        long = np.flatnonzero(gaps > longest)
+        if not len(long):
+            return columns
+        surplus = np.zeros(columns.n, np.int64)
+        surplus[long] = gaps[long] - min(PAUSE_LINES, longest)
+        for at in long:
+            known_s = columns.time_s[at][np.isfinite(columns.time_s[at])]
+            begin_s = float(known_s.min()) if len(known_s) else math.nan
+            self._pauses.append((begin_s, int(gaps[at])))
+        self._n_shortened += int(surplus.sum())
+        return columns._replace(line=columns.line - np.cumsum(surplus))
 
     def _with_further(self, columns: Columns) -> Columns:
         """Give both what is held and new columns further returns where one of them has any."""

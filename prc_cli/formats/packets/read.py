@@ -18,6 +18,7 @@ from prc_cli.formats.organised.scans import check_rules, check_width
 from prc_cli.formats.packets.capture import CaptureCount, Datagram, read_datagrams
 from prc_cli.formats.packets.columns import ColumnLines
 from prc_cli.formats.packets.ouster import Metadata, OusterDecoder, read_metadata
+from prc_cli.formats.packets.repeats import Repeats
 from prc_cli.formats.packets.spinning import KNOWN, NEEDED, SpinningDecoder, describe, is_hesai, is_spinning
 
 BATCH_SHOTS = 1 << 17
@@ -54,6 +55,8 @@ class PacketLines:
         self._lines: ColumnLines | None = None
         self._size = len(first)
         self._packets: list[tuple[bytes, float, int]] = []
+        self._n_skipped = 0
+        """Records of packets that had come before."""
         self._enough = max(1, BATCH_SHOTS // max(1, self.n_records))
 
     def add(self, packet: bytes, time_s: float, first_record: int) -> Iterator[ScanBlock]:
@@ -75,6 +78,10 @@ class PacketLines:
         """Return a sentence on columns that did not arrive, empty if all did."""
         return "" if self._lines is None else self._lines.lost()
 
+    def skip(self) -> None:
+        """Count the records of a packet that had come before."""
+        self._n_skipped += self.n_records
+
     def _decode(self) -> Iterator[ScanBlock]:
         if not self._packets:
             return
@@ -85,6 +92,8 @@ class PacketLines:
         if self._lines is None:
             self._lines = ColumnLines(self._where, self._scanner, self.decoder.shift, self._config)
         per_column = self.n_records // self.decoder.n_columns
+        self._lines.count_not_fired(self._n_skipped)
+        self._n_skipped = 0
         self._lines.count_not_fired(len(data) * self.n_records - columns.n * per_column)
         if columns.n:
             yield from self._lines.add(columns)
@@ -124,6 +133,7 @@ class PacketStream:
         self._widest = max(decoder.points_per_line for decoder in decoders)
         check_width(path, self._widest, config)
         self._lost: list[str] = []
+        self._repeated = ""
 
     @property
     def info(self) -> StreamInfo:
@@ -147,6 +157,7 @@ class PacketStream:
                 has_returns=self._has_returns,
                 scanners=tuple(self._scanners) if len(self._scanners) > 1 else (),
                 notes=(*self._notes(), *self._lost),
+                repeated=self._repeated,
                 describe=self._describe,
             ),
         )
@@ -223,6 +234,7 @@ class PacketStream:
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""
         lines: dict[str, PacketLines] = {}
+        repeats = {key: Repeats() for key in self._scanners}
         record = 0
         for datagram in read_datagrams(self._path, CaptureCount()):
             key = _key(datagram)
@@ -233,10 +245,15 @@ class PacketStream:
                 number = self._scanners[key].number
                 one = PacketLines(f"{self._path}: {key}", number, datagram.payload, self._metadata, self._config)
                 lines[key] = one
-            yield from one.add(datagram.payload, datagram.time_s, record)
+            if repeats[key].is_again(datagram.payload):
+                one.skip()
+            else:
+                yield from one.add(datagram.payload, datagram.time_s, record)
             record += one.n_records
         for one in lines.values():
             yield from one.finish()
+        twice = [each.told(f"packets of {key}") for key, each in repeats.items()]
+        self._repeated = next((told for told in twice if told), "")
         self._lost = [f"{key}: {lost}" for key, one in lines.items() if (lost := one.lost())]
 
 

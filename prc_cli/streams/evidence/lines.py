@@ -85,9 +85,12 @@ class LineRepeats:
         return again * (self._mask + 1)
 
 
-def check_repeats(repeats: LineRepeats) -> Finding:
-    """Ask whether lines come twice."""
+def check_repeats(repeats: LineRepeats, of_recording: str = "") -> Finding:
+    """Ask whether lines come twice; ``of_recording`` is what the recording itself holds twice."""
     n = repeats.n_repeated
+    if of_recording:
+        hint = "the first of each was classified, the others have no class: record every topic or port once"
+        return Finding("repeated-lines", Verdict.DOUBTFUL, of_recording, "each once", hint)
     found = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
     hint = "leave out the part that is there twice"
     return Finding("repeated-lines", verdict(doubtful=n >= LEAST_REPEATED), found, f"fewer than {LEAST_REPEATED}", hint)

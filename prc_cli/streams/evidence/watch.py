@@ -128,7 +128,7 @@ class EvidenceStream(Brief):
 
     def _of_whole(self) -> Iterator[Finding]:
         """Yield the answers that need the whole stream."""
-        yield check_repeats(self._repeats)
+        yield check_repeats(self._repeats, self.info.facts.repeated)
         if self.is_part:
             return
         scanners = self._scanners.items()

@@ -89,14 +89,25 @@ def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
     assert stream.info.facts.notes == (lost,)
     result = runner().invoke(cli, ["info", str(tmp_path / "b.pcap")])
     assert "96 columns did not arrive" in " ".join(result.output.split())
-    late = [*frames[:5], frames[6], frames[5], *frames[7:]]
-    _, swapped = read(made.write_pcap(tmp_path / "c.pcap", late))
-    assert swapped.tally.n_unplaced == 24 * 16
     read(tmp_path / "b.pcap", max_gap_lines=96)
-    with pytest.raises(
-        InputError, match="96 columns did not arrive before the one of record 1920, expected at most 95"
-    ):
-        read(tmp_path / "b.pcap", max_gap_lines=95)
+
+
+def test_packets_that_overtook_each_other_are_put_in_order(tmp_path: Path) -> None:
+    frames = made.framed(made.vlp16())
+    _, whole = read(made.write_pcap(tmp_path / "a.pcap", frames))
+    swapped = [*frames[:5], frames[6], frames[5], *frames[7:]]
+    _, block = read(made.write_pcap(tmp_path / "b.pcap", swapped))
+    np.testing.assert_array_equal(block.range_m, whole.range_m)
+    assert block.tally.n_unplaced == 0
+
+
+def test_a_pause_of_the_recording_is_shortened_and_said(tmp_path: Path) -> None:
+    frames = made.framed(made.vlp16())
+    path = made.write_pcap(tmp_path / "a.pcap", frames[:5] + frames[9:])
+    stream, block = read(path, max_gap_lines=50)
+    assert block.n_lines == 480 - 96 + 50
+    (note,) = stream.info.facts.notes
+    assert "a pause of 96 columns" in note
 
 
 @pytest.mark.parametrize(
