@@ -1,10 +1,15 @@
-"""``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``: a message is a scan line."""
+"""``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``: a message is a scan line, or a part of one.
+
+Motors turn unevenly, so that the number of beams, their step and the first angle change from message to message; some
+scanners send a line in parts. All beams lie on one grid of angles, which the first messages show.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +26,14 @@ LASER, ECHOES = "sensor_msgs/LaserScan", "sensor_msgs/MultiEchoLaserScan"
 MAX_ECHOES = 64
 """Most echoes of a beam."""
 _NEAR, _SAME = 0.25, 1e-3
-"""Tolerances for the first angle and the step of later messages, in steps."""
+"""Tolerances for the first angle and the step of messages with the same beams, in steps."""
+_OTHER_STEP = 1.2
+"""Steps that differ by this factor are those of another set-up."""
+_LEAST_INSIDE = 0.5
+"""Share of the beams of a message that must have a column."""
+_SHARED_BEAMS = 3
+"""Parts of a line may share fewer beams."""
+_ONE_SET_UP = "record every set-up in a bag of its own"
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,83 +137,212 @@ def _starts(words: NDArray[np.uint32], n: int) -> I64:
     return starts[:n]
 
 
-class LaserLines:
-    """Gathers messages of one scanner into blocks."""
+@dataclass(frozen=True, slots=True)
+class BeamGrid:
+    """Angles of the columns, which the first messages of a scanner show."""
 
-    def __init__(self, where: str, scanner: int, first: LaserScan, config: InputConfig) -> None:
+    start_rad: float
+    step_rad: float
+    n: int
+    is_plain: bool
+    """Whether each of the messages has just these beams."""
+
+    @classmethod
+    def of(cls, scans: list[LaserScan]) -> BeamGrid:
+        """Return the finest grid, with all beams of the messages; angles are counted from those of the first one."""
+        steps = np.array([scan.angle_step_rad for scan in scans])
+        usual = float(np.median(steps))
+        scans = [scan for scan in scans if 1 / _OTHER_STEP < scan.angle_step_rad / usual < _OTHER_STEP]
+        steps = np.array([scan.angle_step_rad for scan in scans])
+        way = math.copysign(1.0, usual)
+        step = way * float(np.abs(steps).min())
+        first = scans[0]
+        begins = np.rint([(scan.angle_min_rad - first.angle_min_rad) / step for scan in scans])
+        spans = np.rint([(scan.points_per_line - 1) * scan.angle_step_rad / step for scan in scans])
+        begin = int(begins.min())
+        n = int((begins + spans).max()) - begin + 1
+        start = first.angle_min_rad + begin * step
+        grid = cls(start, step, max(n, 1), True)
+        return replace(grid, is_plain=all(grid.has_just(scan) for scan in scans))
+
+    def has_just(self, scan: LaserScan) -> bool:
+        """Whether a message has just these beams."""
+        near = abs(scan.angle_min_rad - self.start_rad) <= _NEAR * abs(self.step_rad)
+        return near and self._has_step(scan) and scan.points_per_line == self.n
+
+    def _has_step(self, scan: LaserScan) -> bool:
+        return abs(scan.angle_step_rad - self.step_rad) <= _SAME * abs(self.step_rad)
+
+    def columns(self, scan: LaserScan) -> I64:
+        """Return the column of every beam of a message, (beams,) int64; -1 = none."""
+        begin = (scan.angle_min_rad - self.start_rad) / self.step_rad
+        beam = np.arange(scan.points_per_line)
+        if self._has_step(scan):
+            columns = round(begin) + beam
+        else:
+            columns = np.rint(begin + beam * (scan.angle_step_rad / self.step_rad)).astype(np.int64)
+        is_cell = (columns >= 0) & (columns < self.n)
+        is_cell[1:] &= columns[1:] != columns[:-1]
+        placed: I64 = np.where(is_cell, columns, -1).astype(np.int64)
+        return placed
+
+
+_Beyond: TypeAlias = tuple[I64, F32, I64]
+"""Beam, range [m] and record of every further echo."""
+
+
+@dataclass(slots=True)
+class _Part:
+    """A message that waits."""
+
+    scan: LaserScan
+    first_record: int
+    columns: I64
+    line: int
+    """Line since the first one that waits."""
+
+
+class LaserLines:
+    """Gathers messages of one scanner into blocks: a message is a line, or a part of one."""
+
+    def __init__(
+        self, where: str, scanner: int, first_scans: Callable[[], list[LaserScan]], config: InputConfig
+    ) -> None:
         self._where, self._scanner, self._config = where, scanner, config
-        self.points_per_line = first.points_per_line
-        self.has_returns = first.n_echoes is not None
-        self._first = (first.angle_min_rad, first.angle_step_rad)
+        scans = first_scans()
+        self.has_returns = scans[0].n_echoes is not None
+        self._grid = BeamGrid.of(scans)
+        self._usual_step = float(np.median([scan.angle_step_rad for scan in scans]))
+        self.is_plain = self._grid.is_plain
+        """Whether every message is a line of its own, with all beams."""
+        self.points_per_line = self._grid.n
+        if self.points_per_line > MAX_POINTS_PER_LINE:
+            found = f"angle_min from {min(scan.angle_min_rad for scan in scans):g} to "
+            found += f"{max(scan.angle_min_rad for scan in scans):g} in steps of {self._grid.step_rad:g}"
+            raise InputError(where, f"found {found}, expected scans of one scanner", _ONE_SET_UP)
         column = np.arange(self.points_per_line, dtype=np.float64)
-        self.angle_rad: F64 = first.angle_min_rad + first.angle_step_rad * column
-        self._waiting: list[tuple[LaserScan, int]] = []
-        self._n_lines = 0
+        self.angle_rad: F64 = self._grid.start_rad + self._grid.step_rad * column
+        self._waiting: list[_Part] = []
+        self._n_lines = self._n_messages = 0
         self._enough = lines_per_block(self.points_per_line)
 
     def add(self, scan: LaserScan, first_record: int) -> Iterator[ScanBlock]:
         """Take a message whose first record is given; yield a block when there is enough for one."""
-        m, (start, step) = self.points_per_line, self._first
-        near = abs(scan.angle_min_rad - start) <= _NEAR * abs(step)
-        near &= abs(scan.angle_step_rad - step) <= _SAME * abs(step)
-        if scan.points_per_line != m or not near:
-            found, wanted = f"{scan.points_per_line} ranges", str(m)
-            if scan.points_per_line == m:
-                found = f"angle_min {scan.angle_min_rad:g} and angle_increment {scan.angle_step_rad:g}"
-                wanted = f"{start:g} and {step:g}"
-            where = f"{self._where}: message {self._n_lines + len(self._waiting)}"
-            problem = f"found {found}, expected {wanted} as in the first message"
-            raise InputError(where, problem, "record every set-up in a bag of its own")
-        self._waiting.append((scan, first_record))
-        if len(self._waiting) == self._enough:
-            yield from self.finish()
+        columns = self._grid.columns(scan)
+        self._check(scan, columns)
+        self._n_messages += 1
+        inside = columns[columns >= 0]
+        part = _Part(scan, first_record, columns, 0)
+        if self._waiting:
+            before = self._waiting[-1]
+            part.line = before.line + (0 if _continues(before.columns, inside) else 1)
+        # the last line may go on
+        if part.line >= self._enough:
+            yield self._block(self._waiting)
+            self._n_lines += part.line
+            self._waiting, part.line = [], 0
+        self._waiting.append(part)
+
+    def _check(self, scan: LaserScan, columns: I64) -> None:
+        """Refuse a message of another set-up."""
+        usual = self._usual_step
+        found, wanted = "", ""
+        if not 1 / _OTHER_STEP < scan.angle_step_rad / usual < _OTHER_STEP:
+            found, wanted = f"angle_increment {scan.angle_step_rad:g}", f"about {usual:g} as usual"
+        elif np.count_nonzero(columns >= 0) < _LEAST_INSIDE * len(columns):
+            stop = scan.angle_min_rad + scan.angle_step_rad * (len(columns) - 1)
+            found = f"beams from {scan.angle_min_rad:g} to {stop:g}"
+            wanted = f"{self.angle_rad[0]:g} to {self.angle_rad[-1]:g} as in the first messages"
+        if found:
+            where = f"{self._where}: message {self._n_messages}"
+            raise InputError(where, f"found {found}, expected {wanted}", _ONE_SET_UP)
 
     def finish(self) -> Iterator[ScanBlock]:
         """Yield what waits."""
         if self._waiting:
-            yield self._block()
-            self._n_lines += len(self._waiting)
+            yield self._block(self._waiting)
+            self._n_lines += self._waiting[-1].line + 1
             self._waiting = []
 
     def lost(self) -> str:
-        """Return what is lacking: nothing, a scan that was not recorded leaves no gap."""
-        return ""
+        """Return how messages became lines, where each is not a line of its own."""
+        if self.is_plain or not self._n_messages:
+            return ""
+        parts = self._n_messages / max(self._n_lines, 1)
+        if parts > 1.5:
+            return f"{parts:.3g} messages are a line of {self.points_per_line} beams"
+        return f"the number of beams or the first angle changes: they lie on one grid of {self.points_per_line} angles"
 
-    def _block(self) -> ScanBlock:
-        scans = [scan for scan, _ in self._waiting]
-        m = self.points_per_line
-        first = np.array([record for _, record in self._waiting], np.int64)
-        ranges, intensity, record, extra = (self._echoes if self.has_returns else self._single)(scans, first)
-        cleaned, tally = clean_ranges(ranges, self._config.min_range, self._config.max_range)
-        if intensity is not None:
-            intensity[np.isnan(cleaned)] = np.nan
-        stamps, steps = (np.array([getattr(scan, name) for scan in scans])[:, None] for name in ("stamp_s", "shot_s"))
+    def _block(self, parts: list[_Part]) -> ScanBlock:
+        scans = [part.scan for part in parts]
+        n, m = parts[-1].line + 1, self.points_per_line
+        first = np.array([part.first_record for part in parts], np.int64)
+        ranges, intensity, record, beyond = (self._echoes if self.has_returns else self._single)(scans, first)
+        line = np.repeat([part.line for part in parts], [len(part.columns) for part in parts])
+        column = np.concatenate([part.columns for part in parts])
+        stamps = np.concatenate([part.scan.stamp_s + part.scan.shot_s * np.arange(len(part.columns)) for part in parts])
+        cell = np.where(column >= 0, line * m + column, -1)
+        is_first: Mask = cell >= 0
+        if not (np.diff(cell) > 0).all():
+            # parts of a line that overlap: the first one has the cell
+            _, first_of = np.unique(cell, return_index=True)
+            is_first = np.zeros(len(cell), np.bool_)
+            is_first[first_of] = True
+            is_first &= cell >= 0
+        n_unplaced, n_meet = int(np.count_nonzero(cell < 0)), int(np.count_nonzero(~is_first & (cell >= 0)))
+        beam, other_m, other_record = beyond
+        is_there = cell[beam] >= 0
+        again = np.flatnonzero(~is_first & (cell >= 0) & np.isfinite(ranges))
+        cells = np.concatenate([cell[beam[is_there]], cell[again]])
+        extra = ExtraReturns(
+            (cells // m).astype(np.int32), (cells % m).astype(np.int32),
+            np.concatenate([other_m[is_there], ranges[again]]),
+            np.concatenate([other_record[is_there], record[again]]),
+        )  # fmt: skip
+
+        def scattered(values: NDArray[Any], fill: float) -> NDArray[Any]:
+            grid = np.full(n * m, fill, values.dtype)
+            grid[cell[is_first]] = values[is_first]
+            return grid.reshape(n, m)
+
+        cleaned, tally = clean_ranges(scattered(ranges, np.nan), self._config.min_range, self._config.max_range)
+        lit = None if intensity is None else scattered(intensity, np.nan)
+        if lit is not None:
+            lit[np.isnan(cleaned)] = np.nan
+        time_s = scattered(stamps, np.nan)
+        if np.isnan(time_s).any():
+            time_s = _filled_times(time_s, float(np.median([scan.shot_s for scan in scans])))
         counted = ReadTally(
             n_records=sum(scan.n_records for scan in scans),
             n_beyond=sum(scan.n_beyond for scan in scans),
-            n_extra_returns=len(extra),
+            n_extra_returns=len(extra) - n_meet,
+            n_collisions=n_meet,
+            n_unplaced=n_unplaced,
         )
         return ScanBlock(
             first_line=self._n_lines,
             range_m=cleaned,
-            record=record,
+            record=scattered(record, -1),
             scanner=self._scanner,
-            time_s=stamps + steps * np.arange(m),
-            intensity=intensity,
+            time_s=time_s,
+            intensity=lit,
             angle_rad=self.angle_rad,
             extra=extra,
             tally=tally + counted,
         )
 
-    def _single(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns]:
-        """Return range, intensity and record of every cell, and no further echoes."""
-        lit = np.stack([scan.intensity for scan in scans]) if all(len(scan.intensity) for scan in scans) else None
-        ranges = np.stack([scan.range_m for scan in scans])
-        return ranges, lit, first[:, None] + np.arange(self.points_per_line), ExtraReturns.none()
+    def _single(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, _Beyond]:
+        """Return range, intensity and record of every beam, and no further echoes."""
+        lit = None
+        if all(len(scan.intensity) for scan in scans):
+            lit = np.concatenate([scan.intensity for scan in scans])
+        ranges = np.concatenate([scan.range_m for scan in scans])
+        n_of = np.array([scan.n_records for scan in scans])
+        record = np.arange(len(ranges)) + np.repeat(first - (np.cumsum(n_of) - n_of), n_of)
+        return ranges, lit, record, (np.empty(0, np.int64), np.empty(0, np.float32), np.empty(0, np.int64))
 
-    def _echoes(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns]:
-        """Return range, intensity and record of every cell, and the further echoes."""
-        n, m = len(scans), self.points_per_line
+    def _echoes(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, _Beyond]:
+        """Return range, intensity and record of every beam, and its further echoes."""
         counts = np.concatenate([scan.n_echoes for scan in scans if scan.n_echoes is not None])
         held = np.maximum(counts, 1)
         begins: Mask = np.zeros(int(held.sum()), np.bool_)
@@ -223,8 +364,28 @@ class LaserLines:
         n_of = np.array([scan.n_records for scan in scans])
         record = np.arange(len(flat)) + np.repeat(first - (np.cumsum(n_of) - n_of), n_of)
         others = np.flatnonzero(~stands & ~np.isnan(flat))
-        cell = (np.cumsum(begins) - 1)[others]
-        extra = ExtraReturns((cell // m).astype(np.int32), (cell % m).astype(np.int32), flat[others], record[others])
+        beam = (np.cumsum(begins) - 1)[others]
         own = np.flatnonzero(stands)
-        intensity = None if lit is None else lit[own].reshape(n, m)
-        return flat[own].reshape(n, m), intensity, record[own].reshape(n, m), extra
+        return flat[own], None if lit is None else lit[own], record[own], (beam, flat[others], record[others])
+
+
+def _continues(before: I64, columns: I64) -> bool:
+    """Whether beams go on where those of the message before ended, on the same line."""
+    known = before[before >= 0]
+    if not len(known) or not len(columns):
+        return True
+    begin, stop = int(known.min()), int(known.max())
+    return int(columns.min()) > max(stop - _SHARED_BEAMS, (begin + stop) / 2)
+
+
+def _filled_times(time_s: F64, shot_s: float) -> F64:
+    """Return times with those of cells without a beam: as far from the last beam of the line as columns lie apart."""
+    flat = time_s.copy()
+    column = np.arange(flat.shape[1])
+    known = np.isfinite(flat)
+    last = np.maximum.accumulate(np.where(known, column, -1), axis=1)
+    first = known.argmax(axis=1)
+    source = np.where(last >= 0, last, first[:, None])
+    rows = np.arange(len(flat))[:, None]
+    filled: F64 = np.where(known, flat, flat[rows, source] + (column - source) * shot_s)
+    return filled

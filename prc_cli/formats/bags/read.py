@@ -14,7 +14,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
 from prc_cli.formats.bags.containers import Bag, Message, Topic
-from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, parse_laser
+from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, LaserScan, parse_laser
 from prc_cli.formats.bags.messages import OUSTER, PACKED, ShortMessageError, parse_packets
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import check_rules, check_width
@@ -24,6 +24,8 @@ from prc_cli.formats.packets.spinning import KNOWN, NEEDED, describe
 
 MAX_SCANNERS = 256
 """Most scanners of a bag."""
+FIRST_SCANS = 256
+"""Laser scans that show which beams there are."""
 FIRST_CLOUDS, USUAL_TURN_S = 9, 0.1
 """Clouds whose stamps tell how long a turn takes, and the turn of most scanners [s]."""
 LASERS = (LASER, ECHOES)
@@ -46,6 +48,7 @@ class BagStream:
         check_rules(path, config, "a recording of scans")
         self._path, self._config = path, config
         self.bag = Bag(path)
+        self._scans: dict[Topic, list[LaserScan]] = {}
         self._left_out: dict[Topic, ShortMessageError] = {}
         """Why clouds cannot be read."""
         self._firsts = self._first_messages()
@@ -56,7 +59,7 @@ class BagStream:
         self._numbers: dict[str, int] = {}
         """Numbers of scanners, in the order they are met."""
         self._repeated = ""
-        self._has_returns = False
+        self._has_returns, self._has_whole_lines = False, True
         self._widest = self._look()
         check_width(path, self._widest, config)
 
@@ -82,7 +85,7 @@ class BagStream:
             format="bag",
             points_per_line=self._widest,
             n_records=None,
-            n_lines=sum(counts[topic] for topic in self.topics) if lasers else None,
+            n_lines=sum(counts[topic] for topic in self.topics) if lasers and self._has_whole_lines else None,
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
@@ -162,6 +165,8 @@ class BagStream:
                 for _ in reader.add(self._firsts[topic], 0):
                     pass
                 widest = max([widest, *(lines.points_per_line for lines in reader.frames.values())])
+                is_plain = all(getattr(lines, "is_plain", True) for lines in reader.frames.values())
+                self._has_whole_lines = self._has_whole_lines and is_plain
                 self._has_returns = self._has_returns or any(lines.has_returns for lines in reader.frames.values())
                 why = reader.nothing()
         if not widest:
@@ -170,7 +175,20 @@ class BagStream:
         return widest
 
     def _reader(self, topic: Topic) -> _TopicReader:
-        return _TopicReader(self._path, topic, self._numbers, self._config, lambda: self._between_s(topic))
+        return _TopicReader(
+            self._path, topic, self._numbers, self._config, lambda: self._between_s(topic),
+            lambda: self._first_scans(topic),
+        )  # fmt: skip
+
+    def _first_scans(self, topic: Topic) -> list[LaserScan]:
+        """Return the first scans of a topic of laser scans, which show its beams."""
+        if topic not in self._scans:
+            self._scans[topic] = scans = []
+            for message in self.bag.messages({topic}):
+                scans.append(parse_laser(message.data, is_cdr=topic.is_cdr, is_multi=topic.kind == ECHOES))
+                if len(scans) == FIRST_SCANS:
+                    break
+        return self._scans[topic]
 
     def _between_s(self, topic: Topic) -> float:
         """Return the usual time between the stamps of the first clouds of a topic, 0.1 s if there is one cloud [s]."""
@@ -194,7 +212,10 @@ class BagStream:
         for reader in readers.values():
             yield from reader.finish()
         self._notes = [note for reader in readers.values() for note in reader.notes()]
-        twice = [reader.repeats.told(f"messages or packets of {topic.name}") for topic, reader in readers.items()]
+        twice = [
+            reader.repeats.told(f"{'packets' if topic.kind in PACKED else 'messages'} of {topic.name}")
+            for topic, reader in readers.items()
+        ]
         self._repeated = next((told for told in twice if told), "")
 
 
@@ -211,9 +232,10 @@ class _TopicReader:
         numbers: dict[str, int],
         config: InputConfig,
         between_s: Callable[[], float] = lambda: USUAL_TURN_S,
+        first_scans: Callable[[], list[LaserScan]] = list,
     ) -> None:
         self._where, self._topic = f"{path}: {topic.name}", topic
-        self._between_s = between_s
+        self._between_s, self._first_scans = between_s, first_scans
         self._numbers, self._config = numbers, config
         self._metadata = find_metadata(None, config) if topic.kind in PACKED else None
         self.frames: dict[str, Any] = {}
@@ -245,11 +267,15 @@ class _TopicReader:
                 self.n_taken = scan.n_records
                 if self.repeats.is_again(content):
                     return
-                yield from self._scanner(scan.frame, LaserLines, scan).add(scan, first_record)
+                yield from self._scanner(scan.frame, LaserLines, self._scans_of(scan)).add(scan, first_record)
         except ShortMessageError as error:
             hint = error.hint or "copy the bag again"
             raise InputError(f"{self._where}: message {self._n}", f"the message {error}", hint) from None
         self._n += 1
+
+    def _scans_of(self, scan: LaserScan) -> Callable[[], list[LaserScan]]:
+        """Return what gives the first scans with the frame of a scan, at least this one."""
+        return lambda: [one for one in self._first_scans() if one.frame == scan.frame] or [scan]
 
     def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
         """Return what gathers the scans of a frame."""

@@ -177,11 +177,11 @@ def test_set_ups_that_change_are_refused(tmp_path: Path) -> None:
     store, sent = made.STORES[2], made.lasers(2)
     later = made.START_NS + 40 * made.PERIOD_NS
     for changes, expected in (
-        ({"angle_increment": 0.2}, "angle_increment 0.2, expected -1.5 and 0.076"),
-        ({"ranges": np.ones(3, np.float32), "intensities": np.ones(3, np.float32)}, "found 3 ranges, expected 40"),
+        ({"angle_increment": 0.2}, "message 12: found angle_increment 0.2, expected about 0.0769231"),
+        ({"angle_increment": -3.0 / 39}, "message 12: found angle_increment -0.0769231"),
     ):
         odd = made.laser(store, later, made.ranges()[0], **changes)
-        path = tmp_path / f"{len(changes)}.db3"
+        path = tmp_path / f"{len(expected)}.db3"
         made.write_db3(path, [*sent, made.Sent("/scan", sent[0].kind, later, odd)])
         with pytest.raises(InputError, match=expected):
             read(path)
