@@ -22,6 +22,8 @@ import click
 from prc_cli import __version__
 from prc_cli.cli.guard import REPEATED_S, begin
 from prc_cli.core.errors import PrcError, printable, printable_lines
+from prc_cli.core.files import drop_proofs, forget_placed, keep_proofs, left_words, take_back
+from prc_cli.core.paths import begin_command
 from prc_cli.core.process import claim_process, no_collecting, raise_or_hold
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -48,6 +50,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
+SIGNALLED = 128
+"""Exit codes after a signal are higher."""
 AGAIN_S = 0.05
 """Delay after which a dropped signal is raised again [s]."""
 
@@ -98,14 +102,19 @@ def cli(debug: bool) -> None:
     Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 done, but look
     at it: a doubt, or in an archive unusual classes; of prc batch also 5 another run is at work.
     """
+    context = click.get_current_context()
+    begin_command(context.invoked_subcommand or "")
+    context.call_on_close(lambda: begin_command(""))
+    forget_placed()
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line; errors of the package become one line and an exit code."""
     arguments = sys.argv[1:] if args is None else args
     if args is None:
-        begin(arguments, frozenset(COMMANDS))
+        is_guarded = begin(arguments, frozenset(COMMANDS))
         claim_process()
+        keep_proofs()
     # the parent process may have closed stdout and stderr, as some daemons do
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
@@ -115,7 +124,15 @@ def main(args: list[str] | None = None) -> None:
     # escape names that the terminal cannot show instead of stopping
     if args is None and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
-    code = _run(arguments, debug="--debug" in arguments)
+    try:
+        code = _run(arguments, debug="--debug" in arguments)
+    except SystemExit as stop:
+        if isinstance(stop.code, int) and stop.code > SIGNALLED:
+            take_back()
+        raise
+    finally:
+        if args is None and not is_guarded:
+            drop_proofs()
     if args is None:
         gc.freeze()  # skips Python's last garbage collection, a fifth of the time of a short command
     sys.exit(code)
@@ -146,13 +163,14 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         message, code = printable(said), error.exit_code
     except MemoryError as error:
         failure = error
-        message, code = "not enough memory for this input and these parameters; no output was left behind", 1
+        message, code = f"not enough memory for this input and these parameters; {left_words()}", 1
     except ImportError as error:
         failure = error
         message, code = printable(f"a package cannot be loaded ({error}); prc doctor checks the installation"), 1
     except (click.Abort, KeyboardInterrupt) as error:
         failure = error
-        message, code = "interrupted; no output was left behind", INTERRUPTED
+        take_back()
+        message, code = printable(f"interrupted; {left_words()}"), INTERRUPTED
     except OSError as error:
         failure = error
         message, code = printable(_system_problem(error)), 1
@@ -179,7 +197,7 @@ def _system_problem(error: OSError) -> str:
     """Say what the system refused. Errors of files are handled where they occur: the rest is the terminal or a pipe."""
     why = error.strerror or str(error)
     if error.errno in _LIMITS:
-        return f"{why}; no output was left behind; {_LIMITS[error.errno]}"
+        return f"{why}; {left_words()}; {_LIMITS[error.errno]}"
     if error.filename is not None:
         return f"{os.fsdecode(error.filename)}: {why}; check the file and its permissions"
     return f"the result cannot be printed ({why})"

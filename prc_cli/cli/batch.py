@@ -17,8 +17,10 @@ import click
 from click.shell_completion import CompletionItem
 
 from prc_cli.cli.options import add_options, complete_mapping, layers_from, output_options, stream_options
+from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import atomic_output, read_own, remove_stale
+from prc_cli.core.paths import begin_command
 from prc_cli.core.process import raise_or_hold
 
 if TYPE_CHECKING:
@@ -78,7 +80,9 @@ _SELECTION = [
         help="Files of such names that differ only in what the last wildcards stand for, as '??' in "
         "'drive_*_??.laz', are the parts of one drive, in the order of these numbers: one stream, an output each.",
     ),
-    _option("--since", metavar="WHEN", help="Only inputs changed since: 2026-01-31, 7d, 12h, or a file."),
+    _option(
+        "--since", type=READ_TEXT, metavar="WHEN", help="Only inputs changed since: 2026-01-31, 7d, 12h, or a file."
+    ),
     _option(
         "--limit",
         type=click.IntRange(min=1),
@@ -116,9 +120,9 @@ _OUTPUTS = [
     _option("--dry-run", is_flag=True, help="Only say what would be done, and what it would take."),
 ]  # fmt: skip
 _CHECKS = [
-    _option("--reference", type=click.Path(path_type=Path), metavar="TREE",
+    _option("--reference", type=READ, metavar="TREE",
             help="Evaluate against this reference folder: files of the same name, any suffix."),
-    _option("--mapping", metavar="NAME|FILE.toml", shell_complete=complete_mapping,
+    _option("--mapping", type=READ_TEXT, metavar="NAME|FILE.toml", shell_complete=complete_mapping,
             help="Which codes mean which class, as prc evaluate.  [default: that of the method in the run records]"),
     _option("--match", default="order", show_default=True, metavar="HOW",
             help="How records find their partner: order, time, dimension:NAME or nearest."),
@@ -128,14 +132,19 @@ _CHECKS = [
             help="Exit code 4 if the classes of a file are unlike those of earlier ones."),
 ]  # fmt: skip
 _TELLING = [
-    _option("--log-json", metavar="FILE|-", help="Write every event as a line of JSON, at the end of FILE."),
+    _option(
+        "--log-json",
+        type=WRITTEN_TEXT,
+        metavar="FILE|-",
+        help="Write every event as a line of JSON, at the end of FILE.",
+    ),
     _option("--time-stamps", is_flag=True, help="Begin log lines with the time (UTC)."),
 ]
 
 
 @click.group(cls=BatchCommand, subcommand_metavar="")
-@click.argument("archive", type=click.Path(path_type=Path), shell_complete=_complete_archive)
-@click.argument("out", type=click.Path(path_type=Path), required=False)
+@click.argument("archive", type=READ, shell_complete=_complete_archive)
+@click.argument("out", type=WRITTEN, required=False)
 @add_options(*_SELECTION, *_WORK, *_OUTPUTS, *_CHECKS, *_TELLING)
 @stream_options
 @output_options
@@ -168,29 +177,37 @@ def batch(**options: Any) -> None:
 
 
 @batch.command()
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=READ)
 @_option("--json", "as_json", is_flag=True, help="Print all of it as JSON on stdout.")
-def status(out: Path, as_json: bool) -> None:
+@_option("--verify", is_flag=True, help="Also read every output and compare its hash; exit code 1 if one is not whole.")
+def status(out: Path, as_json: bool, verify: bool) -> None:
     """Say what is done, what is doubted, what failed and why, and who is at work in OUT.
 
     \b
-    Example: prc batch status /classified
+    Examples:
+      prc batch status /classified
+      prc batch status /classified --verify
     """
-    from prc_cli.cli.batch_report import print_status, status_dict
+    from prc_cli.cli.batch_report import print_status, print_verified, status_dict
     from prc_cli.jobs.batch.journal import read_entries, read_runs
     from prc_cli.jobs.batch.lock import holders
-    from prc_cli.jobs.batch.outputs import own_folder
+    from prc_cli.jobs.batch.outputs import own_folder, verify_outputs
 
     folder = own_folder(out)
     entries, runs, owners = read_entries(folder), read_runs(folder), holders(folder)
+    verified = tuple(verify_outputs(out)) if verify else ()
     if as_json:
-        click.echo(json.dumps(status_dict(entries, runs, owners), indent=1))
+        more = {"verified": [asdict(item) for item in verified]} if verify else {}
+        click.echo(json.dumps(status_dict(entries, runs, owners) | more, indent=1))
     else:
         print_status(out, entries, runs, owners)
+        if verify:
+            print_verified(out, verified, quiet=False)
+    click.get_current_context().exit(int(any(item.state != "whole" for item in verified)))
 
 
 @batch.command()
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=READ)
 @_option("--shard", metavar="I/N", help="Repeat the last run of this shard.")
 @_option("--jobs", type=click.IntRange(min=1), metavar="N", help="Files at a time, other than last time.")
 @_option("--retry", type=click.IntRange(min=0), metavar="N", help="Try a file N times more, other than last time.")
@@ -217,11 +234,11 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
 
 
 @batch.command()
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=WRITTEN)
 @_option(
     "--forget",
     "archive",
-    type=click.Path(path_type=Path),
+    type=READ,
     metavar="ARCHIVE",
     help="Forget inputs in the journal that this folder does not hold any more.",
 )
@@ -366,7 +383,9 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any], typed: Seque
     finally:
         if log is not None:
             log.end(code, summary, problem)
-    print_end(summary, quiet=quiet, listed=not shows_bar, only_failed=settings.only_failed)
+    print_end(
+        summary, quiet=quiet, listed=not shows_bar, only_failed=settings.only_failed, trusting=not settings.verify
+    )
     return summary
 
 
@@ -399,6 +418,7 @@ def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
     try:
         table = json.loads(read_own(path, _MAX_COMMAND))
         folder, typed = Path(table["folder"]), [str(word) for word in table["arguments"]]
+        begin_command("batch")  # its options are those of the last run
         context = batch.make_context("prc batch", list(typed))
         if table["schema"] != _COMMAND_SCHEMA or not folder.is_dir() or context.command is not batch:
             raise ValueError

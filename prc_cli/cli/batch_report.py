@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ from typing import Any
 
 from prc_cli import __version__
 from prc_cli.cli.report import console, results, table_of
-from prc_cli.core.errors import printable
+from prc_cli.core.errors import OutputError, printable
 from prc_cli.core.findings import is_doubt
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
@@ -225,11 +226,30 @@ class Teller:
         say(f"{_now()} {text}" if self._stamps else text)
 
 
+def _check_log(path: Path) -> None:
+    """Refuse a file that is no log: lines are added to it in place."""
+    try:
+        status = path.stat()
+        is_log = stat.S_ISREG(status.st_mode) and status.st_nlink == 1
+        if is_log and status.st_size:
+            with path.open("rb") as handle:
+                is_log = handle.read(1) == b"{"
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise OutputError(str(path), f"cannot be read ({error.strerror})", "check its permissions") from error
+    if not is_log:
+        problem = "is no log of prc batch: found another kind of file, or one with two names"
+        raise OutputError(str(path), problem, "name a new file for --log-json, or - for stdout")
+
+
 class JsonLog:
     """One JSON object a line; a file is opened for every line, so that it may be rotated away at any moment."""
 
     def __init__(self, target: str) -> None:
         self._path = None if target == "-" else Path(target)
+        if self._path is not None:
+            _check_log(self._path)
         self._who: dict[str, Any] = {"process": os.getpid()}
         self._told = False
 
@@ -288,8 +308,17 @@ class JsonLog:
 # -- when a run has ended ---------------------------------------------------------------------------------------------
 
 
-def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: bool = False) -> None:
-    """Print what a run did; quiet: a line, and only if something is wrong; listed: failures stand above already."""
+TRUSTING = "files that were done before were judged by size and time; --verify compares their content"
+
+
+def print_end(
+    summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: bool = False, trusting: bool = False
+) -> None:
+    """Print what a run did; quiet: a line, and only if something is wrong; listed: failures stand above already.
+
+    A run that is ``trusting`` did not read the outputs of earlier ones.
+    """
+    trusting = trusting and not quiet and summary.n_skipped > 0
     is_wrong = summary.exit_code or summary.ended != "finished"
     idle = not (summary.done or summary.failed or summary.standing or summary.n_waiting or summary.alarms)
     if idle and summary.evaluation is None:
@@ -297,6 +326,8 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: 
         nothing = "no file failed or was cut off" if only_failed else "no files were found"
         if not quiet:
             say(f"nothing to do: {found if summary.n_found else nothing} ({summary.out})")
+        if trusting:
+            say(TRUSTING)
         if is_wrong or not quiet:
             _print_doubts(summary)
         return
@@ -313,6 +344,8 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: 
             say(f"{gate.name}: found {value}, demanded {gate.limit:.4f}: {'passed' if gate.passed else 'failed'}")
     if is_wrong or not quiet:
         say(_end_words(summary))
+    if trusting:
+        say(TRUSTING)
 
 
 def _end_words(summary: BatchSummary) -> str:

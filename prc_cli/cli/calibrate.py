@@ -13,7 +13,6 @@ from click.core import ParameterSource
 
 from prc_cli.cli.options import (
     QUIET_FORM,
-    ScanPath,
     Sectioned,
     add_options,
     complete_mapping,
@@ -23,9 +22,10 @@ from prc_cli.cli.options import (
     stream_options,
     window_options,
 )
+from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
 from prc_cli.cli.report import end_with, line_progress, print_line, results, table_of
 from prc_cli.core.errors import ConfigError, printable_lines
-from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.core.files import atomic_output, prepare_outputs, whole_set
 from prc_cli.jobs.calibrate import Calibration, SearchOptions
 from prc_cli.jobs.calibrate import calibrate as calibrate_file
 from prc_cli.jobs.calibrate.reports import (
@@ -41,16 +41,15 @@ from prc_cli.jobs.calibrate.reports import (
 )
 from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 
-_FILE = click.Path(path_type=Path)
 _OPTIONS = [
-    click.option("-o", "--output", type=_FILE, metavar="CONFIG.toml",
+    click.option("-o", "--output", type=WRITTEN, metavar="CONFIG.toml",
                  help="Write the calibrated configuration, every value with its reason."),
-    click.option("--plot", type=_FILE, metavar="FILE.svg",
+    click.option("--plot", type=WRITTEN, metavar="FILE.svg",
                  help="Draw the shares of supported shots and of background over the thresholds."),
     click.option("--overwrite", is_flag=True, help="Replace existing outputs."),
-    click.option("--reference", type=_FILE, metavar="LABELS",
+    click.option("--reference", type=READ, metavar="LABELS",
                  help="Codes of the records of IN, in their order: search the parameters that agree best."),
-    click.option("--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml",
+    click.option("--mapping", type=READ_TEXT, default="prc", show_default=True, metavar="NAME|FILE.toml",
                  shell_complete=complete_mapping, help="Which codes mean which class."),
     click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
     click.option("--objective", default=MEAN_F1, show_default=True, metavar="SCORE",
@@ -100,16 +99,15 @@ def calibrate(
     loaded = config_from(options)
     inputs = (source, *loaded.files, *([] if reference is None else [reference]))
     wanted = [path for path in (output, plot) if path is not None]
-    for path in wanted:
-        check_output(path, overwrite=overwrite, inputs=inputs)
-        remove_stale(path)
+    prepare_outputs(*wanted, overwrite=overwrite, inputs=inputs)
     search = _search_options(reference, options)
     with line_progress(source.name, quiet=quiet) as progress, _trials(quiet=quiet) as tried:
         found = calibrate_file(source, loaded, search, progress=progress, tried=tried)
-    for target, text in ((output, as_toml), (plot, as_svg)):
-        if target is not None:
-            with atomic_output(target, overwrite=overwrite) as temporary:
-                temporary.write_text(text(found), encoding="utf-8")
+    with whole_set():
+        for target, text in ((output, as_toml), (plot, as_svg)):
+            if target is not None:
+                with atomic_output(target, overwrite=overwrite) as temporary:
+                    temporary.write_text(text(found), encoding="utf-8")
     if form != "table":
         click.echo(printable_lines((as_json(found) if form == "json" else as_markdown(found)).rstrip("\n")))
     elif not quiet:

@@ -12,7 +12,8 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import after_classify
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import (
     compiling_note,
     end_with,
@@ -37,7 +38,7 @@ FEW_SHOTS = 100
 
 @click.command(cls=Sectioned)
 @click.argument("sources", metavar="IN...", nargs=-1, required=True, type=ScanPath())
-@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=WRITTEN)
 @stream_options
 @window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
@@ -125,7 +126,7 @@ def _classify_all(sources: tuple[Path, ...], output: Path, loaded: LoadedConfig,
         return [classify_file(sources[0], output, loaded, **common)]
     from prc_cli.jobs.drive import classify_drive  # few need it
 
-    return list(classify_drive(sources, output, loaded, **common))
+    return classify_drive(sources, output, loaded, **common)
 
 
 def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose: bool) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.paths import READ
 from prc_cli.config import json_schema, load_config, preset_summaries, sample_summaries, to_toml
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import printable, printable_lines
@@ -41,7 +42,7 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
 
 
 @config.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=READ)
 def check(file: Path) -> None:
     """Check a configuration file; exit code 2 names the first wrong key.
 

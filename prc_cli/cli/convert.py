@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, input_options, output_options, window_options
+from prc_cli.cli.options import Sectioned, config_from, input_options, output_options, window_options
+from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import NOT_KEPT, end_with, line_progress, print_assumptions, print_line, print_notices
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
@@ -17,7 +18,7 @@ from prc_cli.jobs.convert import convert as convert_file
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=WRITTEN)
 @input_options
 @window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")

@@ -10,6 +10,7 @@ import click
 
 from prc_cli.cli.evaluate import print_evaluation
 from prc_cli.cli.options import QUIET, add_options
+from prc_cli.cli.paths import WRITTEN
 from prc_cli.cli.report import compiling_note, line_progress, print_classes, print_line, print_taken
 from prc_cli.config import load_config
 from prc_cli.evaluation.reports import NO_INTERVALS, as_dict, overall_line
@@ -39,7 +40,7 @@ OPEN = {
 
 @click.command()
 @add_options(
-    click.option("--output", type=click.Path(path_type=Path), default=Path("prc-demo"), show_default=True,
+    click.option("--output", type=WRITTEN, default=Path("prc-demo"), show_default=True,
                  help="Folder for the files."),
     click.option("--lines", type=click.IntRange(100, 100_000), default=600, show_default=True,
                  help="Scan lines of the drive."),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from prc_cli.cli.paths import WRITTEN
 from prc_cli.cli.report import console, results
 from prc_cli.core.errors import printable
 
@@ -17,7 +18,7 @@ BROKEN = 1
 @click.command()
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     metavar="FOLDER",
     help="Also ask a folder for outputs for what prc batch needs of it.",
 )

@@ -22,9 +22,10 @@ from prc_cli.cli.options import (
     numbers,
     window_options,
 )
+from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
 from prc_cli.cli.report import console, results, table_of
 from prc_cli.core.errors import ConfigError, InputError, printable_lines
-from prc_cli.core.files import atomic_output, check_output, open_to_read
+from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, whole_set
 from prc_cli.core.window import Window, parse_window
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html, check_picture
@@ -69,14 +70,13 @@ DEFAULTS = EvaluateOptions()
 
 Pictures = Sequence[tuple[str, bytes]]
 
-_PATH = click.Path(path_type=Path)
 _OPTIONS = [
-    click.option("--mapping", metavar="NAME|FILE.toml", shell_complete=complete_mapping,
+    click.option("--mapping", type=READ_TEXT, metavar="NAME|FILE.toml", shell_complete=complete_mapping,
                  help="Which codes mean which class: a preset (prc, street, asprs, terrascan, ...) or a file.  "
                  "[default: that of the method in the run record beside PREDICTED, else prc]"),
     click.option("--predicted-dimension", metavar="NAME", help="Column or dimension with the predicted codes."),
     click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
-    click.option("--pair", "pairs", multiple=True, nargs=2, type=_PATH, metavar="PREDICTED REFERENCE",
+    click.option("--pair", "pairs", multiple=True, nargs=2, type=READ, metavar="PREDICTED REFERENCE",
                  help="Another pair of files or folders, pooled into the same matrix."),
     click.option("--match", default="order", show_default=True, metavar="HOW",
                  help="How records find their partner: order, time, dimension:NAME or nearest. Files of another length "
@@ -87,14 +87,15 @@ _OPTIONS = [
     click.option("--unmatched", type=click.Choice(["leave", "noise"]), default=DEFAULTS.unmatched, show_default=True,
                  help="With nearest: predicted shots without partner are not scored, or are noise in the reference "
                  "where it covers the ground (registered clouds mostly have their noise deleted)."),
-    click.option("--inside", metavar="X1,Y1,X2,Y2|FILE.geojson", help="With nearest: compare only shots inside."),
+    click.option("--inside", type=READ_TEXT, metavar="X1,Y1,X2,Y2|FILE.geojson",
+                 help="With nearest: compare only shots inside."),
     click.option("--height", metavar="LOW:HIGH",
                  help="With nearest: score only shots this high above the reference's ground [m], e.g. 0:2."),
-    click.option("--trees", type=_PATH, metavar="FILE.csv",
+    click.option("--trees", type=READ, metavar="FILE.csv",
                  help="With nearest: shots inside these cylinders (x,y,radius[,height]) are stems in the reference."),
-    click.option("--third", type=_PATH, metavar="PATH",
+    click.option("--third", type=READ, metavar="PATH",
                  help="A third labelling, compared with both: by order or nearest."),
-    click.option("--third-mapping", metavar="NAME|FILE.toml", shell_complete=complete_mapping,
+    click.option("--third-mapping", type=READ_TEXT, metavar="NAME|FILE.toml", shell_complete=complete_mapping,
                  help="Mapping whose [reference] lists the codes of the third.  [default: that of REFERENCE]"),
     click.option("--allow-missing", is_flag=True,
                  help="Leave out files of a folder that have no partner in the other."),
@@ -102,10 +103,10 @@ _OPTIONS = [
                  help="Take all files of a side as one, whatever their names; not with order."),
     click.option("--min-matched", type=click.FloatRange(0, 1), default=DEFAULTS.min_matched, show_default=True,
                  help="Least share of the smaller side that must find a partner."),
-    click.option("--predicted-points", type=_PATH, metavar="PATH",
+    click.option("--predicted-points", type=READ, metavar="PATH",
                  help="The points that predicted labels alone belong to, record by record: the input of the run, or a "
                  "folder."),
-    click.option("--reference-points", type=_PATH, metavar="PATH",
+    click.option("--reference-points", type=READ, metavar="PATH",
                  help="The points that reference labels alone belong to, or their folder."),
     *POSES,
     click.option("--by-range", "split_range_m", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
@@ -123,10 +124,10 @@ _OPTIONS = [
     click.option("--interval-lines", type=click.IntRange(min=1), default=DEFAULTS.interval_lines, show_default=True,
                  help="Scan lines of a block that is left out as a whole."),
     *form_options("table", "json", "csv", "markdown", "latex", "html"),
-    click.option("-o", "--output", "outputs", multiple=True, type=_PATH, metavar="FILE",
+    click.option("-o", "--output", "outputs", multiple=True, type=WRITTEN, metavar="FILE",
                  help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times."),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
-    click.option("--picture", "pictures", multiple=True, metavar="[TITLE=]FILE.png",
+    click.option("--picture", "pictures", type=READ_TEXT, multiple=True, metavar="[TITLE=]FILE.png",
                  help="Put a picture into the HTML page; may be given several times."),
     QUIET_FORM,
     click.option("--fail-under", "gates", multiple=True, metavar="SCORE.CLASS=VALUE",
@@ -135,8 +136,8 @@ _OPTIONS = [
 
 
 @click.command(cls=Sectioned)
-@click.argument("predicted", type=click.Path(path_type=Path))
-@click.argument("reference", type=click.Path(path_type=Path))
+@click.argument("predicted", type=READ)
+@click.argument("reference", type=READ)
 @add_options(*_OPTIONS)
 @window_options
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
@@ -180,9 +181,10 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     if found.plan is not None:
         pictures = (("From above: where predicted and third are right and wrong", found.plan), *pictures)
     texts = [_text(FORMS[path.suffix.lower()], found, gates, mapping, pictures) for path in options["outputs"]]
-    for path, text in zip(options["outputs"], texts, strict=True):
-        with atomic_output(path, overwrite=options["overwrite"]) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+    with whole_set():
+        for path, text in zip(options["outputs"], texts, strict=True):
+            with atomic_output(path, overwrite=options["overwrite"]) as temporary:
+                temporary.write_text(text, encoding="utf-8", newline="\n")
     if form != "table":
         click.echo(printable_lines(_text(form, found, gates, mapping, pictures).rstrip("\n")))
     elif not options["quiet"]:
@@ -279,9 +281,7 @@ def _check_outputs(outputs: Sequence[Path], *, overwrite: bool, inputs: tuple[Pa
         if path.suffix.lower() not in FORMS:
             problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(FORMS)}"
             raise ConfigError(str(path), problem, "the suffix says how the result is written")
-        check_output(path, overwrite=overwrite, inputs=inputs)
-    if len(set(outputs)) < len(outputs):
-        raise ConfigError("--output", "found one file twice, expected a file for each form")
+    prepare_outputs(*outputs, overwrite=overwrite, inputs=inputs)
 
 
 def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:

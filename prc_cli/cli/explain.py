@@ -9,7 +9,8 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli.options import QUIET, ScanPath, Sectioned, config_from, stream_options
+from prc_cli.cli.options import QUIET, Sectioned, config_from, stream_options
+from prc_cli.cli.paths import ScanPath
 from prc_cli.cli.report import compiling_note, line_progress, results
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.explain import Explanation

@@ -40,33 +40,33 @@ _PR_SET_PDEATHSIG = 1
 _CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGKILL", "SIGSYS", "SIGTRAP", "SIGXCPU", "SIGXFSZ")
 
 
-def begin(arguments: list[str], commands: frozenset[str]) -> None:
-    """Go on in a child process and never return; do nothing where that is not needed or not possible."""
+def begin(arguments: list[str], commands: frozenset[str]) -> bool:
+    """Go on in a child process, and return there; return False where that is not needed or not possible."""
     name = next((word for word in arguments if not word.startswith("-")), "")
     if name not in commands - UNGUARDED or not {"-h", "--help"}.isdisjoint(arguments):
-        return
+        return False
     if sys.platform != "linux" or os.environ.get(SWITCH) == "0" or threading.active_count() > 1:
-        return
+        return False
     try:
         printed, notes = os.memfd_create("prc-printed"), os.memfd_create("prc-notes")
     except OSError:  # an old kernel
-        return
+        return False
     # what is ignored, as by nohup, stays ignored
     passed = {number for text in _PASSED if signal.getsignal(number := signal.Signals[text]) != signal.SIG_IGN}
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*passed, signal.SIGCHLD})
-    parent = os.getpid()
+    parent, watched = os.getpid(), True
     try:
         child = os.fork()
     except OSError:  # no more processes: better without a guard than not at all
-        child = 0
+        child, watched = 0, False
         parent = os.getppid()
     if child == 0:
         _end_with(parent)
         _keep_for_parent(printed, notes)
         hold_limits()
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        return
+        return watched
     status, sent, killed = _wait(child, passed, BATCH_PATIENCE_S if name == "batch" else PATIENCE_S)
     os._exit(_exit_code(status, sent, killed, arguments, printed, notes))
 
@@ -128,12 +128,16 @@ def _exit_code(status: int, sent: list[int], killed: bool, arguments: list[str],
     if "--debug" in arguments and said:
         _print(said.decode("utf-8", "replace"))
     if not os.WIFSIGNALED(status):
+        for note in _read(notes).split(b"\0"):
+            if note.startswith(b"!"):  # the last act of a run: until now it can be told from one that was killed
+                with contextlib.suppress(OSError):
+                    os.unlink(note[1:])  # noqa: PTH108 - pathlib takes as long to load as all of this
         return os.WEXITSTATUS(status)
     number = os.WTERMSIG(status)
-    _remove_temporaries(_read(notes))
+    left = _clean_up(_read(notes))
     name = _name(number)
     if killed and number == signal.SIGKILL:
-        _print("error: interrupted; no output was left behind\n")
+        _print(f"error: interrupted; {left}\n")
         return 128 + sent[0]
     if number in sent:  # it met the signal when it had already ended its work for the same one
         return 128 + number
@@ -142,11 +146,11 @@ def _exit_code(status: int, sent: list[int], killed: bool, arguments: list[str],
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})
         os.kill(os.getpid(), number)
         return 128 + number
-    _print(f"error: {_message(number, name, arguments, said)}\n")
+    _print(f"error: {_message(number, name, arguments, said, left)}\n")
     return 1
 
 
-def _message(number: int, name: str, arguments: list[str], said: bytes) -> str:
+def _message(number: int, name: str, arguments: list[str], said: bytes, left: str) -> str:
     named = [word for word in arguments[1:] if Path(word).is_file()]
     where = ", ".join(named[:MOST_NAMED]) + (f" and {len(named) - MOST_NAMED} more" * (len(named) > MOST_NAMED))
     last = " ".join(said[-LAST_PRINTED:].decode("utf-8", "replace").split())
@@ -156,7 +160,7 @@ def _message(number: int, name: str, arguments: list[str], said: bytes) -> str:
         hint = "the system kills so when memory is short: fewer --threads or --jobs, or more memory"
     elif number == signal.SIGXCPU:
         problem = f"decoding it made no progress in {STEP_CPU_S} s of processor time"
-    return printable(f"{where or arguments[0]}: {problem}; no output was left behind; {hint}")
+    return printable(f"{where or arguments[0]}: {problem}; {left}; {hint}")
 
 
 def _name(number: int) -> str:
@@ -172,19 +176,23 @@ def _read(descriptor: int) -> bytes:
         return handle.read()
 
 
-def _remove_temporaries(notes: bytes) -> None:
-    """Remove what the child would have removed itself."""
+def _clean_up(notes: bytes) -> str:
+    """Remove what the child would have removed itself; return what it leaves behind."""
     import shutil
 
-    from prc_cli.core.files import remove_stale
+    from prc_cli.core.files import left_words, remove_unfinished
 
-    for name in dict.fromkeys(notes.split(b"\0")):
-        path = Path(os.fsdecode(name))
-        with contextlib.suppress(OSError):
-            if name.endswith(b"/"):
-                shutil.rmtree(path, ignore_errors=True)
-            elif name:
-                remove_stale(path)
+    names = dict.fromkeys(notes.split(b"\0"))
+    placed = [Path(os.fsdecode(name[1:])) for name in names if name.startswith(b"+")]
+    folders = [Path(os.fsdecode(name)) for name in names if name.endswith(b"/")]
+    beside = [Path(os.fsdecode(name[1:])) for name in names if name.startswith(b"?")]
+    outputs = [Path(os.fsdecode(name)) for name in names if name.startswith(b"/") and not name.endswith(b"/")]
+    outputs = [path for path in outputs if path not in beside]
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        remove_unfinished(*outputs, *beside, beside=beside)
+    return left_words(placed)
 
 
 def _print(text: str) -> None:

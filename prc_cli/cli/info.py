@@ -14,7 +14,8 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import output_for
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, given_words, output_options, stream_options
+from prc_cli.cli.options import Sectioned, config_from, given_words, output_options, stream_options
+from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError, printable
 from prc_cli.core.findings import LABEL_CHECKS, Verdict
@@ -30,7 +31,7 @@ from prc_cli.streams.evidence.table import check_table
 @stream_options
 @click.option(
     "--draft",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     metavar="FILE.toml",
     help="Write a layout that reads FILE, from its header, its first records or the period of its bytes.",
 )

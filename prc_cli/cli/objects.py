@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options, window_options
+from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import compiling_note, end_with, line_progress, print_line, print_notices, print_taken
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import COLUMNS, KINDS, Thing, find_objects, plain
@@ -17,9 +18,7 @@ from prc_cli.jobs.objects import COLUMNS, KINDS, Thing, find_objects, plain
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), metavar="OUT", help="A .csv, .geojson or .parquet file."
-)
+@click.option("-o", "--output", type=WRITTEN, metavar="OUT", help="A .csv, .geojson or .parquet file.")
 @click.option("--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Only these; repeat for several.")
 @stream_options
 @window_options

@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -17,11 +16,11 @@ from typing import Any, NamedTuple, TypeVar, get_args
 
 import click
 
+from prc_cli.cli.paths import READ, READ_TEXT
 from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, or_sample, read_toml
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.findings import CHECK_NAMES
-from prc_cli.formats import scan_file
 from prc_cli.methods.methods import METHODS
 
 
@@ -81,16 +80,6 @@ def _toml_files(incomplete: str) -> list[str]:
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
-_FILE = click.Path(path_type=Path)
-
-
-class ScanPath(click.Path):
-    """Name of an input: that of a folder stands for the file in it where it is one recording."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the file to read."""
-        return scan_file(Path(os.fsdecode(super().convert(value, param, ctx))))
-
 
 class SharedOption(NamedTuple):
     """An option of several commands."""
@@ -122,22 +111,22 @@ SHARED = (
     _option("method", "Method", "--preset", type=click.Choice(list(PRESETS)),
             help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
             "fused, fused-forest: both combined; rings: spinning scanners. Default: what labels IN best."),
-    _option("input", "Method", "--config", "config_file", type=_FILE, metavar="FILE.toml",
+    _option("input", "Method", "--config", "config_file", type=READ, metavar="FILE.toml",
             help="Configuration, or the name of a sample: prc config presets lists them."),
-    _option("input", "Method", "--set", "assignments", multiple=True, metavar="KEY=VALUE",
+    _option("input", "Method", "--set", "assignments", type=READ_TEXT, multiple=True, metavar="KEY=VALUE",
             shell_complete=complete_assignment, help="Any key, e.g. prc.support.zeta_p=0.1."),
-    _option("input", "Input", "--layout", "layout_file", type=_FILE, metavar="FILE.toml",
+    _option("input", "Input", "--layout", "layout_file", type=READ, metavar="FILE.toml",
             help="Record layout of a raw dump or a text file."),
     _option("input", "Input", "--lines", key="input.lines",
             help="dimension:NAME, fixed, angle-wrap, time:HZ, elevation:DEG or rings."),
     _option("input", "Input", "--columns", key="input.columns", help="dimension:NAME, angle, time:HZ or order."),
-    _option("input", "Input", "--range", "range_", key="input.range",
+    _option("input", "Input", "--range", "range_", key="input.range", type=READ_TEXT,
             help="dimension:NAME, trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
     _option("input", "Input", "--scanner", key="input.scanner",
             help="none, scanner_channel, point_source_id or user_data."),
     _option("input", "Input", "--topic", key="input.topic",
             help="Bags: topics to read; captures: ADDRESS:PORT. Several with commas."),
-    _option("input", "Input", "--metadata", key="input.metadata", metavar="FILE.json",
+    _option("input", "Input", "--metadata", key="input.metadata", type=READ_TEXT, metavar="FILE.json",
             help="Captures: metadata of an Ouster sensor."),
     _option("input", "Input", "--return", "return_", key="input.return", help="strongest, first or last."),
     _option("input", "Input", "-M", "--points-per-line", "points_per_line", key="input.points_per_line",
@@ -239,7 +228,7 @@ def form_of(options: Mapping[str, Any]) -> str:
 
 
 POSES = (
-    click.option("--trajectory", type=click.Path(path_type=Path), metavar="FILE",
+    click.option("--trajectory", type=READ, metavar="FILE",
                  help="With nearest: poses that give the shots of a raw drive coordinates, from ranges, scan angles "
                  "and times. CSV with roll, pitch, yaw; TUM; SBET; a bag."),
     click.option("--mount", metavar="ROLL,PITCH,YAW[,X,Y,Z]",

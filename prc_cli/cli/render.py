@@ -10,21 +10,20 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import ScanPath, Sectioned, complete_mapping, config_from, stream_options
+from prc_cli.cli.options import Sectioned, complete_mapping, config_from, stream_options
+from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
 from prc_cli.cli.report import line_progress, print_line
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions, RenderResult
 from prc_cli.jobs.render import render as render_file
 
-_FILE = click.Path(path_type=Path)
-
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.argument("output", metavar="[OUT]", type=_FILE, required=False)
+@click.argument("output", metavar="[OUT]", type=WRITTEN, required=False)
 @click.option(
     "--html",
-    type=_FILE,
+    type=WRITTEN,
     metavar="FILE.html",
     help="Instead of OUT: cloud and range image to turn, zoom and click, in one page.",
 )
@@ -33,12 +32,13 @@ _FILE = click.Path(path_type=Path)
 @click.option("--only-lines", metavar="A:B", help="Lines A to B - 1, from 0.")
 @click.option("--figure1", is_flag=True, help="The steps of one block as in Lehtola et al. (2019), Fig. 1.")
 @click.option("--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]")
-@click.option("--labels", type=_FILE, metavar="FILE", help="Draw these classes instead of classifying.")
+@click.option("--labels", type=READ, metavar="FILE", help="Draw these classes instead of classifying.")
 @click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
-@click.option("--reference", type=_FILE, metavar="FILE", help="Classes to compare with.")
+@click.option("--reference", type=READ, metavar="FILE", help="Classes to compare with.")
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
 @click.option(
     "--mapping",
+    type=READ_TEXT,
     metavar="NAME|FILE.toml",
     shell_complete=complete_mapping,
     help="Which codes mean which class, as for prc evaluate.",

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import add_options, output_options, table_from
+from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
 from prc_cli.cli.report import compiling_note, console, line_progress, print_line, print_notices, results, table_of
 from prc_cli.config import params_to_toml
 from prc_cli.core.classes import Label
@@ -24,12 +25,12 @@ _option = click.option
 
 
 _OUTPUT = [
-    click.argument("output", type=click.Path(path_type=Path), metavar="OUT"),
-    _option("--labels", type=click.Path(path_type=Path), metavar="FILE.npy",
+    click.argument("output", type=WRITTEN, metavar="OUT"),
+    _option("--labels", type=WRITTEN, metavar="FILE.npy",
             help="Reference class of every record; written by itself where OUT cannot hold it."),
 ]  # fmt: skip
 _FOREST = [
-    _option("--stems", type=click.Path(path_type=Path), metavar="FILE.csv", help="Also list the trees by the way."),
+    _option("--stems", type=WRITTEN, metavar="FILE.csv", help="Also list the trees by the way."),
     _option("--reference", type=click.Choice(["truth", "cylinders"]), default="truth", show_default=True,
             help="What was hit; or cylinders around stems, ground by height, noise elsewhere."),
 ]  # fmt: skip
@@ -45,16 +46,17 @@ _LENGTH = [
     _option("--speed", type=click.FloatRange(min=0, min_open=True), metavar="M/S", help="Cruising speed."),
     _option("--mount-slant", type=float, metavar="DEGREES", help="Tilt of the scan plane, its lower part backwards."),
     _option("--mount-heading", type=float, metavar="DEGREES", help="Turn of the scan plane to the left."),
-    _option("--trajectory", type=click.Path(path_type=Path), metavar="FILE",
+    _option("--trajectory", type=WRITTEN, metavar="FILE",
             help="Also write where the scanner was: .csv, or .sbet."),
-    _option("--frames", type=click.Path(path_type=Path), metavar="FOLDER",
+    _option("--frames", type=WRITTEN, metavar="FOLDER",
             help="Spinning scanners: also write every turn as a frame of KITTI, with classes, poses and times."),
 ]  # fmt: skip
 _PARAMETERS = [
     _option("--noise", type=click.FloatRange(min=0), metavar="METRES", help="Range noise close by."),
-    _option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+    _option("--config", "config_file", type=READ, metavar="FILE.toml",
             help="Parameters, in tables [scene], [scanner] and [trajectory] or [station]."),
-    _option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Any of them, e.g. scene.trees=0.9."),
+    _option("--set", "assignments", type=READ_TEXT, multiple=True, metavar="KEY=VALUE",
+            help="Any of them, e.g. scene.trees=0.9."),
     _option("--threads", type=click.IntRange(min=1), help="Threads; they do not change a byte."),
     _option("--overwrite", is_flag=True, help="Replace existing outputs."),
 ]  # fmt: skip
@@ -169,8 +171,10 @@ def scanners(as_json: bool) -> None:
 
 @simulate.command()
 @click.argument("kind", type=click.Choice(KINDS))
-@click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml", help="Parameters.")
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Any of them; scanner.name=NAME.")
+@click.option("--config", "config_file", type=READ, metavar="FILE.toml", help="Parameters.")
+@click.option(
+    "--set", "assignments", type=READ_TEXT, multiple=True, metavar="KEY=VALUE", help="Any of them; scanner.name=NAME."
+)
 @click.option("--bare", is_flag=True, help="Without comments.")
 def parameters(kind: Kind, config_file: Path | None, assignments: tuple[str, ...], bare: bool) -> None:
     """Print every parameter of a KIND of simulation as TOML that --config reads.

@@ -10,7 +10,8 @@ from typing import Any
 import click
 
 from prc_cli.cli import report
-from prc_cli.cli.options import ScanPath, Sectioned, config_from, output_options, stream_options
+from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options
+from prc_cli.cli.paths import READ, WRITTEN, ScanPath
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, print_notices, results, table_of
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
@@ -18,7 +19,7 @@ from prc_cli.jobs.thin import thin as thin_file
 
 @click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=WRITTEN)
 @click.option(
     "--keep", multiple=True, metavar="CLASS=FRACTION,...", help="Keep a share, by line and column: ground=1/4."
 )
@@ -31,7 +32,7 @@ from prc_cli.jobs.thin import thin as thin_file
 @click.option("--keep-only", multiple=True, metavar="CLASS,...", help="Keep these classes and nothing else.")
 @click.option(
     "--labels",
-    type=click.Path(path_type=Path),
+    type=READ,
     metavar="FILE",
     help="Classes, one code a record of IN; of a folder of frames, the folder of theirs.",
 )

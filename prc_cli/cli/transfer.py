@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import POSES, Sectioned, add_options, layout_in, numbers, output_options
+from prc_cli.cli.paths import READ, WRITTEN
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, table_of
 from prc_cli.config import load_config
 from prc_cli.core.stream import ReadTally
@@ -18,9 +19,9 @@ from prc_cli.jobs.transfer import transfer as transfer_files
 from prc_cli.jobs.transfer.options import TransferOptions
 
 _OPTIONS = [
-    click.option("--points", type=click.Path(path_type=Path), metavar="RAW",
+    click.option("--points", type=READ, metavar="RAW",
                  help="Input that LABELS belong to, record by record, where they have no times of their own."),
-    click.option("--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+    click.option("--layout", "layout_file", type=READ, metavar="FILE.toml",
                  help="Record layout of RAW."),
     *POSES,
     click.option("--match", default="time", show_default=True, metavar="HOW",
@@ -47,9 +48,9 @@ _OPTIONS = [
 
 
 @click.command(cls=Sectioned)
-@click.argument("labels", type=click.Path(path_type=Path))
-@click.argument("registered", type=click.Path(path_type=Path))
-@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("labels", type=READ)
+@click.argument("registered", type=READ)
+@click.argument("output", metavar="OUT", type=WRITTEN)
 @add_options(*_OPTIONS)
 @output_options
 def transfer(

@@ -1,6 +1,9 @@
 """Atomic output files: complete or absent. The only module that handles differences of operating systems.
 
-A file is written under a temporary name in the folder of its destination, flushed to the disk and renamed.
+A file is written under a temporary name in the folder of its destination, flushed to the disk and renamed. The files
+of one run are a set: all are written first, then all get their names, in the order in which they were prepared, and
+only then their temporary names go. So a set that a killed run left shows by the temporary names which of its files were
+already placed, and the next run of the same command and inputs removes them (:func:`remove_unfinished`).
 """
 
 from __future__ import annotations
@@ -16,21 +19,28 @@ import secrets
 import shutil
 import stat
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeAlias
 
 from prc_cli.core.errors import InputError, OutputError, OutputExistsError
+from prc_cli.core.paths import is_one_file, refuse_read, run_key
+from prc_cli.core.process import held
 
-_TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-[0-9a-f]{8}\.part", re.DOTALL)
-"""Names that :func:`temporary_name` gives."""
+_TEMPORARY = re.compile(
+    r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-(?P<run>[0-9a-f]{8})?[0-9a-f]{8}\.part", re.DOTALL
+)
+"""Names that :func:`temporary_name` gives; ``run`` names the command and its inputs."""
 NAME_BYTES = 255
 """Longest name of a file [bytes], on all usual file systems."""
-_OWN_BYTES = 40
+_OWN_BYTES = 48
 """What :func:`temporary_name` adds to a name at most [bytes], rounded up."""
 CLOCK_S = 300.0
 """The clocks of this machine and of a file server differ by less: Kerberos demands it [s]."""
+_Finished: TypeAlias = tuple[Path, Path, bool]
+"""Temporary name, name, and whether a file of this name is replaced."""
 _NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL})
 """What systems answer where a file system has no hard links."""
 
@@ -151,14 +161,11 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
     if n_bytes > NAME_BYTES:
         problem = f"a name of {n_bytes} bytes, expected at most {NAME_BYTES}"
         raise OutputError(str(path), problem, "choose a shorter one; its record has .prc.json at the end")
-    for source in inputs:
-        if path.exists() and source.exists() and path.samefile(source):
-            problem = "the output is the input itself; inputs are never modified"
-            raise OutputExistsError(str(path), problem, "choose another output name")
+    _refuse_inputs(path, inputs)
     if path.is_dir():
         raise OutputError(str(path), "is a folder, expected a file name", "name the file inside it")
     if path.exists() and not overwrite:
-        raise OutputExistsError(str(path), "exists already", "choose another name or add --overwrite")
+        raise OutputExistsError(str(path), _exists_words(path), "choose another name or add --overwrite")
     folder = path.parent
     if not folder.is_dir():
         raise OutputError(str(folder), "output folder does not exist", f"create it: mkdir -p {folder}")
@@ -166,12 +173,53 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
         raise OutputError(str(folder), "output folder is not writable", "change its permissions or choose another")
 
 
-def prepare_outputs(*paths: Path, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
-    """Refuse outputs before any work is done, and remove the temporary files of dead runs."""
+def _refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
+    refuse_read(path)
+    for source in inputs:
+        if path.exists() and source.exists() and is_one_file(path, source):
+            problem = "the output is the input itself; inputs are never modified"
+            raise OutputExistsError(str(path), problem, "choose another output name")
+
+
+def _exists_words(path: Path) -> str:
+    is_left = any(is_same(part, path) for part in _dead_parts(path))
+    return "exists already, left by a killed run of another command or input" if is_left else "exists already"
+
+
+def prepare_outputs(
+    *paths: Path, overwrite: bool, inputs: tuple[Path, ...] = (), folders: tuple[Path, ...] = (),
+    beside: tuple[Path, ...] = (),
+) -> None:  # fmt: skip
+    """Refuse the outputs of a run before any work is done, and remove what dead runs left of them.
+
+    They get their names in this order: folders, which must not be there, the paths, and files ``beside`` that the run
+    may write or leave as they are.
+    """
+    members = (*folders, *paths, *beside)
+    for path in members:
+        _refuse_inputs(path, inputs)
+    key = run_key(*inputs)
+    _RUN.set(key)
+    _ORDER.set({path.absolute(): number for number, path in enumerate(members)})
+    for path in members:
+        _note(path, mark=b"?" if path in beside else b"")
+    remove_unfinished(*members, key=key, beside=beside)
+    for folder in folders:
+        if os.path.lexists(folder):
+            raise OutputExistsError(str(folder), "exists already", "choose another name for the folder")
     for path in paths:
         check_output(path, overwrite=overwrite, inputs=inputs)
-    for path in paths:
-        remove_stale(path)
+    for path in members:
+        for part in _dead_parts(path):
+            _remove(part)
+
+
+_RUN: ContextVar[str] = ContextVar("run", default="0" * 8)
+"""Key of the run that prepared its outputs last."""
+_ORDER: ContextVar[dict[Path, int]] = ContextVar("order")
+"""Number of every output of that run."""
+_PENDING: ContextVar[list[_Finished] | None] = ContextVar("pending", default=None)
+"""Finished files of a set that is not whole yet; None outside of :func:`whole_set`."""
 
 
 def check_unchanged(source: Path, before: tuple[int, ...]) -> None:
@@ -192,7 +240,8 @@ def make_folder(folder: Path) -> None:
 def temporary_name(path: Path) -> Path:
     """Return a fresh hidden name beside ``path``, on its file system, with the machine and the process id in it."""
     _note(path)
-    return path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}.part")
+    number = f"{_RUN.get()}{secrets.token_hex(4)}"
+    return path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{number}.part")
 
 
 @contextlib.contextmanager
@@ -209,14 +258,19 @@ _notes: list[int] = []
 
 
 def note_temporaries(descriptor: int) -> None:
-    """Note temporary files in an open file, each with a null behind it, to be removed after a crash."""
+    """Note outputs in an open file, each with a null behind it, for the process that cleans up after a crash.
+
+    A name ends in ``/`` if it is a temporary folder. It begins with ``+`` if it is an output that replaced another,
+    with ``?`` if it may have been there before, and with ``!`` if it is the temporary name that shows who made it.
+    """
     _notes[:] = [descriptor]
 
 
-def _note(path: Path, *, is_folder: bool = False) -> None:
+def _note(path: Path, *, is_folder: bool = False, mark: bytes = b"") -> None:
+    note = mark + os.fsencode(path.absolute()) + (b"/\0" if is_folder else b"\0")
     for descriptor in _notes:
         with contextlib.suppress(OSError):
-            os.write(descriptor, os.fsencode(path.absolute()) + (b"/\0" if is_folder else b"\0"))
+            os.write(descriptor, note)
 
 
 def _stem(name: str) -> str:
@@ -235,15 +289,72 @@ def parts_of(path: Path, machine: str = "*") -> Iterator[Path]:
 
 def remove_stale(path: Path) -> tuple[Path, ...]:
     """Remove temporary files of ``path`` by dead processes here, and ``path`` itself if it is one; return them."""
-    removed = []
-    for part in parts_of(path, _machine()):
+    return remove_unfinished(path)
+
+
+def remove_unfinished(
+    *paths: Path, key: str | None = None, keeps_whole: bool = False, beside: Collection[Path] = ()
+) -> tuple[Path, ...]:
+    """Remove what dead processes here left of a set of outputs; return the temporary files.
+
+    Parameters
+    ----------
+    paths : Path
+        The set, in the order in which its files get their names.
+    key : str, optional
+        Only outputs of this command and these inputs are removed; default: of any.
+    keeps_whole : bool
+        Keep the outputs if all of them had got their names.
+    beside : collection of Path
+        Those that may have been there before: each is removed only if its own temporary name shows whose it is.
+    """
+    stale: list[Path] = []
+    proven: set[Path] = set()
+    n_placed = 0
+    for number, path in enumerate(paths, 1):
+        for part in _dead_parts(path):
+            if is_same(part, path):
+                if key is not None and _run_of(part) not in (key, None):
+                    continue
+                n_placed = number
+                proven.add(path)
+            stale.append(part)
+    # names are given and temporary ones removed in this order: all before the last pair were placed, too
+    n_sure = sum(path not in beside for path in paths)
+    if not (keeps_whole and n_placed >= n_sure):
+        for path in paths[:n_placed]:
+            if path in proven or path not in beside:
+                _remove(path)
+    for part in stale:
+        _remove(part)
+    return tuple(stale)
+
+
+def _dead_parts(path: Path) -> Iterator[Path]:
+    """Yield the temporary files that dead processes of this machine left of an output."""
+    for part in tuple(parts_of(path, _machine())):
         if is_left_behind(part):
-            with contextlib.suppress(OSError):
-                if is_same(part, path):
-                    path.unlink()
-                shutil.rmtree(part) if part.is_dir() else part.unlink()
-                removed.append(part)
-    return tuple(removed)
+            yield part
+
+
+def _run_of(part: Path) -> str | None:
+    name = _TEMPORARY.fullmatch(part.name)
+    return None if name is None else name["run"]
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def discard(temporary: Path) -> None:
+    """Remove a temporary file or folder, unless it waits for its name in a set, or is a proof."""
+    pending = _PENDING.get() or ()
+    if temporary not in _PROOFS and all(temporary != waiting for waiting, _, _ in pending):
+        _remove(temporary)
 
 
 def is_same(first: Path, second: Path) -> bool:
@@ -314,44 +425,138 @@ def atomic_outputs(*paths: Path, overwrite: bool | None = None) -> Iterator[tupl
             place_all(tuple(zip(temporaries, paths, replaced, strict=True)))
     finally:
         for temporary in temporaries:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
+            discard(temporary)
 
 
-def place_all(files: Sequence[tuple[Path, Path, bool]]) -> None:
-    """Flush finished temporary files and give them their names; if one fails, remove those that got theirs before."""
-    for temporary, _, _ in files:
+@contextlib.contextmanager
+def whole_set() -> Iterator[None]:
+    """Give all files that are finished inside their names together, at the end; none of them on any failure."""
+    if _PENDING.get() is not None:  # a part of a larger set
+        yield
+        return
+    pending: list[_Finished] = []
+    token = _PENDING.set(pending)
+    try:
+        try:
+            yield
+        finally:
+            _PENDING.reset(token)
+        if pending:
+            with output_errors(pending[0][1]):
+                place_all(pending)
+    finally:
+        for temporary, _, _ in pending:
+            discard(temporary)
+
+
+def place_all(files: Sequence[_Finished]) -> None:
+    """Flush finished temporary files and give them their names; if one fails, remove those that got theirs before.
+
+    Unless it replaces a file, each keeps its temporary name beside the new one until all are in place. So a process
+    that dies in between leaves a proof that the outputs are its own.
+    """
+    for temporary, path, _ in files:
+        refuse_read(path)
         flush(temporary)
+    pending = _PENDING.get()
+    if pending is not None:
+        pending.extend(files)
+        return
+    order = _ORDER.get({})
+    _give_names(sorted(files, key=lambda file: order.get(file[1].absolute(), len(order))))
+
+
+@held
+def _give_names(files: Sequence[_Finished]) -> None:
+    """Give all files their names; signals wait, and folders are flushed at the end, so that it takes no time."""
     made: list[Path] = []
     try:
         for temporary, path, overwrite in files:
-            place(temporary, path, overwrite=overwrite)
-            if not overwrite:
+            if overwrite:
+                temporary.replace(path)
+            else:
+                _link(temporary, path)
                 made.append(path)
     except BaseException:
         for path in made:
-            with contextlib.suppress(OSError):
-                path.unlink(missing_ok=True)
+            _remove(path)
         raise
+    for folder in {path.parent for _, path, _ in files}:
+        _sync_folder(folder)
+    *others, last = (temporary for temporary, _, _ in files)
+    for temporary in others:
+        _remove(temporary)
+    if _State.keeps_proofs and last.is_file():
+        _PROOFS.append(last)
+        _note(last, mark=b"!")
+    else:
+        _remove(last)
+    _NEW.extend(made)
+    for _, path, overwrite in files:
+        if overwrite:
+            _REPLACED.append(path)
+            _note(path, mark=b"+")
+
+
+class _State:
+    keeps_proofs = False
+
+
+_PROOFS: list[Path] = []
+"""Temporary names of outputs that are whole, of a command that has not ended yet."""
+
+
+def keep_proofs() -> None:
+    """Keep one temporary name of every set until :func:`drop_proofs`: a run that is killed at its end shows, too."""
+    _State.keeps_proofs = True
+
+
+def drop_proofs() -> None:
+    """Remove the temporary names that were kept; the command has ended."""
+    for proof in _PROOFS:
+        _remove(proof)
+    _PROOFS.clear()
+
+
+_NEW: list[Path] = []
+"""Outputs of the running command, where there were none before."""
+_REPLACED: list[Path] = []
+"""Outputs of the running command that replaced others."""
+_MOST_NAMED = 2
+
+
+def forget_placed() -> None:
+    """Begin a command, which has no outputs yet."""
+    _NEW.clear()
+    _REPLACED.clear()
+
+
+def take_back() -> None:
+    """Remove the outputs of a command that is interrupted; what replaced others stays."""
+    for path in _NEW:
+        _remove(path)
+    _NEW.clear()
+
+
+def left_words(placed: Sequence[Path] = _REPLACED) -> str:
+    """Return what a run that was cut off leaves behind.
+
+    >>> left_words([]), left_words([Path("out/a.npy"), Path("b.npy"), Path("c.npy")])
+    ('no output was left behind', 'a.npy, b.npy and 1 more are whole and stay')
+    """
+    if not placed:
+        return "no output was left behind"
+    names = ", ".join(path.name for path in placed[:_MOST_NAMED])
+    more = f" and {len(placed) - _MOST_NAMED} more" * (len(placed) > _MOST_NAMED)
+    return f"{names}{more} {'are' if len(placed) > 1 else 'is'} whole and {'stay' if len(placed) > 1 else 'stays'}"
 
 
 def flush(temporary: Path) -> None:
     """Flush a finished temporary file to the disk."""
+    if temporary.is_dir():
+        return
     with temporary.open("rb+") as handle:
         os.fsync(handle.fileno())
-
-
-def place(temporary: Path, path: Path, *, overwrite: bool) -> None:
-    """Give a flushed temporary file its name, and flush the folder.
-
-    Unless it replaces a file, it may keep its temporary name beside the new one: the caller removes that when all files
-    of an output are in place. So a process that dies in between leaves a proof that the output is its own.
-    """
-    if overwrite:
-        temporary.replace(path)
-    else:
-        _link(temporary, path)
-    _sync_folder(path.parent)
 
 
 def _link(temporary: Path, path: Path) -> None:

@@ -20,7 +20,7 @@ from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_bes
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes, Label, count_bytes
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
-from prc_cli.core.files import check_unchanged, file_state, prepare_outputs, suffix_of
+from prc_cli.core.files import check_unchanged, file_state, suffix_of
 from prc_cli.core.findings import Doubted, Finding, accept, doubts, notices, refuse
 from prc_cli.core.process import return_memory
 from prc_cli.core.profile import timed, timed_items
@@ -31,9 +31,9 @@ from prc_cli.formats import LAS_SUFFIXES, check_input, scan_file
 from prc_cli.formats.las import LAZ
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud, keeps_points
-from prc_cli.formats.writing import open_writer
+from prc_cli.formats.writing import open_writer, prepare_label_outputs
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
-from prc_cli.formats.writing.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint, record_path
+from prc_cli.formats.writing.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint
 from prc_cli.jobs.choice import choice_by_beams, choice_by_request, choose, decide_stream, decided_by
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
@@ -289,8 +289,7 @@ def _classify(
     """Classify one file with the engine that is set; see :func:`classify`."""
     loaded = with_layout_beside(source, loaded)
     return_memory()  # before any thread
-    prepare_outputs(output, overwrite=overwrite, inputs=loaded.inputs(source))  # also that it has a name
-    prepare_outputs(record_path(output), overwrite=overwrite, inputs=loaded.inputs(source))
+    prepare_label_outputs(output, overwrite=overwrite, inputs=loaded.inputs(source))
     check_input(source)
     before = file_state(source)
     with timed("opening"):

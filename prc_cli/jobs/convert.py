@@ -15,7 +15,7 @@ import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, remove_stale, suffix_of
+from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, suffix_of
 from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
@@ -26,7 +26,7 @@ from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.registry import Held, format_of, is_cloud
-from prc_cli.formats.writing import check_stream_output, open_stream_writer, outputs_of, stream_format, stream_suffix
+from prc_cli.formats.writing import open_stream_writer, prepare_stream_output, stream_format, stream_suffix
 from prc_cli.formats.writing.base import NO_CODE, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import LinesApart
 from prc_cli.formats.writing.disk import DiskColumn
@@ -149,9 +149,7 @@ def prepare_output(
     """Refuse an impossible output before reading, and remove temporary files of dead runs."""
     stream_suffix(output)
     check_input(source)
-    check_stream_output(output, overwrite=overwrite, inputs=loaded.inputs(source, *more))
-    for path in outputs_of(output):
-        remove_stale(path)
+    prepare_stream_output(output, overwrite=overwrite, inputs=loaded.inputs(source, *more))
 
 
 def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:

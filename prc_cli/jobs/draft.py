@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_output, check_output
+from prc_cli.core.files import atomic_output, prepare_outputs
 from prc_cli.formats import open_source
 from prc_cli.formats.clouds.source import CloudSource
 from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
@@ -26,7 +26,7 @@ _KEYS = {"scale", "missing"}
 
 def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = False) -> str:
     """Write a configuration with what a file says of itself, and what its numbers show."""
-    check_output(output, overwrite=overwrite, inputs=(path, *loaded.files))
+    prepare_outputs(output, overwrite=overwrite, inputs=(path, *loaded.files))
     lines, layout = _layout_lines(path, loaded)
     told = loaded if layout is None else _with_layout(loaded, layout)
     inspection = inspect(path, told)

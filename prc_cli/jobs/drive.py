@@ -14,17 +14,17 @@ import numpy as np
 
 from prc_cli.config import LoadedConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import check_unchanged, file_state, make_folder, prepare_outputs
+from prc_cli.core.files import check_unchanged, file_state, make_folder, whole_set
 from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64
 from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.joined import JoinedSource, find_break, open_joined
 from prc_cli.formats.registry import by_suffix, is_cloud, keeps_points
-from prc_cli.formats.writing import open_writer
+from prc_cli.formats.writing import open_writer, prepare_label_outputs
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
-from prc_cli.formats.writing.record import fingerprint, record_path
+from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.classify import (
     Counts,
     Progress,
@@ -64,8 +64,8 @@ def classify_drive(
     threads: int | None = None,
     engine: Engine = "compiled",
     loading: Callable[[], AbstractContextManager[None]] = nullcontext,
-) -> Iterator[RunSummary]:
-    """Classify the files of one drive in the order of recording; what was finished before an error stays."""
+) -> list[RunSummary]:
+    """Classify the files of one drive in the order of recording; all outputs get their names at the end, or none."""
     outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
         raise ConfigError("input", "found a window, expected none where several files are one drive", "leave it out")
@@ -75,21 +75,24 @@ def classify_drive(
             raise ConfigError(str(output), problem, "write .npy, .csv or .parquet")
         make_folder(output.parent)
         check_input(part)
-        prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=(*parts, *config.files))
+    prepare_label_outputs(*outputs, overwrite=overwrite, inputs=(*parts, *config.files))
+    summaries: list[RunSummary] = []
     first, why = 0, ""
-    while first < len(parts):
-        loaded = with_layout_beside(parts[first], config)
-        joined = open_joined(parts[first:], loaded.config.layout)
-        cut = find_break(joined)
-        n = len(parts) - first if cut is None else cut.part
-        note = drive_note([part.name for part in parts])
-        run = _Run(tuple(parts[first : first + n]), tuple(outputs[first : first + n]), (*([why] if why else []), note))
-        with use_engine(engine):
-            yield from run.execute(
-                loaded, JoinedSource(joined.parts[:n]), overwrite=overwrite, progress=progress,
-                threads=threads_of(engine, threads), engine=engine, loading=loading,
-            )  # fmt: skip
-        first, why = first + n, "" if cut is None else f"a stream of its own begins with this file: {cut.why}"
+    with whole_set():
+        while first < len(parts):
+            loaded = with_layout_beside(parts[first], config)
+            joined = open_joined(parts[first:], loaded.config.layout)
+            cut = find_break(joined)
+            stop = len(parts) if cut is None else first + cut.part
+            note = drive_note([part.name for part in parts])
+            run = _Run(tuple(parts[first:stop]), tuple(outputs[first:stop]), (*([why] if why else []), note))
+            with use_engine(engine):
+                summaries += run.execute(
+                    loaded, JoinedSource(joined.parts[: stop - first]), overwrite=overwrite, progress=progress,
+                    threads=threads_of(engine, threads), engine=engine, loading=loading,
+                )  # fmt: skip
+            first, why = stop, "" if cut is None else f"a stream of its own begins with this file: {cut.why}"
+    return summaries
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,8 +19,8 @@ import numpy as np
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import LABEL_NAMES, Label
-from prc_cli.core.errors import ConfigError, OutputExistsError
-from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import atomic_output, whole_set
 from prc_cli.core.threads import write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.formats import LAS_SUFFIXES
@@ -30,9 +30,9 @@ from prc_cli.formats.registry import format_of
 from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing import (
     BESIDE,
-    check_stream_output,
     open_stream_writer,
     outputs_of,
+    prepare_stream_output,
     stream_format,
     stream_suffix,
 )
@@ -137,8 +137,6 @@ def simulate(
     wanted = check_simulation(kind, output, chosen.scanner, beside, overwrite=overwrite)
     frame = _frame(chosen, wanted)
     check_frame(wanted.trajectory or output, frame)
-    for path in (*outputs_of(output), *wanted.paths()):
-        remove_stale(path)
     is_static = chosen.scanner.is_static
     # where a ring looks cannot be told from its line alone
     in_cells = chosen.scanner.spins and "relative" in form.holds and not form.holds_all
@@ -150,7 +148,7 @@ def simulate(
         with_xyz=is_static or form.makes_xyz or wanted.frames is not None or in_cells,
         with_world=not is_static and (form.holds_all or reference == "cylinders"),
     )
-    with contextlib.ExitStack() as stack:
+    with whole_set(), contextlib.ExitStack() as stack:
         if wanted.trajectory is not None:
             temporary = stack.enter_context(atomic_output(wanted.trajectory))
             platform, end_s = simulation.scan.platform, simulation.end_s
@@ -321,11 +319,8 @@ def check_simulation(
         raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
     if beside.trajectory is not None and kind == "street-scan":
         raise ConfigError("trajectory", "asked for of a tripod, which does not move", "leave it out")
-    if beside.frames is not None:
-        if not scanner.spins:
-            raise ConfigError("frames", "asked for of a scanner that does not spin", "choose --scanner vlp-16")
-        if beside.frames.exists():
-            raise OutputExistsError(str(beside.frames), "exists already", "choose another name for the folder")
+    if beside.frames is not None and not scanner.spins:
+        raise ConfigError("frames", "asked for of a scanner that does not spin", "choose --scanner vlp-16")
     for name, suffixes in BESIDE.items():
         path = getattr(beside, name)
         if path is not None and path.suffix.lower() not in suffixes:
@@ -334,9 +329,8 @@ def check_simulation(
     paths = [path.absolute() for path in (*outputs_of(output), *beside.paths())]
     if len(set(paths)) < len(paths):
         raise ConfigError(str(output), "two of the files that are to be written have one name")
-    check_stream_output(output, overwrite=overwrite)
-    for path in beside.paths():
-        check_output(path, overwrite=overwrite)
+    folders = () if beside.frames is None else (beside.frames,)
+    prepare_stream_output(output, *beside.paths(), overwrite=overwrite, folders=folders)
     return beside
 
 

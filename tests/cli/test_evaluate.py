@@ -47,7 +47,7 @@ def save(folder: Path, name: str, predicted: list[int], reference: list[int]) ->
     [
         (["--output", "report.pdf"], 2, "report.pdf: found the suffix '.pdf', expected one of: .json .csv .md .tex"),
         (["--output", "none/report.md"], 1, "none: output folder does not exist"),
-        (["--output", "r.md", "--output", "r.md"], 2, "--output: found one file twice"),
+        (["--output", "r.md", "--output", "r.md"], 2, "r.md: found one output twice"),
         (["--output", "reference/a.csv", "--overwrite"], 2, "reference/a.csv: the output is the input itself"),
         (["--by-range", "5,3"], 2, "--by-range: found '5,3', expected ranges in metres that rise, such as 5,10,20,40"),
         (["--by-range", "5,,8"], 2, "--by-range: found '5,,8'"),

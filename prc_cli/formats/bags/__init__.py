@@ -9,6 +9,7 @@ from prc_cli.formats.registry import Format
 
 _SUFFIXES, BAG = (".bag", ".db3", ".mcap"), "bag"
 METADATA = "metadata.yaml"
+DATABASE = ".db3"
 """What makes a recording of ROS 2 of the files in a folder."""
 
 

@@ -17,16 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
-from prc_cli.core.files import remove_stale, suffix_of, temporary_name
+from prc_cli.core.files import suffix_of, temporary_name
 from prc_cli.core.stream import MAX_RINGS, ScanBlock
 from prc_cli.core.types import F64
-from prc_cli.formats.bags import METADATA
+from prc_cli.formats.bags import DATABASE, METADATA
 from prc_cli.formats.bags.cloud import CLOUD, TYPES
 from prc_cli.formats.bags.laser import LASER
 from prc_cli.formats.bags.read import LABELS
 from prc_cli.formats.writing.base import StagedWriter, StreamItem, StreamShape, StreamWriter
 
-_DATABASE = ".db3"
 _SCAN, _POINTS, _FRAME = "/scan", "/points", "scanner"
 _REACH_M = 1e4
 """Ranges beyond are none [m]."""
@@ -45,14 +44,13 @@ class BagOutput(StagedWriter):
 
     def _name_metadata(self) -> None:
         """Register what makes a bag of the folder of a database; nothing where the folder has another one."""
-        if self.path.suffix.lower() != _DATABASE:
+        if self.path.suffix.lower() != DATABASE:
             return
         metadata = self.path.with_name(METADATA)
         others = {suffix_of(one) for one in metadata.parent.iterdir() if one.name != self.path.name}
-        if others & {_DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
+        if others & {DATABASE, ".mcap"} or (metadata.exists() and not self.path.exists()):
             self._notice(f"no {METADATA} was written: the folder has another bag; a folder of its own would get one")
             return
-        remove_stale(metadata)
         self._metadata = self._output(metadata)
 
     @contextmanager
@@ -68,13 +66,13 @@ class BagOutput(StagedWriter):
             with first:
                 yield first
             return
-        plugin = rosbag2.StoragePlugin.SQLITE3 if suffix == _DATABASE else rosbag2.StoragePlugin.MCAP
+        plugin = rosbag2.StoragePlugin.SQLITE3 if suffix == DATABASE else rosbag2.StoragePlugin.MCAP
         folder = temporary_name(self.path)
         self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
         # programs of ROS 2 from Humble on read this version
         sink = rosbag2.Writer(folder / self.path.stem, version=8, storage_plugin=plugin)
         if self._packed:
-            mode = rosbag2.CompressionMode.MESSAGE if suffix == _DATABASE else rosbag2.CompressionMode.STORAGE
+            mode = rosbag2.CompressionMode.MESSAGE if suffix == DATABASE else rosbag2.CompressionMode.STORAGE
             sink.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
         with sink:
             yield sink

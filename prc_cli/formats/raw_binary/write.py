@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import shutil
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
-from prc_cli.core.files import output_errors, temporary_name
+from prc_cli.core.files import discard, output_errors, place_all, temporary_name
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
 from prc_cli.formats.writing.columns import coordinates
@@ -181,8 +179,7 @@ class FrameFolder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        with contextlib.suppress(OSError):
-            shutil.rmtree(self._temporary, ignore_errors=True)
+        discard(self._temporary)
 
     def add(self, item: StreamItem, pose: F64) -> None:
         """Take a turn: a block of firings with coordinates and classes, and its pose, (4, 4) float64."""
@@ -209,4 +206,4 @@ class FrameFolder:
         with output_errors(self.folder):
             np.savetxt(self._temporary / "poses.txt", np.array(rows).reshape(-1, 12), fmt="%.9g")
             np.savetxt(self._temporary / "times.txt", np.array(self._times), fmt="%.6f")
-            self._temporary.rename(self.folder)
+            place_all([(self._temporary, self.folder, False)])

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import check_output, suffix_of
+from prc_cli.core.files import check_output, prepare_outputs, suffix_of
+from prc_cli.formats.bags import DATABASE, METADATA
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing.base import StagedWriter, StreamShape
@@ -51,10 +52,27 @@ def outputs_of(path: Path) -> tuple[Path, ...]:
     return (path, *beside, record_path(path))
 
 
-def check_stream_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
-    """Refuse an output before any work is done."""
-    for each in outputs_of(path):
-        check_output(each, overwrite=overwrite, inputs=inputs)
+def beside_of(path: Path) -> tuple[Path, ...]:
+    """Return what an output may add to its folder where there is none yet: a database of ROS 2 makes a bag of it."""
+    return (path.with_name(METADATA),) if suffix_of(path) == DATABASE else ()
+
+
+def prepare_stream_output(
+    path: Path, *more: Path, overwrite: bool, inputs: tuple[Path, ...] = (), folders: tuple[Path, ...] = ()
+) -> None:
+    """Prepare the files of a stream output, and more of its set (:func:`prc_cli.core.files.prepare_outputs`)."""
+    members = (*more, *outputs_of(path))
+    prepare_outputs(*members, overwrite=overwrite, inputs=inputs, folders=folders, beside=beside_of(path))
+
+
+def prepare_label_outputs(*paths: Path, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
+    """Prepare classified outputs and their records (:func:`prc_cli.core.files.prepare_outputs`)."""
+    for path in paths:
+        if not path.name:  # "." and "/" have no record
+            check_output(path, overwrite=overwrite)
+    members = [each for path in paths for each in (path, record_path(path))]
+    beside = tuple(each for path in paths for each in beside_of(path))
+    prepare_outputs(*members, overwrite=overwrite, inputs=inputs, beside=beside)
 
 
 def open_stream_writer(path: Path, shape: StreamShape) -> StagedWriter:

@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label, count_bytes, recode
 from prc_cli.core.errors import OutputError
-from prc_cli.core.files import output_errors, place_all, temporary_name
+from prc_cli.core.files import discard, output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.writing.columns import (
@@ -159,7 +159,7 @@ class StagedWriter(ABC):
         try:
             with output_errors(self.path):
                 for temporary, _, _ in self._files:
-                    self._stack.callback(_remove_quietly, temporary)
+                    self._stack.callback(discard, temporary)
                 self._start()
         except BaseException:
             self._stack.close()
@@ -194,7 +194,7 @@ class StagedWriter(ABC):
             self._add(item)
 
     def finish(self, record: RunRecord) -> RunRecord:
-        """Write and rename the output and ``<output>.prc.json``; return the record as written."""
+        """Write the output and ``<output>.prc.json`` and give them their names; return the record as written."""
         with output_errors(self.path):
             self._settle(None)
             # the record beside the output has size and hash of what was written
@@ -232,7 +232,7 @@ class StagedWriter(ABC):
     def _scratch(self) -> BinaryIO:
         """Open a temporary file that is removed at the end."""
         path = temporary_name(self.path)
-        self._stack.callback(_remove_quietly, path)
+        self._stack.callback(discard, path)
         handle = path.open("w+b")
         self._stack.callback(close_quietly, handle)
         return handle
@@ -410,12 +410,6 @@ class ScatterWriter(StagedWriter):
                 codes, record = codes[there].astype(np.uint8), record[there]
                 values = {name: column[there] for name, column in values.items()}
             yield Columns(codes, values, record)
-
-
-def _remove_quietly(path: Path) -> None:
-    """Remove a temporary file, if it exists."""
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
 
 
 def close_quietly(handle: BinaryIO) -> None:

@@ -56,6 +56,9 @@ _TABLES = (
     attempts INTEGER NOT NULL, started TEXT NOT NULL, finished TEXT, owner TEXT NOT NULL, outcome TEXT,
     owns_output INTEGER NOT NULL)""",
 )
+_SOURCES = "CREATE TABLE IF NOT EXISTS sources (name BLOB PRIMARY KEY, path BLOB NOT NULL)"
+"""Added in 1.2; versions before pass over it."""
+_SOURCE = "INSERT OR REPLACE INTO sources (name, path) VALUES (:name, :source)"
 _ENTRY = "name, state, config_sha256, version, run, attempts, started, finished, owner, outcome, owns_output"
 _START = """
 INSERT INTO files (name, state, config_sha256, version, run, attempts, started, owner, owns_output)
@@ -104,6 +107,7 @@ class Journal:
                             self._database.execute(statement)
                         self._database.execute(f"PRAGMA application_id = {APPLICATION}")
                         self._database.execute(f"PRAGMA user_version = {SCHEMA}")
+                self._database.execute(_SOURCES)
             # shards of one count share no files
             siblings = "/" if self._shard is None else f"-of-{self._shard.count}.sqlite"
             others = (path for path in journal_paths(self._folder) if not path.name.endswith(siblings))
@@ -137,8 +141,10 @@ class Journal:
         """Record that a worker will write an output; called before the worker gets the task."""
         values = {"name": os.fsencode(task.name), "config": task.config_sha256, "version": __version__,
                   "run": self.run, "now": _now(), "owner": _text(owner)}  # fmt: skip
-        with _errors(self.path):
+        source = {"name": values["name"], "source": os.fsencode(os.path.realpath(task.source))}
+        with _errors(self.path), _transaction(self._database):
             self._database.execute(_START, values)
+            self._database.execute(_SOURCE, source)
 
     def finish(self, outcome: Outcome) -> None:
         """Record the outcome of a file, tried or refused; an output of somebody else does not become ours."""
@@ -156,14 +162,14 @@ class Journal:
     def entry(self, name: str) -> Entry | None:
         """Return the newest entry of a file in all journals; None for a new file."""
         with _errors(self.path):
-            rows = self._database.execute(f"SELECT {_ENTRY} FROM files WHERE name = ?", (os.fsencode(name),))
+            rows = _select(self._database, "WHERE name = ?", os.fsencode(name))
             found = [*map(_entry, rows), *([self._others[name]] if name in self._others else [])]
         return max(found, key=lambda entry: entry.started, default=None)
 
     def entries(self) -> list[Entry]:
         """Return all entries sorted by name; those of other journals as read when this one was opened."""
         with _errors(self.path):
-            own = list(map(_entry, self._database.execute(f"SELECT {_ENTRY} FROM files")))
+            own = list(map(_entry, _select(self._database)))
         found = _newest([*self._others.values(), *own])
         return [found[name] for name in sorted(found)]
 
@@ -175,6 +181,8 @@ class Journal:
             refuse_links(path)
             with _opened(path) as database, _errors(path), _transaction(database):
                 database.executemany("DELETE FROM files WHERE name = ?", keys)
+                database.execute(_SOURCES)
+                database.executemany("DELETE FROM sources WHERE name = ?", keys)
         self._others = {name: entry for name, entry in self._others.items() if name not in known}
         return len(known)
 
@@ -198,7 +206,14 @@ def read_runs(folder: Path) -> list[Run]:
 
 def _all_entries(path: Path) -> list[Entry]:
     with _opened(path) as database, _errors(path):
-        return list(map(_entry, database.execute(f"SELECT {_ENTRY} FROM files"))) if _n_tables(database) else []
+        return list(map(_entry, _select(database))) if _n_tables(database) else []
+
+
+def _select(database: sqlite3.Connection, condition: str = "", *values: bytes) -> sqlite3.Cursor:
+    """Return the rows of files, the last column the path of the input where it is known."""
+    is_known = database.execute("SELECT count(*) FROM sqlite_master WHERE name = 'sources'").fetchone()[0]
+    source = "(SELECT path FROM sources WHERE sources.name = files.name)" if is_known else "NULL"
+    return database.execute(f"SELECT {_ENTRY}, {source} FROM files {condition}", values)
 
 
 @contextlib.contextmanager
@@ -312,7 +327,7 @@ def _sound(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _entry(row: tuple[Any, ...]) -> Entry:
-    name, state, config_sha256, version, run, attempts, started, finished, owner, outcome, owns = row
+    name, state, config_sha256, version, run, attempts, started, finished, owner, outcome, owns, source = row
     _need(str, config_sha256, version, run, started, owner, finished or "")
     _need(int, attempts, owns)
     if state not in get_args(State):
@@ -320,7 +335,8 @@ def _entry(row: tuple[Any, ...]) -> Entry:
         raise ValueError(message)
     found = None if outcome is None else _outcome(json.loads(outcome, object_hook=_sound))
     return Entry(
-        os.fsdecode(name), state, config_sha256, version, run, attempts, started, finished, owner, found, bool(owns)
+        os.fsdecode(name), state, config_sha256, version, run, attempts, started, finished, owner, found, bool(owns),
+        os.fsdecode(source or b""),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.files import remove_stale
+from prc_cli.core.files import remove_unfinished
 from prc_cli.core.threads import default_threads, drain
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.types import Comparison, EngineSettings, Event, Failed, Problem, Progress, Started, Task, failed
@@ -307,7 +307,6 @@ def _how_ended(code: int, printed: str) -> str:
 
 def remove_left(task: Task) -> None:
     """Remove the temporary files of a task whose worker died."""
-    for one in task.files:
-        for path in (one.output, record_path(one.output)):
-            with contextlib.suppress(OSError):
-                remove_stale(path)
+    outputs = [path for one in task.files for path in (one.output, record_path(one.output))]
+    with contextlib.suppress(OSError):
+        remove_unfinished(*outputs, keeps_whole=True)

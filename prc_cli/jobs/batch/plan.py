@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table, refuse_window
 from prc_cli.core.config import read_toml
-from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
+from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError, PrcError
 from prc_cli.core.files import is_same, parts_of, suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.formats.writing.record import RunRecord, fingerprint, read_record, record_path
@@ -348,10 +348,23 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
     reason, found = _compare(item, task, entry, written, settings)
     if reason is None:
         return found
+    if written is not None and not settings.overwrite and _is_of_other(item, entry):
+        problem = f"was made of {entry.source}, not of {item.path}, which is another file"
+        raise OutputError(str(task.output), problem, "choose another OUT for this archive, or add --overwrite")
     keeps = reason == "changed output"
     if written is not None and not keeps and entry.state == "done" and isinstance(entry.outcome, Done):
         keeps = _is_changed(task.output, written, entry.outcome, settings)
     return Planned(replace(task, overwrite=True), reason, item.size, keeps and not settings.overwrite)
+
+
+def _is_of_other(item: Found, entry: Entry) -> bool:
+    """Tell whether an output was made of a file elsewhere with another content: of another archive."""
+    if not entry.source or entry.source == os.path.realpath(item.path):
+        return False
+    before = None if entry.outcome is None else entry.outcome.input
+    if before is None or before.size != item.size:
+        return True
+    return before.mtime_ns != item.mtime_ns and before.sha256 != fingerprint(item.path).sha256
 
 
 def _compare(

@@ -252,6 +252,8 @@ class Entry:
     """Outcome of the last attempt that ended; a later attempt may have been cut off."""
     owns_output: bool = True
     """Whether the output belongs to this program, because a worker was sent to write it; False for refused files."""
+    source: str = ""
+    """Real path of the input that it was made of; empty in journals of versions before 1.2."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_output, check_unchanged, file_state, output_errors, prepare_outputs
+from prc_cli.core.files import atomic_output, check_unchanged, file_state, output_errors, prepare_outputs, whole_set
 from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.core.types import U8
@@ -204,7 +204,7 @@ def find_objects(
         check_suffix(out)
         prepare_outputs(out, record_path(out), overwrite=overwrite, inputs=loaded.inputs(source))
     before = file_state(source)
-    with ExitStack() as stack:
+    with whole_set(), ExitStack() as stack:
         own, told = ({}, "") if loaded.config.is_decided else _own_rules(source, loaded, kinds)
         loaded = loaded if own else decide(source, loaded)
         put = None if out is None else stack.enter_context(open_things(out))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, MethodChoice, refuse_window
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import atomic_output, check_output, prepare_outputs, temporary_folder
+from prc_cli.core.files import atomic_output, prepare_outputs, temporary_folder, whole_set
 from prc_cli.formats import check_input
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
 from prc_cli.imaging.viewer import html_page
@@ -65,7 +65,7 @@ def render(
         problem = f"found the suffix {output.suffix!r}, expected one of: {' '.join(SUFFIXES)}"
         raise ConfigError(str(output), problem, "rename the output")
     inputs = config.inputs(source, chosen.labels, chosen.reference)
-    prepare_outputs(output, overwrite=overwrite, inputs=inputs)
+    prepare_outputs(output, overwrite=overwrite, inputs=inputs, beside=_pages_there(output))
     check_input(source)
     refuse_window(config.config, "prc render")
     config = _decided(source, config, chosen)
@@ -110,6 +110,13 @@ def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
     return pages
 
 
+def _pages_there(output: Path) -> tuple[Path, ...]:
+    """Return the further pages beside an output, in their order; a run that was killed may have left them."""
+    number = re.compile(re.escape(output.stem) + r"_([0-9]{1,6})" + re.escape(output.suffix))
+    known = [(int(match[1]), path) for path in output.parent.glob("*") if (match := number.fullmatch(path.name))]
+    return tuple(path for _, path in sorted(known))
+
+
 def _write(
     output: Path, name: str, result: RenderResult, pages: Sequence[tuple[str, list[Panel]]], key: Key,
     *, max_height: int, overwrite: bool, inputs: tuple[Path, ...],
@@ -122,16 +129,16 @@ def _write(
         width = max(panel.size[0] for _, panels in pages for panel in panels)
         return replace(result, files=(output,), size=(width, sum(p.size[1] for _, panels in pages for p in panels)))
     paths = [output, *(output.with_stem(f"{output.stem}_{number}") for number in range(2, len(pages) + 1))]
-    for path in paths[1:]:
-        check_output(path, overwrite=overwrite, inputs=inputs)
+    prepare_outputs(*paths, overwrite=overwrite, inputs=inputs)
     size = (0, 0)
     single = len({(panel.x, panel.y) for _, panels in pages for panel in panels}) == 1
-    with ExitStack() as stack:
+    with whole_set():
         for path, (heading, panels) in zip(paths, pages, strict=True):
             head = result.drawn if not heading else f"{result.drawn} · this page: {heading}"
             image = draw_sheet(head, panels, key, columns=choose_columns(panels, max_height) if single else 1)
             size = image.size if path is output else size
-            image.save(stack.enter_context(atomic_output(path, overwrite=overwrite)), format="PNG")
+            with atomic_output(path, overwrite=overwrite) as temporary:
+                image.save(temporary, format="PNG")
     return replace(result, files=tuple(paths), size=size)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
+from prc_cli.core.files import file_state, prepare_outputs, suffix_of
 from prc_cli.core.stream import Assumption
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.las.rewrite import LasRecoder
@@ -222,9 +222,7 @@ def transfer(
     points = None if points is None else Path(points)
     inputs = tuple(path for path in (labels, points, registered, options.trajectory) if path is not None)
     check_paths(labels, registered, output, points)
-    for path in (output, record_path(output)):
-        check_output(path, overwrite=overwrite, inputs=inputs)
-        remove_stale(path)
+    prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=inputs)
     before = [_state(path) for path in inputs]
     sides = open_sides(labels, registered, points, layout, options)
     tally = JoinTally()

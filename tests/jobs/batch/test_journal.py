@@ -95,7 +95,8 @@ def test_what_is_known_of_a_file(folder: Path) -> None:
         journal.finish(done("a.laz"))
         entry = journal.entry("a.laz")
         assert entry == Entry(
-            "a.laz", "done", "first", __version__, run, 1, entry.started, entry.finished, "worker 1", done("a.laz")
+            "a.laz", "done", "first", __version__, run, 1, entry.started, entry.finished, "worker 1", done("a.laz"),
+            source=str(Path("archive/a.laz").resolve()),
         )  # fmt: skip
         assert entry.finished is not None
         assert entry.started <= entry.finished
