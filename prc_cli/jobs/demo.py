@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from prc_cli.config import load_config, to_toml
 from prc_cli.core.errors import OutputError, OutputExistsError
-from prc_cli.core.files import atomic_output
+from prc_cli.core.files import atomic_output, discard, output_errors, remove_unfinished, temporary_name
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import load_mapping
@@ -97,15 +99,15 @@ def run_demo(
     progress: Progress | None = None,
 ) -> DemoResult:
     """Simulate, classify, evaluate and draw some of :data:`PARTS`: the drive here, all else in :data:`MORE`."""
-    _prepare(folder, overwrite=overwrite)
-    (folder / MORE).mkdir(exist_ok=True)
-    found: dict[str, DemoPart] = {}
-    for name in parts:
-        part = PARTS[name]
-        options = {**part.options, "seed": seed}
-        if name == "drive" and lines is not None:
-            options["lines"] = lines
-        found[name] = _run(folder, part, options, overwrite, progress)
+    with _prepared(folder, overwrite=overwrite) as place:
+        (place / MORE).mkdir(exist_ok=True)
+        found: dict[str, DemoPart] = {}
+        for name in parts:
+            part = PARTS[name]
+            options = {**part.options, "seed": seed}
+            if name == "drive" and lines is not None:
+                options["lines"] = lines
+            found[name] = _run(place, part, options, overwrite, progress)
     return DemoResult(found, tuple(sorted(path for path in folder.iterdir() if path.is_file())))
 
 
@@ -147,13 +149,30 @@ def _write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _prepare(folder: Path, *, overwrite: bool) -> None:
+@contextmanager
+def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
+    """Give the folder to fill; one that is not there yet gets its name when it is whole."""
+    taken, is_new = False, not os.path.lexists(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        taken = any(folder.iterdir())
+        if is_new:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            remove_unfinished(folder)
+            temporary = temporary_name(folder)
+            temporary.mkdir()
+        else:
+            taken = any(folder.iterdir())
     except OSError as error:
         problem = f"cannot be used as the demo's folder ({error.strerror})"
         raise OutputError(str(folder), problem, "choose another with --output") from error
     if taken and not overwrite:
         problem = "holds files already"
         raise OutputExistsError(str(folder), problem, "choose another with --output, or add --overwrite")
+    if not is_new:
+        yield folder
+        return
+    try:
+        yield temporary
+        with output_errors(folder):
+            temporary.rename(folder)
+    finally:
+        discard(temporary)
