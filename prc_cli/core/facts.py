@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from prc_cli.core.findings import Finding
 from prc_cli.core.types import U8
 
 
@@ -74,6 +75,10 @@ class SourceFacts:
     """What a recording holds twice, of which one was read, known after reading; empty = nothing."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
     """LAZ of point formats 6-10: filled while the records are read, for rewriting the same file."""
+    downs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    """Scan angle that points straight down [rad] and cosine of the tilt of the scan plane, by scanner, where known."""
+    findings: tuple[Finding, ...] = ()
+    """Answers of checks that were asked before lines were found."""
     describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)
     """Returns the header's values, ready for JSON, for ``prc info``."""
     align_chunks: Callable[[int], None] = field(default=_nothing, repr=False, compare=False)

@@ -41,7 +41,7 @@ def _rule(*patterns: str) -> AfterValidator:
 
 LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#", "rings", "elevation:#")]
 ColumnRule = Annotated[str, _rule("auto", "dimension:*", "angle", "time:#", "order")]
-RangeRule = Annotated[str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz")]
+RangeRule = Annotated[str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz", "points")]
 
 
 def _known_check(name: str) -> str:
@@ -77,7 +77,7 @@ class InputConfig(Params):
     range: RangeRule = Field(
         "auto",
         description="slant range: dimension:NAME, trajectory:FILE (CSV, TUM, SBET, a bag), origin:X,Y,Z (static scan), "
-        "or sensor-xyz",
+        "sensor-xyz, or points (registered cloud with times: rotation and path from the points)",
     )
     scanner: Literal["none", "scanner_channel", "point_source_id", "user_data"] = Field(
         "none", description="split the input by this field, classify each part, write one file"

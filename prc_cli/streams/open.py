@@ -67,6 +67,10 @@ def open_input(
         from prc_cli.streams.rules import with_elevation
 
         source, config, told = with_elevation(source, config)
+    elif config.range == "points":
+        from prc_cli.streams.registered.source import with_points
+
+        source, config, told = with_points(source, config)
     elif config.range.startswith(("trajectory:", "origin:")):
         from prc_cli.streams.rules import with_sweeps
 

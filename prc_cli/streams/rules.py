@@ -198,7 +198,7 @@ def resolve_rules(
         line_hz=line_hz,
         shot_hz=shot_hz,
         scanner=scanner,
-        height_names=_height_names(source, config, range_) if geometry else (),
+        height_names=_height_names(source, config, range_) if geometry and not source.facts.downs else (),
         point_names=_point_names(source, range_) if geometry else (),
         whole_turn=columns == "angle" and _is_whole_turn(source, first),
         points_per_line=m,

@@ -160,6 +160,9 @@ def set_up(
             check_found_columns(rules.path, size, source.n_records)
         estimate = estimates.get(scanner) or Estimates(steps=_usual_step(steps))
         setup, told = _set_up_one(rules, scanner, size, estimate, probes.get(scanner), n_known)
+        if scanner in source.facts.downs:
+            down_rad, cos_tilt = source.facts.downs[scanner]
+            setup = replace(setup, down_rad=down_rad, cos_tilt=cos_tilt)
         setups[scanner] = setup
         taken += told
     if m is None:

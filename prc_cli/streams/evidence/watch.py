@@ -122,6 +122,7 @@ class EvidenceStream(Brief):
         others = [
             *(self._of_whole() if is_whole else ()),
             *check_thinned(self.dropped),
+            *self.info.facts.findings,
             *(self.others if is_long else ()),
         ]
         return partial(_ask_of_all, self.seen(), tuple(others), self.accepted)

@@ -1,0 +1,276 @@
+"""Reconstructs all passes of all scanners of a cloud, in bounded memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.findings import Finding
+from prc_cli.core.stream import Assumption
+from prc_cli.core.types import F64
+from prc_cli.streams.registered.evidence import PathFigures, Placed, figures_of, judge, no_clock, no_rotation
+from prc_cli.streams.registered.fit import (
+    KNOT_S,
+    Clock,
+    Pieces,
+    Track,
+    find_turning,
+    fit_track,
+    read_clock,
+    share_their_shot,
+)
+from prc_cli.streams.registered.rotation import Turning, find_rotation
+from prc_cli.streams.registered.scan import Scan, make_scan
+from prc_cli.streams.registered.spool import Spool
+
+GAP_S = 1.0
+"""A longer time without a point ends a pass [s]."""
+LEAST_PASS_POINTS = 2000
+"""Passes of fewer points are not placed."""
+SAMPLE_BLOCKS = 96
+"""Blocks of consecutive points that the rate of turns is found in."""
+BLOCK_POINTS = 1 << 14
+CONTIGUOUS_POINTS = 1 << 20
+"""Consecutive points in which the rate is refined."""
+POINTS_PER_KNOT = 320
+"""Points that are kept of the time between two knots, about."""
+CELL = np.dtype([("scan_line", "i4"), ("column", "i4"), ("range", "f8"), ("pass", "i4")])
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """The points of one scanner, in the order of their times, with their cells."""
+
+    points: Spool
+    cells: Spool
+
+    def pieces(self) -> Iterator[tuple[NDArray[np.void], NDArray[np.void]]]:
+        """Yield points and their cells."""
+        yield from zip(self.points.chunks(), self.cells.chunks(), strict=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """All scanners and passes of a cloud."""
+
+    heads: tuple[Head, ...]
+    scans: tuple[Scan, ...]
+    """By number of the pass, over all scanners."""
+    figures: tuple[PathFigures, ...]
+    """What each pass shows."""
+    findings: tuple[Finding, ...]
+    n_unplaced: int
+    """Points of passes that are too short or that no path fits."""
+
+    @property
+    def points_per_line(self) -> int:
+        """M, the largest of all passes."""
+        return max(scan.points_per_line for scan in self.scans)
+
+    @property
+    def angle_start_rad(self) -> float:
+        """Angle of column 0 from straight down [rad]."""
+        return self.scans[0].angle_start_rad
+
+    @property
+    def step_rad(self) -> float:
+        """Angle from column to column [rad]."""
+        return self.scans[0].step_rad
+
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Return what was found, for ``prc info`` and the run record."""
+        scan, figures = self.scans[0], self.figures[0]
+        turning = scan.turning
+        why = "the rotation, the path and the ranges that fit the points and their times"
+        told = [
+            Assumption("input.range", "points", why),
+            Assumption(
+                "input.lines",
+                f"time:{turning.line_hz:.9g}",
+                f"points lie {figures.residual_m:.3f} m off their beams (median) at this many lines a second",
+            ),
+            Assumption(
+                "input.columns",
+                f"time:{scan.shots_per_turn * turning.hz:.10g}",
+                "measured bearings, since times are coarse" if scan.by_bearing else "the steps of the times",
+            ),
+        ]
+        if len(self.scans) > 1:
+            value = f"{len(self.scans)} passes"
+            told.append(Assumption("input.scanner", value, f"gaps of more than {GAP_S:g} s, or other scanners"))
+        return tuple(told)
+
+
+def reconstruct(path: str, spools: dict[int, Spool]) -> Drive:
+    """Find the path of every scanner and pass, and the cell of every point.
+
+    Parameters
+    ----------
+    path
+        File name, for messages.
+    spools
+        Points in the order of their times, by scanner.
+
+    Raises
+    ------
+    InputError
+        Where no rotation fits the points of a scanner.
+    """
+    heads: list[Head] = []
+    scans: list[Scan] = []
+    figures: list[PathFigures] = []
+    n_unplaced = 0
+    for _, points in sorted(spools.items()):
+        head, own_scans, own_figures, n_lost = _reconstruct_head(path, points, len(scans))
+        heads.append(head)
+        scans += own_scans
+        figures += own_figures
+        n_unplaced += n_lost
+    findings = judge(path, figures, n_unplaced, sum(len(spool) for spool in spools.values()))
+    return Drive(tuple(heads), tuple(scans), tuple(figures), findings, n_unplaced)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rates:
+    """How fast the beam of a scanner turns and fires."""
+
+    turning: Turning
+    clock: Clock
+
+
+def _rates(path: str, points: Spool, longest: slice) -> _Rates:
+    """Find the rates of a scanner from a sample of its points."""
+    rotation = find_rotation(*sample(points))
+    if rotation is None or not rotation.is_possible:
+        raise no_rotation(path, rotation)
+    part = points.read(longest.start, min(longest.stop, longest.start + CONTIGUOUS_POINTS))
+    clock = read_clock(part["time"])
+    if clock is None:
+        raise no_clock(path)
+    return _Rates(find_turning(part["time"], coordinates(part), rotation), clock)
+
+
+def _reconstruct_head(path: str, points: Spool, first_number: int) -> tuple[Head, list[Scan], list[PathFigures], int]:
+    passes = find_passes(points)
+    longest = max(passes, key=lambda one: one.stop - one.start)
+    rates = _rates(path, points, longest)
+    cells = Spool(CELL)
+    scans: list[Scan] = []
+    figures: list[PathFigures] = []
+    n_unplaced = 0
+    for part in passes:
+        track = None
+        if part.stop - part.start >= LEAST_PASS_POINTS:
+            track = fit_track(_thinned(points, part, rates.turning), rates.turning)
+        if track is None:
+            n_unplaced += part.stop - part.start
+            _leave_out(points, cells, part)
+            continue
+        scan = _scan_of(points, part, track, rates)
+        placed = _place(points, cells, part, scan, first_number + len(scans))
+        if rates.turning.is_arc:
+            # the times do not tell where an arc ends, its last shot does
+            scan = replace(scan, points_per_line=min(placed.last_column + 1, scan.points_per_line))
+        scans.append(scan)
+        figures.append(figures_of(track, scan, placed))
+    if not scans:
+        raise no_rotation(path, None)
+    return Head(points, cells), scans, figures, n_unplaced
+
+
+def _scan_of(points: Spool, part: slice, track: Track, rates: _Rates) -> Scan:
+    """Return the scan of a pass, its columns by the times where they are fine enough."""
+    turning, clock = rates.turning, rates.clock
+    first = points.read(part.start, min(part.stop, part.start + BLOCK_POINTS))
+    fine = make_scan(track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False)
+    if share_their_shot(fine, first["time"], coordinates(first)):
+        return fine
+    return make_scan(track.knots, turning, clock.shots_per_turn(turning, coarse=True), by_bearing=True)
+
+
+def sample(points: Spool) -> tuple[F64, F64]:
+    """Return times and points of blocks that are spread over all points."""
+    starts = np.linspace(0, max(len(points) - BLOCK_POINTS, 0), SAMPLE_BLOCKS).astype(np.int64)
+    if len(points) <= SAMPLE_BLOCKS * BLOCK_POINTS:
+        records = points.read(0, len(points))
+    else:
+        records = np.concatenate([points.read(int(start), int(start) + BLOCK_POINTS) for start in starts])
+    return np.ascontiguousarray(records["time"]), coordinates(records)
+
+
+def coordinates(records: NDArray[np.void]) -> F64:
+    """Return the coordinates of records, (n, 3) float64 [m]."""
+    return np.stack([records[axis] for axis in ("x", "y", "z")], axis=1)
+
+
+def find_passes(points: Spool) -> list[slice]:
+    """Return the records of every pass: those without a gap of :data:`GAP_S` between them."""
+    borders = [0]
+    last = math.nan
+    first = 0
+    for records in points.chunks():
+        time_s = records["time"]
+        jumps = np.flatnonzero(np.diff(time_s, prepend=last) > GAP_S)
+        borders += (first + jumps).tolist()
+        first += len(records)
+        last = float(time_s[-1])
+    borders.append(len(points))
+    return [slice(start, stop) for start, stop in pairwise(borders) if stop > start]
+
+
+def _thinned(points: Spool, part: slice, turning: Turning) -> Pieces:
+    """Return what gives every n-th point of a pass, so that enough lie between two knots."""
+    ends = points.read(part.start, part.start + 1)["time"][0], points.read(part.stop - 1, part.stop)["time"][0]
+    duration_s = max(float(ends[1] - ends[0]), 1e-3)
+    between = (part.stop - part.start) / duration_s * max(1.0 / turning.line_hz, KNOT_S)
+    every = max(int(between / POINTS_PER_KNOT), 1)
+
+    def pieces() -> Iterator[tuple[F64, F64]]:
+        skip = 0
+        for records in points.chunks(part.start, part.stop):
+            chosen = records[skip::every]
+            skip = (skip - len(records)) % every
+            if len(chosen):
+                yield np.ascontiguousarray(chosen["time"]), coordinates(chosen)
+
+    return pieces
+
+
+def _leave_out(points: Spool, cells: Spool, part: slice) -> None:
+    """Give the points of a pass no cell."""
+    for records in points.chunks(part.start, part.stop):
+        empty = np.zeros(len(records), CELL)
+        empty["column"] = -1
+        cells.append(empty)
+
+
+def _place(points: Spool, cells: Spool, part: slice, scan: Scan, number: int) -> Placed:
+    """Find the cells of all points of a pass, and count them."""
+    placed = Placed()
+    rest = np.empty(0, points.dtype)
+    for records in points.chunks(part.start, part.stop):
+        records = np.concatenate([rest, records])
+        line = np.floor(scan.phase(records["time"])).astype(np.int64)
+        # columns are found in whole lines
+        cut = int(np.searchsorted(line, line[-1]))
+        if cut:
+            _put(cells, records[:cut], scan, number, placed)
+        rest = records[cut:]
+    _put(cells, rest, scan, number, placed)
+    return placed
+
+
+def _put(cells: Spool, records: NDArray[np.void], scan: Scan, number: int, seen: Placed) -> None:
+    placed = scan.cells(records["time"], coordinates(records))
+    row = np.empty(len(records), CELL)
+    row["scan_line"] = placed.line
+    row["column"] = placed.column
+    row["range"] = placed.range_m
+    row["pass"] = number
+    cells.append(row)
+    seen.see(placed.line, placed.column, placed.range_m)

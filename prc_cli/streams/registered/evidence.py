@@ -1,0 +1,207 @@
+"""Judges the reconstruction: what a path must be like to be that of a scanner on a vehicle or a person."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from prc_cli.core.errors import EvidenceError
+from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.types import F64, I64
+from prc_cli.streams.registered.fit import Track
+from prc_cli.streams.registered.rotation import Rotation
+from prc_cli.streams.registered.scan import Scan
+
+CHECK = "path"
+"""Name of the check."""
+MOST_RESIDUAL_M, WORST_RESIDUAL_M = 0.03, 0.15
+"""Median distance of points from their beams: doubtful, refused [m]."""
+LEAST_ON_BEAM, WORST_ON_BEAM = 0.8, 0.4
+LEAST_IN_FRONT = 0.97
+MOST_BRIDGED, BRIDGED_M = 0.2, 0.1
+"""Share of lines whose station is less certain than this, which stand on their neighbours [m]."""
+MOST_SPEED_M_S, WORST_SPEED_M_S = 45.0, 90.0
+MOST_HOLES, WORST_HOLES = 0.15, 0.75
+"""Share of cells that are empty between two neighbouring points of one surface."""
+MOST_UNPLACED = 0.01
+STATION_STEPS_S = 0.5
+"""Speeds are measured over this time [s]."""
+HOLE_CELLS = 8
+"""Longer gaps are no holes of a surface."""
+HOLE_M, HOLE_SHARE = 0.1, 0.02
+"""Points on both sides of a hole differ in range by at most this [m], and this share of it for every cell."""
+
+
+@dataclass(slots=True)
+class Placed:
+    """What is counted while the points of a pass find their cells."""
+
+    n_empty: int = 0
+    """Cells that are empty between two neighbouring points of one surface."""
+    n_filled: int = 0
+    last_column: int = 0
+
+    def see(self, line: I64, column: I64, range_m: F64) -> None:
+        """Take the points of whole lines, in the order of their times."""
+        self.last_column = max(self.last_column, int(column.max(initial=0)))
+        step = np.diff(column)
+        near = np.minimum(range_m[1:], range_m[:-1])
+        smooth = np.abs(np.diff(range_m)) < HOLE_M + HOLE_SHARE * near
+        inside = (np.diff(line) == 0) & (step >= 1) & (step <= HOLE_CELLS) & smooth
+        self.n_filled += int(np.count_nonzero(inside))
+        self.n_empty += int(step[inside].sum()) - int(np.count_nonzero(inside))
+
+    @property
+    def share_empty(self) -> float:
+        """Return the share of the cells amid surfaces that are empty."""
+        n = self.n_empty + self.n_filled
+        return self.n_empty / n if n else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PathFigures:
+    """What one pass shows, for ``prc info`` and the checks."""
+
+    start_s: float
+    duration_s: float
+    length_m: float
+    speed_m_s: float
+    """Median speed [m/s]."""
+    top_speed_m_s: float
+    residual_m: float
+    share_on_beam: float
+    share_in_front: float
+    share_bridged: float
+    """Share of the lines whose station is held by their neighbours alone."""
+    sigma_m: float
+    """Median standard deviation of the stations [m]."""
+    share_holes: float
+    turns_hz: float
+    lines_hz: float
+    shots_hz: float
+    points_per_line: int
+    tilt_deg: float
+    """Tilt of the scan plane from the vertical [deg]."""
+
+
+def figures_of(track: Track, scan: Scan, placed: Placed) -> PathFigures:
+    """Measure the path of a pass."""
+    knots = track.knots
+    hop = max(round(STATION_STEPS_S / float(np.median(np.diff(knots.time_s)))), 1)
+    places = np.arange(0, len(knots.time_s), hop)
+    if len(places) < 2:
+        places = np.array([0, len(knots.time_s) - 1])
+    moved = np.linalg.norm(np.diff(knots.position_m[places], axis=0), axis=1)
+    speed = moved / np.diff(knots.time_s[places])
+    sigma = np.sqrt((track.sigma_m**2).sum(axis=1))
+    turning = scan.turning
+    return PathFigures(
+        start_s=float(knots.time_s[0]),
+        duration_s=float(knots.time_s[-1] - knots.time_s[0]),
+        length_m=float(moved.sum()),
+        speed_m_s=float(np.median(speed)),
+        top_speed_m_s=float(speed.max()),
+        residual_m=track.residual_m,
+        share_on_beam=track.share_on_beam,
+        share_in_front=track.share_in_front,
+        share_bridged=float(np.mean(sigma > BRIDGED_M)),
+        sigma_m=float(np.median(sigma)),
+        share_holes=placed.share_empty,
+        turns_hz=turning.hz,
+        lines_hz=turning.line_hz,
+        shots_hz=scan.shots_per_turn * turning.hz,
+        points_per_line=scan.points_per_line,
+        tilt_deg=math.degrees(math.acos(min(scan.cos_tilt, 1.0))),
+    )
+
+
+@dataclass(slots=True)
+class _Worst:
+    """Keeps the worst answer of several questions."""
+
+    finding: Finding | None = None
+    answers: list[str] = field(default_factory=list)
+
+    def ask(self, figure: float, doubtful: float, against: float, found: str, expected: str, hint: str) -> None:
+        verdict = Verdict.FINE
+        if figure > doubtful:
+            verdict = Verdict.AGAINST if figure > against else Verdict.DOUBTFUL
+        if self.finding is None or verdict > self.finding.verdict:
+            self.finding = Finding(CHECK, verdict, found, expected, hint)
+
+
+_HINT_TRAJECTORY = "give the scanner's path instead: --range trajectory:FILE"
+
+
+def judge(path: str, figures: list[PathFigures], n_unplaced: int, n_points: int) -> tuple[Finding, ...]:
+    """Return the answer of the check of the path; the worst of all passes.
+
+    Raises
+    ------
+    EvidenceError
+        Where the path cannot be that of a scanner.
+    """
+    worst = _Worst()
+    for one in figures:
+        at = f"{one.start_s:.1f} s: " if len(figures) > 1 else ""
+        worst.ask(
+            one.residual_m, MOST_RESIDUAL_M, WORST_RESIDUAL_M,
+            f"{at}points lie {one.residual_m:.3f} m off their beams (median)", f"at most {MOST_RESIDUAL_M} m",
+            f"the times may be rounded, or the points moved after the drive; {_HINT_TRAJECTORY}",
+        )  # fmt: skip
+        worst.ask(
+            1.0 - one.share_on_beam, 1.0 - LEAST_ON_BEAM, 1.0 - WORST_ON_BEAM,
+            f"{at}{1.0 - one.share_on_beam:.0%} of the points lie on no beam of the scanner",
+            f"at most {1.0 - LEAST_ON_BEAM:.0%}",
+            "if several scanners are merged: --scanner DIMENSION; else " + _HINT_TRAJECTORY,
+        )  # fmt: skip
+        worst.ask(
+            1.0 - one.share_in_front, 1.0 - LEAST_IN_FRONT, 0.3,
+            f"{at}{1.0 - one.share_in_front:.0%} of the points lie behind the scanner",
+            f"at most {1.0 - LEAST_IN_FRONT:.0%}", _HINT_TRAJECTORY,
+        )  # fmt: skip
+        worst.ask(
+            one.top_speed_m_s, MOST_SPEED_M_S, WORST_SPEED_M_S,
+            f"{at}the scanner moves at {one.top_speed_m_s:.0f} m/s", f"at most {MOST_SPEED_M_S:.0f} m/s",
+            "look at the coordinates: their unit, or parts that were moved; " + _HINT_TRAJECTORY,
+        )  # fmt: skip
+        worst.ask(
+            one.share_bridged, MOST_BRIDGED, 0.9,
+            f"{at}{one.share_bridged:.0%} of the lines do not tell where the scanner was (within {BRIDGED_M} m)",
+            f"at most {MOST_BRIDGED:.0%}", "open ground tells too little; " + _HINT_TRAJECTORY,
+        )  # fmt: skip
+        worst.ask(
+            one.share_holes, MOST_HOLES, WORST_HOLES,
+            f"{at}{one.share_holes:.0%} of the cells amid surfaces are empty", f"at most {MOST_HOLES:.0%}",
+            "the cloud was thinned or filtered: classify the cloud before that",
+        )  # fmt: skip
+    share = n_unplaced / max(n_points, 1)
+    worst.ask(
+        share, MOST_UNPLACED, 0.5, f"{share:.1%} of the points belong to passes that no path fits",
+        f"at most {MOST_UNPLACED:.0%}", "give a larger tile, or several tiles of the drive together",
+    )  # fmt: skip
+    finding = worst.finding
+    assert finding is not None
+    return (finding,)
+
+
+def no_rotation(path: str, rotation: Rotation | None) -> EvidenceError:
+    """Return the error of points that no turning beam measured."""
+    found = "too few points follow each other in time"
+    if rotation is not None:
+        found = f"at the best rate, {rotation.hz:.4g} turns a second, points lie {rotation.residual_m:.2f} m off"
+        found += f" their beams, and {1 - rotation.in_front:.0%} of them behind the scanner"
+    problem = f"no rotation of a scanner fits the points and their times: {found}"
+    hint = (
+        "airborne scanners, several scanners merged, and times that are coarse cannot be read so; "
+        "give --scanner DIMENSION for several scanners, or --range trajectory:FILE"
+    )
+    return EvidenceError(path, problem, hint)
+
+
+def no_clock(path: str) -> EvidenceError:
+    """Return the error of times without steps."""
+    problem = "the times show no steps from shot to shot"
+    return EvidenceError(path, problem, "give the points with the times of their shots")

@@ -1,0 +1,274 @@
+"""Finds how a scanner moved and turned from its points, in three steps: rate, first guess, smooth path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from prc_cli.core.types import F64, Mask
+from prc_cli.streams.evidence.periods import measure_rates, shot_period
+from prc_cli.streams.registered.path import Fit, Knots, observe, smooth
+from prc_cli.streams.registered.rotation import Rotation, Turning
+from prc_cli.streams.registered.scan import Scan
+from prc_cli.streams.registered.start import (
+    Windows,
+    drift_hz,
+    join_windows,
+    knots_between,
+    stations_of_lines,
+)
+
+KNOT_S = 0.01
+"""Least time between knots [s]; at most a line lies between two."""
+WINDOW_SPACING_S = 0.02
+"""Time between the lines whose station is found alone [s]."""
+POINTS_BETWEEN_KNOTS = 120
+"""Points that are used between two knots."""
+CONE_ROUNDS = 2
+"""Rounds in which the cone angle and the path are fitted in turns."""
+ARC_GAIN = 0.3
+"""Lines are arcs where that lowers the residual of whole lines to this share."""
+LEAST_TRUSTED = 3
+"""Trusted windows that a path needs."""
+SEGMENT_KNOTS, OVERLAP_KNOTS = 800, 200
+"""Knots that are smoothed at once, and how many of them neighbouring segments share."""
+ON_BEAM = 5.0
+"""A point lies on its beam within this many median residuals."""
+MOST_PAIRS, LEAST_PAIRS = 20_000, 50
+"""Pairs of points of one time that are compared."""
+SAME_SHOT = 0.3
+"""Points of one time whose bearings differ by less than this share of a step are returns of one shot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The path of one pass, and how well the points fit it."""
+
+    knots: Knots
+    sigma_m: F64
+    """(k, 3) float64, standard deviation of the stations [m]."""
+    slope: float
+    """Tangent of the cone angle of the beam."""
+    residual_m: float
+    """Median distance of the points from their beams [m]."""
+    share_on_beam: float
+    """Share of the points that lie on their beams, within :data:`ON_BEAM` residuals."""
+    share_in_front: float
+    """Share of the points that lie in front of the scanner, not behind it."""
+    share_trusted: float
+    """Share of the single lines that fit and agree with their neighbours."""
+
+
+def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
+    """Find the rate of turns and of lines, the same unless lines are arcs that begin anew.
+
+    Parameters
+    ----------
+    time_s
+        (n,) float64, rising, of a contiguous part of the drive [s].
+    xyz_m
+        (n, 3) float64 [m].
+    rotation
+        The rate at which short pieces fit.
+    """
+    turning = Turning(rotation.hz, rotation.hz, float(time_s[0]))
+    windows = stations_of_lines(time_s, xyz_m, turning, WINDOW_SPACING_S)
+    residual = float(np.median(windows.stations.residual_m)) if len(windows.time_s) else math.inf
+    arcs = _arcs(time_s, rotation)
+    if arcs is not None:
+        of_arcs = stations_of_lines(time_s, xyz_m, arcs, WINDOW_SPACING_S)
+        if len(of_arcs.time_s) and float(np.median(of_arcs.stations.residual_m)) < ARC_GAIN * residual:
+            turning, windows = arcs, of_arcs
+    return _without_drift(time_s, xyz_m, turning, windows)
+
+
+def _without_drift(time_s: F64, xyz_m: F64, turning: Turning, windows: Windows) -> Turning:
+    for _ in range(3):
+        drift = drift_hz(windows)
+        turning = turning.faster(drift)
+        if abs(drift) < 1e-7 * turning.hz:
+            break
+        windows = stations_of_lines(time_s, xyz_m, turning, WINDOW_SPACING_S)
+    return turning
+
+
+def _arcs(time_s: F64, rotation: Rotation) -> Turning | None:
+    """Return the turning of lines that the times alone show, if they are arcs of the rate."""
+    rates = measure_rates(np.unique(time_s))
+    if rates is None or abs(rotation.hz / rates.line_hz - 1.0) < 0.01:
+        return None
+    return Turning(rotation.hz, rates.line_hz, rates.time_origin_s)
+
+
+Pieces: TypeAlias = Callable[[], Iterator[tuple[F64, F64]]]
+"""Gives times (n,) and points (n, 3) of a pass from its beginning, in pieces of rising times."""
+
+
+def fit_track(pieces: Pieces, turning: Turning) -> Track | None:
+    """Fit the path of one pass; None where too few lines can be placed.
+
+    Parameters
+    ----------
+    pieces
+        Points of the pass, thinned; read twice.
+    turning
+        The bearing of the beam over time.
+    """
+    windows = _windows(pieces, turning)
+    if windows is None or np.count_nonzero(windows.trusted) < LEAST_TRUSTED:
+        return None
+    step = max(1.0 / turning.line_hz, KNOT_S)
+    first_s, last_s = windows.time_s[0] - 1.0 / turning.line_hz, windows.time_s[-1] + 1.0 / turning.line_hz
+    n_knots = max(math.ceil((last_s - first_s) / step) + 1, 4)
+    knots = knots_between(windows, first_s + step * np.arange(n_knots))
+    return _smooth_all(pieces, turning, knots, float(windows.trusted.mean()))
+
+
+def _windows(pieces: Pieces, turning: Turning) -> Windows | None:
+    """Return the stations of single lines of a whole pass."""
+    parts = [
+        windows
+        for time_s, xyz_m in whole_lines(pieces(), turning)
+        if len((windows := stations_of_lines(time_s, xyz_m, turning, WINDOW_SPACING_S)).time_s)
+    ]
+    return join_windows(parts) if parts else None
+
+
+def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator[tuple[F64, F64]]:
+    """Cut pieces where scan lines begin."""
+    rest_s, rest_m = np.empty(0), np.empty((0, 3))
+    for time_s, xyz_m in pieces:
+        time_s, xyz_m = np.concatenate([rest_s, time_s]), np.concatenate([rest_m, xyz_m])
+        line_s = 1.0 / turning.line_hz
+        begin_s = turning.origin_s + math.floor((time_s[-1] - turning.origin_s) / line_s) * line_s
+        cut = int(np.searchsorted(time_s, begin_s))
+        if cut:
+            yield time_s[:cut], xyz_m[:cut]
+        rest_s, rest_m = time_s[cut:], xyz_m[cut:]
+    if len(rest_s):
+        yield rest_s, rest_m
+
+
+def _smooth_all(pieces: Pieces, turning: Turning, knots: Knots, share_trusted: float) -> Track:
+    """Smooth the knots in overlapping segments; neighbouring segments give half of what they share."""
+    n = len(knots.time_s)
+    sigma = np.zeros((n, 3))
+    slope = 0.0
+    figures: list[tuple[float, float, float, int]] = []
+    done = 0
+    for first, last, time_s, xyz_m in segments(pieces, knots.time_s):
+        own = slice(first, last + 1)
+        start = Knots(knots.time_s[own], knots.position_m[own], knots.frame[own])
+        bearing = turning.bearing(time_s)
+        fit = None
+        for _ in range(CONE_ROUNDS):
+            slopes = np.full(len(time_s), slope)
+            observed = observe(start.time_s, time_s, xyz_m, bearing, slopes, POINTS_BETWEEN_KNOTS)
+            fit = smooth(start if fit is None else fit.knots, observed)
+            slope += cone_slope(fit, observed.weight)
+        assert fit is not None
+        begin = done
+        done = last + 1 if last == n - 1 else last - OVERLAP_KNOTS // 2
+        kept = slice(begin, done)
+        local = slice(begin - first, done - first)
+        knots.position_m[kept] = fit.knots.position_m[local]
+        knots.frame[kept] = fit.knots.frame[local]
+        sigma[kept] = fit.sigma_m[local]
+        figures.append(_figures(fit, observed.weight > 0))
+    weight = np.array([count for *_, count in figures], np.float64)
+    residual, on_beam, in_front = (
+        float(np.average([figure[i] for figure in figures], weights=weight)) for i in range(3)
+    )
+    return Track(knots, sigma, slope, residual, on_beam, in_front, share_trusted)
+
+
+def _figures(fit: Fit, usable: Mask) -> tuple[float, float, float, int]:
+    off = np.hypot(fit.in_plane_m, fit.across_m)[usable]
+    residual = float(np.median(off))
+    on_beam = float(np.mean(off < ON_BEAM * max(residual, fit.scale_m / ON_BEAM)))
+    return residual, on_beam, float(np.mean(fit.range_m[usable] > 0)), len(off)
+
+
+def segments(pieces: Pieces, knots_s: F64) -> Iterator[tuple[int, int, F64, F64]]:
+    """Yield first and last knot of every segment, and the times and points between them."""
+    n = len(knots_s)
+    first = 0
+    last = min(SEGMENT_KNOTS, n - 1)
+    held_s, held_m = np.empty(0), np.empty((0, 3))
+    for time_s, xyz_m in pieces():
+        held_s, held_m = np.concatenate([held_s, time_s]), np.concatenate([held_m, xyz_m])
+        while last < n - 1 and held_s[-1] > knots_s[last]:
+            stop = int(np.searchsorted(held_s, knots_s[last]))
+            yield first, last, held_s[:stop], held_m[:stop]
+            first = last - OVERLAP_KNOTS
+            last = min(first + SEGMENT_KNOTS, n - 1)
+            if n - 1 - last < OVERLAP_KNOTS:
+                last = n - 1
+            begin = int(np.searchsorted(held_s, knots_s[first]))
+            held_s, held_m = held_s[begin:], held_m[begin:]
+    yield first, n - 1, held_s, held_m
+
+
+def cone_slope(fit: Fit, weight: F64) -> float:
+    """Return how much the beam rises along the axis per metre of range, beyond what the fit knows."""
+    usable = (weight > 0) & (np.abs(fit.across_m) < 4.0 * fit.scale_m) & (fit.range_m > 0)
+    range_m, across = fit.range_m[usable], fit.across_m[usable]
+    if len(range_m) < 100:
+        return 0.0
+    offset = range_m - range_m.mean()
+    return float((offset * across).sum() / (offset * offset).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """What the times say of the shots."""
+
+    distinct_hz: float
+    """Shots a second if points of one time are returns of one shot."""
+    shared_hz: float
+    """Shots a second if times are rounded and several shots share one."""
+
+    def shots_per_turn(self, turning: Turning, *, coarse: bool) -> float:
+        """Return the shots in a whole turn."""
+        return (self.shared_hz if coarse else self.distinct_hz) / turning.hz
+
+
+def read_clock(time_s: F64) -> Clock | None:
+    """Return what the times of consecutive points say of the shots; None if they show no steps.
+
+    Parameters
+    ----------
+    time_s
+        (n,) float64, rising [s].
+    """
+    distinct_s = shot_period(np.unique(time_s))
+    shared_s = shot_period(time_s)
+    if distinct_s <= 0 or shared_s <= 0:
+        return None
+    return Clock(1.0 / distinct_s, 1.0 / shared_s)
+
+
+def share_their_shot(scan: Scan, time_s: F64, xyz_m: F64) -> bool:
+    """Tell whether points of one time lie on one beam: returns of one shot, not shots of a coarse time.
+
+    Parameters
+    ----------
+    scan
+        The scan of the points.
+    time_s
+        (n,) float64, rising [s].
+    xyz_m
+        (n, 3) float64 [m].
+    """
+    same = np.flatnonzero(np.diff(time_s) == 0)[:MOST_PAIRS]
+    if len(same) < LEAST_PAIRS:
+        return True
+    bearing, later = (
+        scan.bearings(time_s[place], xyz_m[place] - scan.stations(time_s[place])) for place in (same, same + 1)
+    )
+    turn = np.abs(np.remainder(later - bearing + math.pi, 2.0 * math.pi) - math.pi)
+    return float(np.median(turn)) < SAME_SHOT * scan.step_rad

@@ -1,0 +1,201 @@
+"""How fast the beam turns: the rate at which the points of short pieces fit a turning beam.
+
+A wrong rate bends every plane: no station sees the points of a piece under bearings that grow by it. So one rate has
+a clear minimum of the residual, without a gap in the times, a whole line or M.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prc_cli.core.types import F64
+from prc_cli.streams.registered.resection import Planes, Stations, fit_planes, resect
+
+SLOWEST_HZ, FASTEST_HZ = 4.0, 450.0
+"""Turns a second that are tried."""
+GRID = 140
+"""Rates on the first, geometric grid."""
+PIECE_POINTS = 160
+"""Points that are used of a piece."""
+LEAST_PIECE_POINTS = 60
+"""Fewer points are no piece."""
+PIECE_LENGTHS_S = (0.004, 0.012, 0.03)
+"""Lengths of pieces that are tried, the usual one first: a slow scanner needs longer ones."""
+REFINEMENTS = (0.04, 0.01, 0.0025, 0.0006)
+"""Half widths of the finer grids, as a share of the rate."""
+CLEAR_CONTRAST, CLEAR_RESIDUAL_M, CLEAR_IN_FRONT = 10.0, 0.03, 0.98
+"""A rotation is clear beyond these."""
+LEAST_CONTRAST, MOST_RESIDUAL_M, LEAST_IN_FRONT = 4.0, 0.15, 0.9
+"""No rotation fits where one of these is not met: 0.29 m in an airborne strip, 0.1 m with times in steps of 100 us."""
+MOST_RATE_OFF = 1e-3
+"""Rates of turns and of lines that differ by less are the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """Short pieces of consecutive points."""
+
+    time_s: F64
+    """(p, n) float64, times less that of the middle [s]."""
+    xyz_m: F64
+    """(p, n, 3) float64, points less the first point of the piece [m]."""
+    weight: F64
+    """(p, n) float64, 1 = a point, 0 = filler."""
+
+    def thinned(self) -> Pieces:
+        """Return every second piece with every second point: enough to tell rates apart."""
+        return Pieces(self.time_s[::2, ::2], self.xyz_m[::2, ::2], self.weight[::2, ::2])
+
+
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """The bearing of the beam over time."""
+
+    hz: float
+    """Turns a second, while shots are fired."""
+    line_hz: float
+    """Scan lines a second: other than ``hz`` where every line is an arc that begins anew."""
+    origin_s: float
+    """A time at which a line begins with bearing 0 [s]."""
+
+    @property
+    def is_arc(self) -> bool:
+        """Whether lines are arcs, not whole turns."""
+        return abs(self.hz / self.line_hz - 1.0) > MOST_RATE_OFF
+
+    def bearing(self, time_s: F64) -> F64:
+        """Return the bearing at times (n,), not wrapped [rad]."""
+        since = time_s - self.origin_s
+        if self.is_arc:
+            since = since - np.floor(since * self.line_hz) / self.line_hz
+        bearing: F64 = (2.0 * math.pi * self.hz) * since
+        return bearing
+
+    def faster(self, drift_hz: float) -> Turning:
+        """Return the turning with a drift of the bearing taken out [turns a second]."""
+        if self.is_arc:
+            return replace(self, line_hz=self.line_hz * (1.0 + drift_hz / self.hz))
+        return replace(self, hz=self.hz + drift_hz, line_hz=self.hz + drift_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Rotation:
+    """How the beam turns."""
+
+    hz: float
+    """Turns a second."""
+    residual_m: float
+    """Median residual of the pieces [m]."""
+    contrast: float
+    """Residual away from the minimum, in residuals of the minimum: near 1 where no rate fits better."""
+    in_front: float
+    """Median share of points in front of the beam."""
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the points may have been measured by a turning beam at all."""
+        return self.contrast > LEAST_CONTRAST and self.residual_m < MOST_RESIDUAL_M and self.in_front > LEAST_IN_FRONT
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether no other rate comes near."""
+        return self.contrast > CLEAR_CONTRAST and self.residual_m < CLEAR_RESIDUAL_M and self.in_front > CLEAR_IN_FRONT
+
+
+def cut_pieces(time_s: F64, xyz_m: F64, length_s: float, n_pieces: int) -> Pieces | None:
+    """Choose pieces of consecutive points, spread evenly over the points; None where there are too few.
+
+    Parameters
+    ----------
+    time_s
+        (n,) float64, rising [s].
+    xyz_m
+        (n, 3) float64 [m].
+    length_s
+        Length of a piece [s].
+    n_pieces
+        Pieces at most.
+    """
+    begin = np.linspace(0, len(time_s) - 1, 6 * n_pieces).astype(np.int64)
+    end = np.searchsorted(time_s, time_s[begin] + length_s)
+    count = end - begin
+    usable = np.flatnonzero((count >= LEAST_PIECE_POINTS) & (time_s[np.maximum(end - 1, 0)] - time_s[begin] > 0))
+    if len(usable) < 8:
+        return None
+    usable = usable[np.linspace(0, len(usable) - 1, min(n_pieces, len(usable))).astype(np.int64)]
+    return pieces_between(time_s, xyz_m, begin[usable], end[usable], PIECE_POINTS)
+
+
+def pieces_between(time_s: F64, xyz_m: F64, begin: np.ndarray, end: np.ndarray, n_points: int) -> Pieces:
+    """Return evenly chosen points of the pieces from ``begin`` to ``end``, (p,) each."""
+    count = end - begin
+    step = np.maximum(count, 1)[:, None] / np.minimum(n_points, np.maximum(count, 1))[:, None]
+    place = np.arange(n_points)[None, :]
+    index = begin[:, None] + np.minimum((place + 0.5) * step, np.maximum(count - 1, 0)[:, None]).astype(np.int64)
+    index = np.clip(index, 0, len(time_s) - 1)
+    weight = (place < np.minimum(n_points, count)[:, None]).astype(np.float64)
+    first = xyz_m[index[:, 0]]
+    middle = 0.5 * (time_s[index[:, 0]] + time_s[np.clip(end - 1, 0, len(time_s) - 1)])
+    return Pieces(time_s[index] - middle[:, None], xyz_m[index] - first[:, None, :], weight)
+
+
+def find_rotation(time_s: F64, xyz_m: F64, *, n_pieces: int = 48) -> Rotation | None:
+    """Find the rate at which a beam turns.
+
+    Parameters
+    ----------
+    time_s
+        (n,) float64, rising [s].
+    xyz_m
+        (n, 3) float64 [m].
+    n_pieces
+        Pieces that are looked at.
+
+    Returns
+    -------
+    Rotation or None
+        The best rate, whatever its residual; None where the points are too few.
+    """
+    best: Rotation | None = None
+    for length_s in PIECE_LENGTHS_S:
+        pieces = cut_pieces(time_s, xyz_m, length_s, n_pieces)
+        if pieces is None:
+            continue
+        rotation = _best_rate(pieces)
+        if best is None or rotation.residual_m * best.contrast < best.residual_m * rotation.contrast:
+            best = rotation
+        if best.is_clear:
+            break
+    return best
+
+
+def _best_rate(pieces: Pieces) -> Rotation:
+    coarse = pieces.thinned()
+    planes = fit_planes(coarse.xyz_m, coarse.weight)
+    rates = np.geomspace(SLOWEST_HZ, FASTEST_HZ, GRID)
+    scores = np.array([_score(coarse, planes, rate) for rate in rates])
+    usual = float(np.median(scores))
+    rate = float(rates[int(np.argmin(scores))])
+    planes = fit_planes(pieces.xyz_m, pieces.weight)
+    for width in REFINEMENTS:
+        finer = rate * (1.0 + np.linspace(-width, width, 9))
+        rate = float(finer[int(np.argmin([_score(pieces, planes, hz) for hz in finer]))])
+    residual = _score(pieces, planes, rate)
+    in_front = float(np.median(stations_of(pieces, planes, rate).in_front))
+    return Rotation(rate, residual, usual / max(residual, 1e-9), in_front)
+
+
+def _score(pieces: Pieces, planes: Planes, hz: float) -> float:
+    stations = stations_of(pieces, planes, hz)
+    return float(np.median(stations.residual_m / np.maximum(stations.in_front, 0.05)))
+
+
+def stations_of(pieces: Pieces, planes: Planes, hz: float) -> Stations:
+    """Return the station of every piece at a rate of turns, for the sense of turning that fits it better."""
+    bearing = 2.0 * math.pi * hz * pieces.time_s
+    left, right = (resect(planes, pieces.xyz_m, bearing, pieces.weight, sense) for sense in (1, -1))
+    left_m, right_m = (one.residual_m / np.maximum(one.in_front, 0.05) for one in (left, right))
+    return left.where(left_m <= right_m, right)

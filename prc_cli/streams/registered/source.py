@@ -1,0 +1,150 @@
+"""Reads a registered cloud as the stream that it was: sorted by time, with lines, columns and ranges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.facts import SourceFacts
+from prc_cli.core.stream import Assumption
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.streams.order import sorted_by_time
+from prc_cli.streams.ranges import XYZ
+from prc_cli.streams.registered.drive import Drive, reconstruct
+from prc_cli.streams.registered.spool import Spool
+
+CARRIED = ("intensity", "return_number", "number_of_returns")
+"""Dimensions that are handed on where the cloud has them."""
+PASS = "pass"
+"""Dimension that tells apart what was seen at different times or by different scanners."""
+HEADS = ("scanner_channel", "point_source_id", "user_data")
+"""Dimensions that may tell scanners apart."""
+
+
+def with_points(
+    source: RecordSource, config: InputConfig
+) -> tuple[RegisteredSource, InputConfig, tuple[Assumption, ...]]:
+    """Return a cloud as a stream, the rules that read it, and what is assumed.
+
+    Parameters
+    ----------
+    source
+        Points with x, y, z in one coordinate system [m] and times [s].
+    config
+        With ``range = "points"``.
+
+    Raises
+    ------
+    InputError
+        Where the cloud lacks coordinates or times, or no rotation of a scanner fits its points.
+    """
+    lacking = [name for name in (*XYZ, "time") if name not in source.dimensions]
+    if lacking:
+        problem = f"range = points needs x, y, z and a time for every point; the file has no {', '.join(lacking)}"
+        raise InputError(source.path, problem, f"it has: {', '.join(source.dimensions)}")
+    split = None if config.scanner == "none" else config.scanner
+    spools = spool_by_time(source, split)
+    drive = reconstruct(source.path, spools)
+    cloud = RegisteredSource(source, drive)
+    several = len(drive.scans) > 1
+    rules: dict[str, object] = {
+        "lines": "dimension:scan_line",
+        "columns": "dimension:column",
+        "range": "dimension:range",
+        "order": "trust",
+        "scanner": PASS if several else "none",
+        "points_per_line": drive.points_per_line,
+        "angle_start": math.degrees(drive.angle_start_rad),
+        "angle_step": math.degrees(drive.step_rad),
+        "nadir": None,
+    }
+    return cloud, config.model_copy(update=rules), drive.assumptions()
+
+
+def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
+    """Write the points into temporary files in the order of their times, one for every scanner."""
+    carried = tuple(name for name in CARRIED if name in source.dimensions)
+    names = (*XYZ, "time", *carried, *((split,) if split is not None and split not in carried else ()))
+    spools = _spooled(source, names, split, must_rise=True)
+    if spools is None:
+        spools = _spooled(sorted_by_time(source), names, split, must_rise=False)
+    assert spools is not None
+    return spools
+
+
+def _spooled(
+    source: RecordSource, names: tuple[str, ...], split: str | None, *, must_rise: bool
+) -> dict[int, Spool] | None:
+    """Return the spools; None as soon as a time is lower than the one before."""
+    dtype = record_type(names)
+    spools: dict[int, Spool] = {}
+    last = -math.inf
+    for chunk in source.chunks(names):
+        time_s = np.asarray(chunk.values["time"], np.float64)
+        if must_rise and chunk.n:
+            if not time_s[0] >= last or not np.all(time_s[1:] >= time_s[:-1]):
+                return None
+            last = float(time_s[-1])
+        records = np.empty(chunk.n, dtype)
+        records["record"] = chunk.records()
+        for name in names:
+            if name in (dtype.names or ()):
+                records[name] = chunk.values[name]
+        heads = np.zeros(chunk.n, np.int64) if split is None else chunk.values[split].astype(np.int64)
+        for head in np.unique(heads).tolist():
+            spool = spools.setdefault(head, Spool(dtype))
+            spool.append(records if split is None else records[heads == head])
+    return spools
+
+
+def record_type(names: tuple[str, ...]) -> np.dtype[np.void]:
+    """Return how a point is kept on disk."""
+    sizes = {"intensity": "f4", "return_number": "u1", "number_of_returns": "u1"}
+    fields = [("time", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8"), ("record", "i8")]
+    fields += [(name, size) for name, size in sizes.items() if name in names]
+    return np.dtype(fields)
+
+
+@dataclass(frozen=True)
+class RegisteredSource(DerivedSource):
+    """A cloud in the order in which it was measured; see :func:`with_points`."""
+
+    drive: Drive
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that the source can deliver."""
+        carried = [name for name in CARRIED if name in self.source.dimensions]
+        return ("range", "scan_line", "column", "time", *XYZ, *carried, PASS)
+
+    @property
+    def facts(self) -> SourceFacts:
+        """Metadata of the cloud, with the directions of down and what is doubtful about the path."""
+        facts = self.source.facts
+        return replace(
+            facts,
+            points_per_line=None,
+            rules=tuple(rule for rule in facts.rules if rule.key == "turn"),
+            downs={number: (0.0, scan.cos_tilt) for number, scan in enumerate(self.drive.scans)},
+            findings=(*facts.findings, *self.drive.findings),
+        )
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Deliver the points pass after pass, each in the order of its times."""
+        first = 0
+        for head in self.drive.heads:
+            for points, cells in head.pieces():
+                values = {name: _column(name, points, cells) for name in names}
+                yield RecordChunk(first, values, len(points), points["record"].copy())
+                first += len(points)
+
+
+def _column(name: str, points: NDArray[np.void], cells: NDArray[np.void]) -> NDArray[np.generic]:
+    stored = cells if name in (cells.dtype.names or ()) else points
+    return np.ascontiguousarray(stored[name])

@@ -1,0 +1,168 @@
+"""A first guess of the path: the stations of single turns, those that agree with their neighbours."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from prc_cli.core.types import F64, Mask
+from prc_cli.streams.registered.path import Knots, rotation_matrices, rotation_vectors
+from prc_cli.streams.registered.resection import Stations, fit_planes
+from prc_cli.streams.registered.rotation import Turning, pieces_between, stations_of
+
+WINDOW_POINTS = 200
+"""Points of a turn that are used."""
+LEAST_WINDOW_POINTS = 40
+NEIGHBOURS = 10
+"""Windows on either side that a window is compared with."""
+MOST_RESIDUAL_M = 0.25
+LEAST_IN_FRONT = 0.9
+LEAST_SPREAD_M = 0.3
+MOST_TURN_OFF_RAD = 0.2
+"""A window whose frame is turned farther from those of its neighbours is left out [rad]."""
+MOST_MOVE_OFF_M = 1.5
+"""A window whose station is farther from where its neighbours put it is left out [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Stations of single turns, in frames of one bearing: 2 pi hz (time - origin)."""
+
+    time_s: F64
+    """(w,) float64, middle of every window [s]."""
+    stations: Stations
+    trusted: Mask
+    """(w,) bool, whether it fits and agrees with its neighbours."""
+
+
+def stations_of_lines(time_s: F64, xyz_m: F64, turning: Turning, spacing_s: float) -> Windows:
+    """Find the station of one scan line in every ``spacing_s``.
+
+    Parameters
+    ----------
+    time_s
+        (n,) float64, rising [s].
+    xyz_m
+        (n, 3) float64 [m].
+    turning
+        The bearing of the beam over time.
+    spacing_s
+        Time from window to window, at least a line [s].
+    """
+    line_s = 1.0 / turning.line_hz
+    every = max(round(spacing_s / line_s), 1)
+    first_line = math.floor((time_s[0] - turning.origin_s) / line_s)
+    n_lines = math.ceil((time_s[-1] - turning.origin_s) / line_s) - first_line
+    starts = turning.origin_s + (first_line + np.arange(0, n_lines, every)) * line_s
+    begin = np.searchsorted(time_s, starts)
+    end = np.searchsorted(time_s, starts + line_s)
+    enough = end - begin >= LEAST_WINDOW_POINTS
+    starts, begin, end = starts[enough], begin[enough], end[enough]
+    pieces = pieces_between(time_s, xyz_m, begin, end, WINDOW_POINTS)
+    first = np.clip(begin, 0, len(time_s) - 1)
+    middle = 0.5 * (time_s[first] + time_s[end - 1])
+    stations = stations_of(pieces, fit_planes(pieces.xyz_m, pieces.weight), turning.hz)
+    frame = _turned(stations.frame, turning.bearing(middle))
+    position = stations.position_m + xyz_m[pieces_first(begin, end)]
+    stations = Stations(position, frame, stations.residual_m, stations.in_front, stations.spread_m)
+    return Windows(middle, stations, trusted_windows(middle, stations))
+
+
+def join_windows(parts: list[Windows]) -> Windows:
+    """Return the windows of consecutive parts of a pass as one."""
+    stations = Stations(
+        *(
+            np.concatenate([getattr(part.stations, name) for part in parts])
+            for name in ("position_m", "frame", "residual_m", "in_front", "spread_m")
+        )
+    )
+    time_s = np.concatenate([part.time_s for part in parts])
+    return Windows(time_s, stations, trusted_windows(time_s, stations))
+
+
+def pieces_first(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return the index of the point that coordinates of a piece count from; see ``pieces_between``."""
+    count = end - begin
+    step = count / np.minimum(WINDOW_POINTS, np.maximum(count, 1))
+    first: np.ndarray = begin + np.minimum(0.5 * step, np.maximum(count - 1, 0)).astype(np.int64)
+    return first
+
+
+def _turned(frame: F64, back_rad: F64) -> F64:
+    """Return frames whose bearings are larger by some angles (w,)."""
+    cosine, sine = np.cos(back_rad)[:, None], np.sin(back_rad)[:, None]
+    first = cosine * frame[:, :, 0] - sine * frame[:, :, 1]
+    second = sine * frame[:, :, 0] + cosine * frame[:, :, 1]
+    return np.stack([first, second, frame[:, :, 2]], axis=2)
+
+
+def trusted_windows(time_s: F64, stations: Stations) -> Mask:
+    """Return the windows that fit well and agree with most of their neighbours, (w,) bool."""
+    fits = (stations.residual_m < MOST_RESIDUAL_M) & (stations.in_front >= LEAST_IN_FRONT)
+    fits &= stations.spread_m >= LEAST_SPREAD_M
+    places = np.flatnonzero(fits)
+    if len(places) < 3:
+        return fits
+    frame, position, when = stations.frame[places], stations.position_m[places], time_s[places]
+    n = len(places)
+    near = np.clip(np.arange(n)[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, n - 1)
+    usual = _nearest_rotations(np.median(frame[near], axis=1))
+    turn = np.linalg.norm(rotation_vectors(np.swapaxes(usual, 1, 2) @ frame), axis=1)
+    # a straight, even path through the neighbours
+    since = when[near] - when[:, None]
+    velocity = np.median(np.diff(position[near], axis=1) / np.maximum(np.diff(since, axis=1), 1e-6)[:, :, None], axis=1)
+    expected = np.median(position[near] - since[:, :, None] * velocity[:, None, :], axis=1)
+    move = np.linalg.norm(position - expected, axis=1)
+    trusted = np.zeros_like(fits)
+    trusted[places[(turn < MOST_TURN_OFF_RAD) & (move < MOST_MOVE_OFF_M)]] = True
+    return trusted
+
+
+def _nearest_rotations(matrices: F64) -> F64:
+    left, _, right = np.linalg.svd(matrices)
+    rotations = left @ right
+    flip = np.linalg.det(rotations) < 0
+    left[flip, :, 2] *= -1.0
+    nearest: F64 = left @ right
+    return nearest
+
+
+def knots_between(windows: Windows, knots_s: F64) -> Knots:
+    """Return knots on straight lines and even turns between trusted windows.
+
+    Parameters
+    ----------
+    windows
+        At least two of them are trusted.
+    knots_s
+        (k,) float64, times of the knots [s].
+    """
+    when = windows.time_s[windows.trusted]
+    position = windows.stations.position_m[windows.trusted]
+    frame = windows.stations.frame[windows.trusted]
+    place = np.clip(np.searchsorted(when, knots_s) - 1, 0, len(when) - 2)
+    share = (knots_s - when[place]) / (when[place + 1] - when[place])
+    # beyond the first and last window the path goes on as it is, but not far
+    share = np.clip(share, -2.0, 3.0)
+    turn = rotation_vectors(np.swapaxes(frame[:-1], 1, 2) @ frame[1:])
+    return Knots(
+        knots_s,
+        position[place] + share[:, None] * (position[place + 1] - position[place]),
+        frame[place] @ rotation_matrices(share[:, None] * turn[place]),
+    )
+
+
+def drift_hz(windows: Windows) -> float:
+    """Return how much the rate is too low: how fast straight down moves in the frame [turns a second].
+
+    A platform stays level on average, so in the frame of the beam straight down stays where it is.
+    """
+    frame, when = windows.stations.frame[windows.trusted], windows.time_s[windows.trusted]
+    if len(when) < 4:
+        return 0.0
+    down = np.unwrap(np.arctan2(-frame[:, 2, 1], -frame[:, 2, 0]))
+    half = len(when) // 2
+    slope = (down[half : 2 * half] - down[:half]) / (when[half : 2 * half] - when[:half])
+    return -float(np.median(slope)) / (2.0 * math.pi)
