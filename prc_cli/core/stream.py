@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import Surface
 from prc_cli.core.facts import SourceFacts
+from prc_cli.core.frame import SensorFrame
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
 
 FAR_M = 20_000.0
@@ -158,6 +159,8 @@ class ScanBlock(Brief):
     """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi]; the sign is the side of the
     scan plane. It turns one way with the column, by a turn at most; column 0 may lie anywhere. None = unknown or not
     requested."""
+    frame: SensorFrame | None = None
+    """Frame of a spinning scanner in that of ``xyz_m``; None = the same, as far as is known."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
     tally: ReadTally = ReadTally()
     is_last: bool = False

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import Assumption, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.frame import SensorFrame
+from prc_cli.core.stream import MAX_RINGS, Assumption, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.sensor_frame import find_frame, is_spinning
 from prc_cli.streams.angle_step import MOST_OFF, AngleStep, measure_step
 from prc_cli.streams.angles import are_radians
 from prc_cli.streams.directions import fit_beams, forward_steps, turn_evenly
@@ -43,6 +45,8 @@ SAMPLE_LINES = 64
 """Number of lines with returns used to find directions."""
 SPREAD = 10
 """Level ground is looked for in lines spread over this many times as many: facades come and go."""
+TURN_LINES = 4096
+"""Lines of a spinning scanner that its frame is found in: a turn or more."""
 MAX_SAMPLE_CELLS = 1 << 23
 """Most cells read per scanner to find these lines: its blocks wait in memory."""
 MADE_UP_RAD = (0.1, math.pi - 0.1)
@@ -72,6 +76,9 @@ class Sample:
     """Blocks that wait for the directions."""
     n_lines: int = SAMPLE_LINES
     """Lines with returns to take."""
+    is_spinning: bool = False
+    frame: SensorFrame | None = None
+    """Frame of the scanner, where the reader found it."""
 
     @property
     def is_complete(self) -> bool:
@@ -108,6 +115,8 @@ class Found:
     """(M,) float64, scan angle of every column, where it was measured from the ranges [rad]."""
     angles_off: float = 0.0
     """Their uncertainty, as a share."""
+    frame: SensorFrame | None = None
+    """Frame of the scanner in that of its coordinates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +136,9 @@ class BeamFinder:
         has_angles = not self.measures and (first.angle_rad is not None or self.info.angle_rad is not None)
         has_down = self.down_deg is not None or self.info.down(first.scanner)[0] is not None
         knows = not self.measures and (first.xyz_m is not None or (has_angles and has_down))
-        return Sample(n_lines=SAMPLE_LINES if knows else SPREAD * SAMPLE_LINES)
+        spins = first.xyz_m is not None and first.points_per_line <= MAX_RINGS and is_spinning(first.xyz_m)
+        n_lines = SAMPLE_LINES if knows else SPREAD * SAMPLE_LINES
+        return Sample(n_lines=TURN_LINES if spins else n_lines, is_spinning=spins, frame=first.frame)
 
     def put(self, found: Found, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions."""
@@ -138,7 +149,8 @@ class BeamFinder:
         if xyz_m is None and found.cos_tilt < math.cos(MIN_TILT_RAD):
             xyz_m = _tilted(block.range_m, found.beam_rad, found.cos_tilt)
         angle_rad = block.angle_rad if found.angle_rad is None else found.angle_rad
-        return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad)
+        frame = found.frame if block.frame is None and found.keep_xyz else block.frame
+        return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad, frame=frame)
 
     def find(self, sample: Sample) -> Found:
         """Apply the first applicable method."""
@@ -168,6 +180,7 @@ class BeamFinder:
         assert xyz is not None
         if off_m is not None:
             return self._registered(scanner, angle, range_m, xyz, off_m)
+        frame, xyz = _in_frame(sample, xyz)
         try:
             beams = fit_beams(xyz)
         except TooFewReturnsError:
@@ -177,7 +190,15 @@ class BeamFinder:
             raise self._refusal(scanner, str(error), error) from error
         way = "a straight line in the column through the" if beams.is_straight else "the"
         why = f"{way} median directions of xyz over {beams.n_lines} of the first lines with returns"
-        return Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), why))
+        found = Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), why), frame=frame)
+        return found if frame is None else replace(found, note=self._noted(frame, scanner))
+
+    def _noted(self, frame: SensorFrame, scanner: int) -> str:
+        """Return a sentence on a frame."""
+        which = self._which(scanner)
+        before, after = frame.spread_deg
+        why = f"rings spread by {before:.2g} deg of elevation as the coordinates are, by {after:.2g} from there"
+        return f"{which + ': ' if which else ''}{frame.shown()} in the frame of x, y, z ({why}); undone"
 
     def _measured(self, sample: Sample, range_m: F32) -> Found:
         """Use angles measured from the ranges; straight down is given, or level ground."""
@@ -385,6 +406,18 @@ class BeamStream(Brief):
     def _find(self, sample: Sample) -> Found:
         found = self.late[sample.scanner] = self.finder.find(sample)
         return found
+
+
+def _in_frame(sample: Sample, xyz: F32) -> tuple[SensorFrame | None, F32]:
+    """Return the frame of a scanner, and coordinates of its first lines in it."""
+    frame = sample.frame
+    if sample.is_spinning:
+        if frame is None:
+            there = np.isfinite(xyz[..., 0])
+            frame = find_frame(xyz[there], np.nonzero(there)[1])
+        # as many lines as of other scanners tell the beams
+        xyz = xyz[:SAMPLE_LINES]
+    return frame, xyz if frame is None else frame.own(xyz)
 
 
 def _no_step(step: AngleStep | None, points_per_line: int) -> str:

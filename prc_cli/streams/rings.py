@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,11 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.frame import SensorFrame
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo, cut
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.records import RecordSource
+from prc_cli.formats.sensor_frame import NARROW_RAD, find_frame, spread_of_cones
 from prc_cli.streams.columns import INTENSITY, RANGE, RECORD, XYZ, Table, join, n_rows, table_of, take
 from prc_cli.streams.down import wrap
 from prc_cli.streams.ranges import clean_measured, open_ranges
@@ -45,13 +47,15 @@ WINDOW = 64
 """Number of neighbours over which the step of azimuth is measured."""
 NEIGHBOUR = 1.5
 """Steps below this multiple of the median are between neighbours."""
+CLEAR = 0.7
+"""Another cut must leave less than this share of the spread of elevation within rings."""
 DENSEST = 25.0
 """Percentile of the windows for the step: cells must be fine enough where shots are densest."""
 
 _TURN = 2 * math.pi
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Turns:
     """Rings of a frame."""
 
@@ -88,18 +92,32 @@ def find_turns(xyz_m: F32, path: str) -> Turns:
                 "column after column, a frame needs the ring of every point: give a PLY or PCD with the property ring"
             )
         raise InputError(path, problem, hint)
-    elevation = _elevation(xyz_m)
-    best: tuple[float, Turns] | None = None
-    for start in _cuts(along, float(np.median(step[step > 0]))):
-        ring, within = _cut_turns(along - start)
-        n = np.bincount(ring)
-        total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
-        spread = float((square - total**2 / np.maximum(n, 1)).sum())
-        if best is None or spread < best[0]:
-            best = (spread, Turns(ring, within, float(wrap(np.array([way * start]))[0]), way))
-    if best is None:
+    ways = list(_ways(along, float(np.median(step[step > 0])), way))
+    if not ways:
         raise InputError(path, "no ring begins", "check x, y, z")
-    return best[1]
+    elevation = _elevation(xyz_m)
+    best = min(ways, key=lambda one: _square_spread(elevation, one.ring))
+    if spread_of_cones(xyz_m, best.ring, is_fitted=False) < NARROW_RAD:
+        return best
+    # on other axes than the scanner's own, a wrong cut may look better
+    fitted = {k: spread_of_cones(xyz_m, one.ring, is_fitted=True) for k, one in enumerate(ways)}
+    other = ways[min(fitted, key=fitted.__getitem__)]
+    is_clear = min(fitted.values()) < CLEAR * fitted[ways.index(best)]
+    return other if is_clear else best
+
+
+def _ways(along: F64, step: float, way: float) -> Iterator[Turns]:
+    """Yield the rings for every azimuth at which they may begin."""
+    for start in _cuts(along, step):
+        ring, within = _cut_turns(along - start)
+        yield Turns(ring, within, float(wrap(np.array([way * start]))[0]), way)
+
+
+def _square_spread(elevation: F64, ring: I64) -> float:
+    """Return the squares of the elevations less those of the means of their rings."""
+    n = np.bincount(ring)
+    total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
+    return float((square - total**2 / np.maximum(n, 1)).sum())
 
 
 def whole_rings(values: NDArray[Any], path: str) -> I64:
@@ -256,6 +274,8 @@ RING = "ring"
 """Dimension with the number of the ring; with it, records may be in any order, as in raw column order."""
 BLOCK_LINES = 512
 """Lines of a block."""
+GIVEN = "x, y, z as given"
+"""Coordinates of the input, beside those on the axes of the scanner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +299,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
     frame, n_records, tally = _read(source, config)
     if n_rows(frame) < 2:
         raise InputError(source.path, f"{n_rows(frame)} records have a range, too few for rings", "check the layout")
-    if RING in frame:
-        frame, turns = turns_of_rings(frame, source.path)
-    else:
-        turns = find_turns(frame[XYZ], source.path)
+    frame, turns, own = _in_own_frame(frame, source.path)
     n_rings, column = ring_columns(frame[XYZ], turns, config.points_per_line, source.path)
     step = math.radians(config.azimuth_step) if config.azimuth_step is not None else find_step(turns)
     n_lines = max(round(_TURN / step), 1) if step > 0 else 0
@@ -290,7 +307,8 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         problem = f"{n_rings} rings of one shot every {math.degrees(step):.3g} deg are far more cells than records"
         raise InputError(source.path, problem, "give input.azimuth_step")
     line, in_order = ring_lines(turns, n_rings, n_lines)
-    block = _fill(frame, line, column, in_order, (n_lines, n_rings), tally)
+    frame[XYZ] = frame.pop(GIVEN)
+    block = replace(_fill(frame, line, column, in_order, (n_lines, n_rings), tally), frame=own)
     info = StreamInfo(
         path=source.path,
         format=source.format,
@@ -301,6 +319,25 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         assumptions=_assumptions(turns, n_rings, n_lines, config, int(np.count_nonzero(~in_order))),
     )
     return RingStream(info, block)
+
+
+def _in_own_frame(frame: Table, path: str) -> tuple[Table, Turns, SensorFrame | None]:
+    """Return a frame on the axes of its scanner, its rings, and these axes where they are not those of x, y, z."""
+    frame = {**frame, GIVEN: frame[XYZ]}
+    if RING in frame:
+        own = find_frame(frame[XYZ], np.unique(frame[RING], return_inverse=True)[1])
+        frame[XYZ] = frame[GIVEN] if own is None else own.own(frame[GIVEN])
+        return *turns_of_rings(frame, path), own
+    turns = find_turns(frame[XYZ], path)
+    own = find_frame(frame[XYZ], turns.ring)
+    if own is not None:
+        # rings begin elsewhere on these axes
+        frame[XYZ] = own.own(frame[GIVEN])
+        turns = find_turns(frame[XYZ], path)
+        own = find_frame(frame[GIVEN], turns.ring) or own
+        frame[XYZ] = own.own(frame[GIVEN])
+        turns = find_turns(frame[XYZ], path)
+    return frame, turns, own
 
 
 def _check_rules(config: InputConfig) -> None:

@@ -33,6 +33,7 @@ from prc_cli.formats.bags.times import (
 )
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets.columns import MAX_EMPTY, MAX_SHIFT, SPARE_CELLS, ColumnLines, Columns, choose
+from prc_cli.formats.sensor_frame import find_frame
 
 CLOUD = "sensor_msgs/PointCloud2"
 RINGS = ("ring", "channel", "laser_id")
@@ -324,6 +325,9 @@ class CloudLines:
         crowd = find_crowd(of_points_s[has])
         has &= (of_points_s >= crowd.begin_s) & (of_points_s <= crowd.end_s)
         ring, time_s, xyz_m = numbers.of_points(first.ring[has]), of_points_s[has], first.xyz_m[has]
+        # on its own axes, so that rings and azimuths are those of the scanner
+        self._frame = find_frame(xyz_m, ring)
+        xyz_m = xyz_m if self._frame is None else self._frame.own(xyz_m)
         self._sweep: Sweep | None = None
         """Where times do not tell columns."""
         azimuth_rad = azimuths(xyz_m)
@@ -451,7 +455,7 @@ class CloudLines:
 
     def _add_by_azimuth(self, points: _Points, sweep: Sweep) -> Iterator[ScanBlock]:
         """Take points whose times do not tell columns."""
-        placed = sweep.place(points.ring, points.time_s, azimuths(points.xyz_m))
+        placed = sweep.place(points.ring, points.time_s, self._azimuths(points))
         late_s = np.zeros(self.points_per_line)
         timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
         n = timing.n_columns
@@ -460,6 +464,9 @@ class CloudLines:
         self._rest, self._rest_line, self._timing = points.part(waits), placed.base + max(n - SLACK, 0), timing
         if n > SLACK:
             yield from self._lines.add(self._columns(points, ~waits, n - SLACK, placed.base))
+
+    def _azimuths(self, points: _Points) -> F64:
+        return azimuths(points.xyz_m if self._frame is None else self._frame.own(points.xyz_m))
 
     def _check_size(self, n: int, timing: Timing, n_points: int) -> None:
         if n * self.points_per_line > MAX_EMPTY * n_points + SPARE_CELLS:
@@ -473,7 +480,7 @@ class CloudLines:
             return
         n, base = 1, self._rest_line
         if self._sweep is not None:
-            placed = self._sweep.place(rest.ring, rest.time_s, azimuths(rest.xyz_m))
+            placed = self._sweep.place(rest.ring, rest.time_s, self._azimuths(rest))
             late_s = np.zeros(self.points_per_line)
             self._timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)
             n, base = self._timing.n_columns, placed.base

@@ -8,12 +8,13 @@ followed outwards, smoothed, and corrected by the shots near it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import kernels
+from prc_cli.core.frame import SensorFrame, turning
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64
 from prc_cli.methods.rings.thresholds import BINS_PER_ROOT_M, N_BINS, GroundThresholds
@@ -33,7 +34,21 @@ EASE = 1e-6
 FEWEST = 20
 """Lowest heights that make a plane."""
 UPSIDE_DOWN = 1.5
-"""A scanner hangs upside down where so many times more heights agree with a plane above than with one below."""
+"""A scanner hangs upside down where so many times more heights agree with a plane above than with one below ..."""
+BOTH = 0.2
+"""... and those below are less than this share of them; else both are level, a floor and a ceiling."""
+LEANS_RAD = math.radians(12.0)
+"""A plane that leans more is levelled first: sectors and columns of space are upright [rad] ..."""
+LEVEL = 0.4
+"""... and one that less than this share of the lowest heights agrees with is not trusted before others were tried."""
+TRIED_RAD, N_WAYS = np.radians([12.0, 24.0, 36.0, 48.0]), 12
+"""Leans that are tried, each to so many sides [rad]."""
+CLEAR = 1.3
+"""So many times more heights agree with a plane that leans."""
+MOST_LEAN_RAD = math.radians(50.0)
+"""Planes that lean more are walls [rad]."""
+
+Matrix = tuple[tuple[float, float, float], ...]
 ROUNDS, CORRECTIONS = 8, 2
 """Rounds of smoothing, and how often the surface is corrected."""
 
@@ -50,6 +65,10 @@ class GroundPlane:
     """-1 where the scanner hangs upside down."""
     n_cells: int = 0
     """Cells that agree; 0 = nothing is known."""
+    turn: Matrix | None = None
+    """Axes, one a row, on which the plane is level; None = those of the scanner."""
+    is_both: bool = False
+    """Whether there is a plane above as well, where z is taken to point up."""
 
     def at(self, x_m: F64, y_m: F64) -> F64:
         """Return heights, of the shape of ``x_m`` [m]."""
@@ -117,6 +136,13 @@ class Lowest:
     """(sectors, bins) float32; NaN = none [m]."""
     plane: GroundPlane
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether the plane is about level, and a good part of the lowest heights agrees with it."""
+        near = self.height_m[:, : int(np.sqrt(NEAR_M) * BINS_PER_ROOT_M)]
+        lean_rad = math.atan(math.hypot(self.plane.slope_x, self.plane.slope_y))
+        return lean_rad < LEANS_RAD and self.plane.n_cells > LEVEL * int(np.count_nonzero(np.isfinite(near)))
+
     @classmethod
     def of(cls, polar: Polar, up: float, thresholds: GroundThresholds) -> Lowest:
         """Fit a plane to the lowest heights near the scanner, beginning at the height that most of them have."""
@@ -139,16 +165,86 @@ class Lowest:
 
 
 @stage("plane")
-def find_plane(polar: Polar, known: GroundPlane, thresholds: GroundThresholds) -> Lowest:
-    """Return the lowest heights and their plane; of the blocks before where the block shows too little of it."""
-    found = Lowest.of(polar, known.up, thresholds)
-    if not known.n_cells:
-        other = Lowest.of(polar, -1.0, thresholds)
-        if other.plane.n_cells > max(UPSIDE_DOWN * found.plane.n_cells, FEWEST):
-            found = other
-    if found.plane.n_cells < FEWEST and known.n_cells:
-        return Lowest(found.height_m, known)
-    return found
+def find_plane(
+    xyz_m: F32, known: GroundPlane, thresholds: GroundThresholds, up: float | None = None
+) -> tuple[Polar, Lowest]:
+    """Return the places of shots, (lines, M, 3) float32 [m], the lowest heights and their plane.
+
+    Where the block shows too little of the plane, it is that of the blocks before. ``up`` is -1 where z is told to
+    point down, 1 where it points up; None = it is looked for.
+    """
+    if known.n_cells:
+        polar = Polar.of(turned(xyz_m, known.turn), thresholds)
+        found = Lowest.of(polar, known.up, thresholds)
+        plane = replace(found.plane, turn=known.turn, is_both=known.is_both)
+        return polar, Lowest(found.height_m, plane if plane.n_cells >= FEWEST else known)
+    polar = Polar.of(xyz_m, thresholds)
+    level = _up_or_down(polar, thresholds, up)
+    if level.is_sure:
+        return polar, level
+    return _levelled(xyz_m, polar, level, thresholds, up)
+
+
+def _up_or_down(polar: Polar, thresholds: GroundThresholds, up: float | None) -> Lowest:
+    """Return the plane below, or the one above where z points down."""
+    if up is not None:
+        return Lowest.of(polar, up, thresholds)
+    below, above = Lowest.of(polar, 1.0, thresholds), Lowest.of(polar, -1.0, thresholds)
+    n_below, n_above = below.plane.n_cells, above.plane.n_cells
+    if n_above <= max(UPSIDE_DOWN * n_below, FEWEST):
+        return below
+    if n_below < max(BOTH * n_above, FEWEST):
+        return above
+    return Lowest(below.height_m, replace(below.plane, is_both=True))
+
+
+def _levelled(
+    xyz_m: F32, polar: Polar, level: Lowest, thresholds: GroundThresholds, up: float | None
+) -> tuple[Polar, Lowest]:
+    """Return the places of shots on axes on which the ground is level, where it leans, and the ground."""
+    best = level
+    best_turn: Matrix | None = None
+    for lean in TRIED_RAD.tolist():
+        for way in np.arange(N_WAYS) * (2 * math.pi / N_WAYS):
+            turn = _matrix(turning(lean * np.array([math.cos(way), math.sin(way), 0.0])))
+            other = _up_or_down(Polar.of(turned(xyz_m, turn), thresholds), thresholds, up)
+            if other.plane.n_cells > best.plane.n_cells:
+                best, best_turn = other, turn
+    is_clear = best.plane.n_cells > CLEAR * level.plane.n_cells
+    plane = best.plane if is_clear else level.plane
+    # from the axes that were tried to those of the plane, in two steps
+    first = _onto(plane, best_turn if is_clear else None)
+    plane = Lowest.of(Polar.of(turned(xyz_m, first), thresholds), plane.up, thresholds).plane
+    last = _onto(plane, first)
+    level_polar = Polar.of(turned(xyz_m, last), thresholds)
+    found = Lowest.of(level_polar, plane.up, thresholds)
+    lean = math.acos(min(max(last[2][2], -1.0), 1.0))
+    if found.plane.n_cells < max(FEWEST, level.plane.n_cells) or not LEANS_RAD < lean < MOST_LEAN_RAD:
+        return polar, level
+    return level_polar, Lowest(found.height_m, replace(found.plane, turn=last, is_both=best.plane.is_both))
+
+
+def _onto(plane: GroundPlane, turn: Matrix | None) -> Matrix:
+    """Return axes on which a plane, known on some axes, is level."""
+    slope = plane.up * np.array([plane.slope_x, plane.slope_y])
+    steep = float(np.hypot(*slope))
+    if not steep:
+        return turn or _matrix(np.eye(3))
+    # the plane falls against the slope: turn about the level line in it
+    axis = np.array([-slope[1], slope[0], 0.0]) / steep
+    onto = turning(math.atan(steep) * axis)
+    return _matrix(onto if turn is None else onto @ np.array(turn))
+
+
+def _matrix(values: F64) -> Matrix:
+    """Return a matrix whose last bits do not differ between machines."""
+    x, y, z = ((round(float(a), 9), round(float(b), 9), round(float(c), 9)) for a, b, c in values)
+    return x, y, z
+
+
+def turned(xyz_m: F32, turn: Matrix | None) -> F32:
+    """Return coordinates, (..., 3) float32 [m], on other axes."""
+    return xyz_m if turn is None else SensorFrame(turn).own(xyz_m)
 
 
 @stage("ground")

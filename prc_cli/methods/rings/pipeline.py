@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from prc_cli.methods.rings.classes import (
     low_plants,
     mark_shots,
 )
-from prc_cli.methods.rings.ground import USUAL_STEP_RAD, GroundPlane, Polar, above_ground, find_plane
+from prc_cli.methods.rings.ground import USUAL_STEP_RAD, GroundPlane, Lowest, Polar, above_ground, find_plane
 from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
 
 WIDEST_FAN_RAD = math.radians(60)
@@ -38,6 +38,7 @@ more."""
 STEEPEST_RAD = math.radians(40)
 """Angle of the lowest ring from straight down, at least; strips from the air are narrow, and look straight down."""
 FEWEST_RINGS = 4
+UP = {"auto": None, "z": 1.0, "-z": -1.0}
 EXTRA_RETURN_M = 0.3
 """Further returns take the label of a shot around that is this near in range [m]."""
 MEASURES = (
@@ -63,6 +64,9 @@ class RingsParams(MethodParams):
     """Parameters of the method for rings (``[rings]``); its limits are constants, in thresholds.py."""
 
     lines_per_block: int = Field(1024, ge=1, le=100_000, description="scan lines that are labelled together")
+    up: Literal["auto", "z", "-z"] = Field(
+        "auto", description="where up is: auto = z, unless the ground is there alone where z points down"
+    )
 
     def method(self) -> Rings:
         """Return the method with these parameters."""
@@ -114,11 +118,18 @@ class Rings(Classifier[F64, RingsState]):
         k, key = self.params.lines_per_block, "rings.lines_per_block"
         check_block(block.range_m, block.next_m, len(scanner), k, columns=", one column a ring", key=key)
         limits = limits_of(scanner)
-        polar = Polar.of(coordinates_of(block, scanner), limits.ground)
-        low = turn.hand_on(PLANE, lambda known: (found := find_plane(polar, known, limits.ground), found.plane))
+        xyz_m = coordinates_of(block, scanner)
+        up = UP[self.params.up]
+
+        def step(known: GroundPlane) -> tuple[tuple[Polar, Lowest], GroundPlane]:
+            found = find_plane(xyz_m, known, limits.ground, up)
+            return found, found[1].plane
+
+        polar, low = turn.hand_on(PLANE, step)
         plane, above_m = low.plane, above_ground(polar, low, limits.ground)
         marks = mark_shots(polar, above_m, limits)
-        lonely = lonely_shots(block.range_m, block.intensity, limits)
+        range_m = block.range_m if block.frame is None else np.sqrt((xyz_m * xyz_m).sum(axis=2))
+        lonely = lonely_shots(range_m, block.intensity, limits)
         cells = fill_cells(polar, above_m, marks, lonely, limits.cells)
         cell_rules = label_cells(cells, sight_over(cells, scanner, plane, limits), limits)
         plants = low_plants(polar, above_m, marks, limits)
@@ -153,7 +164,7 @@ def coordinates_of(block: ScanBlock, beam_rad: F64) -> F32:
     Where it has none, lines are taken to lie :data:`USUAL_STEP_RAD` apart.
     """
     if block.xyz_m is not None:
-        return np.ascontiguousarray(block.xyz_m)
+        return np.ascontiguousarray(block.xyz_m if block.frame is None else block.frame.own(block.xyz_m))
     azimuth = USUAL_STEP_RAD * (block.first_line + np.arange(block.n_lines))[:, None]
     across, height = block.range_m * np.abs(np.sin(beam_rad)), -block.range_m * np.cos(beam_rad)
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1).astype(np.float32)
@@ -171,9 +182,24 @@ def upside_down(beam_rad: F64) -> F64:
 def sight_over(cells: Cells, beam_rad: F64, plane: GroundPlane, limits: Limits) -> F64:
     """Return how high above the ground the highest ring looks at the place of every cell, (cells,) float64 [m]."""
     place = (cells.where + 0.5) * limits.cells.cell_m - limits.cells.half_m
-    rise = np.max(-plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3))
+    rise: Any = np.max(-plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3))
+    if plane.turn is not None:
+        rise = _highest_rise(beam_rad, plane, np.arctan2(place[:, 1], place[:, 0]))
     sight: F64 = np.hypot(place[:, 0], place[:, 1]) * rise - plane.height_m
     return sight
+
+
+def _highest_rise(beam_rad: F64, plane: GroundPlane, azimuth_rad: F64) -> F64:
+    """Return how much the highest ring of a scanner that leans rises to each side."""
+    around = np.arange(-math.pi, math.pi, USUAL_STEP_RAD)
+    highest = math.pi / 2 - float(np.abs(beam_rad).min() if plane.up < 0 else np.abs(beam_rad).max())
+    flat = math.cos(highest)
+    ring = np.stack([flat * np.cos(around), flat * np.sin(around), np.full(len(around), -math.sin(highest))], axis=1)
+    x, y, z = (ring @ np.array(plane.turn).T).T
+    azimuth, rise = np.arctan2(y, x), plane.up * z / np.maximum(np.hypot(x, y), 1e-3)
+    order = np.argsort(azimuth)
+    found: F64 = np.interp(azimuth_rad, azimuth[order], rise[order], period=2 * math.pi)
+    return found
 
 
 def measures_of(above_m: F32, marks: U8, cells: Cells) -> dict[str, NDArray[Any]]:

@@ -1,0 +1,205 @@
+"""Finds the frame of a spinning scanner from its rings: each is a cone around the axis, all with one apex.
+
+Drivers and data sets give clouds on the axes of a vehicle, levelled, or with z counted from the ground. The elevation
+of a ring then changes with azimuth and range. The axis and the apex are those with the least spread of elevation within
+rings, found by Gauss-Newton steps with weights that leave out what fits badly (Tukey).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from prc_cli.core.frame import SensorFrame, turning
+from prc_cli.core.types import F32, F64, I64
+
+MOST_SHOTS, FEW_SHOTS = 12_000, 3_000
+"""Shots that are fitted, and that are fitted to compare ways to cut a frame into rings."""
+FEWEST_SHOTS, FEWEST_RINGS = 500, 4
+WIDEST_GAP = 0.75
+"""Share of a turn: a sector that is narrower than the rest of it does not tell an axis from an apex."""
+NARROW_RAD = math.radians(0.1)
+"""Rings that spread less are cones: scanners' own angles, and those of frames, spread up to 0.15 deg [rad]."""
+BETTER = 0.6
+"""The spread that is left is less than this share of what it was."""
+LEAST_LEAN_RAD = math.radians(0.3)
+"""Axes that lean less are upright: 0.1 deg in frames of KITTI and of Argoverse [rad]."""
+LEAST_OFF_M = 0.25
+"""An apex that is nearer to the origin is at it: lasers of one scanner lie up to 0.2 m apart [m]."""
+MOST_LEAN_RAD = math.radians(60.0)
+"""Axes that lean more are not told apart from other surfaces [rad]."""
+FARTHEST_M = 5.0
+"""A scanner is not farther from the point that coordinates are counted from, unless they are those of a map [m]."""
+ROUNDS, CLOSE = 30, 3e-5
+"""Most steps of a fit; smaller ones end it [rad, m]."""
+UPRIGHT_ROUNDS = 3
+"""The first steps turn the axis alone."""
+TUKEY = 3.0
+"""What is off by so many times the spread has no weight."""
+DEVIATION = 1.4826
+"""Standard deviation in median absolute deviations."""
+DECIMALS_RAD, DECIMALS_M = 6, 3
+"""Decimals of a frame: the last bits of a fit differ between machines."""
+_SPIN_RAD = math.radians(45.0)
+"""The shots of a line of a spinning scanner lie within this of its azimuth [rad] ..."""
+_TURNED_RAD = math.radians(2.0)
+"""... and its lines turn by more than this [rad]."""
+
+
+def is_spinning(xyz_m: F32) -> bool:
+    """Return whether lines, (lines, M, 3) float32 [m], turn as those of a spinning scanner do.
+
+    >>> azimuth = np.linspace(0, 1, 50)[:, None] + np.zeros(8)
+    >>> is_spinning(np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=-1).astype(np.float32))
+    True
+    """
+    along = np.nansum(xyz_m[..., :2].astype(np.float64), axis=1)
+    azimuth = np.arctan2(along[:, 1], along[:, 0])
+    there = np.isfinite(xyz_m[..., 0])
+    enough = there.sum(axis=1) >= FEWEST_RINGS - 1
+    if np.count_nonzero(enough) < 2:
+        return False
+    with np.errstate(invalid="ignore"):
+        off = _wrap(np.arctan2(xyz_m[..., 1], xyz_m[..., 0]).astype(np.float64) - azimuth[:, None])
+    one_way = np.mean(np.abs(off[enough][there[enough]]) < _SPIN_RAD)
+    turned = np.ptp(np.unwrap(azimuth[enough]))
+    return bool(one_way > 0.9 and turned > _TURNED_RAD)
+
+
+def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:
+    """Return the frame of a scanner from the coordinates of its shots.
+
+    Parameters
+    ----------
+    xyz : (n, 3) float32
+        Coordinates, finite [m].
+    rings : (n,) int64
+        Ring of every shot, from 0.
+
+    Returns
+    -------
+    SensorFrame or None
+        None where the coordinates are in the frame of the scanner, or no other frame explains them better.
+    """
+    xyz_m, ring = _some(xyz, rings, MOST_SHOTS)
+    n_rings = len(np.unique(ring))
+    if len(ring) < FEWEST_SHOTS or n_rings < FEWEST_RINGS or _gap(xyz_m) > WIDEST_GAP:
+        return None
+    fit = _Fit(xyz_m, ring)
+    before = fit.spread()
+    if before < NARROW_RAD or not fit.run():
+        return None
+    lean = math.acos(min(max(float(fit.turn[2, 2]), -1.0), 1.0))
+    off_m = float(np.hypot(fit.apex_m[0], fit.apex_m[1])), abs(float(fit.apex_m[2]))
+    after = fit.spread()
+    if after > BETTER * before or lean > MOST_LEAN_RAD or max(off_m) > FARTHEST_M:
+        return None
+    # what is small is a matter of the scanner's own angles
+    turn = fit.turn if lean >= LEAST_LEAN_RAD else np.eye(3)
+    apex = fit.apex_m * np.array([off_m[0] >= LEAST_OFF_M] * 2 + [off_m[1] >= LEAST_OFF_M])
+    if turn is not fit.turn and not apex.any():
+        return None
+    rows = tuple(tuple(round(float(one), DECIMALS_RAD) for one in row) for row in turn)
+    place = tuple(round(float(one), DECIMALS_M) for one in apex)
+    return SensorFrame(rows, place, (math.degrees(before), math.degrees(after)))  # type: ignore[arg-type]
+
+
+def spread_of_cones(xyz_m: F32, ring: I64, *, is_fitted: bool) -> float:
+    """Return the spread of elevation within rings [rad], in the frame that suits them best where it is fitted."""
+    fit = _Fit(*_some(xyz_m, ring, FEW_SHOTS))
+    if is_fitted:
+        fit.run()
+    return fit.spread()
+
+
+def _some(xyz_m: F32, ring: I64, most: int) -> tuple[F64, I64]:
+    """Return shots, evenly spread over all."""
+    some = np.linspace(0, len(ring) - 1, min(len(ring), most)).astype(np.int64)
+    return xyz_m[some].astype(np.float64), ring[some]
+
+
+def _gap(xyz_m: F64) -> float:
+    """Return the widest sector without a shot, as a share of a turn."""
+    azimuth = np.sort(np.arctan2(xyz_m[:, 1], xyz_m[:, 0]))
+    return float(np.diff(azimuth, append=azimuth[0] + 2 * math.pi).max()) / (2 * math.pi)
+
+
+@dataclass(slots=True)
+class _Fit:
+    """Axis and apex, as far as they are known."""
+
+    xyz_m: F64
+    ring: I64
+    turn: F64
+    apex_m: F64
+    n_rings: int
+
+    def __init__(self, xyz_m: F64, ring: I64) -> None:
+        self.xyz_m, self.ring, self.n_rings = xyz_m, ring, int(ring.max()) + 1
+        self.turn, self.apex_m = np.eye(3), np.zeros(3)
+
+    def run(self) -> bool:
+        """Fit; return whether it came to an end."""
+        for step in range(ROUNDS):
+            moved = self._step(with_apex=step >= UPRIGHT_ROUNDS)
+            if step > UPRIGHT_ROUNDS + 1 and moved < CLOSE:
+                return True
+        return moved < LEAST_OFF_M / 10
+
+    def spread(self) -> float:
+        """Return the spread of elevation within rings [rad]."""
+        off = self._off(self._places()[1])
+        return DEVIATION * float(np.median(np.abs(off)))
+
+    def _places(self) -> tuple[F64, F64, F64]:
+        """Return distance, elevation and azimuth of the shots."""
+        own = (self.xyz_m - self.apex_m) @ self.turn.T
+        flat = np.hypot(own[:, 0], own[:, 1])
+        return np.hypot(flat, own[:, 2]).clip(0.1), np.arctan2(own[:, 2], flat), np.arctan2(own[:, 1], own[:, 0])
+
+    def _off(self, elevation: F64) -> F64:
+        """Return how far shots lie from the middle of their ring [rad]."""
+        order = np.lexsort((elevation, self.ring))
+        n = np.bincount(self.ring, minlength=self.n_rings)
+        middle = np.zeros(self.n_rings)
+        has = n > 0
+        middle[has] = elevation[order][(np.cumsum(n) - n + n // 2)[has]]
+        off: F64 = elevation - middle[self.ring]
+        return off
+
+    def _step(self, *, with_apex: bool) -> float:
+        """Turn the axis, and move the apex, by a step; return its length [rad, m]."""
+        distance, elevation, azimuth = self._places()
+        off = self._off(elevation)
+        weight = np.ones(len(off))
+        if with_apex:
+            share = off / max(TUKEY * DEVIATION * float(np.median(np.abs(off))), 1e-5)
+            weight = np.where(np.abs(share) < 1, (1 - share * share) ** 2, 0.0)
+        rise, flat = np.sin(elevation) / distance, np.cos(elevation) / distance
+        slopes = [np.sin(azimuth), -np.cos(azimuth)]
+        if with_apex:
+            slopes += [rise * np.cos(azimuth), rise * np.sin(azimuth), -flat]
+        total = np.maximum(np.bincount(self.ring, weight, self.n_rings), 1e-12)
+
+        def centred(values: F64) -> F64:
+            middle = np.bincount(self.ring, weight * values, self.n_rings) / total
+            apart: F64 = values - middle[self.ring]
+            return apart
+
+        matrix, missing = np.stack([centred(one) for one in slopes], axis=1), centred(elevation)
+        weighted = matrix * weight[:, None]
+        normal = weighted.T @ matrix + 1e-9 * len(off) * np.eye(len(slopes))
+        step = np.linalg.solve(normal, -(weighted.T @ missing))
+        turned = np.array([step[0], step[1], 0.0])
+        turned *= min(1.0, 0.5 / max(float(np.abs(turned).max()), 1e-12))
+        self.turn = turning(turned) @ self.turn
+        if with_apex:
+            self.apex_m = self.apex_m + self.turn.T @ np.clip(step[2:], -1.0, 1.0)
+        return float(np.abs(step).max())
+
+
+def _wrap(angle: F64) -> F64:
+    wrapped: F64 = (angle + math.pi) % (2 * math.pi) - math.pi
+    return wrapped
