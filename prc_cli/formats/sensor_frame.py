@@ -34,10 +34,12 @@ FARTHEST_M = 5.0
 """A scanner is not farther from the point that coordinates are counted from, unless they are those of a map [m]."""
 ROUNDS, CLOSE = 30, 3e-5
 """Most steps of a fit; smaller ones end it [rad, m]."""
-UPRIGHT_ROUNDS = 3
-"""The first steps turn the axis alone."""
+UPRIGHT_ROUNDS, MILD_ROUNDS = 3, 9
+"""The first steps turn the axis alone, and those up to here leave out little."""
 TUKEY = 3.0
 """What is off by so many times the spread has no weight."""
+MOST = 80.0
+"""Per cent of the shots that a spread is of: most shots may see level ground, all around at one range."""
 DEVIATION = 1.4826
 """Standard deviation in median absolute deviations."""
 DECIMALS_RAD, DECIMALS_M = 6, 3
@@ -143,15 +145,15 @@ class _Fit:
     def run(self) -> bool:
         """Fit; return whether it came to an end."""
         for step in range(ROUNDS):
-            moved = self._step(with_apex=step >= UPRIGHT_ROUNDS)
-            if step > UPRIGHT_ROUNDS + 1 and moved < CLOSE:
+            moved = self._step(with_apex=step >= UPRIGHT_ROUNDS, is_mild=step < MILD_ROUNDS)
+            if step > MILD_ROUNDS and moved < CLOSE:
                 return True
         return moved < LEAST_OFF_M / 10
 
     def spread(self) -> float:
         """Return the spread of elevation within rings [rad]."""
         off = self._off(self._places()[1])
-        return DEVIATION * float(np.median(np.abs(off)))
+        return float(np.percentile(np.abs(off), MOST))
 
     def _places(self) -> tuple[F64, F64, F64]:
         """Return distance, elevation and azimuth of the shots."""
@@ -169,13 +171,15 @@ class _Fit:
         off: F64 = elevation - middle[self.ring]
         return off
 
-    def _step(self, *, with_apex: bool) -> float:
+    def _step(self, *, with_apex: bool, is_mild: bool) -> float:
         """Turn the axis, and move the apex, by a step; return its length [rad, m]."""
         distance, elevation, azimuth = self._places()
         off = self._off(elevation)
         weight = np.ones(len(off))
         if with_apex:
-            share = off / max(TUKEY * DEVIATION * float(np.median(np.abs(off))), 1e-5)
+            # level ground alone, all around at one range, is on cones of any apex
+            scale = float(np.percentile(np.abs(off), MOST)) if is_mild else DEVIATION * float(np.median(np.abs(off)))
+            share = off / max(TUKEY * scale, 1e-5)
             weight = np.where(np.abs(share) < 1, (1 - share * share) ** 2, 0.0)
         rise, flat = np.sin(elevation) / distance, np.cos(elevation) / distance
         slopes = [np.sin(azimuth), -np.cos(azimuth)]

@@ -10,6 +10,7 @@ import pytest
 
 from prc_cli.config import load_config, with_layout_beside
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.frame import turning
 from prc_cli.core.types import I64
 from prc_cli.formats import open_source
 from prc_cli.formats.guessing import is_frame
@@ -174,3 +175,22 @@ def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Pa
     told = with_layout_beside(tmp_path / "frame.bin", load_config()).config
     with pytest.raises(InputError, match=r"turn 1\.0 times .*column after column, a frame needs the ring"):
         open_input(tmp_path / "frame.bin", told.input, told.layout)
+
+
+@pytest.mark.parametrize("has_rings", [True, False])
+def test_a_frame_on_other_axes_has_the_cells_of_its_own(has_rings: bool) -> None:
+    """Pitched by 6 degrees, z from the ground: cells are those of the scanner, coordinates those of the input."""
+    records, _, ring = frame()
+    if has_rings:
+        records["ring"] = ring
+    n = len(ring)
+    wanted = cells(opened(records), n)
+    own = np.stack([records[axis] for axis in "xyz"], axis=1)
+    elsewhere = own @ turning(np.deg2rad([0.0, 6.0, 0.0])) + [0.0, 0.0, 1.8]
+    whole = opened({**records, **dict(zip("xyz", elsewhere.T, strict=True))})
+    found = cells(whole, n)
+    assert (found[1] == wanted[1]).mean() > 0.999
+    # azimuths begin where the turned x axis is
+    assert (np.abs(found[0] - wanted[0]) <= 1).mean() > 0.97
+    assert whole.blocks[0].frame is not None
+    assert whole.blocks[0].frame.lean_deg == pytest.approx(6.0, abs=0.1)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from prc_cli import classify_ranges, load_config
 from prc_cli.core.classes import LABEL_BITS, Label, Reason
+from prc_cli.core.frame import SensorFrame, turning
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.jobs.choice import choice_by_beams
@@ -24,13 +26,14 @@ AZIMUTH: F64 = 2 * np.pi * np.arange(N_LINES) / N_LINES
 PARAMS = RingsParams()
 
 
-def scene(seed: int = 1) -> tuple[F32, F32, U8]:
-    """Ranges, coordinates and the body of every shot: 1 ground, 2 wall, 3 hedge, 4 car, 5 pole."""
+def scene(seed: int = 1, mount: F64 | None = None, ceiling_m: float = np.inf) -> tuple[F32, F32, U8]:
+    """Ranges, coordinates and the body of every shot: 1 ground, 2 wall, 3 hedge, 4 car, 5 pole, 6 ceiling."""
     random = np.random.default_rng(seed)
-    x, y, z = (
+    own = np.stack([
         np.cos(ELEVATION) * np.cos(AZIMUTH)[:, None], np.cos(ELEVATION) * np.sin(AZIMUTH)[:, None],
         np.sin(ELEVATION) + 0 * AZIMUTH[:, None],
-    )  # fmt: skip
+    ], axis=-1)  # fmt: skip
+    x, y, z = np.moveaxis(own if mount is None else own @ mount.T, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ranges = np.where(z < 0, -HEIGHT_M / z, np.inf)
         body = np.where(ranges < 80, 1, 0).astype(np.uint8)
@@ -40,11 +43,12 @@ def scene(seed: int = 1) -> tuple[F32, F32, U8]:
             (4, _box(x, y, z, (5, 9.2), (3, 4.7), (0.2, 0.9))),
             (4, _box(x, y, z, (5.8, 8.2), (3.1, 4.6), (0.9, 1.45))),
             (5, _box(x, y, z, (7.9, 8.1), (-4.1, -3.9), (0, 5))),
+            (6, np.where(z > 0, (ceiling_m - HEIGHT_M) / z, np.inf)),
         ):
             nearer = distance < ranges
             body[nearer], ranges[nearer] = kind, distance[nearer]
     ranges = np.where(body > 0, ranges + random.normal(0, 0.01, ranges.shape), np.nan)
-    xyz = ranges[..., None] * np.stack([x, y, z], axis=-1)
+    xyz = ranges[..., None] * own
     return ranges.astype(np.float32), xyz.astype(np.float32), body
 
 
@@ -57,12 +61,18 @@ def _box(x: F64, y: F64, z: F64, *sides: tuple[float, float]) -> F64:
     return np.where(near < far, near, np.inf)
 
 
-def labelled(ranges: F32, xyz: F32, *, chunk: int = 300, threads: int = 1, beam: F64 = BEAM) -> U8:
+def labelled(
+    ranges: F32, xyz: F32, *, chunk: int = 300, threads: int = 1, beam: F64 = BEAM, params: RingsParams = PARAMS,
+    **changes: Any,
+) -> U8:  # fmt: skip
     blocks = (
-        ScanBlock(a, ranges[a : a + chunk], xyz_m=xyz[a : a + chunk], beam_rad=beam, is_last=a + chunk >= len(ranges))
+        ScanBlock(
+            a, ranges[a : a + chunk], xyz_m=xyz[a : a + chunk], beam_rad=beam, is_last=a + chunk >= len(ranges),
+            **changes,
+        )
         for a in range(0, len(ranges), chunk)
-    )
-    return np.concatenate([item.labels for item in label_blocks(blocks, PARAMS, threads=threads)])
+    )  # fmt: skip
+    return np.concatenate([item.labels for item in label_blocks(blocks, params, threads=threads)])
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +117,35 @@ def test_a_scanner_may_hang_upside_down(made: tuple[F32, F32, U8], labels: U8) -
     turned = xyz * np.array([1, -1, -1], np.float32)
     found = labelled(ranges, turned, beam=upside_down(BEAM))
     assert (found == labels).mean() > 0.999
+
+
+@pytest.mark.parametrize("lean", [(0.0, 30.0), (-45.0, 0.0), (20.0, 25.0)])
+def test_a_scanner_may_lean(lean: tuple[float, float]) -> None:
+    """The ground is level after it was turned; what stands on it is upright there."""
+    mount = turning(np.deg2rad([*lean, 0.0]))
+    ranges, xyz, body = scene(mount=mount)
+    found = labelled(ranges, xyz)
+    for kind, label in ((1, Label.GROUND), (2, Label.BUILDING)):
+        seen = body == kind
+        assert not seen.any() or (found[seen] == label).mean() > 0.9
+
+
+def test_shots_are_labelled_in_the_frame_of_the_scanner(made: tuple[F32, F32, U8], labels: U8) -> None:
+    frame = SensorFrame(tuple(map(tuple, turning(np.deg2rad([5.0, -8.0, 0.0])))), (0.8, -0.3, 1.7))  # type: ignore[arg-type]
+    elsewhere = (made[1].astype(np.float64) @ np.array(frame.turn) + frame.apex_m).astype(np.float32)
+    ranges = np.sqrt((elsewhere**2).sum(axis=2))
+    assert (labelled(ranges, elsewhere, frame=frame) == labels).mean() > 0.999
+    assert (labelled(ranges, elsewhere) == labels).mean() < 0.985
+
+
+def test_z_is_up_where_a_floor_and_a_ceiling_are_level() -> None:
+    ranges, xyz, body = scene(ceiling_m=2.4)
+    down = labelled(ranges, xyz, params=RingsParams(up="-z"))
+    for params in (PARAMS, RingsParams(up="z")):
+        found = labelled(ranges, xyz, params=params)
+        assert (found[body == 1] == Label.GROUND).mean() > 0.9
+        assert (found[body == 6] == Label.GROUND).mean() < 0.1
+    assert (down[body == 6] == Label.GROUND).mean() > 0.8
 
 
 def test_a_short_block_takes_the_ground_of_those_before(made: tuple[F32, F32, U8], labels: U8) -> None:
