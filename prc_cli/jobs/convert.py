@@ -356,7 +356,7 @@ def _las_losses(shape: StreamShape, counts: Counts) -> Iterator[str]:
     if shape.angles:
         yield "scan angles beyond steps of 0.006 deg"
     if shape.xyz or shape.registered:
-        yield "coordinates beyond steps of 1 mm (ranges are kept bit for bit)"
+        yield "coordinates beyond steps of 1 mm, or 1e-8 deg of longitude and latitude (ranges are kept bit for bit)"
     if shape.intensity:
         yield "intensities beyond whole numbers from 0 to 65535"
     if len(set(counts.scanners.values())) > 1:

@@ -24,6 +24,7 @@ from prc_cli.formats import open_images, open_source
 from prc_cli.formats.joined import open_joined
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.ranges import refuse_scale
+from prc_cli.formats.systems import in_metres, refuse_degrees
 
 if TYPE_CHECKING:
     from prc_cli.streams.grid import GridStream
@@ -61,6 +62,11 @@ def open_input(
 
     if config.points_per_line is not None:
         source.facts.align_chunks(config.points_per_line * lines_at_once)
+    of_points = config.range.partition(":")[0] in ("trajectory", "origin", "sensor-xyz")
+    if of_points:
+        refuse_degrees(source)
+    if not of_points or config.range_scale == 1.0:
+        source = in_metres(source)
     line_hz = None if layout is None else layout.line_frequency
     told: tuple[Assumption, ...] = ()
     if config.lines.startswith("elevation:"):

@@ -13,7 +13,8 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_origin
-from prc_cli.formats.ranges import clean_ranges, refuse_scale, scale_told
+from prc_cli.formats.ranges import clean_ranges, scale_told
+from prc_cli.formats.systems import units_of_system
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 XYZ = ("x", "y", "z")
@@ -36,7 +37,7 @@ class RangeRule:
     sensor_xyz: bool = False
     """Whether x, y, z beside a dimension of ranges are relative to the sensor."""
     scale: float = 1.0
-    """Metres in one of the stored ranges."""
+    """Metres in one of the stored ranges; of ranges from x, y, z, in one unit of these."""
     min_range_m: float = 0.0
     """Ranges at or below are missing [m]."""
     max_range_m: float | None = None
@@ -53,7 +54,7 @@ class RangeRule:
         if self.trajectory.lever_arm_m is not None:
             shown = ", ".join(f"{one:g}" for one in self.trajectory.lever_arm_m)
             why = f"straight lines between the positions of a trajectory, moved by the lever arm {shown} m"
-        return (Assumption("input.range", value, why),)
+        return (Assumption("input.range", value, why), *scale_told(self.scale))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,16 +78,19 @@ def open_ranges(
     bounds = RangeRule(min_range_m=config.min_range, max_range_m=config.max_range)
     if kind == "dimension":
         return replace(bounds, dimension=argument, sensor_xyz=sensor_xyz, scale=config.range_scale)
-    refuse_scale(config, path, "its ranges are lengths of x, y, z")
     needed = (*XYZ, "time") if kind == "trajectory" else XYZ
     lacking = [name for name in needed if name not in dimensions]
     if lacking:
         problem = f"range = {rule} needs {', '.join(needed)}; the file has no {', '.join(lacking)}"
         raise InputError(path, problem, f"it has: {', '.join(dimensions)}")
+    xy_m, z_m = metres_of(config, crs_wkt)
+    # where a scale is given it is that of x, y, z; else these are metres already
+    bounds = replace(bounds, scale=config.range_scale)
     if kind == "sensor-xyz":
         return replace(bounds, origin_m=(0.0, 0.0, 0.0))
     if kind == "origin":
-        return replace(bounds, origin_m=parse_origin(rule))
+        x, y, z = parse_origin(rule)
+        return replace(bounds, origin_m=(x * xy_m, y * xy_m, z * z_m))
     try:
         file = Path(argument).expanduser()
     except RuntimeError:
@@ -99,8 +103,17 @@ def open_ranges(
         max_gap=config.trajectory_max_gap,
         topic=config.trajectory_topic,
         lever_arm_m=config.trajectory_lever_arm,
+        unit_m=(xy_m, xy_m, z_m),
     )
     return replace(bounds, trajectory=trajectory)
+
+
+def metres_of(config: InputConfig, crs_wkt: str | None) -> tuple[float, float]:
+    """Return the metres in one unit of x and y, and of z: as given, else those of the coordinate system."""
+    if config.range_scale != 1.0:
+        return config.range_scale, config.range_scale
+    units = units_of_system(crs_wkt)
+    return (1.0, 1.0) if units is None or units.is_geographic else (units.xy_m, units.z_m)
 
 
 def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
@@ -111,6 +124,8 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
     if rule.dimension is not None:
         with np.errstate(over="ignore"):
             return values[rule.dimension], xyz.astype(np.float32)
+    if rule.scale != 1.0:
+        xyz *= rule.scale
     # coordinates of 1e6 m need float64 for millimetres: subtract before rounding
     if rule.trajectory is not None:
         xyz -= rule.trajectory.positions(np.asarray(values["time"], np.float64))
@@ -123,7 +138,7 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
 def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F32, F32 | None, ReadTally]:
     """Return cleaned ranges, coordinates as :func:`measure_ranges`, and counts of ranges made missing."""
     found, xyz_m = measure_ranges(values, rule)
-    if rule.scale != 1.0:
+    if rule.dimension is not None and rule.scale != 1.0:
         found = found * np.float64(rule.scale)
     range_m, tally = clean_ranges(found, rule.min_range_m, rule.max_range_m)
     return range_m, xyz_m, tally

@@ -17,6 +17,7 @@ from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.core.window import Window
 from prc_cli.formats.records import RecordSource
+from prc_cli.formats.systems import looks_geographic
 from prc_cli.streams.agreement import (
     ANGLES,
     CONTINUED,
@@ -312,6 +313,8 @@ def _contradicted(rules: GridRules, first: WholeLines, rule: ColumnRule, angle: 
     shots = take(first.records, first.records[START])
     range_m, _, _ = clean_measured(shots, replace(rules.ranges, sensor_xyz=False))
     xyz_m = np.stack([np.asarray(shots[name], np.float64) for name in rules.point_names[1:]], axis=1)
+    if looks_geographic(xyz_m):
+        return None
     column = find_columns(first.records, rule, first.origin_s)
     return contradicted_share(range_m.astype(np.float64), xyz_m, shots[LINE], column, angle)
 

@@ -157,6 +157,9 @@ def _shown(time_s: float, digits: int = 2) -> str:
     return f"{time_s:.{digits}f}" if abs(time_s) <= _PLAIN_S else f"{time_s:g}"
 
 
+SBET_SUFFIXES = (".sbet", ".out")
+
+
 def load_trajectory(
     path: Path,
     *,
@@ -167,14 +170,18 @@ def load_trajectory(
     topic: str | None = None,
     lever_arm_m: tuple[float, float, float] | None = None,
     with_turns: bool = False,
+    unit_m: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Trajectory:
-    """Read a trajectory by its suffix: SBET, bag, else text; with turns its orientation, too."""
+    """Read a trajectory by its suffix: SBET, bag, else text; with turns its orientation, too.
+
+    ``unit_m`` are the metres in one unit of its positions, by axis; an SBET has metres.
+    """
     quaternion: F64 | None = None
     try:
         size = path.stat().st_size
         if size == 0:
             raise InputError(str(path), "empty file, expected a trajectory", "give a CSV or SBET file with positions")
-        if path.suffix.lower() in (".sbet", ".out"):
+        if path.suffix.lower() in SBET_SUFFIXES:
             time_s, position = read_sbet(path, size)
             xyz_m = project(path, position, crs or source_crs_wkt)
         elif path.suffix.lower() in BAGS[0].scans:
@@ -191,6 +198,8 @@ def load_trajectory(
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check the trajectory's name and permissions") from None
+    if path.suffix.lower() not in SBET_SUFFIXES:
+        xyz_m = xyz_m * np.array(unit_m)
     if lever_arm_m is not None:
         if quaternion is None:
             problem = "a lever arm needs the orientation of the vehicle, which this trajectory does not give"

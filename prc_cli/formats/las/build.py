@@ -22,6 +22,7 @@ from prc_cli.formats.las.header import COMPRESSED, LASZIP_KEY, RECORD_KEY, make_
 from prc_cli.formats.las.laz import LasSink, LazSink, PointSink, Target, batch_size, new_laszip
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr, standard_columns
 from prc_cli.formats.las.vlrs import RECORD_TEXT, lookup_vlr, vlr_of_crs
+from prc_cli.formats.systems import looks_geographic, units_of_system
 from prc_cli.formats.writing.base import NO_CODE, StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import RANGE, ExtraDimension, LabelOutput, LinesApart, asked_columns
 from prc_cli.formats.writing.record import RunRecord
@@ -30,6 +31,8 @@ SCAN_LINE = ExtraDimension("scan_line", np.dtype("<u4"), "scan line in the strea
 COLUMN = ExtraDimension("column", np.dtype("<u4"), "shot in the scan line")
 SCALE_M = 0.001
 """Coordinate step of built files [m]."""
+SCALE_DEG = 1e-8
+"""The same of longitude and latitude [deg]: about 1 mm, and 21 deg to either side fit into a file."""
 
 OFFSET_STEP_M = 1000.0
 """Registered coordinates are kept relative to a whole multiple of this [m]."""
@@ -58,6 +61,7 @@ class LasBuilder(StagedWriter):
         self._low = np.full(3, np.iinfo(np.int64).max, np.int64)
         self._high = np.full(3, np.iinfo(np.int64).min, np.int64)
         self._offset_m = np.zeros(3)
+        self._scale = np.full(3, SCALE_M)
         self._n_clipped = self._n_timeless = self._n_timed = self._n_codes_lost = 0
 
     @property
@@ -161,24 +165,31 @@ class LasBuilder(StagedWriter):
         self._n_timeless = int(self._by_return.sum()) - self._n_timed
 
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
-        """Coordinates in steps of :data:`SCALE_M`, (n, 3) int64; those outside the range of the file are refused."""
+        """Coordinates in steps of the file, (n, 3) int64; those outside the range of the file are refused."""
         own, extra = self._placed
         xyz = own[shots.line, shots.column]
         other = shots.extra >= 0
         xyz[other] = extra[shots.extra[other]]
-        steps = np.rint((xyz - self._offset_m) / SCALE_M)
+        steps: F64 = np.rint((xyz - self._offset_m) / self._scale)
         if not np.all(np.abs(steps) <= 2**31 - 1):  # also refuses NaN
             bad = int(np.flatnonzero(~np.all(np.abs(steps) <= 2**31 - 1, axis=1))[0])
             where = f"scan line {scan.first_line + int(shots.line[bad])}, column {int(shots.column[bad])}"
             problem = f"{where}: found coordinates {xyz[bad].tolist()} m, expected finite ones within ±2147483 m"
             raise OutputError(str(self.path), problem, "check the ranges' unit, or set [input] max_range")
-        return steps.astype(np.int64)
+        whole: I64 = steps.astype(np.int64)
+        return whole
 
     def _set_offset(self, xyz: F64) -> None:
         if self._has_offset:
             return
         known = xyz[np.isfinite(xyz).all(axis=2)]
-        if len(known):
+        units = units_of_system(self._crs)
+        if units.is_geographic if units is not None else looks_geographic(known):
+            self._scale[:2] = SCALE_DEG
+            self._offset_m[:2] = np.floor(known[0, :2]) if len(known) else 0.0
+            self._has_offset = True
+            self._notice(f"x and y are degrees: written in steps of {SCALE_DEG:g} deg")
+        elif len(known):
             self._offset_m = np.floor(known[0] / OFFSET_STEP_M) * OFFSET_STEP_M
             self._has_offset = True
 
@@ -193,12 +204,12 @@ class LasBuilder(StagedWriter):
         fields.set("evlr_start", self._target.tell())
         fields.set("n_evlrs", 1)
         self._target.write(make_vlr(RECORD_KEY, record.to_json(), RECORD_TEXT, extended=True).raw)
-        fields.set("scales", *[SCALE_M] * 3)
+        fields.set("scales", *self._scale)
         fields.set("offsets", *self._offset_m)
         fields.set("n_points", int(self._by_return.sum()))
         fields.set("by_return", *self._by_return.tolist())
         if self._by_return.any():
-            bounds = np.stack([self._high, self._low], axis=1) * SCALE_M + self._offset_m[:, None]
+            bounds = np.stack([self._high, self._low], axis=1) * self._scale[:, None] + self._offset_m[:, None]
             fields.set("bounds", *bounds.ravel())
         self._target.seek(0)
         self._target.write(fields.data)

@@ -222,15 +222,23 @@ def check_ranges(seen: Seen) -> Finding | None:
 BY_PLACE = ("units", "down", "angle-step")
 """Checks that a wrong trajectory fails first of all."""
 LATE = "look at the trajectory: its clock (input.trajectory_time_offset), its frame and its lever arm"
+OTHER_UNIT = "if x, y, z and the trajectory are in another unit: "
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
     """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
     along = any(one.key == "input.range" and one.value.startswith("trajectory") for one in seen.info.assumptions)
     for finding in _known(*_of_ranges(seen)):
-        yield replace(finding, hint=LATE, option="") if along and finding.check in BY_PLACE else finding
+        yield _along_path(finding) if along and finding.check in BY_PLACE else finding
     yield from _known(check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen))
     yield from _known(check_other_readers(seen))
+
+
+def _along_path(finding: Finding) -> Finding:
+    """Return a finding on a drive along a trajectory, which is the first to look at."""
+    if finding.check == "units" and finding.option:
+        return replace(finding, hint=f"{LATE}; {OTHER_UNIT}{finding.option}", option="")
+    return replace(finding, hint=LATE, option="")
 
 
 def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
