@@ -135,7 +135,7 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
         against = [one for one in doubts if one.verdict is Verdict.AGAINST]
         if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
             return ""
-    mends = mends or [one.option for one in doubts if one.option]
+    mends = mends or list(dict.fromkeys(one.option for one in doubts if one.option))
     words = ["prc", "classify", inspection.path, str(output_for(Path(inspection.path)))]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
     return shlex.join([*words, *given_words(options, mended)]) + "".join(f" {mend}" for mend in mends)

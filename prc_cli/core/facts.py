@@ -71,6 +71,10 @@ class SourceFacts:
     """Why the usual library refuses the file, whose damage is copied; empty if it does not."""
     dropped: str = ""
     """What the run record inside the file says of shots that were left out; empty = nothing."""
+    refuses: frozenset[str] = frozenset()
+    """Keys of ``[input]`` that the input refuses, because it says itself what they say; hints do not name them."""
+    remedy: str = ""
+    """What else can be done with such an input, for hints of which nothing is left."""
     repeated: str = ""
     """What a recording holds twice, of which one was read, known after reading; empty = nothing."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)

@@ -353,7 +353,7 @@ class Judge:
 
     def __init__(self, stream: EvidenceStream, config: RunConfig) -> None:
         self._stream, self._params = stream, config.classifier
-        self._result = ResultWatch(usual_labels(config, stream.info))
+        self._result = ResultWatch(usual_labels(config, stream.info), stream.info.facts)
 
     def label(
         self, blocks: Iterator[ScanBlock], *, threads: int = 1, wanted: Wanted = LABELS_ALONE

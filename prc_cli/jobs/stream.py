@@ -140,7 +140,12 @@ def stream(
     watch = LiveEvidence(watched(opened, config.input, others=loaded.findings), doubted)
     blocks = _UntilError(watch)
     lookup = config.classes.lookup()
-    counts, latency, result, asks_at = Counts.none(), 0.0, ResultWatch(classifier.usual), RESULT_LINES
+    counts, latency, result, asks_at = (
+        Counts.none(),
+        0.0,
+        ResultWatch(classifier.usual, opened.info.facts),
+        RESULT_LINES,
+    )
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
         if told is not None:  # not of an input that is refused
             chosen(told)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.frame import SensorFrame
+from prc_cli.core.hints import fitting_error
 from prc_cli.core.stream import MAX_RINGS, Assumption, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
@@ -153,7 +154,14 @@ class BeamFinder:
         return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad, frame=frame)
 
     def find(self, sample: Sample) -> Found:
-        """Apply the first applicable method."""
+        """Apply the first applicable method; hints name only what the input takes."""
+        facts = self.info.facts
+        try:
+            return self._find(sample)
+        except (InputError, ConfigError) as error:
+            raise fitting_error(error, facts.refuses, facts.remedy) from error
+
+    def _find(self, sample: Sample) -> Found:
         scanner = sample.scanner
         angle = sample.angle_rad if sample.angle_rad is not None else self.info.angle_rad
         n = len(sample.range_m)
@@ -252,6 +260,10 @@ class BeamFinder:
         range_m = range_m[spread_rows(len(range_m), SAMPLE_LINES)]
         guess = guess_down(angle, range_m)
         if guess is None:
+            if "angle_start" in self.info.facts.refuses:
+                hint = f"give the scan angle that points straight down: --set {KEY}=DEG"
+                problem = f"no vertical direction known: {self._lacks(scanner, angle)}"
+                raise InputError(self._where(scanner), problem, hint)
             raise self._refusal(scanner, self._lacks(scanner, angle), None)
         if not guess.is_sure and guess.rival_rad is not None:
             ways = [f"{math.degrees(one):.0f}" for one in (guess.down_rad, guess.rival_rad)]

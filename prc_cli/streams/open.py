@@ -50,7 +50,7 @@ def open_input(
         from prc_cli.streams.order import WatchedStream
 
         images = open_images(path, config, lines_at_once=lines_at_once)
-        if images.info.format != "array":
+        if images.info.format not in ("array", "bag"):
             refuse_scale(config, str(path), "its ranges are metres")
         return windowed(WatchedStream(images, config.order), config)
     implied = source.facts.rule("lines")

@@ -270,6 +270,21 @@ MAX_EMPTY = 64
 """Most cells per record: finer steps of azimuth give a frame of mostly missing shots."""
 SPARE_CELLS = 1 << 20
 """Number of cells always allowed."""
+RULED_OUT_OF_RINGS = frozenset(
+    (
+        "columns",
+        "scanner",
+        "trajectory",
+        "order",
+        "angle_start",
+        "angle_step",
+        "points_per_line",
+        "range_scale",
+        "lines",
+    )
+)
+"""Keys that frames refuse, or that do nothing for them: rings are found in x, y, z."""
+_ONE_FRAME = "give one frame of one scanner, x, y, z relative to it"
 RING = "ring"
 """Dimension with the number of the ring; with it, records may be in any order, as in raw column order."""
 BLOCK_LINES = 512
@@ -315,7 +330,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         points_per_line=n_rings,
         n_records=source.n_records if source.n_records is not None else n_records,
         n_lines=n_lines,
-        facts=source.facts,
+        facts=replace(source.facts, refuses=RULED_OUT_OF_RINGS, remedy=_ONE_FRAME),
         assumptions=_assumptions(turns, n_rings, n_lines, config, int(np.count_nonzero(~in_order))),
     )
     return RingStream(info, block)

@@ -91,9 +91,26 @@ class ArrayStream:
             line_hz=self._find_line_hz(),
             down_rad=next((math.radians(float(rule.value)) for rule in angle_rules(angles)), None),
             assumptions=tuple(assumed),
-            facts=SourceFacts(time_name=TIME, has_line_times=has_line_times),
+            facts=SourceFacts(time_name=TIME, has_line_times=has_line_times, refuses=self._refused(header)),
         )
         """What is known before reading."""
+
+    def _refused(self, header: Any) -> frozenset[str]:
+        """Return the keys that the arrays say themselves."""
+        refused = {
+            "lines",
+            "columns",
+            "scanner",
+            "order",
+            "range",
+            "trajectory",
+            "layout",
+            "azimuth_step",
+            "time_origin",
+        }
+        if len(header.shape) > 1:
+            refused |= {"points_per_line", "partial_line"}
+        return frozenset(refused | ({"range_scale"} if self._range == XYZ else set()))
 
     def _find_beside(self) -> tuple[str, ...]:
         """Return the names of the arrays beside the ranges, their shapes and types checked."""

@@ -102,8 +102,8 @@ class Cloud:
         return time_s if is_absolute else time_s + self.stamp_s
 
 
-def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
-    """Decode a message."""
+def parse_cloud(data: bytes, *, is_cdr: bool, scale: float = 1.0) -> Cloud:
+    """Decode a message whose coordinates are in a unit [m]."""
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     height, width, n_fields = (cursor.number("I") for _ in range(3))
@@ -122,7 +122,7 @@ def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
     expect(is_whole, f"says it holds {height} x {width} points of {step} bytes, found {len(raw)} bytes")
     # rows may be longer than their points
     rows = np.lib.stride_tricks.as_strided(raw, (height, n_row) if n_row else (0, step), (row_step, 1), writeable=False)
-    return _decoded(frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)))
+    return _decoded(frame, stamp_s, np.frombuffer(rows.tobytes(), _point(fields, step, order)), scale)
 
 
 def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
@@ -149,11 +149,13 @@ def _is_livox(fields: Collection[str]) -> bool:
     return "tag" in fields and ("line" in fields or "ring" in fields)
 
 
-def _decoded(frame: str, stamp_s: float, table: NDArray[np.void]) -> Cloud:
+def _decoded(frame: str, stamp_s: float, table: NDArray[np.void], scale: float) -> Cloud:
     xyz: F32 = np.empty((len(table), 3), np.float32)
     with np.errstate(all="ignore"):
         for axis, name in enumerate("xyz"):
             xyz[:, axis] = table[name]
+        if scale != 1.0:
+            xyz *= np.float32(scale)
         squares = xyz.astype(np.float64) ** 2
         ranges: F32 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]).astype(np.float32)
         is_missing = ~(np.isfinite(ranges) & (ranges > 0))

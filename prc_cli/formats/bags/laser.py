@@ -67,8 +67,8 @@ class LaserScan:
         return len(self.range_m) if self.n_echoes is None else int(np.maximum(self.n_echoes, 1).sum())
 
 
-def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
-    """Decode a message."""
+def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool, scale: float = 1.0) -> LaserScan:
+    """Decode a message whose ranges are in a unit [m]."""
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
     first, _, step, shot_s, _, low, high = cursor.numbers("f", 7)
@@ -92,6 +92,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         # a scanner says by inf, or by its own reach, that nothing came back
         is_beyond = np.isfinite(ranges) & ((ranges < low) | (ranges >= high))
     ranges[is_beyond | np.isinf(ranges)] = np.nan
+    if scale != 1.0:
+        ranges *= np.float32(scale)
     n_beyond = int(np.count_nonzero(is_beyond))
     return LaserScan(stamp_s, frame, first, step, shot_s, ranges, intensity, n_echoes, n_beyond)
 

@@ -17,10 +17,11 @@ from prc_cli.formats.bags.containers import Bag, Message, Topic
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, LaserScan, parse_laser
 from prc_cli.formats.bags.messages import OUSTER, PACKED, ShortMessageError, parse_packets
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised.scans import check_rules, check_width
+from prc_cli.formats.organised.scans import RULED_OUT, check_rules, check_width
 from prc_cli.formats.packets.read import PacketLines, find_metadata, is_scan
 from prc_cli.formats.packets.repeats import Repeats
 from prc_cli.formats.packets.spinning import KNOWN, NEEDED, describe
+from prc_cli.formats.ranges import refuse_scale, scale_told
 
 MAX_SCANNERS = 256
 """Most scanners of a bag."""
@@ -61,6 +62,9 @@ class BagStream:
         self._repeated = ""
         self._has_returns, self._has_whole_lines = False, True
         self._widest = self._look()
+        self._takes_scale = not any(topic.kind in PACKED for topic in self.topics)
+        if not self._takes_scale:
+            refuse_scale(config, str(path), "packets hold metres")
         check_width(path, self._widest, config)
 
     @property
@@ -72,7 +76,7 @@ class BagStream:
         why = "the bag has no other scans" if not others else f"other scans: {', '.join(others[:10])} (input.topic)"
         if self._config.topic is not None:
             why = "input.topic names it"
-        assumed = [Assumption("input.topic", names, why)]
+        assumed = [Assumption("input.topic", names, why), *scale_told(self._config.range_scale)]
         if len(self._numbers) > 1:
             shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.items())
             assumed.append(Assumption("input.scanner", "one a topic and frame", shown[:500]))
@@ -89,6 +93,8 @@ class BagStream:
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
+                refuses=RULED_OUT | (frozenset() if self._takes_scale else {"range_scale"}),
+                remedy="record the scanner's own topic, in its own frame",
                 has_returns=self._has_returns,
                 scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
                 notes=tuple(notes),
@@ -255,7 +261,7 @@ class _TopicReader:
             if kind in PACKED:
                 yield from self._packets(message, first_record)
             elif kind == CLOUD:
-                cloud = parse_cloud(message.data, is_cdr=is_cdr)
+                cloud = parse_cloud(message.data, is_cdr=is_cdr, scale=self._config.range_scale)
                 self.n_taken = cloud.n_records
                 if self.repeats.is_again(content):
                     self._scanner(cloud.frame, CloudLines, cloud, self._between_s).skip(cloud)
@@ -263,7 +269,8 @@ class _TopicReader:
                 lines = self._scanner(cloud.frame, CloudLines, cloud, self._between_s)
                 yield from lines.add(cloud, first_record)
             else:
-                scan = parse_laser(message.data, is_cdr=is_cdr, is_multi=kind == ECHOES)
+                scale = self._config.range_scale
+                scan = parse_laser(message.data, is_cdr=is_cdr, is_multi=kind == ECHOES, scale=scale)
                 self.n_taken = scan.n_records
                 if self.repeats.is_again(content):
                     return

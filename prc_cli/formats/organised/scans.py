@@ -124,6 +124,15 @@ def refuse_rules(path: Path, config: InputConfig, what: str, **allowed: tuple[st
             raise ConfigError(f"input.{key}", problem, "leave the key out")
 
 
+RULED_OUT = frozenset(
+    (
+        "lines", "columns", "range", "trajectory", "scanner", "order", "angle_start", "angle_step", "points_per_line",
+        "layout", "azimuth_step", "partial_line", "time_origin",
+    )
+)  # fmt: skip
+"""Keys that scans refuse, or that do nothing for them: they hold lines, columns and angles themselves."""
+
+
 def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
     """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges."""
     refuse_rules(
@@ -176,7 +185,12 @@ def describe(
         n_records=sum(shape.n_records for shape in shapes),
         n_lines=sum(shape.n_lines for shape in full),
         assumptions=tuple(assumed),
-        facts=SourceFacts(has_scans=True, notes=tuple(notes)),
+        facts=SourceFacts(
+            has_scans=True,
+            notes=tuple(notes),
+            refuses=RULED_OUT | {"range_scale"},
+            remedy="export the scan again, in metres, with the scanner at its origin",
+        ),
     )
 
 

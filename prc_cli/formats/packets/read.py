@@ -14,7 +14,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.core.types import U8
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.organised.scans import check_rules, check_width
+from prc_cli.formats.organised.scans import RULED_OUT, check_rules, check_width
 from prc_cli.formats.packets.capture import CaptureCount, Datagram, read_datagrams
 from prc_cli.formats.packets.columns import ColumnLines
 from prc_cli.formats.packets.ouster import Metadata, OusterDecoder, read_metadata
@@ -154,6 +154,8 @@ class PacketStream:
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=True,
+                refuses=RULED_OUT | {"range_scale"},
+                remedy="check the model of the scanner and its metadata",
                 has_returns=self._has_returns,
                 scanners=tuple(self._scanners) if len(self._scanners) > 1 else (),
                 notes=(*self._notes(), *self._lost),

@@ -36,10 +36,14 @@ LEAST_RECORDS = 100
 """Fewer records are not judged."""
 NEAR_M = 0.02
 """Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
+NARROW = 2.0
+"""The longest ranges of a scanner are more than twice the shortest."""
 LEAST_MEDIAN_M = 0.15
 """Least median range that a unit is offered for [m]."""
 NOTHING_ELSE = 0.95
 """Where nearly all ranges are equal nothing was measured, or the scan was made up."""
+CODE_M, MIN_RANGE_M = 0.03, 0.05
+"""No scanner on a vehicle measures ranges below the first [m]; the second leaves them out."""
 CODED = 0.01
 """Share of ranges that are equal to the largest: chance gives one in thousands."""
 HIGH_M, FAR_MEDIAN_M = 150.0, 5000.0
@@ -162,6 +166,8 @@ def check_missing_code(seen: Seen) -> Finding | None:
     known = _known_ranges(seen)
     if len(known) < LEAST_RECORDS:
         return None
+    if (near := _near_codes(known)) is not None:
+        return near
     longest = float(known.max())
     share = float(np.mean(known == longest))
     found = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
@@ -172,6 +178,19 @@ def check_missing_code(seen: Seen) -> Finding | None:
     return Finding(
         "missing-code", verdict(doubtful=is_code), found, f"at most {CODED:.0%}", hint, option if is_code else ""
     )
+
+
+def _near_codes(known: F32) -> Finding | None:
+    """Return the doubt that very short ranges are error codes; None where there are few, or hardly others."""
+    is_near = known < CODE_M
+    share = float(np.mean(is_near))
+    others = known[~is_near]
+    if not CODED < share < NOTHING_ELSE or float(np.median(others)) < LEAST_MEDIAN_M:
+        return None
+    found = f"{share:.1%} of the ranges are below {CODE_M:g} m, at most {float(known[is_near].max()):.3g} m"
+    option = f"--set input.min_range={MIN_RANGE_M:g}"
+    hint = f"scanners write error codes as such ranges: {option}"
+    return Finding("missing-code", Verdict.DOUBTFUL, found, f"at most {CODED:.0%}", hint, option)
 
 
 def _known_ranges(seen: Seen) -> F32:
@@ -210,13 +229,22 @@ def check_ranges(seen: Seen) -> Finding | None:
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
     option = ""
+    is_far_off = median > HIGH_M and _is_narrow(known)
+    if is_far_off:
+        hint = "x, y, z seem to be in another frame than that of the scanner: --range origin:X,Y,Z or trajectory:FILE"
     for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
-        if not LEAST_MEDIAN_M <= median <= HIGH_M and LEAST_MEDIAN_M <= scale * median <= HIGH_M:
+        if not is_far_off and not LEAST_MEDIAN_M <= median <= HIGH_M and LEAST_MEDIAN_M <= scale * median <= HIGH_M:
             option = f"--set {KEY}={scale:g}"
             hint = f"if they are {unit}: {option}; else {hint}"
     is_against = not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST
     is_doubtful = far > COUNTED or median > HIGH_M
     return Finding("ranges", verdict(doubtful=is_doubtful, against=is_against), found, expected, hint, option)
+
+
+def _is_narrow(known: F32) -> bool:
+    """Whether all ranges are about the same, as those of a place seen from far off are."""
+    low, high = np.percentile(known, [5, 95])
+    return bool(high < NARROW * low)
 
 
 BY_PLACE = ("units", "down", "angle-step")

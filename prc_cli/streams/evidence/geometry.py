@@ -85,7 +85,7 @@ def check_down(seen: Seen) -> Finding | None:
     off = abs(math.remainder(guess.down_rad, 2 * math.pi))
     found = f"level ground is {math.degrees(off):.0f} deg from straight down ({_shown(guess)})"
     told = verdict(doubtful=off > DOWN_DOUBTFUL_RAD, against=off > DOWN_AGAINST_RAD)
-    hint = f"give input.nadir, or {_corrected(seen, guess)}" if told else ""
+    hint = _corrected(seen, guess) if told else ""
     if not told and (n_off := _n_elsewhere(seen, seen.beam_rad, scale)):
         told = Verdict.DOUBTFUL
         found = f"level ground is elsewhere in {n_off} of {len(seen.windows)} samples along the drive"
@@ -102,13 +102,13 @@ def _shown(guess: DownGuess) -> str:
 def _corrected(seen: Seen, guess: DownGuess) -> str:
     """Return what would turn straight down to where the ground is."""
     if seen.angle_rad is None or seen.beam_rad is None:
-        return "coordinates relative to the scanner with z up"
+        return "give x, y, z relative to the scanner, with z up"
     at = int(np.argmin(np.abs(wrap(seen.beam_rad - guess.down_rad))))
     away = math.remainder(float(guess.down_rad - seen.beam_rad[at]), 2 * math.pi)
     step = wrap(np.diff(seen.beam_rad)) * wrap(np.diff(seen.angle_rad))
     away = away if np.sign(step).sum() >= 0 else -away
     nadir = math.degrees(math.remainder(float(seen.angle_rad[at]) + away, 2 * math.pi))
-    return f"where the ground is right --set input.nadir={nadir + 0.0:.0f}"
+    return f"give input.nadir, or where the ground is right --set input.nadir={nadir + 0.0:.0f}"
 
 
 def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:

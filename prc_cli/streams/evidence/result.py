@@ -18,7 +18,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from prc_cli.core.classes import Label
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.hints import fitting_finding
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F32, F64, I64, U8, Mask
 from prc_cli.methods.base import UsualLabels
@@ -51,7 +53,7 @@ WHOLE = 0.8
 LONG_STRETCHES = 3
 """Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
 
-_LOOK_FOR_DOWN = "look where down is: prc info, or give it with --set input.nadir=DEG"
+_LOOK_FOR_DOWN = "look where down is: prc info; or give it with --set input.nadir=DEG"
 _NO_STREET = "a room, or one thing, has neither ground nor buildings nor cars; leave such stretches out"
 _LOOK_AT_INPUT = "look at the order of the shots, M and the unit of the ranges: prc info"
 
@@ -136,6 +138,7 @@ class ResultWatch:
     """Watches the labels while they are written, and checks them."""
 
     usual: UsualLabels
+    facts: SourceFacts = field(default_factory=SourceFacts)
     _scanners: dict[int, _Kept] = field(default_factory=dict, init=False)
 
     def see(self, item: LabelledBlock) -> None:
@@ -150,7 +153,13 @@ class ResultWatch:
     def findings(self) -> tuple[Finding, ...]:
         """Return the answers of all checks to what has passed so far; too little to tell gives no finding."""
         scanners = sorted(self._scanners.items())
-        return tuple(worst_of({one: check_labels(kept.sample(), self.usual) for one, kept in scanners}))
+        return tuple(worst_of({one: self._fitted(kept.sample()) for one, kept in scanners}))
+
+    def _fitted(self, sample: _Sample) -> Iterator[Finding]:
+        """Yield the answers for one scanner; their hints name only what the input takes."""
+        without_angles = frozenset() if sample.angle_rad is not None else frozenset(("nadir",))
+        for finding in check_labels(sample, self.usual):
+            yield fitting_finding(finding, self.facts.refuses | without_angles, self.facts.remedy)
 
 
 def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.findings import CHECK_NAMES, ORDER_CHECKS, Finding, accept, doubts, refuse
+from prc_cli.core.hints import fitting_finding
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
@@ -139,11 +140,20 @@ class EvidenceStream(Brief):
 def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
     """Ask all checks of every scanner; ``others`` are answers to what was asked of the whole stream."""
     told = {
-        one.scanner: [with_other_reading(each, one.info.path, one.points_per_line) for each in ask_all(one)]
+        one.scanner: [
+            _fitted(with_other_reading(each, one.info.path, one.points_per_line), one) for each in ask_all(one)
+        ]
         for one in seen
     }
     every = (*worst_of(told), *others)
     return accept(sorted(every, key=lambda one: CHECK_NAMES.index(one.check)), accepted)
+
+
+def _fitted(finding: Finding, seen: Seen) -> Finding:
+    """Return a finding that names only what the input takes."""
+    facts = seen.info.facts
+    without_angles = frozenset() if seen.angle_rad is not None else frozenset(("nadir",))
+    return fitting_finding(finding, facts.refuses | without_angles, facts.remedy)
 
 
 def accepted_by(config: InputConfig) -> tuple[str, ...]:
