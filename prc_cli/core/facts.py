@@ -61,6 +61,8 @@ class SourceFacts:
     """Whether shots of the file may have several returns, known where images are read (bags, packets)."""
     has_scans: bool = False
     """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
+    stations: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
+    """Position of the scanner of every scan among all scans, by scanner [m]; empty where all are at the origin."""
     scanners: tuple[str, ...] = ()
     """Names of the scanners, by their number, where several send at the same time (bags, packets)."""
     rules: tuple[KnownRule, ...] = ()
@@ -69,6 +71,8 @@ class SourceFacts:
     """What is unusual about the file, one sentence each; always shown, and kept in the run record."""
     refused: str = ""
     """Why the usual library refuses the file, whose damage is copied; empty if it does not."""
+    unread: str = ""
+    """What follows the records that the header counts; empty = nothing."""
     dropped: str = ""
     """What the run record inside the file says of shots that were left out; empty = nothing."""
     refuses: frozenset[str] = frozenset()

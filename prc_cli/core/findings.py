@@ -17,7 +17,7 @@ from prc_cli.core.errors import EvidenceError
 CHECK_NAMES = (
     "thinned", "path",
     "ranges", "rounding", "missing-code", "shot-order", "few-lines", "line-length", "columns-along", "line-order",
-    "standing", "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "other-readers",
+    "standing", "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "unread", "other-readers",
     "dropouts", "range-noise", "units", "coordinates", "angle-step", "down", "method", "ground-below", "ground-lean",
     "below-ground", "noise-share", "indoors", "few-rings", "classes-along",
 )  # fmt: skip

@@ -370,6 +370,9 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
         # readers of organised scans and arrays report there what they skip
         if assumption.value.startswith(NOT_READ):
             yield f"{assumption.value.removeprefix(NOT_READ)}, which the stream does not hold"
+    if stations := opened.info.facts.stations:
+        x, y, z = stations[min(stations)]
+        yield f"the positions of the scans, such as {x:g}, {y:g}, {z:g} m of the first: x, y, z are from the scanner"
     records = opened.source
     if records is None:
         return

@@ -24,7 +24,7 @@ from prc_cli.formats import open_source
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.writing.base import NO_CODE
-from prc_cli.formats.writing.columns import SPACING_M, LinesApart, Placement
+from prc_cli.formats.writing.columns import SPACING_M, AtStations, LinesApart, Placement
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import reading_beside
 from prc_cli.methods.rings.pipeline import is_fan
@@ -177,6 +177,9 @@ def placement(source: Path, output: Path, loaded: LoadedConfig, stream: ScanStre
     first = next(iter(plain.blocks()), None)
     records = open_source(source, loaded.config.layout)
     axes = () if first is None else axes_of(records, plain, first, loaded.config)
+    if first is not None and first.xyz_m is not None and plain.info.facts.stations:
+        yield AtStations(plain.info.facts.stations)
+        return
     if records is None or not axes:
         yield None if first is None or first.xyz_m is not None else lines_apart(stream, loaded.config)
         return

@@ -34,6 +34,11 @@ SCALE_M = 0.001
 SCALE_DEG = 1e-8
 """The same of longitude and latitude [deg]: about 1 mm, and 21 deg to either side fit into a file."""
 
+MOST_FAR = 0.01
+"""Largest share of coordinates that are damaged; more are of another unit."""
+INTENSITY_STEPS = 65535.0
+"""Full scale of intensities."""
+
 OFFSET_STEP_M = 1000.0
 """Registered coordinates are kept relative to a whole multiple of this [m]."""
 _POINT_FORMAT = 6
@@ -62,6 +67,8 @@ class LasBuilder(StagedWriter):
         self._high = np.full(3, np.iinfo(np.int64).min, np.int64)
         self._offset_m = np.zeros(3)
         self._scale = np.full(3, SCALE_M)
+        self._intensity_scale: float | None = None
+        self._n_moved = 0
         self._n_clipped = self._n_timeless = self._n_timed = self._n_codes_lost = 0
 
     @property
@@ -153,7 +160,7 @@ class LasBuilder(StagedWriter):
             angle = np.rint(turn / SCAN_ANGLE_STEP_DEG)
             points["scan_angle"] = np.where(np.isfinite(angle), angle, 0.0).astype(np.int16)[shots.column]
         if scan.intensity is not None:
-            value = np.nan_to_num(scan.intensity[shots.line, shots.column], nan=0.0, posinf=65536.0, neginf=-1.0)
+            value = self._scaled(scan.intensity[shots.line, shots.column])
             clipped = np.clip(np.rint(value), 0, 65535)
             self._n_clipped += int(np.count_nonzero(clipped != np.rint(value)))
             points["intensity"] = clipped.astype(np.uint16)
@@ -164,6 +171,16 @@ class LasBuilder(StagedWriter):
             self._n_timed += int(np.count_nonzero(known))
         self._n_timeless = int(self._by_return.sum()) - self._n_timed
 
+    def _scaled(self, intensity: F32) -> F64:
+        """Return intensities in whole numbers; where the first are 0 to 1 and not whole, scaled to 0 to 65535."""
+        value = np.nan_to_num(intensity.astype(np.float64), nan=0.0, posinf=65536.0, neginf=-1.0)
+        if self._intensity_scale is None and len(value):
+            is_share = bool(value.min() >= 0 and value.max() <= 1 and (value % 1 != 0).any())
+            self._intensity_scale = INTENSITY_STEPS if is_share else 1.0
+            if is_share:
+                self._notice(f"intensities from 0 to 1 are written as 0 to {INTENSITY_STEPS:.0f}")
+        return value * (self._intensity_scale or 1.0)
+
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
         """Coordinates in steps of the file, (n, 3) int64; those outside the range of the file are refused."""
         own, extra = self._placed
@@ -171,8 +188,15 @@ class LasBuilder(StagedWriter):
         other = shots.extra >= 0
         xyz[other] = extra[shots.extra[other]]
         steps: F64 = np.rint((xyz - self._offset_m) / self._scale)
-        if not np.all(np.abs(steps) <= 2**31 - 1):  # also refuses NaN
-            bad = int(np.flatnonzero(~np.all(np.abs(steps) <= 2**31 - 1, axis=1))[0])
+        is_far = ~np.all(np.abs(steps) <= 2**31 - 1, axis=1)  # also NaN
+        if is_far.any() and np.count_nonzero(is_far) <= max(MOST_FAR * len(steps), 1):
+            # single damaged coordinates, beside a good range
+            self._n_moved += int(np.count_nonzero(is_far))
+            good = np.maximum.accumulate(np.where(is_far, 0, np.arange(len(steps))))
+            steps = steps[good]
+            steps[is_far & (good == 0)] = steps[~is_far][:1] if not is_far.all() else 0.0
+        elif is_far.any():
+            bad = int(np.argmax(is_far))
             where = f"scan line {scan.first_line + int(shots.line[bad])}, column {int(shots.column[bad])}"
             problem = f"{where}: found coordinates {xyz[bad].tolist()} m, expected finite ones within ±2147483 m"
             raise OutputError(str(self.path), problem, "check the ranges' unit, or set [input] max_range")
@@ -196,6 +220,9 @@ class LasBuilder(StagedWriter):
     def _write(self, record: RunRecord) -> RunRecord:
         if self._n_clipped:
             self._notice(f"{self._n_clipped} intensities lie outside 0 to 65535 and were clipped")
+        if self._n_moved:
+            how = "are at the place of the record before"
+            self._notice(f"{self._n_moved} records have no usable x, y, z and {how}")
         if self._n_timed and self._n_timeless:
             self._notice(f"{self._n_timeless} records have no time; their gps_time is 0")
         self._sink.close()

@@ -24,8 +24,10 @@ from prc_cli.core.files import file_state
 from prc_cli.core.process import absent
 from prc_cli.formats.writing.record import dropped_of
 
-STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
+STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
 """Header length by minor version; bytes beyond it are user bytes."""
+MOST_MINOR = 10
+"""Versions from here on are damage, not newer ones."""
 N_POINT_FORMATS = 11
 MAX_HEAD_BYTES = 64 << 20
 """Most bytes before the first record, which are held in memory: more is damage."""
@@ -216,6 +218,16 @@ class LasHeader:
         return 0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
 
     @property
+    def n_unread_records(self) -> int:
+        """LAS: whole records that follow the last one that the header counts; 0 where they are zeros or waveforms."""
+        n = self.n_unread_bytes // self.record_bytes
+        if n < 1 or self.fields().get("waveform_start"):
+            return 0
+        with open_source(self.path) as source:
+            source.seek(self.data_offset + self.n_records * self.record_bytes)
+            return n if any(source.read(self.record_bytes)) else 0
+
+    @property
     def mins(self) -> tuple[float, ...]:
         """Least x, y, z as the header has them."""
         return self.fields().values("bounds")[1::2]
@@ -352,13 +364,15 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
     path, where = source.path, str(source.path)
     if file_bytes == 0:
         raise InputError(where, "empty file, expected a LAS header of at least 227 bytes", DAMAGED)
-    head = source.read(STANDARD_HEADER[4])
+    head = source.read(max(STANDARD_HEADER.values()))
     if head[:4] != b"LASF"[: len(head)]:
         problem = f"begins with {head[:4]!r}, expected b'LASF': not a LAS or LAZ file"
         raise InputError(where, problem, "give raw dumps a [layout] and one of the suffixes .bin .raw .dat")
     major, minor = head[24:26] if len(head) > 25 else (1, 0)
     if major != 1 or minor not in STANDARD_HEADER:
-        raise damaged(path, 24, f"LAS version {major}.{minor}, expected 1.0 to 1.4")
+        is_newer = major == 1 and max(STANDARD_HEADER) < minor < MOST_MINOR
+        hint = "save it as LAS 1.4 with the program that made it" if is_newer else DAMAGED
+        raise damaged(path, 24, f"LAS version {major}.{minor}, expected 1.0 to 1.{max(STANDARD_HEADER)}", hint)
     least = STANDARD_HEADER[minor]
     if len(head) < least:
         raise InputError(where, f"header cut short: {len(head)} bytes, expected at least {least}", DAMAGED)

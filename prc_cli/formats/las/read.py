@@ -112,10 +112,8 @@ class LasSource:
             notes.append("gps_time is 0 throughout the first chunk: taken as no time")
         if "angle" in self._zero:
             notes.append("scan_angle is 0 throughout the first chunk: taken as no scan angle")
-        if self.header.n_unread_bytes:
+        if self.header.n_unread_bytes and not self.header.n_unread_records:
             notes.append(f"{self.header.n_unread_bytes} bytes follow the last record the header counts: not read")
-        if self._n_unread_chunks:
-            notes.append(f"{self._n_unread_chunks} LAZ chunks follow the last record the header counts: not read")
         notes.extend(self._layout.notes)
         return tuple(notes)
 
@@ -130,12 +128,22 @@ class LasSource:
             rules=angle_rules(self._layout.angle_name),
             notes=self.notes,
             refused=refused_by_laspy(self.header),
+            unread=self._unread,
             dropped=find_dropped(self.header),
             laz_contexts=self.laz_contexts,
             describe=self.describe,
             skip_intensity=self.skip_intensity,
             check_layers=self.check_layers,
         )
+
+    @property
+    def _unread(self) -> str:
+        """Return what follows the records that the header counts, as text; empty if nothing does."""
+        if n := self.header.n_unread_records:
+            return f"{n:,} whole records follow the {self.n_records:,} that the header counts"
+        if n := self._n_unread_chunks:
+            return f"{n} LAZ chunks of records follow the {self.n_records:,} records that the header counts"
+        return ""
 
     def skip_intensity(self) -> None:
         """Decode ``intensity`` only where a shot may have several returns: it is a fifth of the time."""

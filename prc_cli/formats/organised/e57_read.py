@@ -92,6 +92,8 @@ class E57Scan:
     """Intensity limits in the header; None if absent or not a range."""
     quaternion: tuple[float, ...] | None
     """Rotation of the pose, w x y z; None without a pose."""
+    station_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Translation of the pose [m]."""
 
 
 class E57File:
@@ -154,7 +156,11 @@ class E57File:
         quaternion = None
         if node.isDefined("pose") and node["pose"].isDefined("rotation"):
             quaternion = tuple(_value(node["pose"]["rotation"][key]) for key in "wxyz")
-        return E57Scan(index, fields, int(points.childCount()), _bounds(node), _limits(node), quaternion)
+        station = (0.0, 0.0, 0.0)
+        if node.isDefined("pose") and node["pose"].isDefined("translation"):
+            x, y, z = (_value(node["pose"]["translation"][key]) for key in "xyz")
+            station = (x, y, z) if np.isfinite([x, y, z]).all() else station
+        return E57Scan(index, fields, int(points.childCount()), _bounds(node), _limits(node), quaternion, station)
 
     def chunks(self, scan: E57Scan, names: tuple[str, ...]) -> Iterator[dict[str, F64]]:
         """Decode the named fields of all points of a scan, scaled to metres and radians."""
@@ -270,7 +276,8 @@ class E57Stream:
                 n_records += table.n_points
         shapes = [scan.shape for scan in self._scans]
         check_shapes(path, shapes, config)
-        self.info = describe(path, "E57", shapes, self._assumptions(), self._notes())
+        poses = [scan.pose for scan in self._scans]
+        self.info = describe(path, "E57", shapes, self._assumptions(), self._notes(), poses)
 
     def _where(self, index: int) -> str:
         return f"{self._path}: scan {index}"
@@ -321,8 +328,9 @@ class E57Stream:
             raise InputError(where, problem, _AGAIN)
 
     def _pose(self, table: E57Scan) -> Pose:
+        station_m = np.array(table.station_m)
         if table.quaternion is None:
-            return Pose.none()
+            return replace(Pose.none(), station_m=station_m)
         w, x, y, z = table.quaternion
         with np.errstate(over="ignore", invalid="ignore"):
             length = float(np.sqrt(w * w + x * x + y * y + z * z))
@@ -338,7 +346,7 @@ class E57Stream:
             ]
         )
         assert is_rotation(turn)
-        return Pose(turn.T.copy(), np.zeros(3))
+        return Pose(turn.T.copy(), np.zeros(3), station_m)
 
     def _assumptions(self) -> list[Assumption]:
         full = [scan for scan in self._scans if scan.shape.n_cells]

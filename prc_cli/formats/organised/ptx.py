@@ -132,7 +132,8 @@ class PtxStream:
             self._scans = _Survey(path, handle, pad=config.partial_line == "pad").scans()
         shapes = [scan.shape for scan in self._scans]
         check_shapes(path, shapes, config)
-        self.info = describe(path, "PTX", shapes, self._assumptions(), self._notes())
+        poses = [scan.pose for scan in self._scans]
+        self.info = describe(path, "PTX", shapes, self._assumptions(), self._notes(), poses)
 
     def _assumptions(self) -> list[Assumption]:
         turned = any(not np.array_equal(scan.pose.rotation, np.eye(3)) for scan in self._scans)
@@ -290,7 +291,8 @@ class _Survey:
         # some programs omit the position
         offset = matrix[3, :3] - np.array(position) if any(position) else np.zeros(3)
         # the two may be written with different numbers of digits
-        return Pose(rotation, offset if np.abs(offset).max() > _SAME_PLACE_M else np.zeros(3))
+        offset = offset if np.abs(offset).max() > _SAME_PLACE_M else np.zeros(3)
+        return Pose(rotation, offset, matrix[3, :3] - offset)
 
     def _read_line(self) -> bytes:
         line = self._handle.readline(MAX_LINE_BYTES + 1)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,9 @@ class Pose:
     """(3, 3) float64, rows are the axes of the file in a frame with z up."""
     offset_m: F64
     """(3,) float64, origin of the file relative to the scanner, in the rotated frame [m]; usually zero."""
+
+    station_m: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) float64, position of the scanner among all scans [m]."""
 
     @classmethod
     def none(cls) -> Pose:
@@ -164,7 +167,12 @@ def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> No
 
 
 def describe(
-    path: Path, form: str, shapes: list[ScanShape], assumptions: list[Assumption], notes: list[str]
+    path: Path,
+    form: str,
+    shapes: list[ScanShape],
+    assumptions: list[Assumption],
+    notes: list[str],
+    poses: Sequence[Pose] = (),
 ) -> StreamInfo:
     """Return the metadata known before reading."""
     full = [shape for shape in shapes if shape.n_cells]
@@ -187,11 +195,18 @@ def describe(
         assumptions=tuple(assumed),
         facts=SourceFacts(
             has_scans=True,
+            stations=_stations(shapes, poses),
             notes=tuple(notes),
             refuses=RULED_OUT | {"range_scale"},
             remedy="export the scan again, in metres, with the scanner at its origin",
         ),
     )
+
+
+def _stations(shapes: list[ScanShape], poses: Sequence[Pose]) -> dict[int, tuple[float, float, float]]:
+    """Return the position of the scanner of every scan; empty where all are at the origin."""
+    placed = {shape.scanner: tuple(pose.station_m.tolist()) for shape, pose in zip(shapes, poses, strict=False)}
+    return placed if any(map(any, placed.values())) else {}
 
 
 def spans(n_lines: int, lines: int) -> Iterator[tuple[int, int]]:

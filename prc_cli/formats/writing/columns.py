@@ -75,6 +75,26 @@ class LinesApart:
         return 2.0 * np.pi * np.arange(block.points_per_line) / block.points_per_line, False
 
 
+@dataclass(frozen=True, slots=True)
+class AtStations:
+    """Points of static scans among all scans: relative to the scanner, and where that stood.
+
+    >>> place = AtStations({1: (100.0, 0.0, 5.0)})
+    >>> xyz = np.array([[[1.0, 2.0, 3.0]]], np.float32)
+    >>> place(ScanBlock(0, np.array([[3.74]], np.float32), scanner=1, xyz_m=xyz))[0].tolist()
+    [[[101.0, 2.0, 8.0]]]
+    """
+
+    stations: Mapping[int, tuple[float, float, float]]
+    """Position of every scanner [m]."""
+
+    def __call__(self, block: ScanBlock) -> tuple[F64, F64]:
+        """Return the coordinates of a block."""
+        (own, extra), _ = coordinates(block, None)
+        station_m = np.array(self.stations.get(block.scanner, (0.0, 0.0, 0.0)))
+        return own + station_m, extra + station_m
+
+
 def behind(along_m: NDArray[Any], angle: NDArray[Any], range_m: NDArray[Any], *, is_upright: bool = True) -> F64:
     """Return shots of planes behind each other, upright ones along x, others one above the other, (..., 3) [m]."""
     r = np.asarray(range_m, np.float64)

@@ -161,6 +161,14 @@ def check_other_readers(seen: Seen) -> Finding | None:
     return Finding("other-readers", Verdict.DOUBTFUL, found, "a file that other programs read", hint)
 
 
+def check_unread(seen: Seen) -> Finding | None:
+    """Ask whether the header counts all records."""
+    if not seen.info.facts.unread:
+        return None
+    hint = "they are not labelled: mend the counts of the header, for example with LAStools: lasinfo -i FILE -repair"
+    return Finding("unread", Verdict.DOUBTFUL, seen.info.facts.unread, "a header that counts all records", hint)
+
+
 def check_missing_code(seen: Seen) -> Finding | None:
     """Ask whether one and the same largest range stands for no return."""
     known = _known_ranges(seen)
@@ -259,7 +267,7 @@ def ask_all(seen: Seen) -> Iterator[Finding]:
     for finding in _known(*_of_ranges(seen)):
         yield _along_path(finding) if along and finding.check in BY_PLACE else finding
     yield from _known(check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen))
-    yield from _known(check_other_readers(seen))
+    yield from _known(check_unread(seen), check_other_readers(seen))
 
 
 def _along_path(finding: Finding) -> Finding:
