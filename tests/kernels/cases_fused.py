@@ -183,7 +183,8 @@ def directions_case(rng: Generator) -> tuple[Any, ...]:
 
 def walk_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    memory = rng.normal(-2, 0.2, (2, fused_ground.BINS)).astype(np.float32)
+    # ledges and roofs that were taken for the ground lie above it
+    memory = rng.normal(rng.choice([-2.0, -1.0]), 0.2, (2, fused_ground.BINS)).astype(np.float32)
     age = rng.choice([0, 3, 60, 1000], (2, fused_ground.BINS)).astype(np.int32)
     if rng.random() < 0.5:
         age[:] = 1000
@@ -207,7 +208,18 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
     sums = (shots * np.float32(-1.9)).astype(np.float32)
     sides = one.left, one.right
     known = memory, age, shots, sums
-    return one.range_m, one.beams, random_counts(rng, one), sides, known, start, lost, keep, chosen
+    return (
+        one.range_m,
+        one.beams,
+        random_counts(rng, one),
+        sides,
+        known,
+        start,
+        lost,
+        int(rng.integers(0, 8)),
+        keep,
+        chosen,
+    )
 
 
 def heights(rng: Generator, one: Street) -> F32:

@@ -10,7 +10,9 @@ from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
 QUARTER, HALF, BINS = np.float32(0.25), np.float32(0.5), 320
+MISSED_SHOTS, MISSED_LINES, MISSED_M = 16, 8, np.float32(0.6)
 TENTH, LOST_LINES, START_FOLLOW = np.float32(0.1), 32, np.float32(0.005)
+MOST_AGE = np.iinfo(np.int32).max
 Memory = tuple[F32, I32, F32, F32]
 
 
@@ -22,9 +24,10 @@ def walk_ground(
     memory: Memory,
     start_m: np.float32,
     lost: int,
+    missed: int,
     keep: int,
     thresholds: WalkThresholds,
-) -> tuple[F32, Mask, Memory, float, int]:
+) -> tuple[F32, Mask, Memory, float, int, int]:
     """Find the ground; see :func:`prc_cli.methods.fused.ground_loops.walk_ground`."""
     side_m, height_m = range_m * beams[0], -(range_m * beams[1])
     above, walked = np.full(side_m.shape, np.nan, np.float32), np.zeros(side_m.shape, np.bool_)
@@ -33,7 +36,7 @@ def walk_ground(
     kept = None
     for line in range(len(side_m)):
         if line == keep:
-            kept = _copied(heights, ages, shots, sums), start_m, lost
+            kept = _copied(heights, ages, shots, sums), start_m, lost, missed
         level = (counts[0][line] >= thresholds.least_near) & (counts[1][line] > 0)
         level &= counts[3][line] > counts[2][line]
         known = np.flatnonzero((ages.astype(np.float32) < thresholds.memory_lines).any(axis=0))
@@ -58,10 +61,22 @@ def walk_ground(
             b = min(int(place), BINS - 2)
             share = min(place - np.float32(b), np.float32(1))
             above[line, i] = height_m[line, i] - (profile[b] + (profile[b + 1] - profile[b]) * share)
+        near = level & (np.abs(side_m[line]) < thresholds.start_reach_m) & (height_m[line] < 0)
+        n_below = np.count_nonzero(above[line][near] < -MISSED_M)
+        if n_below >= MISSED_SHOTS and n_below > np.count_nonzero(walked[line][near]):
+            missed += 1
+            _search(side_m[line][level], height_m[line][level], shots, sums, thresholds)
+            if missed == MISSED_LINES:
+                start_m, missed, lost = _lowest(shots, sums), 0, 0
+                ages[:] = MOST_AGE
+                shots[:] = sums[:] = 0
+        elif missed:
+            missed = 0
+            shots[:] = sums[:] = 0
     if kept is None:
-        kept = _copied(heights, ages, shots, sums), start_m, lost
-    known_memory, known_start_m, known_lost = kept
-    return above, walked, known_memory, float(known_start_m), known_lost
+        kept = _copied(heights, ages, shots, sums), start_m, lost, missed
+    known_memory, known_start_m, known_lost, known_missed = kept
+    return above, walked, known_memory, float(known_start_m), known_lost, known_missed
 
 
 def _copied(heights: F32, ages: I32, shots: F32, sums: F32) -> Memory:
@@ -105,7 +120,7 @@ class _Memory:
         self.seen = sorted(seen)
         for b in self.seen:
             self.height[b] = self.height[b] + (seen[b] - self.height[b]) * self.follow if known[b] else seen[b]
-        self.age += 1
+        self.age += self.age < MOST_AGE
         self.age[self.seen] = 0
 
     def profile(self, start_m: np.float32) -> F32:

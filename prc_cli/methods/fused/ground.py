@@ -40,13 +40,15 @@ class GroundMemory:
     not reach it in small steps."""
     lost: int
     """Lines with level shots since any bin was known; below 0 = none ever was."""
+    missed: int
+    """Lines in a row in which level shots near the scanner lie below the known ground."""
 
     @classmethod
     def none(cls) -> GroundMemory:
         """Return the memory before the first line."""
         return cls(
             np.zeros((2, BINS), np.float32), np.full((2, BINS), NEVER, np.int32),
-            np.zeros((2, DEPTHS), np.float32), np.zeros((2, DEPTHS), np.float32), np.float32(0.0), -1,
+            np.zeros((2, DEPTHS), np.float32), np.zeros((2, DEPTHS), np.float32), np.float32(0.0), -1, 0,
         )  # fmt: skip
 
 
@@ -73,9 +75,9 @@ def follow_ground(
 
     ``range_m`` (lines, M) float32, metres.
     """
-    above, walked, kept, start_m, lost = kernels.walk_ground(
+    above, walked, kept, start_m, lost, missed = kernels.walk_ground(
         range_m, plane.beams, seen.counts, (plane.left, plane.right),
         (memory.height_m, memory.age, memory.level_shots, memory.level_m), np.float32(memory.start_m), memory.lost,
-        keep, limits,
+        memory.missed, keep, limits,
     )  # fmt: skip
-    return Ground(above, walked), GroundMemory(*kept, np.float32(start_m), lost)
+    return Ground(above, walked), GroundMemory(*kept, np.float32(start_m), lost, missed)

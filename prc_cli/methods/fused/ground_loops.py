@@ -20,6 +20,9 @@ DEPTHS, DEPTH_M = 1000, np.float32(0.1)
 """Depths below the scanner at which the ground is searched, and the distance from one to the next [m]."""
 LOST_LINES = 32
 """Where no ground was known for so many lines with level shots, it is searched anew."""
+MISSED_SHOTS, MISSED_LINES, MISSED_M = 16, 8, np.float32(0.6)
+"""Where in so many lines in a row so many level shots near the scanner lie this far below the known ground, and more of
+them than on it, the ground is searched anew."""
 START_FOLLOW = np.float32(0.005)
 """Share of a new height in the start: that of a single line may be a car's."""
 MANY = np.float32(0.25)
@@ -63,6 +66,34 @@ def _search(points: tuple[F32, F32], is_level: U8, reach_m: np.float32, counts: 
                     counts[0, d] += np.float32(1.0)
                     sums[0, d] += height[i]
     return is_any
+
+
+@helper
+def _misses_ground(points: tuple[F32, F32], is_level: U8, line: tuple[F32, Mask], reach_m: np.float32) -> bool:
+    """Return whether more level shots near the scanner lie below the known ground than on it."""
+    side, height = points
+    above, walked = line
+    n_below, n_walked = 0, 0
+    for i in range(len(side)):
+        if (is_level[i] != 0) & (abs(side[i]) < reach_m) & (height[i] < np.float32(0.0)):
+            n_below += int(above[i] < -MISSED_M)
+            n_walked += int(walked[i])
+    return (n_below >= MISSED_SHOTS) & (n_below > n_walked)
+
+
+@helper
+def _forget(ages: I32, counts: F32, sums: F32) -> None:
+    """Forget all places, and the level shots that were counted."""
+    for s in range(2):
+        for b in range(BINS):
+            ages[s, b] = MOST_AGE
+        _clear(counts[s], sums[s])
+
+
+@helper
+def _clear(counts: F32, sums: F32) -> None:
+    for d in range(DEPTHS):
+        counts[d] = sums[d] = np.float32(0.0)
 
 
 @helper
@@ -265,8 +296,7 @@ def _start_of_line(
         # counts of earlier lines go when the ground is known again
         if lost != 0:
             for s in range(2):
-                for d in range(DEPTHS):
-                    counts[s, d] = sums[s, d] = np.float32(0.0)
+                _clear(counts[s], sums[s])
         return start_m, 0
     if _search(points, is_level, thresholds.start_reach_m, counts, sums):
         lost = lost - 1 if lost < 0 else lost + 1
@@ -284,10 +314,15 @@ def walk_ground(
     memory: tuple[F32_2, I32_2, F32_2, F32_2],
     start_m: np.float32,
     lost: int,
+    missed: int,
     keep: int,
     thresholds: WalkThresholds,
-) -> tuple[F32_2, Mask_2, tuple[F32_2, I32_2, F32_2, F32_2], float, int]:
+) -> tuple[F32_2, Mask_2, tuple[F32_2, I32_2, F32_2, F32_2], float, int, int]:
     """Find the ground of consecutive lines, and the height of every shot above it.
+
+    A stream may begin with a part of the scene: a tile shows distant ledges or the roof of a car first, and the walk
+    stays on them. So lines are counted in which the walk misses level shots near the scanner that lie below it
+    (``missed``); after some in a row all is forgotten, and the walk begins at these shots.
 
     ``range_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32; ``counts`` tuple of (lines, M) uint8;
     ``sides`` tuple of (n,) int32; returns ``above_m`` (lines, M) float32, metres, ``walked`` (lines, M) bool.
@@ -296,9 +331,9 @@ def walk_ground(
     above = np.empty((n_lines, m), np.float32)
     walked = np.empty((n_lines, m), np.bool_)
     own_memory, kept = _empty(), _empty()
-    kept_start, kept_lost = start_m, lost
+    kept_start, kept_lost, kept_missed = start_m, lost, missed
     _copy(memory, own_memory)
-    heights, ages, _, _ = own_memory
+    heights, ages, shots, sums = own_memory
     profiles, seen = np.empty(2 * BINS, np.float32), np.empty(BINS, np.uint8)
     level_shots, places = np.empty(m + 1, np.int32), np.empty(m, np.int32)
     shares, grounds = np.empty(m, np.float32), np.empty(m, np.float32)
@@ -307,7 +342,7 @@ def walk_ground(
     for line in range(n_lines):
         if line == keep:
             _copy(own_memory, kept)
-            kept_start, kept_lost = start_m, lost
+            kept_start, kept_lost, kept_missed = start_m, lost, missed
         _lay_out(range_m[line], beams, side, height)
         _mark_level(near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level)
         start_m, lost = _start_of_line(own_memory, (start_m, lost), (side, height), is_level, thresholds)
@@ -329,7 +364,18 @@ def walk_ground(
         _places(side, places, shares)
         _grounds(places, shares, profiles, grounds)
         _heights(side, height, grounds, above[line])
+        if _misses_ground((side, height), is_level, (above[line], own), thresholds.start_reach_m):
+            missed += 1
+            _search((side, height), is_level, thresholds.start_reach_m, shots, sums)
+            if missed >= MISSED_LINES:
+                start_m = _lowest(shots, sums)
+                _forget(ages, shots, sums)
+                missed, lost = 0, 0
+        elif missed > 0:
+            missed = 0
+            for s in range(2):
+                _clear(shots[s], sums[s])
     if keep >= n_lines:
         _copy(own_memory, kept)
-        kept_start, kept_lost = start_m, lost
-    return above, walked, kept, float(kept_start), kept_lost
+        kept_start, kept_lost, kept_missed = start_m, lost, missed
+    return above, walked, kept, float(kept_start), kept_lost, kept_missed
