@@ -100,7 +100,7 @@ def test_airborne_strip(real_data: Path, tmp_path: Path) -> None:
     assert found.facts is not None
     assert found.facts.n_lines == n_lines
     json.dumps(found.as_dict(), allow_nan=False)
-    with pytest.raises(InputError, match="no slant range"):
+    with pytest.raises(InputError, match="no ranges"):
         classify(source, tmp_path / "out.laz", options(order="trust"))
     assert list(tmp_path.iterdir()) == []
     origin = origin_above(las, 1000.0)

@@ -94,6 +94,8 @@ def _print(inspection: Inspection, command: str, *, checks: bool, verbose: bool)
     )
     if inspection.problem:
         verdict = f"no, {method} cannot classify it: {inspection.problem}"
+        if inspection.missing:
+            verdict = f"not yet: {inspection.problem}"
         verdict += f"; {inspection.hint}" if inspection.hint else ""
     click.echo(printable(f"{inspection.path}: {verdict}"))
     if command:

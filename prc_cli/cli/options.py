@@ -121,7 +121,7 @@ SHARED = (
             help="dimension:NAME, fixed, angle-wrap, time:HZ, elevation:DEG or rings."),
     _option("input", "Input", "--columns", key="input.columns", help="dimension:NAME, angle, time:HZ or order."),
     _option("input", "Input", "--range", "range_", key="input.range", type=READ_TEXT,
-            help="dimension:NAME, trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
+            help="dimension:NAME, points (registered cloud with times), trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
     _option("input", "Input", "--scanner", key="input.scanner",
             help="none, scanner_channel, point_source_id or user_data."),
     _option("input", "Input", "--topic", key="input.topic",

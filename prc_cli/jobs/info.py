@@ -40,7 +40,15 @@ from prc_cli.streams.grid import open_grid
 from prc_cli.streams.lines import first_ranges
 from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time, take_turns
-from prc_cli.streams.rules import MEASURED, only_times_tell, trusting
+from prc_cli.streams.rules import (
+    MEASURED,
+    NO_RANGES,
+    NO_RANGES_HINT,
+    POINTS,
+    is_timed_cloud,
+    only_times_tell,
+    trusting,
+)
 
 RATE_OFF = 1e-3
 """Rates that differ by more are told: a line would be off by some columns."""
@@ -145,7 +153,8 @@ def _decode(path: Path, loaded: LoadedConfig) -> None:
 def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None) -> Inspection:
     source = open_source(path, loaded.config.layout)
     stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
-    judged = loaded.config.input.order == "require"
+    # times are sorted where the stream is found from the points
+    judged = loaded.config.input.order == "require" and loaded.config.input.range != "points"
     if stream is not None:
         needs = loaded.config.classifier.method().needs
         stream = watched(
@@ -170,7 +179,13 @@ def _inspect_records(
     order: OrderEvidence | None,
 ) -> Inspection:
     """Describe a file of records, and try what may mend it."""
-    judged = loaded.config.input.order == "require"
+    # times are sorted where the stream is found from the points
+    judged = loaded.config.input.order == "require" and loaded.config.input.range != "points"
+    if stream is None and is_timed_cloud(source, loaded.config.input):
+        # nothing is reconstructed unless it is asked for by name
+        lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
+        unread = _describe(path, source, lines, order, refusal, judged=False, with_ranges=False)
+        return replace(unread, problem=NO_RANGES, hint=NO_RANGES_HINT, missing=(POINTS,))
     if stream is None:
         inspection = _describe(
             path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
@@ -204,19 +219,10 @@ def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) 
         # this is prc info: nobody is to be sent here again
         _, sent_here, rest = refused.hint.partition(MEASURED)
         return replace(refused, hint=f"the times show no steady rates; {rest}") if sent_here else refused
-    hint = f"the times show {_shown_rates(rates)}"
-    if inputs.range == "auto" and "range" not in source.dimensions and source.facts.rule("range") is None:
-        options = ["--range trajectory:FILE"]
-        problem = "it has times alone: no scan lines, no columns and no ranges"
-        hint += (
-            "; give the place of the scanner: FILE holds its positions over time, or origin:X,Y,Z; the directions from "
-            "there to the points tell lines and columns"
-        )
-    else:
-        options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
-        options.append(f"--set input.time_origin={rates.time_origin_s!r}")
-        problem = "it has times alone: no scan lines, no columns"
-        hint += "; give all of it at once"
+    options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
+    options.append(f"--set input.time_origin={rates.time_origin_s!r}")
+    problem = "it has times alone: no scan lines, no columns"
+    hint = f"the times show {_shown_rates(rates)}; give all of it at once"
     return replace(refused, rates=rates, missing=tuple(options), problem=problem, hint=hint)
 
 

@@ -150,6 +150,8 @@ def resolve_rules(
     """Resolve ``auto`` and check that all named dimensions exist."""
     if config.order == "require" and is_order_lost(source, config):
         raise OrderError(source.path, LOST, LOST_HINT)
+    if is_timed_cloud(source, config):
+        raise InputError(source.path, NO_RANGES, NO_RANGES_HINT)
     if config.lines == "rings":
         problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
@@ -223,6 +225,22 @@ def _said(config: InputConfig, lines: str, columns: str, has: tuple[str, ...]) -
     if config.return_ != "strongest" and "number_of_returns" not in has:
         why = "the input does not say how many returns a shot has: every record is a shot"
         yield Assumption("input.return", "no effect", why)
+
+
+def is_timed_cloud(source: RecordSource, config: InputConfig) -> bool:
+    """Whether an input is points with times, and nothing in it says how far they are from the scanner."""
+    has = set(source.dimensions)
+    knows = "range" in has or source.facts.rule("range") is not None
+    return {*XYZ, "time"} <= has and config.range == "auto" and not knows
+
+
+NO_RANGES = "the file has no ranges"
+POINTS = "--range points"
+"""The option that finds ranges from points and times."""
+NO_RANGES_HINT = (
+    f"{POINTS} finds the path of the scanner and the ranges from the points and their times; "
+    "if you have the path: --range trajectory:FILE"
+)
 
 
 def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
@@ -391,7 +409,6 @@ def _auto_range(source: RecordSource) -> tuple[str, str]:
         return implied
     ways = ["--range dimension:NAME"]
     if set(XYZ) <= set(source.dimensions):
-        ways += ["--range trajectory:FILE"] if "time" in source.dimensions else []
         ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
     names = ", ".join(source.dimensions[:12]) + (", ..." if len(source.dimensions) > 12 else "")
     problem = f"{_NO_RANGE}: the file has no dimension range, it has {names or 'none'}"

@@ -42,9 +42,9 @@ def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
     time_s, _, column = drive(50.0, 300, 60)
     height = 2 + np.sin(column / 30)
     order = np.random.default_rng(0).permutation(len(time_s))
-    rows = np.column_stack([time_s, height, height, height])
-    np.savetxt(tmp_path / "tile.csv", rows[order], delimiter=",", header="time,x,y,z", comments="", fmt="%.9f")
-    np.savetxt(tmp_path / "drive.csv", rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.9f")
+    rows = np.column_stack([time_s, height, height])
+    np.savetxt(tmp_path / "tile.csv", rows[order], delimiter=",", header="time,range,z", comments="", fmt="%.9f")
+    np.savetxt(tmp_path / "drive.csv", rows, delimiter=",", header="time,range,z", comments="", fmt="%.9f")
     expected = inspect(tmp_path / "drive.csv", load_config()).rates
     assert "--sort-by-time" in inspect(tmp_path / "tile.csv", load_config()).hint
     found = inspect(tmp_path / "tile.csv", load_config(options={"input": {"order": "sort-time"}}))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
+from prc_cli.core.files import file_state
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
@@ -49,8 +51,7 @@ def with_points(
         problem = f"range = points needs x, y, z and a time for every point; the file has no {', '.join(lacking)}"
         raise InputError(source.path, problem, f"it has: {', '.join(source.dimensions)}")
     split = None if config.scanner == "none" else config.scanner
-    spools = spool_by_time(source, split)
-    drive = reconstruct(source.path, spools)
+    drive = _drive_of(source, split)
     cloud = RegisteredSource(source, drive)
     several = len(drive.scans) > 1
     rules: dict[str, object] = {
@@ -65,6 +66,22 @@ def with_points(
         "nadir": None,
     }
     return cloud, config.model_copy(update=rules), drive.assumptions()
+
+
+_latest: tuple[tuple[object, ...], Drive] | None = None
+"""The drive that was found last: a command opens its input several times."""
+
+
+def _drive_of(source: RecordSource, split: str | None) -> Drive:
+    global _latest
+    file = Path(source.path)
+    state = file_state(file) if file.is_file() else None
+    key = (source.path, state, source.n_records, split)
+    if state is None or _latest is None or _latest[0] != key:
+        # the temporary files of the drive before go first
+        _latest = None
+        _latest = (key, reconstruct(source.path, spool_by_time(source, split)))
+    return _latest[1]
 
 
 def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
