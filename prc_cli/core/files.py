@@ -164,6 +164,8 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
     _refuse_inputs(path, inputs)
     if path.is_dir():
         raise OutputError(str(path), "is a folder, expected a file name", "name the file inside it")
+    if path.exists() and not path.is_file():
+        raise OutputError(str(path), "is a pipe or a device, expected the name of a file", "choose another name")
     if path.exists() and not overwrite:
         raise OutputExistsError(str(path), _exists_words(path), "choose another name or add --overwrite")
     folder = path.parent

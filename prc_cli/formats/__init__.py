@@ -55,9 +55,23 @@ def check_input(path: Path) -> str:
             empty = not handle.read(1)
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({error.strerror})", "check its permissions") from error
+    if _is_hollow(path):
+        problem = f"has {path.stat().st_size:,} bytes, of which nearly none are on the disk"
+        raise InputError(str(path), problem, "its copy never ended: copy it from the archive again")
     if empty:
         raise InputError(str(path), "the file is empty (0 bytes), expected scan data", "copy it from the archive again")
     return suffix
+
+
+HOLLOW_BYTES, HOLLOW_RATIO = 1 << 30, 256
+"""A file of so many bytes that takes less than one of so many on the disk was reserved and never written."""
+
+
+def _is_hollow(path: Path) -> bool:
+    status = path.stat()
+    n_blocks = getattr(status, "st_blocks", None)  # of 512 bytes; Windows does not say
+    large = status.st_size >= HOLLOW_BYTES
+    return n_blocks is not None and large and n_blocks * 512 * HOLLOW_RATIO < status.st_size
 
 
 def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:

@@ -149,13 +149,18 @@ class Cloud:
 
     def read(self, box: Box, margin: float = 0.0) -> Columns:
         """Return the points of a box and of a margin around it."""
-        x0, y0, x1, y1 = box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin
+        # a margin may be as wide as any number
+        (x_low, y_low, _), (x_high, y_high, _) = self.low - CELL_M, self.high + CELL_M
+        x0, y0 = max(box[0] - margin, min(x_low, box[0])), max(box[1] - margin, min(y_low, box[1]))
+        x1, y1 = min(box[2] + margin, max(x_high, box[2])), min(box[3] + margin, max(y_high, box[3]))
         ends = cell_keys(np.array([x0, x1]), np.array([y0, y1]), CELL_M)
         (low, high), (bottom, top) = cell_places(ends)
-        columns = (np.arange(low, high + 1) + _MIDDLE) << 32
+        held = np.unique(self._cells >> 32)
+        columns = held[(held >= low + _MIDDLE) & (held <= high + _MIDDLE)] << 32
         starts = np.searchsorted(self._cells, columns + bottom + _MIDDLE, side="left")
         stops = np.searchsorted(self._cells, columns + top + _MIDDLE, side="right")
-        chosen = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops, strict=True)])
+        spans = [np.arange(a, b) for a, b in zip(starts, stops, strict=True)]
+        chosen = np.concatenate([np.empty(0, np.int64), *spans])
         chosen = chosen[np.argsort(self._first[chosen])]
         parts = [np.empty(0, self._dtype)]
         for records in self._segments(chosen):

@@ -427,3 +427,25 @@ def test_drift_is_looked_at_unless_told_otherwise(prc: Run, play: Callable[..., 
     play()
     assert prc("a", "o").code == 0
     assert made_up.settings.drift is True  # type: ignore[attr-defined]
+
+
+def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Path) -> None:
+    archive, out = tmp_path / "archive", tmp_path / "out"
+    archive.mkdir()
+    write_npz(archive / "a.npz", street(80))
+    assert prc(archive, out, "--preset", "urban", "--jobs", "1").code in (0, 4)
+    output = out / "a.npz.labels.npy"
+    before, content = output.stat(), bytearray(output.read_bytes())
+    content[-1] ^= 1
+    output.write_bytes(content)
+    os.utime(output, ns=(before.st_atime_ns, before.st_mtime_ns))
+    trusting = prc(archive, out, "--preset", "urban")
+    assert "judged by size and time; --verify compares their content" in trusting.err
+    assert prc("status", out).code == 0
+    found = prc("status", out, "--verify")
+    assert found.code == 1
+    assert "damaged  a.npz.labels.npy: has other content than was written" in found.out
+    states = json.loads(prc("status", out, "--verify", "--json").out)["verified"]
+    assert [item["state"] for item in states] == ["damaged"]
+    assert "judged by size" not in prc(archive, out, "--preset", "urban", "--verify").err
+    assert prc("status", out, "--verify").code == 0, "a run that reads the outputs does it again"

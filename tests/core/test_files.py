@@ -185,3 +185,8 @@ def test_to_begin_a_flush_changes_nothing_and_never_fails(tmp_path: Path, monkey
     monkeypatch.undo()
     files.begin_flush(io.BytesIO(b"abc"), 0, 3)
     assert (tmp_path / "a").read_bytes() == b"abc"
+
+
+def test_an_output_onto_a_device_or_a_pipe_is_refused() -> None:
+    with pytest.raises(OutputError, match="is a pipe or a device"):
+        check_output(Path(os.devnull), overwrite=True)

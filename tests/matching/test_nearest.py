@@ -119,3 +119,12 @@ def test_what_no_plane_faces_is_not_named() -> None:
     found = shift_of(quarters(one), quarters(other + np.array([0.3, 0.3, 0.2])))
     assert found is not None
     np.testing.assert_allclose(found, (0, 0, 0.2), atol=0.01)
+
+
+@pytest.mark.parametrize("tolerance", [1e8, 1e300])
+def test_points_far_apart_and_any_tolerance_take_no_memory(tolerance: float) -> None:
+    far = np.array([[0.0, 0.0, 0.0], [9e8, 9e8, 0.0]])
+    tally = JoinTally()
+    pairs = [item.to.tolist() for item in nearest_join(cloud(far), cloud(far[::-1]), tolerance, tally)]
+    assert tally.n_pairs == 2
+    assert sum(map(len, pairs)) == 2

@@ -140,12 +140,26 @@ class BagStreamWriter(BagOutput, StreamWriter):
         ranges = np.where(np.isnan(block.range_m), np.float32(np.inf), block.range_m)
         lit = None if block.intensity is None else np.nan_to_num(block.intensity).astype("f4")
         for i, times in enumerate(block.time_s):
-            shot_s = float(times[-1] - times[0]) / max(m - 1, 1)
-            head = self._header(float(times[0])), *angles, shot_s, shot_s * m, 0.0, _REACH_M
+            begin_s, end_s = self._span_of(times, block.first_line + i)
+            shot_s = (end_s - begin_s) / max(m - 1, 1)
+            head = self._header(begin_s), *angles, shot_s, shot_s * m, 0.0, _REACH_M
             none = np.empty(0, "f4")
-            self._send(_SCAN, LASER, times[-1], *head, ranges[i], none if lit is None else lit[i])
+            self._send(_SCAN, LASER, end_s, *head, ranges[i], none if lit is None else lit[i])
             if codes is not None:
-                self._send(_SCAN + LABELS, LASER, times[-1], *head, ranges[i], codes[i].clip(0).astype("f4"))
+                self._send(_SCAN + LABELS, LASER, end_s, *head, ranges[i], codes[i].clip(0).astype("f4"))
+
+    def _span_of(self, times_s: F64, line: int) -> tuple[float, float]:
+        """Return the times of the first and the last shot of a line; shots without a time lie evenly between others."""
+        known = np.flatnonzero(np.isfinite(times_s))
+        if len(known) < min(len(times_s), 2):
+            problem = f"line {line} has {len(known)} shots with a time, expected 2: a message has a time"
+            raise OutputError(str(self.path), problem, "write .npz, which keeps times that are no numbers")
+        first, last = int(known[0]), int(known[-1])
+        shot_s = float(times_s[last] - times_s[first]) / max(last - first, 1)
+        begin_s = float(times_s[first]) - first * shot_s
+        if begin_s < 0 <= times_s[first]:  # before the zero of a clock there is no stamp
+            begin_s = 0.0
+        return begin_s, float(times_s[last]) + (len(times_s) - 1 - last) * shot_s
 
     # -- spinning scanners
 
@@ -155,6 +169,10 @@ class BagStreamWriter(BagOutput, StreamWriter):
         assert block.time_s is not None
         assert block.xyz_m is not None
         fired = np.isfinite(block.time_s)
+        n_lost = int(np.count_nonzero(~fired & ~np.isnan(block.range_m)))
+        if n_lost:
+            problem = f"{n_lost} returns from line {block.first_line} on have no time, which a point of a cloud has"
+            raise OutputError(str(self.path), problem, "write .npz, which keeps times that are no numbers")
         some = np.zeros(int(fired.sum()), self._waiting.dtype)
         some["time"], some["ring"] = block.time_s[fired], np.nonzero(fired)[1]
         for axis, name in enumerate("xyz"):
@@ -202,13 +220,19 @@ class BagStreamWriter(BagOutput, StreamWriter):
     # -- messages
 
     def _header(self, time_s: float) -> Any:
-        nanoseconds = round(time_s * 1e9)
-        stamp = self._store.types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+        stamp = self._store.types["builtin_interfaces/msg/Time"](*divmod(self._nanoseconds(time_s), 10**9))
         return self._store.types["std_msgs/msg/Header"](*([0] if self._is_first else []), stamp, _FRAME)
 
-    def _send(self, topic: str, kind: str, time_s: F64, *values: Any) -> None:
+    def _nanoseconds(self, time_s: float) -> int:
+        most_s = 1 << (32 if self._is_first else 31)
+        if not 0 <= time_s < most_s:
+            problem = f"found the time {time_s:g} s, expected 0 to {most_s - 1}, which a message can have"
+            raise OutputError(str(self.path), problem, "write .npz, or look at the times")
+        return round(time_s * 1e9)
+
+    def _send(self, topic: str, kind: str, time_s: float, *values: Any) -> None:
         """Keep a message; the time is that of its last shot, when it is known as a whole."""
         name = kind.replace("/", "/msg/")
         pack = self._store.serialize_ros1 if self._is_first else self._store.serialize_cdr
         data = bytes(pack(self._store.types[name](*values), name))
-        pickle.dump((topic, name, round(float(time_s) * 1e9), data), self._messages)
+        pickle.dump((topic, name, self._nanoseconds(float(time_s)), data), self._messages)

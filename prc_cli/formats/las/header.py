@@ -164,6 +164,40 @@ class Vlr:
         return Vlr(self.head[:20] + len(data).to_bytes(2, "little") + self.head[22:], data)
 
 
+_TEXTS = {("LASF_Projection", 34737): "ascii", ("LASF_Projection", 2111): "utf-8", ("LASF_Projection", 2112): "utf-8"}
+"""Records whose content is text, with its encoding."""
+_DESCRIPTORS = ("LASF_Spec", 4)
+_DESCRIPTOR_BYTES, _DESCRIPTOR_TEXTS = 192, ((4, 36), (160, 192))
+"""Length of a descriptor of extra bytes; where its name and its description lie."""
+
+
+def readable(vlr: Vlr) -> Vlr:
+    """Return a record whose texts are text: other programs open no file where they are not.
+
+    These are the name of its user, coordinate systems and descriptors of extra bytes. Bytes that are no text become
+    ``?``, so that nothing moves.
+    """
+    name, mark, rest = vlr.head[2:18].partition(b"\0")
+    head, data = vlr.head[:2] + _as_text(name) + mark + rest + vlr.head[18:], vlr.data
+    if data and vlr.key in _TEXTS:
+        data = _as_text(data, _TEXTS[vlr.key])
+    elif data and vlr.has(_DESCRIPTORS):
+        described = bytearray(data)
+        for first in range(0, len(data) - _DESCRIPTOR_BYTES + 1, _DESCRIPTOR_BYTES):
+            for begin, end in _DESCRIPTOR_TEXTS:
+                described[first + begin : first + end] = _as_text(data[first + begin : first + end])
+        data = bytes(described)
+    return Vlr(head, data, vlr.start)
+
+
+def _as_text(raw: bytes, codec: str = "utf-8") -> bytes:
+    try:
+        raw.decode(codec)
+    except UnicodeDecodeError:
+        return bytes(byte if byte < 0x80 else ord("?") for byte in raw)
+    return raw
+
+
 def make_vlr(key: tuple[str, int], data: bytes, description: str, *, extended: bool = False) -> Vlr:
     """Return a VLR; a plain one has at most 65535 bytes."""
     head = _EVLR_HEAD if extended else _VLR_HEAD

@@ -35,6 +35,7 @@ from prc_cli.formats.las.header import (
     damaged,
     open_source,
     read_header,
+    readable,
     standard_bytes,
 )
 from prc_cli.formats.las.laz import (
@@ -158,6 +159,8 @@ def copy_las(
 def _planned_vlrs(plan: Plan, notice: Callable[[str], None], *, keeps_index: bool = False) -> list[Vlr]:
     """Return the VLRs of an output, still with the old run record, and say what is unusual about them."""
     las, vlrs = plan.las, list(plan.las.vlrs)
+    if any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs)):
+        notice("names or coordinate systems in the header have bytes that are no text; they were written as ?")
     if keeps_index:
         return vlrs
     if any(vlr.user_id == COPC_USER for vlr in vlrs):
@@ -256,7 +259,7 @@ def _write_again(
     drop: tuple[str, ...],
 ) -> Tail:
     """Copy a file: header, VLRs and user bytes, points, what follows them, and the final header."""
-    las = plan.las
+    las, vlrs = plan.las, [readable(vlr) for vlr in vlrs]
     with open_source(las.path) as source, temporary.open("w+b") as writing:
         target = Target(writing)
         fields = _new_fields(plan, vlrs)
@@ -274,6 +277,10 @@ def _write_again(
         tail = plan_tail(las, tail_bounds(source, las), target.tell(), drop=drop)
         for start, stop in tail.spans:
             _copy_bytes(source, target, start, stop)
+        for evlr in las.evlrs:
+            if evlr.user_id not in drop and (mended := readable(evlr)) != evlr:
+                target.seek(tail.moved(evlr.start))
+                target.write(mended.raw)
         _set_tail(fields, las, tail)
         points.finish(fields)
         target.seek(0)

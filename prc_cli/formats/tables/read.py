@@ -121,11 +121,12 @@ class ParquetTable:
         self._path = path
         try:
             schema, self.n_records = self._measure()
+            names, kinds = schema.names, schema.types  # names are decoded here
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _damaged(self._path, error, self.format) from error
         numbers = [
             name
-            for name, kind in zip(schema.names, schema.types, strict=True)
+            for name, kind in zip(names, kinds, strict=True)
             if pa.types.is_integer(kind) or pa.types.is_floating(kind)
         ]
         self._columns, self._units = _by_standard({name: name for name in numbers})

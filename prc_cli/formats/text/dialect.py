@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -180,8 +181,10 @@ def try_split(text: str, delimiter: str) -> list[str] | None:
     except csv.Error as error:
         if "end of data" in str(error) or "field limit" in str(error):
             return None
-    # text behind a closed quote is part of the cell, as in pyarrow
-    return next(csv.reader([text], delimiter=delimiter))
+    with suppress(csv.Error):  # a lone line end
+        # text behind a closed quote is part of the cell, as in pyarrow
+        return next(csv.reader([text], delimiter=delimiter))
+    return None
 
 
 def is_number(cell: str, decimal: str = ".") -> bool:

@@ -18,7 +18,7 @@ BLOCK_BYTES = 3 << 18
 MAX_LINE_BYTES = 1 << 20
 """Longest line; files with longer ones are not tables."""
 
-MAX_RATIO, LEAST_BYTES = 500, 1 << 30
+MAX_RATIO, LEAST_BYTES = 500, 1 << 27
 """A text larger than the second number [bytes] and this many times its compressed size repeats one line: refused."""
 
 _CODECS = {".gz": "gzip", ".zst": "zstd"}

@@ -15,6 +15,7 @@ from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, refuse_
 from prc_cli.evaluation.mapping import ClassMapping, UnlistedError, load_mapping
 from prc_cli.evaluation.scores import Evaluation, MatchReport, ThreeCounts
 from prc_cli.formats.labels import open_codes
+from prc_cli.formats.las.read import LasSource
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.evaluate.counts import (
     SPLITS,
@@ -29,7 +30,18 @@ from prc_cli.jobs.evaluate.counts import (
 )
 from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options, mapping_of_runs, tolerance_of
 from prc_cli.jobs.evaluate.registered import Registered
-from prc_cli.matching.join import CODE, KEY, SAME, Columns, JoinTally, UnsortedError, columns_of, in_step, merge_join
+from prc_cli.matching.join import (
+    CODE,
+    KEY,
+    RECORD,
+    SAME,
+    Columns,
+    JoinTally,
+    UnsortedError,
+    columns_of,
+    in_step,
+    merge_join,
+)
 from prc_cli.matching.keys import AXES, KeyRule, MutualKeys
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
 from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SECONDS, Side, SideFile
@@ -298,10 +310,10 @@ def _compare(
                 counting.add(item)
                 if RANGE in item.one and RANGE in item.other:
                     n_apart += int(np.count_nonzero(np.abs(item.one[RANGE] - item.other[RANGE]) > APART_M))
-        except _UnequalError:
-            counts.note("the files hold other records, or others first: matched by cell (scan line, column)")
-            options = replace(options, match="cell")
-            left, right = _keyed(left, right, KeyRule("cell"))
+        except _UnequalError as error:
+            counts.note(f"the files hold other records, or others first: matched by {error.words}")
+            options = replace(options, match=error.match)
+            left, right = _keyed(left, right, error.key)
             plan = _plan(left, right, options, by_lines=by_lines)
             continue
         except UnsortedError as error:
@@ -329,7 +341,19 @@ def _keyed(left: Side, right: Side, key: KeyRule) -> tuple[Side, Side]:
 
 
 class _UnequalError(Exception):
-    """Files to be matched by order differ in length or in their order, but both know their cells."""
+    """Files to be matched by order differ in length or in their order, but both know a key."""
+
+    words = "cell (scan line, column)"
+    match = "cell"
+    key = KeyRule("cell")
+
+
+class _UnsortedRecordsError(_UnequalError):
+    """Rows are not in the order of their record numbers."""
+
+    words = "record number"
+    match = f"dimension:{RECORD}"
+    key = KeyRule("dimension", RECORD)
 
 
 def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> Plan:
@@ -397,7 +421,10 @@ def _in_order(
     compared = knows_cells and any(side.files[0].has_cells for side in (left, right))
     if compared:
         left, right = _keyed(left, right, KeyRule("cell"))
-    keys = (CODE, KEY) if compared else (CODE,)
+    numbered = not compared and _know_records(left, right)
+    if numbered:
+        left, right = _keyed(left, right, _UnsortedRecordsError.key)
+    keys = (CODE, KEY) if compared or numbered else (CODE,)
     asked = [(left, (*keys, *plan.predicted)), (right, (*keys, *plan.reference))]
     asked += [] if third is None else [(third, (CODE,))]
     streams = [columns_of(side, names, sort=False, with_record=False) for side, names in asked]
@@ -408,17 +435,57 @@ def _in_order(
         for side, other in zip(n[1:], (right, third), strict=False):
             refuse_poor_match(n[0], side, left.path, other.path if other else "")
 
+    lengths = [_length_of(side) for side, _ in asked]
+    if None not in lengths:  # known before anything is read
+        check([length or 0 for length in lengths])
     off = None
     for one, other, *more in in_step(streams, check):
-        if compared and len(one[KEY]):
-            # cells that are counted from other numbers are in the same order all the same
+        if (compared or numbered) and len(one[KEY]):
+            # cells and records that are counted from other numbers are in the same order all the same
             apart = other[KEY] - one[KEY]
             off = apart[0] if off is None else off
             if np.any(apart != off):
-                raise _UnequalError
+                if numbered and third is not None:
+                    problem = "rows are not in the order of their record numbers"
+                    raise InputError(left.path, problem, "sort them by record in all files, or leave --third out")
+                raise _UnsortedRecordsError if numbered else _UnequalError
         tally.n_pairs += len(one[CODE])
         tally.n_right += len(one[CODE])
         yield one, other, more[0][CODE] if more else None
+
+
+def _length_of(side: Side) -> int | None:
+    """Return how many codes the headers of all files of a side announce; None where one does not."""
+    lengths = [file.codes.n for file in side.files]
+    return None if None in lengths else sum(length or 0 for length in lengths)
+
+
+def _know_records(left: Side, right: Side) -> bool:
+    """Tell whether rows of a file have record numbers and those of its partner have them too, or are counted."""
+    if any(len(side.files) != 1 for side in (left, right)):
+        return False
+    numbered = [side.files[0].find((RECORD,)) is not None for side in (left, right)]
+    if not any(numbered):
+        return False
+    counted = [not isinstance(side.files[0].table, LasSource) for side in (left, right)]
+    if all(known or counts for known, counts in zip(numbered, counted, strict=True)):
+        return True
+    side = left if numbered[0] else right
+    _refuse_unsorted(side)
+    return False
+
+
+def _refuse_unsorted(side: Side) -> None:
+    """Refuse rows that are not in the order of their record numbers, where the partner has none."""
+    side = replace(side, key=_UnsortedRecordsError.key)
+    off = None
+    for values in columns_of(side, (KEY, ROW), sort=False, with_record=False):
+        if len(values[KEY]):
+            apart = values[KEY] - values[ROW]
+            off = apart[0] if off is None else off
+            if np.any(apart != off):
+                problem = "rows are not in the order of their record numbers, and the other file has none"
+                raise InputError(side.path, problem, "sort them by record, or match by time or nearest")
 
 
 def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: EvaluateOptions) -> None:

@@ -93,6 +93,9 @@ def _numbers(text: str) -> list[float]:
         return []
 
 
+_NO_GEOJSON = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError)
+
+
 def _polygons(path: Path) -> Any:
     try:
         import shapely
@@ -104,7 +107,10 @@ def _polygons(path: Path) -> Any:
         features = found["features"] if found["type"] == "FeatureCollection" else [found]
         shapes = [shape(item["geometry"] if item["type"] == "Feature" else item) for item in features]
         area = shapely.union_all([item for item in shapes if item.geom_type in ("Polygon", "MultiPolygon")])
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError) as error:
+        if not np.isfinite(area.bounds).all() and not area.is_empty:
+            message = "coordinates that are no numbers"
+            raise ValueError(message)
+    except (*_NO_GEOJSON, shapely.errors.ShapelyError) as error:
         text = " ".join(str(error).split())[:160]
         raise InputError(str(path), f"no GeoJSON ({text})", "export the test area as GeoJSON polygons") from error
     if area.is_empty:
@@ -167,9 +173,13 @@ class Trees:
             )
             asked = "height" in names and not by_diameter
             top = np.array([float(row[names["height"]]) if asked else STEM_TO_M for row in rows])
+            wrong = ~np.isfinite([x, y, width, top]).all(axis=0) | (width < 0)
+            if wrong.any():
+                message = f"row {int(np.argmax(wrong)) + 1}: a number that is not finite, or a width below 0"
+                raise ValueError(message)
         except OSError as error:
             raise InputError(str(path), f"cannot be read ({error.strerror or error})", "check the name") from error
-        except (ValueError, LookupError, TypeError) as error:
+        except (ValueError, LookupError, TypeError, csv.Error) as error:
             problem = f"found no trees ({error}), expected a CSV file with the columns x,y,radius[,height] in metres"
             raise InputError(str(path), problem, "write these columns, a tree a row") from error
         return cls(np.stack([x, y], axis=1), width * (STEM_DIAMETERS if by_diameter else 1.0), top)

@@ -374,15 +374,15 @@ class _Run:
 
         own = self.labels is None and not self.classify
         with contextlib.ExitStack() as stack:
-            given = None if self.labels is None else self._read_values(self.labels, None, stack)
-            self._n_labels = 0 if given is None else len(given)
-            if self.min_confidence is not None and not self.classify:
-                self._sure = self._read_values(self.labels or self.source, CONFIDENCE, stack)
             items_of = open_items(
                 self.source, self.output, self.loaded,
                 blocks_of=labelled if self.classify else None, codes=own, xyz=xyz, points=not self.keep_empty,
             )  # fmt: skip
             opened = stack.enter_context(items_of)
+            given = None if self.labels is None else self._read_values(self.labels, None, opened.info, stack)
+            self._n_labels = 0 if given is None else len(given)
+            if self.min_confidence is not None and not self.classify:
+                self._sure = self._read_values(self.labels or self.source, CONFIDENCE, opened.info, stack)
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
 
@@ -400,7 +400,9 @@ class _Run:
 
             yield opened, items()
 
-    def _read_values(self, path: Path, dimension: str | None, stack: contextlib.ExitStack) -> DiskColumn:
+    def _read_values(
+        self, path: Path, dimension: str | None, info: StreamInfo, stack: contextlib.ExitStack
+    ) -> DiskColumn:
         """Load codes, or another dimension of whole numbers, for access by record."""
         try:
             codes = open_codes(path, dimension)
@@ -409,6 +411,8 @@ class _Run:
                 raise
             hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
             raise ConfigError("--min-confidence", f"{path}: {refusal.problem}", hint) from refusal
+        if None not in (codes.n, info.n_records) and codes.n != info.n_records:  # before a long file is read
+            raise self._other_labels(path, codes.n, info.n_records)
         values = stack.enter_context(DiskColumn(self.output, "<i4", NO_CODE))
         for chunk in codes.chunks():
             values.append(np.where(np.abs(chunk) < 2**31, chunk, NO_CODE).astype(np.int32))
@@ -441,8 +445,11 @@ class _Run:
             return
         n_records = info.n_records if info.n_records is not None else self.counts.tally.n_records
         if self._n_labels != n_records:
-            problem = f"found {self._n_labels} labels, expected {n_records}, one a record of {self.source.name}"
-            raise InputError(str(self.labels), problem, "give the labels of this file")
+            raise self._other_labels(self.labels, self._n_labels, n_records)
+
+    def _other_labels(self, path: Path, n_labels: int | None, n_records: int | None) -> InputError:
+        problem = f"found {n_labels} labels, expected {n_records}, one a record of {self.source.name}"
+        return InputError(str(path), problem, "give the labels of this file")
 
     def _record(self, info: StreamInfo, hints: tuple[str, ...]) -> RunRecord:
         """Return the run record, which says that and how shots were dropped."""

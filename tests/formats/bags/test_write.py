@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from rosbags.highlevel import AnyReader
 
 from prc_cli.cli import cli
 from prc_cli.config import load_config
-from prc_cli.core.errors import ConfigError, OutputError
+from prc_cli.core.errors import ConfigError, OutputError, PrcError
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify
@@ -119,3 +120,37 @@ def test_what_no_message_can_hold(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="no times"):
         convert(tmp_path / "timeless.npz", tmp_path / "a.bag", load_config())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["timeless.npz", "uneven.npz"]
+
+
+def with_times(folder: Path, change: Callable[[np.ndarray], None]) -> Path:
+    """An archive of lines of a profiler with other times."""
+    path = folder / "in.npz"
+    simulate("street", path, load_settings("street", options={**WALK, "lines": 30}))
+    arrays = dict(np.load(path))
+    change(arrays["time_s"])
+    np.savez(path, **arrays)
+    return path
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_shots_without_a_time_lie_between_others(tmp_path: Path, suffix: str) -> None:
+    def change(time_s: np.ndarray) -> None:
+        time_s[3, :5] = time_s[3, -7:] = time_s[4, 100] = np.nan
+
+    source, bag = with_times(tmp_path, change), tmp_path / f"o{suffix}"
+    convert(source, bag, load_config(options={"input": {"order": "trust"}}))
+    found, expected = whole(bag)["time_s"], np.load(source)["time_s"]
+    known = np.isfinite(expected)
+    assert found[known] == pytest.approx(expected[known], abs=2e-8)
+
+
+@pytest.mark.parametrize("value", [np.nan, -5.0, 1e12])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_times_that_no_message_can_have_are_refused(tmp_path: Path, suffix: str, value: float) -> None:
+    def change(time_s: np.ndarray) -> None:
+        time_s[7] = value
+
+    source = with_times(tmp_path, change)
+    with pytest.raises(PrcError):
+        convert(source, tmp_path / f"o{suffix}", load_config(options={"input": {"order": "trust"}}))
+    assert [path.name for path in tmp_path.iterdir() if not path.name.startswith("in.")] == []

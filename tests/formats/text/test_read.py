@@ -209,3 +209,11 @@ def cloud_values(path: Path, text: str, layout: Layout | None = None) -> dict[st
 )
 def test_decimal_commas_are_found(tmp_path: Path, text: str) -> None:
     assert cloud_values(tmp_path / "a.csv", text) == {"range": [1.5, -3.25], "z": [2, 4.5]}
+
+
+@pytest.mark.parametrize("cell", ['"1\r2"', '"1"\r2', '"' + "1" * 140_000 + '"x'])
+def test_quoted_cells_that_no_table_has_are_refused_in_one_line(tmp_path: Path, cell: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("line,column,range\n0,0,5\n" + f"0,1,{cell}\n", newline="")
+    with pytest.raises(InputError, match="line 3"):
+        list(open_source(path).chunks(("range",)))

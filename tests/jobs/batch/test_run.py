@@ -483,3 +483,35 @@ def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left:
     assert task.output.read_bytes() == undisturbed.output.read_bytes()
     assert record_path(task.output).read_bytes() == record_path(undisturbed.output).read_bytes()
     assert set(labels_in(task.output.parent)) == {"a.npy", "a.npy.prc.json"}
+
+
+def test_outputs_of_another_archive_are_not_replaced(settings: BatchSettings, tmp_path: Path) -> None:
+    run_batch(settings, Scripted())
+    before = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
+    other = tmp_path / "other"
+    shutil.copytree(settings.archive, other)
+    moved = run_batch(replace(settings, archive=other), Scripted())
+    assert (moved.exit_code, moved.n_skipped) == (0, 4), "the same files in another place are the same"
+    (other / "b.npz").write_bytes(b"of another drive")
+    (other / "e.npz").write_bytes(b"new")
+    engine = Scripted()
+    second = run_batch(replace(settings, archive=other), engine)
+    assert second.exit_code == 1
+    assert [name for name, _ in engine.begun] == ["e.npz"]
+    assert [item.name for item in second.failed] == ["b.npz"]
+    assert f"was made of {(settings.archive / 'b.npz').resolve()}" in second.failed[0].problem.problem
+    outputs = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
+    assert {name: outputs[name] for name in before if name.startswith("b.npz")} == {
+        name: content for name, content in before.items() if name.startswith("b.npz")
+    }
+    third = run_batch(replace(settings, archive=other, overwrite=True), Scripted())
+    assert third.exit_code == 0
+    fourth = run_batch(replace(settings, archive=other), Scripted())
+    assert (fourth.exit_code, fourth.n_skipped) == (0, 5)
+
+
+def test_a_changed_file_of_the_same_archive_is_done_again(settings: BatchSettings) -> None:
+    run_batch(settings, Scripted())
+    (settings.archive / "b.npz").write_bytes(b"recorded again")
+    summary = run_batch(settings, Scripted())
+    assert (summary.exit_code, [item.name for item in summary.done]) == (0, ["b.npz"])
