@@ -1,0 +1,280 @@
+"""Station, frame and speed of a spinning scanner for short windows of registered points.
+
+A head that spins evenly looks at azimuth ``phi = 2 pi f t`` in its own frame ``F = [e1 e2 n]``, ``n`` the spin axis. So
+every point lies in a known half plane through the axis: ``m . (p - o - v t) = 0`` with ``m = -sin(phi) e1 + cos(phi)
+e2``. That is linear in ten unknowns (:func:`fit_linear`). The frame of a platform that turns by itself and the cones of
+the rings need a few steps of Gauss-Newton (:func:`refine`). All functions work on many windows at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prc_cli.core.types import F64, I64, Mask
+
+LINEAR_ROUNDS = 8
+LEAST_SCALE_M = 0.02
+"""Smallest residual at which the weight of a point halves in the linear fit [m]."""
+SPIN_RAD_S = 1.0
+"""Usual rate at which a platform turns [rad/s]."""
+_GOLDEN = 0.6180339887498949
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Points of ``w`` windows, ``n`` each."""
+
+    time_s: F64
+    """(w,) float64, middle of every window [s]."""
+    centre_m: F64
+    """(w, 3) float64, a place amid the points of every window [m]."""
+    since_s: F64
+    """(w, n) float64, time of every point after the middle [s]."""
+    xyz_m: F64
+    """(w, n, 3) float64, points relative to the centre [m]."""
+    use: Mask
+    """(w, n) bool, false = filler."""
+    index: I64
+    """(w, n) int64, number of every point in the cloud; 0 for filler."""
+
+    def azimuth(self, hz: float, origin_s: float) -> F64:
+        """Return the azimuth of the head at every point, (w, n) [rad]."""
+        since_s = (self.time_s - origin_s)[:, None] + self.since_s
+        return turned(hz, since_s)
+
+    def where(self, keep: Mask) -> Windows:
+        """Return some of the windows."""
+        return Windows(
+            self.time_s[keep],
+            self.centre_m[keep],
+            self.since_s[keep],
+            self.xyz_m[keep],
+            self.use[keep],
+            self.index[keep],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Station, frame and their rates at the middle of ``w`` windows, relative to the windows' centres."""
+
+    station_m: F64
+    """(w, 3) float64 [m]."""
+    velocity_m_s: F64
+    """(w, 3) float64 [m/s]."""
+    frame: F64
+    """(w, 3, 3) float64, columns e1, e2, n: azimuth 0, azimuth 90 degrees, spin axis."""
+    rate_rad_s: F64
+    """(w, 3) float64, how fast the frame turns, along its own axes [rad/s]."""
+
+    def where(self, keep: Mask) -> Poses:
+        """Return the poses of some of the windows."""
+        return Poses(self.station_m[keep], self.velocity_m_s[keep], self.frame[keep], self.rate_rad_s[keep])
+
+    def local(self, windows: Windows) -> F64:
+        """Return points in the frame of the head that does not spin, (w, n, 3) [m]."""
+        since_s = windows.since_s[:, :, None]
+        moved = self.station_m[:, None, :] + since_s * self.velocity_m_s[:, None, :]
+        return turn_by((windows.xyz_m - moved) @ self.frame, -since_s * self.rate_rad_s[:, None, :])
+
+
+def turned(hz: float, since_s: F64) -> F64:
+    """Return the azimuth after a time [rad], whole turns left out so that none of its digits are lost."""
+    turns = hz * since_s
+    azimuth: F64 = 2.0 * np.pi * (turns - np.floor(turns))
+    return azimuth
+
+
+def turn_by(vectors: F64, angles: F64) -> F64:
+    """Turn vectors by small rotation vectors, to the second order."""
+    turned_m: F64 = vectors + _cross(angles, vectors + 0.5 * _cross(angles, vectors))
+    return turned_m
+
+
+def rotations(vectors: F64) -> F64:
+    """Return the matrices of rotation vectors (w, 3), (w, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    axis = vectors / np.maximum(angle, 1e-15)[:, None]
+    cross = np.zeros((len(vectors), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    cross -= np.swapaxes(cross, 1, 2)
+    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
+    matrices: F64 = np.eye(3) + sine * cross + versine * (cross @ cross)
+    return matrices
+
+
+def _cross(first: F64, second: F64) -> F64:
+    # np.cross takes several times as long
+    x, y, z = first[..., 0], first[..., 1], first[..., 2]
+    u, v, w = second[..., 0], second[..., 1], second[..., 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+
+
+def cut_windows(time_s: F64, xyz_m: F64, middle_s: F64, length_s: float, n_points: int) -> Windows:
+    """Choose points of windows.
+
+    Parameters
+    ----------
+    time_s
+        (n,) float64, rising [s].
+    xyz_m
+        (n, 3) float64 [m].
+    middle_s
+        (w,) float64, middle of every window [s].
+    length_s
+        Length of a window [s].
+    n_points
+        Points of a window at most. They are spread by the golden ratio: even steps would meet the same rings again.
+    """
+    begin = np.searchsorted(time_s, middle_s - 0.5 * length_s)
+    end = np.searchsorted(time_s, middle_s + 0.5 * length_s)
+    count = (end - begin)[:, None]
+    place = np.arange(n_points)[None, :]
+    spread = np.floor(np.modf(place * _GOLDEN)[0] * count).astype(np.int64)
+    use = place < count
+    index = np.where(use, begin[:, None] + np.where(count > n_points, spread, place), 0)
+    points = xyz_m[index]
+    centre = np.stack([np.median(p[u], axis=0) if u.any() else np.zeros(3) for p, u in zip(points, use, strict=True)])
+    since = np.where(use, time_s[index] - middle_s[:, None], 0.0)
+    points = np.where(use[:, :, None], points - centre[:, None, :], 0.0)
+    return Windows(middle_s, centre, since, points, use, index)
+
+
+def medians(values: F64, use: Mask) -> F64:
+    """Return the median of the values in use of every window, (w,); infinite for none."""
+    ordered = np.sort(np.where(use, values, np.inf), axis=1)
+    middle = np.maximum(use.sum(axis=1) - 1, 0) // 2
+    median: F64 = ordered[np.arange(len(values)), middle]
+    return median
+
+
+@dataclass(frozen=True, slots=True)
+class LinearFit:
+    """Poses by the linear fit, and how far they can be trusted."""
+
+    poses: Poses
+    residual_m: F64
+    """(w,) float64, median distance of the points from their half planes [m]."""
+    roundness: F64
+    """(w,) float64, length of the shorter axis of the frame over that of the longer one: 1 = a turn that fits."""
+    in_front: F64
+    """(w,) float64, share of the points in front of the head."""
+
+
+def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) -> LinearFit:
+    """Fit poses in closed form, with weights from the residuals of the round before.
+
+    The component of station and velocity along the axis stays 0: half planes through the axis do not tell it.
+    """
+    cosine, sine = np.cos(azimuth)[:, :, None], np.sin(azimuth)[:, :, None]
+    since = windows.since_s[:, :, None]
+    points = windows.xyz_m
+    rows = np.concatenate([-sine * points, cosine * points, sine, -cosine, since * sine, -since * cosine], axis=2)
+    weight = windows.use.astype(np.float64)
+    for _ in range(n_rounds):
+        normal = np.swapaxes(rows, 1, 2) @ (rows * weight[:, :, None])
+        corner = normal[:, 6:, 6:] + 1e-9 * np.eye(4)
+        inner = np.linalg.solve(corner, normal[:, 6:, :6])
+        _, vectors = np.linalg.eigh(normal[:, :6, :6] - normal[:, :6, 6:] @ inner)
+        axes = vectors[:, :, 0] * np.sqrt(2.0)
+        moves = -(inner @ axes[:, :, None])[:, :, 0]
+        residual = np.abs(rows @ np.concatenate([axes, moves], axis=1)[:, :, None])[:, :, 0]
+        median = medians(residual, windows.use)
+        scale = np.maximum(1.5 * median, LEAST_SCALE_M)[:, None]
+        weight = windows.use / (1.0 + (residual / scale) ** 2)
+    axes = axes.reshape(-1, 2, 3)
+    left, size, right = np.linalg.svd(axes, full_matrices=False)
+    plane = left @ right
+    inverse = np.linalg.pinv(axes)
+    station = (inverse @ moves[:, :2, None])[:, :, 0]
+    velocity = (inverse @ moves[:, 2:, None])[:, :, 0]
+    frame = np.stack([plane[:, 0], plane[:, 1], _cross(plane[:, 0], plane[:, 1])], axis=2)
+    poses = Poses(station, velocity, frame, np.zeros_like(station))
+    local = poses.local(windows)
+    ahead = (np.cos(azimuth) * local[:, :, 0] + np.sin(azimuth) * local[:, :, 1] > 0) & windows.use
+    share = ahead.sum(axis=1) / np.maximum(windows.use.sum(axis=1), 1)
+    # the same half planes, the other way
+    frame[:, :, :2] *= np.where(share < 0.5, -1.0, 1.0)[:, None, None]
+    return LinearFit(poses, median, size[:, 1] / np.maximum(size[:, 0], 1e-12), np.maximum(share, 1.0 - share))
+
+
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """Poses after Gauss-Newton, with the residuals of the last step but one."""
+
+    poses: Poses
+    beside_m: F64
+    """(w, n) float64, distance of every point from the half plane of its shot [m]."""
+    cone_m: F64
+    """(w, n) float64, distance from the cone of its ring; 0 for points of no ring [m]."""
+
+
+def refine(windows: Windows, azimuth: F64, poses: Poses, scales_m: F64, slope: F64 | None = None) -> Refined:
+    """Refine poses by Gauss-Newton with Cauchy weights.
+
+    Parameters
+    ----------
+    windows, azimuth, poses
+        Points, azimuth of their shots (w, n) [rad], first guess.
+    scales_m
+        (rounds,) float64, residual at which the weight of a point halves, round by round [m]. Scales that fall let the
+        fit choose among rings that look ahead by different angles: it follows those of one angle.
+    slope
+        (w, n) float64, tangent of the elevation of every point's ring; NaN = none. Without it, nothing tells the
+        height along the axis: it stays as it is.
+    """
+    cosine, sine = np.cos(azimuth), np.sin(azimuth)
+    zero = np.zeros_like(cosine)
+    since = windows.since_s[:, :, None]
+    side = np.stack([-sine, cosine, zero], axis=2)
+    cone = zero
+    prior = np.zeros(12)
+    prior[6:9] = 1.0 / SPIN_RAD_S**2
+    if slope is None:
+        prior[5], prior[11] = 1e4, 1e2
+    for scale in scales_m:
+        frame = poses.frame
+        moved = poses.station_m[:, None, :] + since * poses.velocity_m_s[:, None, :]
+        still = (windows.xyz_m - moved) @ frame
+        angle = since * poses.rate_rad_s[:, None, :]
+        local = turn_by(still, -angle)
+        beside = cosine * local[:, :, 1] - sine * local[:, :, 0]
+        weight = windows.use / (scale**2 + beside**2)
+        normal, gradient = _equations(still, turn_by(side, angle), since, beside, weight)
+        if slope is not None:
+            known = windows.use & np.isfinite(slope)
+            rise = np.where(known, slope, 0.0)
+            level = np.maximum(np.hypot(local[:, :, 0], local[:, :, 1]), 1e-9)
+            upright = np.where(known, 1.0 / np.sqrt(1.0 + rise**2), 0.0)
+            cone = upright * (local[:, :, 2] - rise * level)
+            out = -rise * upright / level
+            across = np.stack([out * local[:, :, 0], out * local[:, :, 1], upright], axis=2)
+            weight = known / (scale**2 + cone**2)
+            second = _equations(still, turn_by(across, angle), since, cone, weight)
+            normal, gradient = normal + second[0], gradient + second[1]
+        velocity = (poses.velocity_m_s[:, None, :] @ frame)[:, 0, :]
+        unknown = np.concatenate([np.zeros((len(frame), 6)), poses.rate_rad_s, velocity], axis=1)
+        gradient = gradient + prior * unknown
+        step = -np.linalg.solve(normal + np.diag(prior + 1e-9), gradient[:, :, None])[:, :, 0]
+        poses = Poses(
+            poses.station_m + (frame @ step[:, 3:6, None])[:, :, 0],
+            poses.velocity_m_s + (frame @ step[:, 9:12, None])[:, :, 0],
+            frame @ rotations(step[:, :3]),
+            poses.rate_rad_s + step[:, 6:9],
+        )
+    return Refined(poses, beside, cone)
+
+
+def _equations(still: F64, across: F64, since: F64, residual: F64, weight: F64) -> tuple[F64, F64]:
+    """Return normal equations of turn, move, rate and speed, (w, 12, 12), and their gradient, (w, 12)."""
+    rows = np.concatenate([-_cross(still, across), -across], axis=2)
+    rows = np.concatenate([rows, since * rows], axis=2)
+    weighted = np.swapaxes(rows * weight[:, :, None], 1, 2)
+    return weighted @ rows, (weighted @ residual[:, :, None])[:, :, 0]
+
+
+def placed(poses: Poses, windows: Windows) -> Poses:
+    """Return poses in the coordinates of the cloud."""
+    return replace(poses, station_m=poses.station_m + windows.centre_m)
