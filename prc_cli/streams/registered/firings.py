@@ -167,7 +167,7 @@ def _phases(fired: F64, number: I64, origin_s: float, period_s: float, n_rings: 
     seen, row = np.unique(block, return_inverse=True)
     table = np.zeros((len(seen), n_rings), np.complex128)
     np.add.at(table, (row, number), np.exp(2j * np.pi * (fired - origin_s) / period_s))
-    middle: F64 = (seen + 0.5) * BLOCK_S + origin_s
+    middle = np.asarray((seen + 0.5) * BLOCK_S + origin_s, np.float64)
     return table, middle
 
 

@@ -271,7 +271,13 @@ STEER_SCALES_M = np.geomspace(0.3, 0.01, 12)
 """The same from a pose that is a little off [m]."""
 RING_SCALES_M = np.array([0.05, 0.03, 0.02, 0.02, 0.01, 0.01])
 """Residuals at which the weight of a point halves once rings are known [m]."""
+MIN_UPRIGHT = 0.2
+"""Axes nearer to level than this do not tell their speed by that of a level platform."""
+SLOW_M_S = 0.3
+"""Speeds along the axis below this are of no account in a turn [m/s]."""
 HEIGHT_STEP_M = 0.02
+N_HEIGHTS = 24
+"""Heights of the grid that are looked at more closely."""
 HEIGHT_BIN_RAD = math.radians(0.1)
 BLOCK_RAD = math.radians(2.0)
 RING_BIN_RAD = math.radians(0.01)
@@ -303,6 +309,10 @@ class Rings:
     """(k,) float64, median distance of a ring's points from its elevation [rad]."""
     n_points: I64
     """(k,) int64, points seen of every ring."""
+    climb: float
+    """Speed of the head along its axis as a share of that square to it, usually: 0 for an axis square to the road."""
+    is_up: bool
+    """Whether the axis points up; it points down if the head turns to the right, seen from above."""
 
     @property
     def n_rings(self) -> int:
@@ -338,7 +348,7 @@ def ring_numbers(local_m: F64, rings: Rings) -> I64:
     Returns
     -------
     (n,) int64
-        Rank of the ring by elevation; -1 for points off every ring.
+        Rank of the ring along the axis; -1 for points off every ring.
     """
     level = np.hypot(local_m[..., 0], local_m[..., 1])
     elevation = np.arctan2(local_m[..., 2], level)
@@ -374,7 +384,8 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
     if len(azimuth) < 2:
         return NoScan("no windows fit")
     poses = _with_heights(fit.poses.where(fit.is_locked), windows)
-    rings = Rings(*(np.empty(0),) * 3, np.empty(0, np.int64))
+    is_up = float(np.median(poses.frame[:, 2, 2])) > 0.0
+    rings = Rings(*(np.empty(0),) * 3, np.empty(0, np.int64), 0.0, is_up)
     for round_ in range(RING_ROUNDS):
         local = poses.local(windows)
         elevation = np.arctan2(local[:, :, 2], np.hypot(local[:, :, 0], local[:, :, 1]))
@@ -389,7 +400,8 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
         peaks = _ring_elevations(elevation[use], width_rad)
         if len(peaks) < 2:
             return NoScan(f"{len(peaks)} rings, expected 2 or more: points of one plane")
-        rings = Rings(np.tan(peaks), np.zeros(len(peaks)), np.zeros(len(peaks)), np.zeros(len(peaks), np.int64))
+        nothing = np.zeros(len(peaks))
+        rings = Rings(np.tan(peaks), nothing, nothing, nothing.astype(np.int64), 0.0, is_up)
         number = np.where(use, ring_numbers(local, rings), -1)
         ahead, turn = _ring_azimuths(local, azimuth, number, len(peaks))
         about = np.zeros((len(turn), 3))
@@ -401,7 +413,7 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
         fitted = replace(windows, use=windows.use & (number >= 0))
         poses = refine(fitted, beams, poses, RING_SCALES_M, slope).poses
     hz = rate.hz + _drift_hz(windows, poses, rate.hz)
-    return rings, replace(rate, hz=hz)
+    return replace(rings, climb=_climb(poses)), replace(rate, hz=hz)
 
 
 def measure_rings(local_m: F64, number: I64, rings: Rings) -> Rings:
@@ -450,26 +462,61 @@ def _nan_medians(values: F64) -> F64:
 
 
 def _with_heights(poses: Poses, windows: Windows) -> Poses:
-    """Move stations along their axes to where elevations are sharpest."""
-    local = poses.local(windows)
-    level = np.hypot(local[:, :, 0], local[:, :, 1])
-    heights = [
-        sharpest_height(z[use], far[use]) for z, far, use in zip(local[:, :, 2], level, windows.use, strict=True)
-    ]
-    move = np.array(heights)[:, None] * poses.frame[:, :, 2]
-    return replace(poses, station_m=poses.station_m + move)
+    """Move stations along their axes to where elevations are sharpest.
+
+    Half planes do not tell the speed along the axis either. An axis that is square to the road has none; a tilted one
+    has that of a platform that moves level.
+    """
+    axis = poses.frame[:, :, 2]
+    upright = np.where(np.abs(axis[:, 2]) > MIN_UPRIGHT, axis[:, 2], np.inf)
+    level_m_s = -poses.velocity_m_s[:, 2] / upright
+    best, chosen = -math.inf, poses
+    for speed in (np.zeros(len(axis)), level_m_s):
+        moving = replace(poses, velocity_m_s=poses.velocity_m_s + speed[:, None] * axis)
+        local = moving.local(windows)
+        level = np.hypot(local[:, :, 0], local[:, :, 1])
+        found = [sharpest_height(z[u], far[u]) for z, far, u in zip(local[:, :, 2], level, windows.use, strict=True)]
+        sharpness = float(np.median([sharp for _, sharp in found]))
+        if sharpness > best:
+            height = np.array([height for height, _ in found])[:, None]
+            best, chosen = sharpness, replace(moving, station_m=moving.station_m + height * axis)
+        if np.median(np.abs(level_m_s)) < SLOW_M_S:
+            break
+    return chosen
 
 
-def sharpest_height(z_m: F64, level_m: F64) -> float:
-    """Return the height from which points lie on the sharpest elevations [m]."""
+def _climb(poses: Poses) -> float:
+    """Return the speed along the axis as a share of that square to it, which stays where the mount does."""
+    velocity = (poses.velocity_m_s[:, None, :] @ poses.frame)[:, 0, :]
+    across = np.hypot(velocity[:, 0], velocity[:, 1])
+    moving = across > MIN_SPEED_M_S
+    return float(np.median(velocity[moving, 2] / across[moving])) if moving.any() else 0.0
+
+
+def _climbing(poses: Poses, climb: float) -> Poses:
+    """Return poses of no speed along the axis with the usual one."""
+    axis = poses.frame[:, :, 2]
+    along = (poses.velocity_m_s * axis).sum(axis=1, keepdims=True)
+    across = poses.velocity_m_s - along * axis
+    speed = climb * np.linalg.norm(across, axis=1, keepdims=True)
+    return replace(poses, velocity_m_s=across + speed * axis)
+
+
+def sharpest_height(z_m: F64, level_m: F64) -> tuple[float, float]:
+    """Return the height from which points lie on the sharpest elevations [m], and how sharp they are."""
     lowest, highest = np.percentile(z_m, [1.0, 99.0]).tolist()
-    heights: F64 = np.arange(lowest - 1.0, highest + 1.0, HEIGHT_STEP_M)
-    best = float(heights[int(np.argmax(_sharpness(z_m, level_m, heights, HEIGHT_BIN_RAD)))])
-    heights = best + 0.2 * HEIGHT_STEP_M * np.arange(-12, 13)
-    return float(heights[int(np.argmax(_sharpness(z_m, level_m, heights, 0.5 * HEIGHT_BIN_RAD)))])
+    n_heights = math.ceil((highest - lowest + 2.0) / HEIGHT_STEP_M)
+    coarse = lowest - 1.0 + HEIGHT_STEP_M * np.arange(n_heights)
+    sharpness = _sharpness(z_m, level_m, coarse, HEIGHT_BIN_RAD)
+    # the right height may lie between two of the grid, where near points are not sharp yet
+    best = coarse[np.argsort(sharpness)[-N_HEIGHTS:]]
+    fine = (best[:, None] + 0.2 * HEIGHT_STEP_M * np.arange(-4, 5)).ravel()
+    sharpness = _sharpness(z_m, level_m, fine, 0.5 * HEIGHT_BIN_RAD)
+    place = int(np.argmax(sharpness))
+    return float(fine[place]), float(sharpness[place])
 
 
-def _sharpness(z_m: F64, level_m: F64, heights: F64, bin_rad: float) -> F64:
+def _sharpness(z_m: F64, level_m: F64, heights: NDArray[Any], bin_rad: float) -> F64:
     """Return how likely two points of a block of elevations share a bin, beyond chance, summed over blocks.
 
     A block counts by the root of its points: else the ground, seen from its own height, would be sharper than all
@@ -622,6 +669,7 @@ def fit_windows(time_s: F64, xyz_m: F64, rate: TurnRate, rings: Rings) -> HeadPa
     windows = _full(cut_windows(time_s, xyz_m, middle, step, N_WINDOW))
     azimuth = windows.azimuth(rate.hz, rate.origin_s)
     fit = lock(windows, azimuth, rings.groups_rad())
+    fit = replace(fit, poses=_climbing(fit.poses, rings.climb))
     poses = _foretold_heights(fit, windows, rings)
     path = _onto_rings(windows, azimuth, poses, rings)
     for _ in range(REPAIRS):
@@ -669,7 +717,7 @@ def _foretold_heights(fit: Locked, windows: Windows, rings: Rings) -> Poses:
             guess = float(axis @ (foretold - windows.centre_m[i] - station[i]))
             height = _ring_height(z[:N_HEIGHT], far[:N_HEIGHT], guess, rings)
         if height is None:
-            height = sharpest_height(z, far)
+            height, _ = sharpest_height(z, far)
         station[i] += height * axis
         before = i
     return replace(poses, station_m=station)
@@ -808,7 +856,9 @@ class SpinningScan:
     firing: I64
     """(n,) int64, number of the firing; -1 = off every ring."""
     ring: I64
-    """(n,) int64, rank of the ring by elevation; -1 = off every ring."""
+    """(n,) int64, rank of the ring along the axis; -1 = off every ring."""
+    column: I64
+    """(n,) int64, rank of the ring from low to high; -1 = off every ring."""
     local_m: F64
     """(n, 3) float64, points in the frame of the head that does not spin [m]."""
 
@@ -889,4 +939,5 @@ def scan_piece(time_s: F64, xyz_m: F64, head: SpinningHead) -> tuple[SpinningSca
     ring = ring_numbers(local, head.rings)
     firing, firings = firing_numbers(time_s, ring, head.firings)
     line = line_numbers(firing, ring, firings)
-    return SpinningScan(path, line, firing, ring, local), replace(head, firings=firings)
+    column = ring if head.rings.is_up else np.where(ring >= 0, head.rings.n_rings - 1 - ring, -1)
+    return SpinningScan(path, line, firing, ring, column, local), replace(head, firings=firings)
