@@ -12,17 +12,25 @@ from numpy.typing import NDArray
 
 from prc_cli.core.findings import Finding
 from prc_cli.core.stream import Assumption
-from prc_cli.core.types import F64
-from prc_cli.streams.registered.evidence import PathFigures, Placed, figures_of, judge, no_clock, no_rotation
+from prc_cli.core.types import F64, I64
+from prc_cli.streams.registered.evidence import (
+    PathFigures,
+    Placed,
+    figures_of,
+    judge,
+    no_clock,
+    no_rotation,
+    no_stations,
+)
 from prc_cli.streams.registered.fit import (
     KNOT_S,
     Clock,
     Pieces,
     Track,
+    are_shots_of_one_time,
     find_turning,
     fit_track,
     read_clock,
-    share_their_shot,
 )
 from prc_cli.streams.registered.rotation import Turning, find_rotation
 from prc_cli.streams.registered.scan import Scan, make_scan
@@ -39,7 +47,19 @@ CONTIGUOUS_POINTS = 1 << 20
 """Consecutive points in which the rate is refined."""
 POINTS_PER_KNOT = 320
 """Points that are kept of the time between two knots, about."""
-CELL = np.dtype([("scan_line", "i4"), ("column", "i4"), ("range", "f8"), ("pass", "i4")])
+MOST_RETURNS = 255
+"""Returns of a shot that are told apart."""
+CELL = np.dtype(
+    [
+        ("scan_line", "i4"),
+        ("column", "i4"),
+        ("range", "f8"),
+        ("pass", "i4"),
+        ("return_number", "u1"),
+        ("number_of_returns", "u1"),
+    ]
+)
+"""What is found of every point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +186,8 @@ def _reconstruct_head(path: str, points: Spool, first_number: int) -> tuple[Head
     for part in passes:
         track = None
         if part.stop - part.start >= LEAST_PASS_POINTS:
-            track = fit_track(_thinned(points, part, rates.turning), rates.turning)
+            duration_s = _duration(points, part)
+            track = fit_track(_thinned(points, part, rates.turning), rates.turning, duration_s)
         if track is None:
             n_unplaced += part.stop - part.start
             _leave_out(points, cells, part)
@@ -179,7 +200,7 @@ def _reconstruct_head(path: str, points: Spool, first_number: int) -> tuple[Head
         scans.append(scan)
         figures.append(figures_of(track, scan, placed))
     if not scans:
-        raise no_rotation(path, None)
+        raise no_stations(path, rates.turning)
     return Head(points, cells), scans, figures, n_unplaced
 
 
@@ -188,7 +209,7 @@ def _scan_of(points: Spool, part: slice, track: Track, rates: _Rates) -> Scan:
     turning, clock = rates.turning, rates.clock
     first = points.read(part.start, min(part.stop, part.start + BLOCK_POINTS))
     fine = make_scan(track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False)
-    if share_their_shot(fine, first["time"], coordinates(first)):
+    if not are_shots_of_one_time(fine, first["time"], coordinates(first)):
         return fine
     return make_scan(track.knots, turning, clock.shots_per_turn(turning, coarse=True), by_bearing=True)
 
@@ -225,9 +246,7 @@ def find_passes(points: Spool) -> list[slice]:
 
 def _thinned(points: Spool, part: slice, turning: Turning) -> Pieces:
     """Return what gives every n-th point of a pass, so that enough lie between two knots."""
-    ends = points.read(part.start, part.start + 1)["time"][0], points.read(part.stop - 1, part.stop)["time"][0]
-    duration_s = max(float(ends[1] - ends[0]), 1e-3)
-    between = (part.stop - part.start) / duration_s * max(1.0 / turning.line_hz, KNOT_S)
+    between = (part.stop - part.start) / _duration(points, part) * max(1.0 / turning.line_hz, KNOT_S)
     every = max(int(between / POINTS_PER_KNOT), 1)
 
     def pieces() -> Iterator[tuple[F64, F64]]:
@@ -239,6 +258,11 @@ def _thinned(points: Spool, part: slice, turning: Turning) -> Pieces:
                 yield np.ascontiguousarray(chosen["time"]), coordinates(chosen)
 
     return pieces
+
+
+def _duration(points: Spool, part: slice) -> float:
+    first, last = (float(points.read(i, i + 1)["time"][0]) for i in (part.start, part.stop - 1))
+    return max(last - first, 1e-3)
 
 
 def _leave_out(points: Spool, cells: Spool, part: slice) -> None:
@@ -272,5 +296,32 @@ def _put(cells: Spool, records: NDArray[np.void], scan: Scan, number: int, seen:
     row["column"] = placed.column
     row["range"] = placed.range_m
     row["pass"] = number
+    row["return_number"], row["number_of_returns"] = returns_of(records, placed.range_m, by_time=not scan.by_bearing)
     cells.append(row)
     seen.see(placed.line, placed.column, placed.range_m)
+
+
+def returns_of(records: NDArray[np.void], range_m: F64, *, by_time: bool) -> tuple[I64, I64]:
+    """Return number of every return and number of returns of its shot, (n,) each.
+
+    Parameters
+    ----------
+    records
+        (n,) points in the order of their times.
+    range_m
+        (n,) float64 [m].
+    by_time
+        Whether points of one time are returns of one shot; else the cloud itself says so, or every point is a shot.
+    """
+    if by_time:
+        shot = np.cumsum(np.diff(records["time"], prepend=-np.inf) > 0) - 1
+        order = np.lexsort((range_m, shot))
+        first = np.searchsorted(shot, shot)
+        number = np.empty(len(records), np.int64)
+        number[order] = np.arange(len(records)) - first + 1
+        return np.minimum(number, MOST_RETURNS), np.minimum(np.bincount(shot)[shot], MOST_RETURNS)
+    one = np.ones(len(records), np.int64)
+    names = records.dtype.names or ()
+    if "return_number" not in names or "number_of_returns" not in names:
+        return one, one
+    return records["return_number"].astype(np.int64), records["number_of_returns"].astype(np.int64)

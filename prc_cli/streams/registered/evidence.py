@@ -11,7 +11,7 @@ from prc_cli.core.errors import EvidenceError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.types import F64, I64
 from prc_cli.streams.registered.fit import Track
-from prc_cli.streams.registered.rotation import Rotation
+from prc_cli.streams.registered.rotation import Rotation, Turning
 from prc_cli.streams.registered.scan import Scan
 
 CHECK = "path"
@@ -185,6 +185,14 @@ def judge(path: str, figures: list[PathFigures], n_unplaced: int, n_points: int)
     finding = worst.finding
     assert finding is not None
     return (finding,)
+
+
+def no_stations(path: str, turning: Turning) -> EvidenceError:
+    """Return the error of points whose scan lines do not tell where the scanner was."""
+    problem = (
+        f"the beam turns {turning.hz:.5g} times a second, but its lines are too short or too few to place the scanner"
+    )
+    return EvidenceError(path, problem, f"give a larger part of the drive; or {_HINT_TRAJECTORY}")
 
 
 def no_rotation(path: str, rotation: Rotation | None) -> EvidenceError:

@@ -26,6 +26,8 @@ KNOT_S = 0.01
 """Least time between knots [s]; at most a line lies between two."""
 WINDOW_SPACING_S = 0.02
 """Time between the lines whose station is found alone [s]."""
+LEAST_WINDOWS = 20
+"""Lines whose station is found alone, at least, if there are so many."""
 POINTS_BETWEEN_KNOTS = 120
 """Points that are used between two knots."""
 CONE_ROUNDS = 2
@@ -38,10 +40,10 @@ SEGMENT_KNOTS, OVERLAP_KNOTS = 800, 200
 """Knots that are smoothed at once, and how many of them neighbouring segments share."""
 ON_BEAM = 5.0
 """A point lies on its beam within this many median residuals."""
-MOST_PAIRS, LEAST_PAIRS = 20_000, 50
-"""Pairs of points of one time that are compared."""
-SAME_SHOT = 0.3
-"""Points of one time whose bearings differ by less than this share of a step are returns of one shot."""
+LEAST_GROUPS = 50
+"""Times that several points share are looked at if there are so many."""
+OF_SEVERAL_SHOTS = 0.25
+"""Points of one time that differ by more than this share of the turn from time to time are several shots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,11 @@ class Track:
     """Share of the single lines that fit and agree with their neighbours."""
 
 
+def window_spacing(duration_s: float) -> float:
+    """Return the time between the lines whose station is found alone [s]; less than usual in short passes."""
+    return min(WINDOW_SPACING_S, duration_s / LEAST_WINDOWS)
+
+
 def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
     """Find the rate of turns and of lines, the same unless lines are arcs that begin anew.
 
@@ -75,24 +82,21 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
     rotation
         The rate at which short pieces fit.
     """
+    spacing_s = window_spacing(float(time_s[-1] - time_s[0]))
     turning = Turning(rotation.hz, rotation.hz, float(time_s[0]))
-    windows = stations_of_lines(time_s, xyz_m, turning, WINDOW_SPACING_S)
+    windows = stations_of_lines(time_s, xyz_m, turning, spacing_s)
     residual = float(np.median(windows.stations.residual_m)) if len(windows.time_s) else math.inf
     arcs = _arcs(time_s, rotation)
     if arcs is not None:
-        of_arcs = stations_of_lines(time_s, xyz_m, arcs, WINDOW_SPACING_S)
+        of_arcs = stations_of_lines(time_s, xyz_m, arcs, spacing_s)
         if len(of_arcs.time_s) and float(np.median(of_arcs.stations.residual_m)) < ARC_GAIN * residual:
             turning, windows = arcs, of_arcs
-    return _without_drift(time_s, xyz_m, turning, windows)
-
-
-def _without_drift(time_s: F64, xyz_m: F64, turning: Turning, windows: Windows) -> Turning:
     for _ in range(3):
         drift = drift_hz(windows)
         turning = turning.faster(drift)
         if abs(drift) < 1e-7 * turning.hz:
             break
-        windows = stations_of_lines(time_s, xyz_m, turning, WINDOW_SPACING_S)
+        windows = stations_of_lines(time_s, xyz_m, turning, spacing_s)
     return turning
 
 
@@ -108,7 +112,7 @@ Pieces: TypeAlias = Callable[[], Iterator[tuple[F64, F64]]]
 """Gives times (n,) and points (n, 3) of a pass from its beginning, in pieces of rising times."""
 
 
-def fit_track(pieces: Pieces, turning: Turning) -> Track | None:
+def fit_track(pieces: Pieces, turning: Turning, duration_s: float) -> Track | None:
     """Fit the path of one pass; None where too few lines can be placed.
 
     Parameters
@@ -117,8 +121,10 @@ def fit_track(pieces: Pieces, turning: Turning) -> Track | None:
         Points of the pass, thinned; read twice.
     turning
         The bearing of the beam over time.
+    duration_s
+        Duration of the pass [s].
     """
-    windows = _windows(pieces, turning)
+    windows = _windows(pieces, turning, window_spacing(duration_s))
     if windows is None or np.count_nonzero(windows.trusted) < LEAST_TRUSTED:
         return None
     step = max(1.0 / turning.line_hz, KNOT_S)
@@ -128,12 +134,12 @@ def fit_track(pieces: Pieces, turning: Turning) -> Track | None:
     return _smooth_all(pieces, turning, knots, float(windows.trusted.mean()))
 
 
-def _windows(pieces: Pieces, turning: Turning) -> Windows | None:
+def _windows(pieces: Pieces, turning: Turning, spacing_s: float) -> Windows | None:
     """Return the stations of single lines of a whole pass."""
     parts = [
         windows
         for time_s, xyz_m in whole_lines(pieces(), turning)
-        if len((windows := stations_of_lines(time_s, xyz_m, turning, WINDOW_SPACING_S)).time_s)
+        if len((windows := stations_of_lines(time_s, xyz_m, turning, spacing_s)).time_s)
     ]
     return join_windows(parts) if parts else None
 
@@ -252,23 +258,24 @@ def read_clock(time_s: F64) -> Clock | None:
     return Clock(1.0 / distinct_s, 1.0 / shared_s)
 
 
-def share_their_shot(scan: Scan, time_s: F64, xyz_m: F64) -> bool:
-    """Tell whether points of one time lie on one beam: returns of one shot, not shots of a coarse time.
+def are_shots_of_one_time(scan: Scan, time_s: F64, xyz_m: F64) -> bool:
+    """Tell whether points of one time are shots of a coarse time, not returns of one shot on one beam.
 
     Parameters
     ----------
     scan
-        The scan of the points.
+        The scan of the points, with a shot for every time.
     time_s
         (n,) float64, rising [s].
     xyz_m
         (n, 3) float64 [m].
     """
-    same = np.flatnonzero(np.diff(time_s) == 0)[:MOST_PAIRS]
-    if len(same) < LEAST_PAIRS:
-        return True
-    bearing, later = (
-        scan.bearings(time_s[place], xyz_m[place] - scan.stations(time_s[place])) for place in (same, same + 1)
-    )
-    turn = np.abs(np.remainder(later - bearing + math.pi, 2.0 * math.pi) - math.pi)
-    return float(np.median(turn)) < SAME_SHOT * scan.step_rad
+    begin = np.flatnonzero(np.diff(time_s, prepend=-np.inf) > 0)
+    several = np.diff(begin, append=len(time_s)) > 1
+    if np.count_nonzero(several) < LEAST_GROUPS:
+        return False
+    bearing = scan.bearings(time_s, xyz_m - scan.stations(time_s))
+    shot = np.cumsum(np.diff(time_s, prepend=-np.inf) > 0) - 1
+    away = np.remainder(bearing - bearing[begin][shot] + math.pi, 2.0 * math.pi) - math.pi
+    spread = np.maximum.reduceat(away, begin) - np.minimum.reduceat(away, begin)
+    return float(np.median(spread[several])) > OF_SEVERAL_SHOTS * scan.step_rad

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prc_cli.core.types import F64, I64
+from prc_cli.streams.columns import spread_columns
 from prc_cli.streams.registered.path import Knots
 from prc_cli.streams.registered.rotation import Turning
 
@@ -95,10 +96,17 @@ class Scan:
             # the turn of the measured bearing is that of the time
             turns = measured + np.rint(turns - measured)
             line = np.floor(turns).astype(np.int64)
-            shot = (turns - line) * self.shots_per_turn
+            column = self._columns_by_bearing(turns, line)
         else:
-            shot = self._shots_in_line(time_s, turns, line)
-        return Cells(line, np.rint(shot).astype(np.int64), range_m)
+            column = np.rint(self._shots_in_line(time_s, turns, line)).astype(np.int64)
+        return Cells(line, column, range_m)
+
+    def _columns_by_bearing(self, turns: F64, line: I64) -> I64:
+        """Return the columns of measured bearings; of two in one column one moves to a free one beside it."""
+        order = np.argsort(turns, kind="stable")
+        column = np.minimum(((turns - line) * self.shots_per_turn).astype(np.int64), self.points_per_line - 1)
+        column[order] = spread_columns(column[order], line[order])
+        return column
 
     def phase(self, time_s: F64) -> F64:
         """Return lines since the origin at times (n,), with their fraction."""

@@ -137,8 +137,8 @@ class RegisteredSource(DerivedSource):
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that the source can deliver."""
-        carried = [name for name in CARRIED if name in self.source.dimensions]
-        return ("range", "scan_line", "column", "time", *XYZ, *carried, PASS)
+        carried = [name for name in ("intensity",) if name in self.source.dimensions]
+        return ("range", "scan_line", "column", "time", *XYZ, *carried, "return_number", "number_of_returns", PASS)
 
     @property
     def facts(self) -> SourceFacts:
