@@ -19,6 +19,7 @@ from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, V
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
 from prc_cli.formats import LAS_SUFFIXES, open_source
+from prc_cli.formats.clock import with_clock
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import Contents, DerivedSource, RecordChunk, RecordSource, watched_contents
@@ -152,6 +153,7 @@ def _decode(path: Path, loaded: LoadedConfig) -> None:
 
 def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None) -> Inspection:
     source = open_source(path, loaded.config.layout)
+    source = None if source is None else with_clock(source, loaded.config.input.time_unit)
     stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
     # times are sorted where the stream is found from the points
     judged = loaded.config.input.order == "require" and loaded.config.input.range != "points"

@@ -58,8 +58,10 @@ def open_input(
         from prc_cli.streams.rings import open_rings
 
         return windowed(open_rings(source, config), config)
+    from prc_cli.formats.clock import with_clock
     from prc_cli.streams.grid import open_grid
 
+    source = with_clock(source, config.time_unit)
     if config.points_per_line is not None:
         source.facts.align_chunks(config.points_per_line * lines_at_once)
     of_points = config.range.partition(":")[0] in ("trajectory", "origin", "sensor-xyz")

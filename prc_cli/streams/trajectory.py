@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.bags import FORMATS as BAGS
+from prc_cli.formats.clock import Unwrapped, unit_of_positions
+from prc_cli.formats.options import FACTORS
 from prc_cli.formats.trajectory import is_tum, project, read_poses, read_sbet, read_text, read_tum, read_turns, turned
 
-_WEEK_S = 604_800.0
+_WEEK_S, _HOUR_S = 604_800.0, 3600.0
 _ADJUSTED_S = 1e9
 """Adjusted standard GPS time is GPS time less this (LAS 1.4, global encoding bit 0)."""
 _LEAP_S = 18.0
@@ -142,14 +144,19 @@ class Trajectory:
         for offset in (_LEAP_S, -_LEAP_S):
             if start + offset <= first and last <= end + offset:
                 what = f"{offset:+g} s, as UTC and GPS do"
-                return f"the clocks seem to differ by {what}: try trajectory_time_offset = {offset:.0f}"
+                return f"the clocks seem to differ by {what}: try --set input.trajectory_time_offset={offset:.0f}"
+        hours = round(middle / _HOUR_S)
+        is_inside = start + hours * _HOUR_S <= first and last <= end + hours * _HOUR_S
+        if hours and abs(hours) < _WEEK_S / _HOUR_S and is_inside:
+            offset = hours * _HOUR_S
+            return f"the clocks seem to differ by {hours:+d} h: try --set input.trajectory_time_offset={offset:.0f}"
         for base, name in _CLOCKS:
             weeks = 0 if name in _SINCE_1970 else round((middle - base) / _WEEK_S)
             offset = base + weeks * _WEEK_S
             if offset and abs(middle - offset) <= slack:
                 known = ((f"{weeks:+d} GPS weeks", weeks), (name, base))
                 what = " and ".join(text for text, there in known if there)
-                return f"the clocks seem to differ by {what}: try trajectory_time_offset = {offset:.0f}"
+                return f"the clocks seem to differ by {what}: try --set input.trajectory_time_offset={offset:.0f}"
         return unknown
 
 
@@ -207,7 +214,7 @@ def load_trajectory(
             raise ConfigError("input.trajectory_lever_arm", problem, hint)
         xyz_m = xyz_m + turned(quaternion, np.array(lever_arm_m))
     with np.errstate(over="ignore"):
-        time_s = time_s + time_offset
+        time_s = Unwrapped().put(time_s * FACTORS[unit_of_positions(time_s)]) + time_offset
     _check(path, time_s)
     return Trajectory(str(path), time_s, xyz_m, max_gap, lever_arm_m, quaternion if with_turns else None)
 

@@ -136,7 +136,7 @@ def test_clocks_that_differ_are_named(tmp_path: Path, ahead: float, offset: int,
     rows = poses()
     rows[:, 0] = np.linspace(1_700_000_000, 1_700_000_010, len(rows))
     track = load_trajectory(tum(tmp_path / "a.tum", rows), **HEAD)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=rf"differ by {name}: try trajectory_time_offset = {offset}$"):
+    with pytest.raises(InputError, match=rf"differ by {name}: try --set input.trajectory_time_offset={offset}$"):
         track.positions(np.linspace(1_700_000_001, 1_700_000_009, 5) + ahead)
 
 

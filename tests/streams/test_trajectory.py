@@ -89,7 +89,7 @@ def test_gps_week_and_adjusted_time_are_recognised(point_clock: Any, offset: int
     track = Trajectory("drive.csv", np.array([300_000.0, 303_600.0]), np.zeros((2, 3)))
     with pytest.raises(InputError) as caught:
         track.positions(point_clock(np.array([301_000.0, 303_000.0])))
-    assert caught.value.hint.endswith(f"try trajectory_time_offset = {offset}")
+    assert caught.value.hint.endswith(f"try --set input.trajectory_time_offset={offset}")
 
 
 def test_sbet_is_projected_and_keeps_altitudes(tmp_path: Path) -> None:
@@ -181,10 +181,10 @@ WEEK = 604_800.0
 @pytest.mark.parametrize(
     ("offset", "hint"),
     [
-        (WEEK, "differ by +1 GPS weeks: try trajectory_time_offset = 604800"),
-        (-2 * WEEK, "differ by -2 GPS weeks: try trajectory_time_offset = -1209600"),
-        (-1e9, "differ by -1e+09 s: try trajectory_time_offset = -1000000000"),
-        (1e9 + WEEK, "differ by +1 GPS weeks and +1e+09 s: try trajectory_time_offset = 1000604800"),
+        (WEEK, "differ by +1 GPS weeks: try --set input.trajectory_time_offset=604800"),
+        (-2 * WEEK, "differ by -2 GPS weeks: try --set input.trajectory_time_offset=-1209600"),
+        (-1e9, "differ by -1e+09 s: try --set input.trajectory_time_offset=-1000000000"),
+        (1e9 + WEEK, "differ by +1 GPS weeks and +1e+09 s: try --set input.trajectory_time_offset=1000604800"),
         # points take 10 s, the trajectory 16: so far apart that the middles may be 3 s and one more off
         (WEEK + 4.0, "+1 GPS weeks"), (WEEK + 4.01, None), (WEEK - 3.99, "+1 GPS weeks"), (500.0, None), (1e15, None),
     ],

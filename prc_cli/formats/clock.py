@@ -1,0 +1,163 @@
+"""Clocks of records and of trajectories: times in other units than seconds, and clocks that begin anew.
+
+GPS receivers count the seconds of the week, some scanners those of the day or of the hour. A drive across such a border
+has times that fall by the whole period, from its end to its beginning; later times count on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from prc_cli.core.facts import SourceFacts
+from prc_cli.core.types import F64
+from prc_cli.formats.options import FACTORS
+from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+
+PERIODS_S = {3600.0: "hour", 86400.0: "day", 604800.0: "GPS week"}
+"""Times after which clocks begin anew [s]."""
+NEAR_S = 60.0
+"""The last time before the border and the first after it are this near to it [s]."""
+LATEST_S = 1e10
+"""No clock counts more seconds: 300 years since any epoch."""
+SLOWEST_SHOT_S = 0.01
+"""Scanners measure more often than every hundredth of a second [s]."""
+LEAST_COUNT = 5.0
+"""Whole numbers that rise by less from record to record may be numbers of records."""
+_STEPS = 1000
+"""Records over which the mean step is measured."""
+_UNITS = ("ms", "us", "ns")
+
+
+def unit_of(time: F64) -> str:
+    """Return the unit of times by their size and their steps; ``s`` unless they cannot be seconds.
+
+    >>> unit_of(np.arange(1.7e18, 1.7e18 + 5e9, 1e6)), unit_of(np.arange(0.0, 2.0, 1e-4))
+    ('ns', 's')
+    """
+    known = time[np.isfinite(time)]
+    if len(known) < 2:
+        return "s"
+    size, step = float(np.median(np.abs(known))), _mean_step(known)
+    if size <= LATEST_S and step <= SLOWEST_SHOT_S:
+        return "s"
+    for unit in _UNITS:
+        factor = FACTORS[unit]
+        if size * factor <= LATEST_S and (step * factor <= SLOWEST_SHOT_S):
+            return unit if size > LATEST_S or (step > LEAST_COUNT and _is_whole(known)) else "s"
+    return "s"
+
+
+def unit_of_positions(time: F64) -> str:
+    """Return the unit of the times of a trajectory, whose steps tell nothing, by their size.
+
+    >>> unit_of_positions(np.array([1.7e15, 1.7e15 + 1e4]))
+    'us'
+    """
+    size = float(np.median(np.abs(time))) if len(time) else 0.0
+    return next((unit for unit in ("s", *_UNITS) if size * FACTORS[unit] <= LATEST_S), "s")
+
+
+def _mean_step(time: F64) -> float:
+    """Return the usual mean step over some records."""
+    n = min(_STEPS, len(time) - 1)
+    return float(np.median(np.abs(time[n:] - time[:-n]))) / n
+
+
+def _is_whole(time: F64) -> bool:
+    """Whether times are whole numbers, as counts of a small unit are."""
+    return bool((time == np.rint(time)).all())
+
+
+@dataclass(slots=True)
+class Unwrapped:
+    """Counts on where a clock begins anew."""
+
+    added_s: float = 0.0
+    """Whole periods since the start [s]."""
+    n: int = 0
+    """How often the clock began anew."""
+    name: str = ""
+    """The period."""
+    _last: float = np.nan
+
+    def put(self, time_s: F64) -> F64:
+        """Return the next times, counted on, (n,) float64 [s].
+
+        >>> Unwrapped().put(np.array([3599.5, 3599.9, 0.2])).tolist()
+        [3599.5, 3599.9, 3600.2]
+        """
+        before = np.concatenate([[self._last], time_s[:-1]])
+        with np.errstate(invalid="ignore"):
+            steps = time_s - before
+            jumps = np.flatnonzero(np.abs(steps) > min(PERIODS_S) - 2 * NEAR_S)
+        if len(time_s):
+            self._last = float(time_s[-1])
+        turns: F64 = np.zeros(len(time_s))
+        for at in jumps:
+            turns[at] = self._turn(float(before[at]), float(time_s[at]))
+        if not self.added_s and not turns.any():
+            return time_s
+        added = self.added_s + np.cumsum(turns)
+        self.added_s = float(added[-1])
+        counted: F64 = time_s + added
+        return counted
+
+    def _turn(self, before_s: float, after_s: float) -> float:
+        """Return the period that a jump from one border to the other adds or takes back [s]; 0 for any other jump."""
+        for period_s, name in PERIODS_S.items():
+            if period_s - NEAR_S < before_s <= period_s and 0 <= after_s < NEAR_S:
+                self.n, self.name = self.n + 1, name
+                return period_s
+            # neighbours that were swapped at the border
+            if self.n and period_s - NEAR_S < after_s <= period_s and 0 <= before_s < NEAR_S:
+                self.n -= 1
+                return -period_s
+        return 0.0
+
+
+@dataclass(frozen=True)
+class ClockSource(DerivedSource):
+    """Records whose times are seconds that count on."""
+
+    source: RecordSource
+    unit: str
+    _seen: list[Unwrapped] = field(default_factory=list)
+    """What the last reading found."""
+
+    @property
+    def facts(self) -> SourceFacts:
+        """What the file says of itself, and what was done to its times."""
+        facts, notes = self.source.facts, []
+        if self.unit != "s":
+            notes.append(f"the times are in {self.unit} (input.time_unit)")
+        if any(one.n for one in self._seen):
+            name = self._seen[0].name
+            notes.append(f"the clock begins anew at the end of the {name}: later times count on")
+        return replace(facts, notes=(*facts.notes, *notes)) if notes else facts
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named dimensions."""
+        if "time" not in names:
+            yield from self.source.chunks(names)
+            return
+        unwrapped = Unwrapped()
+        self._seen[:] = [unwrapped]
+        factor = FACTORS[self.unit]
+        for chunk in self.source.chunks(names):
+            time_s = np.asarray(chunk.values["time"], np.float64)
+            counted = unwrapped.put(time_s * factor if factor != 1.0 else time_s)
+            yield chunk if counted is time_s else replace(chunk, values={**chunk.values, "time": counted})
+
+
+def with_clock(source: RecordSource, time_unit: str = "auto") -> RecordSource:
+    """Return a source whose times are seconds and count on; one without times as it is."""
+    if "time" not in source.dimensions:
+        return source
+    unit = time_unit
+    if unit not in FACTORS:
+        first = next(iter(source.chunks(("time",))), None)
+        unit = "s" if first is None else unit_of(np.asarray(first.values["time"], np.float64))
+    return ClockSource(source, unit)
