@@ -377,15 +377,17 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     if is_told or not is_dump(path) or not path.is_file():
         return loaded
     # imported here: only dumps need it
-    from prc_cli.formats.guessing import is_frame
+    from prc_cli.formats.guessing import frame_fields
 
-    if not is_frame(path):
+    names = frame_fields(path)
+    if names is None:
         return loaded
     sample = read_toml(samples_folder() / FRAME_SAMPLE)
     del sample["method"], sample["input"]["points_per_line"]  # frames of other scanners have other rings
-    note = (
-        f"the records look like x, y, z and intensity of a frame: read as {FRAME_SAMPLE} says; --layout says otherwise"
-    )
+    known = len(sample["layout"]["fields"])
+    sample["layout"]["fields"] += [{"name": name, "type": "f4"} for name in names[known:]]
+    shown = f"{', '.join(names[:-1])} and {names[-1]}"
+    note = f"the records look like {shown} of a frame: read as {FRAME_SAMPLE} says; --layout says otherwise"
     return _with_table(loaded, sample, FRAME_SAMPLE, note)
 
 

@@ -23,7 +23,7 @@ from prc_cli.cli.options import (
     window_options,
 )
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
-from prc_cli.cli.report import console, results, table_of
+from prc_cli.cli.report import LOOK, console, results, table_of
 from prc_cli.core.errors import ConfigError, InputError, printable_lines
 from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, whole_set
 from prc_cli.core.window import Window, parse_window
@@ -193,6 +193,8 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     if why and not options["quiet"]:
         console().print(f"mapping: {name} ({why}); --mapping names another", markup=False, soft_wrap=True)
     refuse_failed(gates)
+    if doubts(found):
+        raise SystemExit(LOOK)
 
 
 def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:

@@ -131,6 +131,8 @@ class ClassMapping(Params):
         known = codes[codes.astype(np.int64) != NO_CODE].astype(np.int64)
         found = []
         for name in preset_names():
+            if name == TRAINING:  # small numbers mean anything
+                continue
             preset = load_mapping(name)
             classes = preset._search(known, side)
             names = preset.names(side)
@@ -172,6 +174,10 @@ class ClassMapping(Params):
         return spans
 
 
+TRAINING, LAST_TRAINING_ID, LEAST_TRAINING_IDS = "street_kitti_training", 19, 5
+"""Mapping of SemanticKITTI's training ids, the largest, and how many of them a frame has at least."""
+
+
 class UnlistedError(InputError):
     """Codes that a class mapping does not list."""
 
@@ -195,6 +201,8 @@ class UnlistedError(InputError):
         fitting = mapping.fitting(found, side)
         if fitting:
             hint = f"a mapping that lists them: {' or '.join(fitting)} (--mapping NAME); or {hint}"
+        if side == "reference" and found.max(initial=0) <= LAST_TRAINING_ID and len(found) >= LEAST_TRAINING_IDS:
+            hint = f"if they are the training ids of SemanticKITTI: --mapping {TRAINING}; or {hint}"
         error = cls(f"{side} codes", problem, hint)
         error.mapping, error.side = mapping, side
         return error

@@ -164,6 +164,11 @@ def match_line(match: MatchReport) -> str:
 def doubts(found: Evaluation) -> tuple[str, ...]:
     """Return reasons to doubt the evaluation itself, such as agreement that is only that of chance."""
     result = scores(found.matrix)
+    seen = [item for item in result.classes if item.n_reference]
+    predicted = [item for item in result.classes if item.n_predicted]
+    if len(seen) == 1 < len(predicted) and result.n_scored >= _ENOUGH:
+        only = f"All {seen[0].n_reference:,} scored records of the reference are {seen[0].name}"
+        return (f"{only}: check that its codes are those of the class mapping.",)
     names = [item for item in result.classes if item.recall + item.precision >= 0]
     if len(names) < 2 or result.n_scored < _ENOUGH or not result.kappa < _CHANCE:
         return ()

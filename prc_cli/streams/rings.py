@@ -390,7 +390,9 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTa
         there = np.isfinite(range_m)
         use = there & ((xyz[:, 0] != 0) | (xyz[:, 1] != 0))
         # with ring numbers, records without range are shots without return: their cells stay empty
-        n_unplaced += int(np.count_nonzero((there if RING in names else np.ones(chunk.n, np.bool_)) & ~use))
+        # so are records whose coordinates are no numbers
+        is_shot = there if RING in names else np.isfinite(chunk.values["x"])
+        n_unplaced += int(np.count_nonzero(is_shot & ~use))
         part: Table = {RECORD: table_of(chunk, ())[RECORD][use], RANGE: range_m[use], XYZ: xyz[use]}
         if INTENSITY in names:
             part[INTENSITY] = np.asarray(chunk.values[INTENSITY], np.float32)[use]

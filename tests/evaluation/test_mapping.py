@@ -34,6 +34,7 @@ PRESETS = (
     "sequential_angle",
     "street",
     "street_kitti",
+    "street_kitti_training",
     "street_oakland",
     *STREET_SCAN,
     "terrascan",
@@ -120,6 +121,14 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
     assert str(caught.value).startswith("reference codes: found 3 records with codes that the class mapping does not")
     assert "5, 9" in str(caught.value)
     assert 'unlisted = "other"' in caught.value.hint
+
+
+def test_training_ids_are_named_and_have_a_mapping() -> None:
+    ids = np.array([0, 1, 9, 11, 13, 15, 17, 18, 19])
+    with pytest.raises(InputError) as caught:
+        load_mapping("street_kitti").class_indices(ids, "reference")
+    assert "--mapping street_kitti_training" in caught.value.hint
+    assert (load_mapping("street_kitti_training").class_indices(ids, "reference")[1:] >= 0).all()
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from prc_cli.config import load_config, with_layout_beside
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ReadTally
+from prc_cli.formats.guessing import FRAME_FIELDS, frame_fields
 from prc_cli.formats.options import Layout, LayoutField, decode, record_dtype
 from prc_cli.formats.ranges import choose_returns, clean_ranges, continues_run, mark_shots
 from prc_cli.formats.raw_binary.read import RawBinarySource
@@ -211,3 +213,36 @@ def test_one_return_a_shot_in_the_image(rule: str, standing: list[list[int]], co
         assert (line, column) == (records["scan_line"][record], records["column"][record])
         assert range_m == records["range"][record]
     assert whole.tally == ReadTally(n_extra_returns=4)
+
+
+def _frame(n_fields: int) -> np.ndarray:
+    """Points of 16 rings of 400 shots, ring after ring."""
+    azimuth = np.tile(np.linspace(-np.pi, np.pi, 400, endpoint=False), 16)
+    ring = np.repeat(np.arange(16), 400)
+    elevation = np.deg2rad(2.0 - 1.7 * ring)
+    range_m = np.random.default_rng(2).uniform(5, 6, len(ring))
+    flat = range_m * np.cos(elevation)
+    columns = [flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation), 0.1 * ring, ring, azimuth]
+    return np.stack(columns[:n_fields], axis=1).astype("<f4")
+
+
+@pytest.mark.parametrize("n_fields", [4, 5, 6])
+def test_frames_of_the_usual_layouts_are_known(tmp_path: Path, n_fields: int) -> None:
+    path = tmp_path / "a.pcd.bin"
+    frame = _frame(n_fields)
+    frame.tofile(path)
+    assert frame_fields(path) == FRAME_FIELDS[:n_fields]
+    frame[::50, :3] = np.nan
+    frame.tofile(path)
+    assert frame_fields(path) == FRAME_FIELDS[:n_fields]
+    fields = with_layout_beside(path, load_config()).config.layout
+    assert fields is not None
+    assert len(fields.fields) == n_fields
+
+
+def test_a_frame_that_is_cut_to_a_picture_is_one(tmp_path: Path) -> None:
+    frame = _frame(4)
+    frame[np.abs(np.arctan2(frame[:, 1], frame[:, 0])) < np.pi / 4].tofile(tmp_path / "a.bin")
+    assert frame_fields(tmp_path / "a.bin") == FRAME_FIELDS[:4]
+    np.random.default_rng(1).permutation(frame).tofile(tmp_path / "b.bin")
+    assert frame_fields(tmp_path / "b.bin") is None
