@@ -22,7 +22,7 @@ CHECK_NAMES = (
     "below-ground", "noise-share", "indoors", "few-rings", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
-LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "few-rings", "classes-along")
+LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "indoors", "classes-along")
 """Checks that need the labels; methods that know no angles answer only some of them."""
 ORDER_CHECKS = ("shot-order", "line-order", "times")
 """Checks that ``--trust-order`` accepts."""

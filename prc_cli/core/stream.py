@@ -159,6 +159,8 @@ class ScanBlock(Brief):
     """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi]; the sign is the side of the
     scan plane. It turns one way with the column, by a turn at most; column 0 may lie anywhere. None = unknown or not
     requested."""
+    has_rings: bool = False
+    """Whether columns are known to be the rings of a spinning scanner: by what the input is, or by coordinates."""
     frame: SensorFrame | None = None
     """Frame of a spinning scanner in that of ``xyz_m``; None = the same, as far as is known."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)

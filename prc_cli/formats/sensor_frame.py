@@ -44,6 +44,10 @@ DEVIATION = 1.4826
 """Standard deviation in median absolute deviations."""
 DECIMALS_RAD, DECIMALS_M = 6, 3
 """Decimals of a frame: the last bits of a fit differ between machines."""
+MOST_IN_ORDER = 0.9
+"""Share of the rings that lie above the one before."""
+NEAR_RING = 0.4
+"""Shots are nearer to their ring than this share of the distance to the next."""
 _SPIN_RAD = math.radians(45.0)
 """The shots of a line of a spinning scanner lie within this of its azimuth [rad] ..."""
 _TURNED_RAD = math.radians(2.0)
@@ -68,6 +72,24 @@ def is_spinning(xyz_m: F32) -> bool:
     one_way = np.mean(np.abs(off[enough][there[enough]]) < _SPIN_RAD)
     turned = np.ptp(np.unwrap(azimuth[enough]))
     return bool(one_way > 0.9 and turned > _TURNED_RAD)
+
+
+def are_rings(xyz_m: F32) -> bool:
+    """Return whether columns of lines that turn, (lines, M, 3) float32 [m], are rings, each at its elevation.
+
+    With a wrong number of shots in a line elevations come again in a line, or change from line to line.
+    """
+    with np.errstate(invalid="ignore"):
+        elevation = np.arctan2(xyz_m[..., 2], np.hypot(xyz_m[..., 0], xyz_m[..., 1])).astype(np.float64)
+    enough = np.isfinite(elevation).sum(axis=0) >= FEWEST_RINGS
+    if np.count_nonzero(enough) < FEWEST_RINGS:
+        return False
+    middle = np.nanmedian(elevation[:, enough], axis=0)
+    gaps = np.diff(middle)
+    gaps *= math.copysign(1.0, float(gaps.sum()))
+    off = np.nanmedian(np.abs(elevation[:, enough] - middle))
+    # rings of several scanners, or of a worn one, may cross here and there
+    return bool(np.mean(gaps > 0) > MOST_IN_ORDER and off < NEAR_RING * float(np.median(np.abs(gaps))))
 
 
 def find_frame(xyz: F32, rings: I64) -> SensorFrame | None:

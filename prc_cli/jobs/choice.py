@@ -72,6 +72,8 @@ def choice_by_beams(
     may_spin: bool = True,
 ) -> MethodChoice:
     """Return the choice for an input whose beam directions are known; ``may_spin``: it is no static scan."""
+    if may_spin and first.has_rings:
+        return MethodChoice("rings", "columns are the rings of a spinning scanner")
     if may_spin and first.beam_rad is not None and is_fan(first.beam_rad):
         return MethodChoice("rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do")
     place = place_of_blocks(blocks)

@@ -150,7 +150,8 @@ def _open(
     """Open an input, with angles that the method does not need (``geometry``), or with ranges alone."""
     stream = open_input(
         path, config.input, config.layout, lines_at_once=config.classifier.method().needs.lines_per_block or 1,
-        geometry=geometry or config.needs_beams, only_ranges=only_ranges, parts=parts,
+        geometry=geometry or config.needs_beams, only_ranges=only_ranges,
+        with_intensity=config.classifier.method().needs.intensity, parts=parts,
     )  # fmt: skip
     if not config.needs_beams:
         return stream
@@ -179,7 +180,9 @@ def open_decided(
         loaded = decided_by(choice, loaded)
         with loading():
             load_classifier(loaded, engine)
-        if loaded.config.needs_beams:
+        # it was opened before it was known that intensities are needed
+        lacks = only_ranges and loaded.config.classifier.method().needs.intensity
+        if loaded.config.needs_beams and not lacks:
             return loaded, stream
     return loaded, _open(path, loaded.config, geometry=geometry, only_ranges=only_ranges, parts=parts)
 
@@ -305,7 +308,7 @@ def _classify(
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:
             confidence_kernels(loaded.config.classifier)
-        stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m, others=loaded.findings)
+        stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
     with (
         FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
         placement(source, output, loaded, opened) if is_new else nullcontext() as place,
@@ -513,7 +516,8 @@ def classify_ranges(
             else _directed(config, block, angle_deg, engine)
         )
         config = loaded.config
-        stream = watched(_InMemory(block), config.input, others=loaded.findings)
+        needs = config.classifier.method().needs
+        stream = watched(_InMemory(block), config.input, needs=needs, others=loaded.findings)
         judge, is_judged = Judge(stream, config), block.range_m.size >= LEAST_SHOTS
         blocks = iter(list(stream.blocks()) if is_judged else [block])
         labelled = list(judge.label(blocks, threads=threads_of(engine, threads), wanted=wanted_by(config.output)))

@@ -116,7 +116,7 @@ class _Run:
             self.parts[0], loaded, engine, geometry=False, only_ranges=True, loading=loading, parts=self.parts
         )
         needs = loaded.config.classifier.method().needs
-        stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m, others=loaded.findings)
+        stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
         firsts = joined.firsts()
         with ExitStack() as stack:
             writers = [

@@ -159,9 +159,7 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     judged = loaded.config.input.order == "require" and loaded.config.input.range != "points"
     if stream is not None:
         needs = loaded.config.classifier.method().needs
-        stream = watched(
-            stream, loaded.config.input, refuses=False, most_noise_m=needs.most_noise_m, others=loaded.findings
-        )
+        stream = watched(stream, loaded.config.input, refuses=False, needs=needs, others=loaded.findings)
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")

@@ -137,7 +137,7 @@ def stream(
         load_classifier(loaded)
     classifier = config.classifier.method()
     pipe.seal()
-    watch = LiveEvidence(watched(opened, config.input, others=loaded.findings), doubted)
+    watch = LiveEvidence(watched(opened, config.input, needs=classifier.needs, others=loaded.findings), doubted)
     blocks = _UntilError(watch)
     lookup = config.classes.lookup()
     counts, latency, result, asks_at = (

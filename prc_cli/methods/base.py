@@ -122,8 +122,12 @@ class Needs:
     """Lines of look-ahead after a block, at least 1; None = :func:`prc_cli.core.blocks.look_ahead_lines`."""
     beams: bool = True
     """Whether blocks must hold beam angles (``beam_rad``)."""
+    intensity: bool = False
+    """Whether labels depend on intensities: every reader gives them, if the input has any."""
     most_noise_m: float = math.inf
     """Most range noise that the thresholds stand [m]; more is doubted."""
+    least_rings: int = 0
+    """With fewer rings with returns classes are told less well; that is doubted."""
     confidence_kernels: frozenset[str] | None = None
     """Further loops that it calls where its confidence is wanted; None = it has none."""
 
@@ -174,8 +178,6 @@ class UsualLabels:
     """Ground has vanished where its share is below this part of what three quarters of the stream do not exceed."""
     reach_m: float = 0.0
     """Some of what is not noise is farther than this [m]."""
-    columns: int = 0
-    """With fewer columns classes are told less well."""
 
 
 class Classifier(Protocol[ScannerT, StateT_co]):

@@ -23,7 +23,7 @@ from prc_cli.core.hints import fitting_error
 from prc_cli.core.stream import MAX_RINGS, Assumption, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.sensor_frame import find_frame, is_spinning
+from prc_cli.formats.sensor_frame import are_rings, find_frame, is_spinning
 from prc_cli.streams.angle_step import MOST_OFF, AngleStep, measure_step
 from prc_cli.streams.angles import are_radians
 from prc_cli.streams.directions import fit_beams, forward_steps, turn_evenly
@@ -118,6 +118,8 @@ class Found:
     """Their uncertainty, as a share."""
     frame: SensorFrame | None = None
     """Frame of the scanner in that of its coordinates."""
+    has_rings: bool = False
+    """Whether coordinates show that columns are the rings of a spinning scanner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,17 +153,26 @@ class BeamFinder:
             xyz_m = _tilted(block.range_m, found.beam_rad, found.cos_tilt)
         angle_rad = block.angle_rad if found.angle_rad is None else found.angle_rad
         frame = found.frame if block.frame is None and found.keep_xyz else block.frame
-        return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad, frame=frame)
+        has_rings = block.has_rings or found.has_rings
+        return replace(
+            block, beam_rad=found.beam_rad, xyz_m=xyz_m, angle_rad=angle_rad, frame=frame, has_rings=has_rings
+        )
 
     def find(self, sample: Sample) -> Found:
-        """Apply the first applicable method; hints name only what the input takes."""
+        """Apply the first applicable method, and tell whether columns are rings; hints name what the input takes."""
         facts = self.info.facts
         try:
-            return self._find(sample)
+            found = self._find(sample)
         except (InputError, ConfigError) as error:
             raise fitting_error(error, facts.refuses, facts.remedy) from error
+        # each scan of a file is made by a scanner that stands, and turns slowly
+        if not sample.is_spinning or not found.keep_xyz or found.is_made_up or facts.has_scans:
+            return found
+        xyz = np.stack(sample.xyz_m[:SAMPLE_LINES])
+        return replace(found, has_rings=are_rings(xyz if found.frame is None else found.frame.own(xyz)))
 
     def _find(self, sample: Sample) -> Found:
+        """Apply the first applicable method."""
         scanner = sample.scanner
         angle = sample.angle_rad if sample.angle_rad is not None else self.info.angle_rad
         n = len(sample.range_m)

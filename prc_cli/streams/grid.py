@@ -52,11 +52,12 @@ def open_grid(
     line_hz: float | None = None,
     geometry: bool = True,
     only_ranges: bool = False,
+    with_intensity: bool = False,
     told: tuple[Assumption, ...] = (),
 ) -> GridStream:
     """Turn a list of records into the stream; ``told`` is what was assumed before."""
     records = sorted_by_time(source) if config.order == "sort-time" else source
-    rules = resolve_rules(records, config, geometry=geometry, only_ranges=only_ranges)
+    rules = resolve_rules(records, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity)
     if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
     n_records, m = source.n_records, rules.points_per_line
@@ -88,7 +89,7 @@ def open_grid(
         facts=replace(source.facts, notes=(*source.facts.notes, *setup_notes(found))),
         dimensions=records.dimensions,
     )
-    if only_ranges and "intensity" not in (*rules.names, *rules.ranges.names):
+    if "intensity" not in (*rules.names, *rules.carried):
         source.facts.skip_intensity()
     return GridStream(info, records, rules, setups, default)
 
@@ -208,7 +209,7 @@ class GridStream(Brief):
         # times and intensities are not needed once returns are chosen
         if rules.has("time") and not rules.only_ranges:
             cells["time"] = np.full(n_cells, np.nan)
-        if rules.has("intensity") and not rules.only_ranges:
+        if rules.holds_intensity:
             cells[INTENSITY] = np.full(n_cells, np.nan, np.float32)
         if rules.ranges.sensor_xyz or rules.ranges.dimension is None:  # ranges come with coordinates
             cells[XYZ] = np.full((n_cells, 3), np.nan, np.float32)
@@ -266,7 +267,7 @@ def dense_block(table: Table, first_line: int, rules: GridRules, setup: ScannerS
     shape, full = (-1, setup.points_per_line), not rules.only_ranges
     time_s: F64 | None = np.asarray(table["time"], np.float64).reshape(shape) if full and rules.has("time") else None
     intensity: F32 | None = None
-    if full and rules.has("intensity"):
+    if rules.holds_intensity:
         intensity = table[INTENSITY].astype(np.float32).reshape(shape)
     return ScanBlock(
         first_line=first_line,

@@ -38,9 +38,13 @@ def open_input(
     lines_at_once: int = 1,
     geometry: bool = True,
     only_ranges: bool = False,
+    with_intensity: bool = False,
     parts: Sequence[Path] = (),
 ) -> ScanStream:
-    """Open an input file, or the files of one drive as ``parts``, as a stream of blocks."""
+    """Open an input file, or the files of one drive as ``parts``, as a stream of blocks.
+
+    With ``only_ranges`` blocks of records have no times, and intensities only ``with_intensity``.
+    """
     source = open_source(path, layout) if len(parts) < 2 else open_joined(parts, layout)
     config = with_layout(config, layout)
     # times say where a window is
@@ -83,7 +87,10 @@ def open_input(
         from prc_cli.streams.rules import with_sweeps
 
         config, told = with_sweeps(source, config)
-    grid = open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges, told=told)
+    grid = open_grid(
+        source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity,
+        told=told,
+    )  # fmt: skip
     return windowed(grid, config)
 
 

@@ -425,6 +425,7 @@ def _fill(frame: Table, line: I64, column: I64, in_order: Mask, shape: tuple[int
         record=cells[RECORD].reshape(shape),
         xyz_m=cells[XYZ].reshape(*shape, 3),
         intensity=cells[INTENSITY].reshape(shape) if INTENSITY in cells else None,
+        has_rings=True,
         extra=ExtraReturns(
             line[other].astype(np.int32), column[other].astype(np.int32), frame[RANGE][other], frame[RECORD][other]
         ),

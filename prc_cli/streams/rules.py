@@ -79,7 +79,9 @@ class GridRules:
     geometry: bool
     """Whether angles and straight down are wanted."""
     only_ranges: bool
-    """Whether blocks have no times and intensities."""
+    """Whether blocks have no times, and no intensities but for methods that need them."""
+    with_intensity: bool
+    """Whether the method needs intensities."""
 
     def has(self, name: str) -> bool:
         """Whether the input has a dimension."""
@@ -124,7 +126,12 @@ class GridRules:
     def needs_intensity(self) -> bool:
         """Whether intensities choose between returns, or blocks hold them."""
         decides = self.has_returns and self.config.return_ == "strongest"
-        return self.has("intensity") and (decides or not self.only_ranges)
+        return self.has("intensity") and (decides or self.holds_intensity)
+
+    @property
+    def holds_intensity(self) -> bool:
+        """Whether blocks hold intensities."""
+        return self.has("intensity") and (self.with_intensity or not self.only_ranges)
 
     @property
     def gives_angles(self) -> bool:
@@ -145,7 +152,12 @@ class GridRules:
 
 
 def resolve_rules(
-    source: RecordSource, config: InputConfig, *, geometry: bool = True, only_ranges: bool = False
+    source: RecordSource,
+    config: InputConfig,
+    *,
+    geometry: bool = True,
+    only_ranges: bool = False,
+    with_intensity: bool = False,
 ) -> GridRules:
     """Resolve ``auto`` and check that all named dimensions exist."""
     if config.order == "require" and is_order_lost(source, config):
@@ -207,6 +219,7 @@ def resolve_rules(
         assumptions=(*taken, *ranges.assumptions, *told_m),
         geometry=geometry,
         only_ranges=only_ranges,
+        with_intensity=with_intensity,
     )
 
 

@@ -255,6 +255,7 @@ class ColumnLines:
             time_s=lines.time_s,
             xyz_m=lines.xyz_m,
             intensity=lines.intensity,
+            has_rings=True,
             extra=extra,
             tally=tally + ReadTally(n_records=n_records, n_unplaced=unplaced, n_collisions=collisions),
         )

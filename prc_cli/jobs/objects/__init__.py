@@ -295,9 +295,7 @@ class _Run:
         # coordinates that come with the directions of a leaning plane are not those of the input
         is_own = first is not None and first.xyz_m is not None
         stream = with_beams(stream, config.input)
-        self._watch = watched(
-            stream, config.input, most_noise_m=method.needs.most_noise_m, others=self._loaded.findings
-        )
+        self._watch = watched(stream, config.input, needs=method.needs, others=self._loaded.findings)
         if self._takes_classes:
             return (block if is_own else replace(block, xyz_m=None) for block in self._watch.blocks())
         wanted = Wanted(stages=True, confidence=config.output.confidence)

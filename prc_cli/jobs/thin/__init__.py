@@ -368,7 +368,7 @@ class _Run:
         def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
             directed = with_beams(stream, config.input) if config.needs_beams else stream
             needs, wanted = config.classifier.method().needs, Wanted(confidence=self.min_confidence is not None)
-            watch = watched(directed, config.input, most_noise_m=needs.most_noise_m, others=self.loaded.findings)
+            watch = watched(directed, config.input, needs=needs, others=self.loaded.findings)
             self._judge = Judge(watch, config)
             return self._judge.label(watch.blocks(), wanted=wanted)
 

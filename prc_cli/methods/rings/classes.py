@@ -12,10 +12,18 @@ from prc_cli.core.classes import Reason
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 from prc_cli.methods.rings.ground import Polar
-from prc_cli.methods.rings.thresholds import BINS_PER_ROOT_M, BoxThresholds, CellThresholds, Limits
+from prc_cli.methods.rings.thresholds import (
+    BINS_PER_ROOT_M,
+    BoxThresholds,
+    CellThresholds,
+    Limits,
+    SunkenThresholds,
+)
 
 UNIFORM = 12.0**0.5
 """Length of what is evenly spread, in its standard deviations."""
+FEWEST_LIGHTS, MOST_ALIKE = 16, 0.9
+"""Intensities of fewer values, or of which more are equal, tell nothing."""
 SMOOTH, N_LEVELS = 1, 63
 """As in :mod:`cells_loops`."""
 
@@ -55,10 +63,50 @@ def mark_shots(polar: Polar, above_m: F32, limits: Limits) -> U8:
 @stage("flakes")
 def lonely_shots(range_m: F32, intensity: F32 | None, limits: Limits) -> Mask:
     """Mark snow, rain and dust; see :func:`cells_loops.lonely_shots`."""
-    is_lit = intensity is not None and bool(np.nanmax(intensity, initial=0.0) > 0.0)
+    is_lit = intensity is not None and tells_something(intensity)
     light = intensity if intensity is not None and is_lit else np.zeros((1, 1), np.float32)
     found: Mask = kernels.lonely_shots(range_m, np.ascontiguousarray(light, np.float32), is_lit, limits.lonely)
     return found
+
+
+def tells_something(intensity: F32) -> bool:
+    """Return whether intensities, (lines, M) float32, tell shots apart: many values, none of which most shots have.
+
+    >>> tells_something(np.full((9, 9), 255.0, np.float32)), tells_something(np.arange(81, dtype=np.float32))
+    (False, True)
+    """
+    known = np.sort(intensity[np.isfinite(intensity)])
+    if not len(known) or not known[-1] > 0.0:
+        return False
+    begins = np.flatnonzero(np.diff(known, prepend=known[0] - 1.0))
+    most = int(np.diff(begins, append=len(known)).max())
+    return len(begins) >= min(FEWEST_LIGHTS, len(known) // 2) and most < MOST_ALIKE * len(known)
+
+
+@stage("mirror")
+def sunken_shots(polar: Polar, above_m: F32, limits: SunkenThresholds) -> Mask:
+    """Mark mirror images: shots well below the ground, where most shots around are not. (lines, M) bool."""
+    with np.errstate(invalid="ignore"):
+        far_m = (polar.place / np.float32(BINS_PER_ROOT_M)) ** 2
+        below: Mask = above_m < -limits.below_m - limits.below_per_m * far_m
+    if not below.any():
+        return below
+    n_below, n_known = (_around(one.astype(np.int16), limits) for one in (below, np.isfinite(above_m)))
+    sunken: Mask = below & (n_below < limits.most * n_known)
+    return sunken
+
+
+def _around(values: NDArray[np.int16], limits: SunkenThresholds) -> NDArray[np.int16]:
+    """Return the sums over the shots around every shot, itself among them."""
+    total = values
+    for axis, reach in ((0, limits.lines), (1, limits.rings)):
+        padding = [(0, 0), (0, 0)]
+        padding[axis] = (reach + 1, reach)
+        run = np.cumsum(np.pad(total, padding), axis=axis, dtype=np.int64)
+        n = total.shape[axis]
+        upper, lower = np.arange(n) + 2 * reach + 1, np.arange(n)
+        total = (np.take(run, upper, axis=axis) - np.take(run, lower, axis=axis)).astype(np.int16)
+    return total
 
 
 @stage("cells")
@@ -182,7 +230,14 @@ def low_plants(polar: Polar, above_m: F32, marks: U8, limits: Limits) -> Mask:
 
 @stage("labels")
 def label_shots(
-    above_m: F32, marks: U8, lonely: Mask, plants: Mask, cells: Cells, cell_rules: U8, limits: Limits
+    above_m: F32,
+    marks: U8,
+    lonely: Mask,
+    sunken: Mask,
+    plants: Mask,
+    cells: Cells,
+    cell_rules: U8,
+    limits: Limits,
 ) -> U8:
     """Return the rule that gives every shot its label, (lines, M) uint8."""
     has_cell = cells.of_shot >= 0
@@ -194,5 +249,5 @@ def label_shots(
     high = np.where(has_cell, of_cell, np.where(marks & SMOOTH, thin, rough))
     low = np.where(plants, np.where(has_cell, of_cell, plant), surface)
     rules = np.where(above_m <= limits.soil.foot_m, low, high)
-    rules = np.where(lonely & (above_m > limits.cells.hem_m), flake, rules)
+    rules = np.where((lonely & (above_m > limits.cells.hem_m)) | sunken, flake, rules)
     return np.where(np.isnan(above_m), np.uint8(Reason.MISSING), rules)

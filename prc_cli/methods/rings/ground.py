@@ -105,6 +105,10 @@ class Polar:
         is_round = len(place) * step > WHOLE_TURN * 2 * math.pi
         return cls(xyz_m, place, azimuth, step, max(round(thresholds.sector_rad / step), 1), is_round)
 
+    def without(self, shots: NDArray[np.bool_]) -> Polar:
+        """Return the places with some shots left out, (lines, M) bool."""
+        return replace(self, place=np.where(shots, np.float32(np.nan), self.place)) if shots.any() else self
+
     @property
     def middle_m(self) -> F64:
         """Distance of the middle of every bin, (bins,) float64 [m]."""

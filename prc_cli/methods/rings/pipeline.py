@@ -28,6 +28,7 @@ from prc_cli.methods.rings.classes import (
     lonely_shots,
     low_plants,
     mark_shots,
+    sunken_shots,
 )
 from prc_cli.methods.rings.ground import USUAL_STEP_RAD, GroundPlane, Lowest, Polar, above_ground, find_plane
 from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
@@ -92,13 +93,13 @@ class Rings(Classifier[F64, RingsState]):
 
     @property
     def needs(self) -> Needs:
-        """Blocks with beam angles; nothing of the lines after a block."""
-        return Needs(frozenset({"rings"}), self.params.lines_per_block, 1)
+        """Blocks with beam angles and intensities; nothing of the lines after a block."""
+        return Needs(frozenset({"rings"}), self.params.lines_per_block, 1, intensity=True, least_rings=MANY_RINGS)
 
     @property
     def usual(self) -> UsualLabels:
         """Little noise, ground below the scanner, and things farther than a room is wide."""
-        return UsualLabels(0.3, 0.6, ground_share=0.1, reach_m=6.0, columns=MANY_RINGS)
+        return UsualLabels(0.3, 0.6, ground_share=0.1, reach_m=6.0)
 
     @property
     def gives(self) -> frozenset[Label]:
@@ -127,13 +128,16 @@ class Rings(Classifier[F64, RingsState]):
 
         polar, low = turn.hand_on(PLANE, step)
         plane, above_m = low.plane, above_ground(polar, low, limits.ground)
-        marks = mark_shots(polar, above_m, limits)
+        sunken = sunken_shots(polar, above_m, limits.sunken)
+        # mirror images are no part of surfaces
+        solid, solid_m = polar.without(sunken), np.where(sunken, np.float32(np.nan), above_m)
+        marks = mark_shots(solid, solid_m, limits)
         range_m = block.range_m if block.frame is None else np.sqrt((xyz_m * xyz_m).sum(axis=2))
         lonely = lonely_shots(range_m, block.intensity, limits)
-        cells = fill_cells(polar, above_m, marks, lonely, limits.cells)
+        cells = fill_cells(solid, solid_m, marks, lonely, limits.cells)
         cell_rules = label_cells(cells, sight_over(cells, scanner, plane, limits), limits)
-        plants = low_plants(polar, above_m, marks, limits)
-        reasons = label_shots(above_m, marks, lonely, plants, cells, cell_rules, limits)
+        plants = low_plants(solid, solid_m, marks, limits)
+        reasons = label_shots(above_m, marks, lonely, sunken, plants, cells, cell_rules, limits)
         labels = reasons & np.uint8(LABEL_BITS)
         further = block.extra
         extra = label_extra_returns(

@@ -95,6 +95,20 @@ class LonelyThresholds(NamedTuple):
     """What more shots around are as bright as, itself among them, is no flake."""
 
 
+class SunkenThresholds(NamedTuple):
+    """What mirror images below a wet road are: shots below the ground, alone there."""
+
+    below_m: float = 0.4
+    """They are so far below the ground [m] ..."""
+    below_per_m: float = 0.01
+    """... plus this per metre of distance."""
+    lines: int = 5
+    rings: int = 2
+    """Shots this far away are around a shot."""
+    most: float = 0.5
+    """Where more of those around are below as well, there is lower ground."""
+
+
 class CellThresholds(NamedTuple):
     """Columns of space of equal width, and what stands in them."""
 
@@ -212,6 +226,7 @@ class Limits(NamedTuple):
     ground: GroundThresholds = GroundThresholds()
     marks: MarkThresholds = MarkThresholds()
     lonely: LonelyThresholds = LonelyThresholds()
+    sunken: SunkenThresholds = SunkenThresholds()
     cells: CellThresholds = CellThresholds()
     leaves: LeafThresholds = LeafThresholds()
     cars: BoxThresholds = BoxThresholds()

@@ -11,8 +11,9 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F32
 from prc_cli.formats.ranges import KEY
+from prc_cli.methods.rings.pipeline import is_fan
 from prc_cli.streams.agreement import ANGLES, CONTRADICTED, MOST_OFF
-from prc_cli.streams.evidence.figures import Seen, figures_of, most_turned
+from prc_cli.streams.evidence.figures import Figures, Seen, figures_of, most_turned, without_lonely
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
     LEAST_LINES,
@@ -54,6 +55,8 @@ LEAST_RETURNS = 0.02
 """Share of shots with a range below which lines and columns, or ranges, are probably wrong."""
 COARSE_M, ROUNDED_DIGITS, LEAST_ROUNDED, ALL_ROUNDED = 0.03, 4, 5000, 0.98
 """Steps of rounded ranges [m]: scanners state them to 1 to 10 mm; thresholds on surfaces begin at a few centimetres."""
+LEAST_RETURNED, LEAST_RING_LINES = 1000, 32
+"""With fewer returns, or lines, rings are not counted."""
 MOST_COUNTED = 1 << 16
 """Ranges that the median is taken of."""
 
@@ -284,20 +287,29 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
         return
     yield check_rounding(seen)
     yield check_missing_code(seen)
-    figures = figures_of(seen.windows)
+    figures = raw = figures_of(seen.windows)
+    if any(_is_told(one) for one in (check_shot_order(figures), check_line_order(seen, figures))):
+        # flakes, drops and fog are like none of the shots around
+        figures = _in_clear_air(seen, figures)
     yield (order := check_shot_order(figures))
     if _is_against(order):
         return
-    turned = most_turned(seen.windows)
-    yield (length := check_line_length(seen, figures, turned))
-    if _is_against(length):
-        return
-    yield (columns := check_columns_along(seen, turned))
-    if _is_against(columns):
-        return
+    if not seen.has_rings:
+        # what rings are is known: columns cannot be others, lines cannot be longer
+        turned = most_turned(seen.windows)
+        yield (length := check_line_length(seen, figures, turned))
+        if _is_against(length):
+            return
+        yield (columns := check_columns_along(seen, turned))
+        if _is_against(columns):
+            return
     yield check_line_order(seen, figures)
-    yield check_noise(seen, figures)
-    yield check_dropouts(figures)
+    yield check_noise(seen, raw)
+    yield check_dropouts(raw)
+    yield check_few_rings(seen)
+    if seen.has_rings or (seen.beam_rad is not None and is_fan(seen.beam_rad)):
+        # the method for rings finds its ground by itself, also between walls and below a ceiling
+        return
     yield (height := check_height(seen))
     if not _is_against(height):
         yield check_coordinates(seen)
@@ -305,8 +317,28 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
         yield check_angle_step(seen)
 
 
+def _in_clear_air(seen: Seen, figures: Figures) -> Figures:
+    """Return figures without shots that are like none around, where these are the smaller part."""
+    windows = without_lonely(seen.windows)
+    return figures if windows is None else figures_of(windows)
+
+
+def check_few_rings(seen: Seen) -> Finding | None:
+    """Ask whether as many rings return as the method tells classes by."""
+    if not seen.least_rings or seen.n_shots - seen.n_missing < LEAST_RETURNED or seen.n_lines < LEAST_RING_LINES:
+        return None
+    n = int(np.count_nonzero(np.any([np.isfinite(one.range_m).any(axis=0) for one in seen.windows], axis=0)))
+    hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
+    told = verdict(doubtful=n < seen.least_rings)
+    return Finding("few-rings", told, f"{n} rings", f"at least {seen.least_rings}", hint)
+
+
 def _known(*findings: Finding | None) -> Iterator[Finding]:
     return (finding for finding in findings if finding is not None)
+
+
+def _is_told(finding: Finding | None) -> bool:
+    return finding is not None and finding.verdict is not Verdict.FINE
 
 
 def _is_against(finding: Finding | None) -> bool:

@@ -107,6 +107,10 @@ SMOOTH = 0.01
 ROUGH, AS_FAR, LEAST_ROUGH = 0.05, 0.2, 100
 """Shots off the middle of their neighbours by so much are leaves or edges; they are seen again where the next line is
 nearer than so much of that; fewer tell nothing."""
+LIKE, MOST_ALONE = 0.02, 0.5
+"""Shots are as far as one another within this share; flakes are fewer than this share of all shots."""
+AROUND_SHOT = tuple((line, column) for line in (-1, 0, 1) for column in (-1, 0, 1) if line or column)
+"""Lines and columns of the shots around one."""
 AROUND = 5
 """A shot and two on either side."""
 _SEED = 7
@@ -179,6 +183,31 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
         lonely_missing=sum(lonely for lonely, _ in missing) / n_between if n_between else float("nan"),
         n_between=n_between,
     )
+
+
+def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
+    """Return windows without the shots that none of the eight around is as far as; None where these are not few.
+
+    Where shots are shuffled, or numbers misread, most shots are alone: there is nothing to leave out.
+    """
+    cleared, n_lonely, n_known = [], 0, 0
+    for window in windows:
+        lonely = _alone(window.range_m)
+        n_lonely += int(np.count_nonzero(lonely))
+        n_known += int(np.count_nonzero(np.isfinite(window.range_m)))
+        cleared.append(replace(window, range_m=np.where(lonely, np.float32(np.nan), window.range_m)))
+    return tuple(cleared) if n_lonely < MOST_ALONE * n_known else None
+
+
+def _alone(range_m: F32) -> Mask:
+    """Mark shots unlike all around, (lines, M) bool."""
+    logs = np.pad(np.log(range_m), 1, constant_values=np.nan)
+    lines, m = range_m.shape
+    has_like = np.zeros(range_m.shape, np.bool_)
+    for line, column in AROUND_SHOT:
+        there = logs[1 + line : 1 + line + lines, 1 + column : 1 + column + m]
+        has_like |= np.abs(there - logs[1:-1, 1:-1]) < LIKE
+    return np.isfinite(range_m) & ~has_like
 
 
 def spread(windows: tuple[Window, ...]) -> list[F32]:
@@ -397,6 +426,10 @@ class Seen:
     """(M,) float64, angle of every column from straight down as it is used [rad]; None = unknown or not needed."""
     most_noise_m: float = math.inf
     """Most range noise that the method stands [m]."""
+    has_rings: bool = False
+    """Whether columns are known to be the rings of a spinning scanner."""
+    least_rings: int = 0
+    """With fewer rings the method tells classes less well."""
 
     @property
     def points_per_line(self) -> int:

@@ -340,6 +340,8 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
 
 def _is_fan(seen: Seen) -> bool:
     """Return whether the beams are known to be the rings of a spinning scanner."""
+    if seen.has_rings:
+        return True
     angle_rad = seen.angle_rad if seen.angle_rad is not None else seen.beam_rad
     return angle_rad is not None and float(np.ptp(np.unwrap(angle_rad))) < math.radians(FAN_DEG)
 
@@ -461,7 +463,7 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
         expected = f"{expected} in {STANDING_LINES} lines or more"
         hint = "the platform stands: cut such stretches out, or accept them"
         return Finding("standing", verdict(doubtful=doubtful), found, expected, hint)
-    hint = "put the lines into the order in which they were scanned"
+    hint = "put the lines into the order in which they were scanned; in dense snow or fog accept it"
     told = verdict(doubtful=ratio < MOVED_SAME, against=ratio < MOVED_AGAINST)
     return Finding("line-order", told, found, expected, hint)
 

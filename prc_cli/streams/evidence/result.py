@@ -173,11 +173,6 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
         return
     solid, level = there & ~noise, np.isin(sample.labels, usual.level)
     yield from _indoors(solid, sample.range_m, usual)
-    if usual.columns:
-        n = sample.range_m.shape[1]
-        hint = "ground, vegetation and noise are found all the same; cars, and walls that few rings see, are not"
-        told = verdict(doubtful=n < usual.columns)
-        yield Finding("few-rings", told, f"{n} rings", f"at least {usual.columns}", hint)
     below = solid
     if sample.beam_rad is not None:
         is_down = np.abs(sample.beam_rad) < DOWN_RAD

@@ -22,6 +22,7 @@ from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.writing.record import dropped_beside
+from prc_cli.methods.base import Needs
 from prc_cli.streams.evidence.checks import ask_all, check_few_lines, check_thinned
 from prc_cli.streams.evidence.figures import LineSample, Seen
 from prc_cli.streams.evidence.lines import LEAST_LINES, LineRepeats, check_repeats, with_other_reading
@@ -38,6 +39,7 @@ class _Scanner:
     sample: LineSample
     angle_rad: F64 | None = None
     beam_rad: F64 | None = None
+    has_rings: bool = False
     n_lines: int = 0
     n_shots: int = 0
     n_missing: int = 0
@@ -51,6 +53,7 @@ class EvidenceStream(Brief):
     accepted: tuple[str, ...] = ()
     refuses: bool = True
     most_noise_m: float = math.inf
+    least_rings: int = 0
     dropped: str = ""
     """What a run record says of shots that were left out."""
     others: tuple[Finding, ...] = ()
@@ -84,7 +87,7 @@ class EvidenceStream(Brief):
         one = self._scanners.get(block.scanner)
         if one is None:
             one = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
-        one.angle_rad, one.beam_rad = block.angle_rad, block.beam_rad
+        one.angle_rad, one.beam_rad, one.has_rings = block.angle_rad, block.beam_rad, block.has_rings
         one.n_lines += block.n_lines
         one.n_shots += block.range_m.size
         one.n_missing += int(np.count_nonzero(np.isnan(block.range_m)))
@@ -103,7 +106,8 @@ class EvidenceStream(Brief):
                 info=info, scanner=scanner, windows=one.sample.windows(), n_lines=one.n_lines, n_shots=n_shots,
                 n_missing=n_missing, tally=self._tally,
                 angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
-                beam_rad=one.beam_rad, most_noise_m=self.most_noise_m,
+                beam_rad=one.beam_rad, most_noise_m=self.most_noise_m, has_rings=one.has_rings,
+                least_rings=self.least_rings,
             )
             for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
         )  # fmt: skip
@@ -166,13 +170,16 @@ def watched(
     config: InputConfig,
     *,
     refuses: bool = True,
-    most_noise_m: float = math.inf,
+    needs: Needs | None = None,
     others: tuple[Finding, ...] = (),
 ) -> EvidenceStream:
-    """Watch a stream; ``config`` says which findings the user accepts."""
+    """Watch a stream; ``config`` says which findings the user accepts, ``needs`` what the method stands."""
     dropped = stream.info.facts.dropped or dropped_beside(Path(stream.info.path))
     is_part = config.window is not None
-    return EvidenceStream(stream, accepted_by(config), refuses, most_noise_m, dropped, others, is_part)
+    needs = needs or Needs(frozenset())
+    return EvidenceStream(
+        stream, accepted_by(config), refuses, needs.most_noise_m, needs.least_rings, dropped, others, is_part
+    )
 
 
 class LiveEvidence:

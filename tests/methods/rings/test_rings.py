@@ -161,7 +161,7 @@ def snowy(made: tuple[F32, F32, U8]) -> tuple[F32, F32, F32, Mask]:
     random = np.random.default_rng(3)
     flake = (random.random(ranges.shape) < 0.02) & (body > 0)
     near = np.minimum(random.exponential(4.0, ranges.shape) + 1.0, 0.7 * np.nan_to_num(ranges, nan=1.0))
-    light = np.where(flake, 60.0, 10.0).astype(np.float32)
+    light = (np.where(flake, 60.0, 10.0) * random.normal(1.0, 0.02, ranges.shape)).astype(np.float32)
     new = np.where(flake, near, ranges).astype(np.float32)
     return new, (xyz * (new / ranges)[..., None]).astype(np.float32), light, flake
 
@@ -173,6 +173,36 @@ def test_snow_is_noise(made: tuple[F32, F32, U8], is_lit: bool) -> None:
     found = np.concatenate([item.labels for item in label_blocks(iter([block]), PARAMS)]) == Label.NOISE
     assert (found & flake).sum() / flake.sum() > (0.85 if is_lit else 0.7)
     assert (found & flake).sum() / found.sum() > (0.9 if is_lit else 0.8)
+
+
+@pytest.mark.parametrize("light", [255.0, 0.0, np.nan, "steps"])
+def test_intensities_that_tell_nothing_count_as_none(made: tuple[F32, F32, U8], light: float | str) -> None:
+    ranges, xyz, lit, _ = snowy(made)
+    given = np.round(lit / 20) * 20 if light == "steps" else np.full(ranges.shape, light, np.float32)
+    blocks = [
+        ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=one) for one in (None, given)
+    ]  # fmt: skip
+    none, some = (next(iter(label_blocks(iter([block]), PARAMS))).labels for block in blocks)
+    np.testing.assert_array_equal(some, none)
+
+
+def test_mirror_images_below_the_ground_are_noise(made: tuple[F32, F32, U8]) -> None:
+    ranges, xyz, body = made
+    random = np.random.default_rng(4)
+    mirrored = (body == 1) & (ranges > 5) & (ranges < 25) & (random.random(ranges.shape) < 0.05)
+    factor = np.where(mirrored, random.uniform(1.4, 2.5, ranges.shape), 1.0).astype(np.float32)
+    found = labelled(ranges * factor, xyz * factor[..., None])
+    assert (found[mirrored] == Label.NOISE).mean() > 0.9
+    road = (body == 1) & ~mirrored
+    assert (found[road] == Label.GROUND).mean() > 0.95
+
+
+def test_few_rings_are_known_before_any_label(made: tuple[F32, F32, U8], prc: Prc, tmp_path: Path) -> None:
+    ranges, xyz, _ = made
+    np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz)
+    result = prc("info", tmp_path / "scan.npz")
+    assert "look at few-rings" in result.out
+    assert "as it is" not in result.out
 
 
 def test_reasons_measures_and_further_returns(made: tuple[F32, F32, U8]) -> None:
@@ -216,7 +246,7 @@ def test_rings_are_chosen_without_a_name(made: tuple[F32, F32, U8], prc: Prc, tm
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz, zenith_deg=180.0 - np.rad2deg(BEAM))
     result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy")
     assert result.code == 4, result.err
-    assert "method: rings (--preset rings): the beams lie within 60 deg, as rings do" in result.err
+    assert "method: rings (--preset rings): columns are the rings of a spinning scanner" in result.err
     assert "few-rings: 32 rings, expected at least 48" in result.err
 
 

@@ -1,0 +1,47 @@
+"""Snow, rain and fog are no disorder."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prc_cli.core.facts import SourceFacts
+from prc_cli.core.findings import Verdict
+from prc_cli.core.stream import StreamInfo
+from prc_cli.core.types import F32
+from prc_cli.streams.evidence.checks import ask_all
+from prc_cli.streams.evidence.figures import Seen, Window, without_lonely
+from tests.methods.rings.test_rings import N_RINGS, scene
+
+
+def drive() -> F32:
+    """Turns of a scanner in a street."""
+    return np.concatenate([scene(seed)[0] for seed in (1, 2)])
+
+
+def flaky(range_m: F32, share: float) -> F32:
+    random = np.random.default_rng(1)
+    near = random.exponential(4.0, range_m.shape).astype(np.float32) + np.float32(1)
+    return np.where((random.random(range_m.shape) < share) & (near < range_m), near, range_m)
+
+
+def told(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
+    info = StreamInfo("a.npz", "array", N_RINGS, None, len(range_m), facts=SourceFacts())
+    windows = tuple(Window(first, range_m[first : first + 900]) for first in range(0, len(range_m), 900))
+    seen = Seen(info, 0, windows, len(range_m), range_m.size, int(np.isnan(range_m).sum()), has_rings=has_rings)
+    return {one.check: one.verdict for one in ask_all(seen)}
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
+def test_flakes_are_left_out_where_order_is_judged(share: float) -> None:
+    found = told(flaky(drive(), share))
+    assert {found[name] for name in ("shot-order", "line-order") if name in found} == {Verdict.FINE}
+
+
+def test_shuffled_lines_and_shots_are_disorder_all_the_same() -> None:
+    random = np.random.default_rng(1)
+    lines = random.permutation(drive())
+    assert told(lines)["line-order"] is Verdict.AGAINST
+    shots = random.permutation(drive().ravel()).reshape(-1, N_RINGS)
+    assert told(shots)["shot-order"] > Verdict.FINE
+    assert without_lonely((Window(0, shots),)) is None
