@@ -137,7 +137,8 @@ def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     figures = replace(USUAL, moved=(0.3, far), roughness=0.02)
     assert told(check_line_order(seen(24), figures)) == (
         verdict,
-        f"line-order: {ORDER.format(ratio)}; put the lines into the order in which they were scanned; in dense snow or fog accept it",
+        f"line-order: {ORDER.format(ratio)}; put the lines into the order in which they were scanned; "
+        "in dense snow or fog accept it",
         "",
     )
 
