@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.findings import Finding
+from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F64, I64
 from prc_cli.streams.registered.evidence import (
@@ -47,6 +47,10 @@ CONTIGUOUS_POINTS = 1 << 20
 """Consecutive points in which the rate is refined."""
 POINTS_PER_KNOT = 320
 """Points that are kept of the time between two knots, about."""
+SAME_STEP = 1e-4
+"""Scans whose shots in a turn differ by less have the same columns."""
+SAME_START_RAD = 0.02
+"""Arcs of one scanner begin within this of each other in all passes: the platform rolls [rad]."""
 MOST_RETURNS = 255
 """Returns of a shot that are told apart."""
 CELL = np.dtype(
@@ -55,6 +59,7 @@ CELL = np.dtype(
         ("column", "i4"),
         ("range", "f8"),
         ("pass", "i4"),
+        ("angle", "f8"),
         ("return_number", "u1"),
         ("number_of_returns", "u1"),
     ]
@@ -86,6 +91,23 @@ class Drive:
     findings: tuple[Finding, ...]
     n_unplaced: int
     """Points of passes that are too short or that no path fits."""
+    split: str = ""
+    """Dimension that tells the scanners apart; empty = one scanner."""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether nothing speaks against the paths."""
+        return all(finding.verdict is Verdict.FINE for finding in self.findings)
+
+    @property
+    def is_even(self) -> bool:
+        """Whether all scans have the same columns, so that one scanner with several passes measured them."""
+        first = self.scans[0]
+        return all(
+            abs(scan.shots_per_turn / first.shots_per_turn - 1.0) < SAME_STEP
+            and abs(scan.angle_start_rad - first.angle_start_rad) < SAME_START_RAD
+            for scan in self.scans
+        )
 
     @property
     def points_per_line(self) -> int:
@@ -121,12 +143,13 @@ class Drive:
             ),
         ]
         if len(self.scans) > 1:
-            value = f"{len(self.scans)} passes"
-            told.append(Assumption("input.scanner", value, f"gaps of more than {GAP_S:g} s, or other scanners"))
+            value = f"{len(self.scans)} streams"
+            apart = f"{self.split} tells scanners apart; " if self.split else ""
+            told.append(Assumption("input.scanner", value, f"{apart}a gap of more than {GAP_S:g} s ends a pass"))
         return tuple(told)
 
 
-def reconstruct(path: str, spools: dict[int, Spool]) -> Drive:
+def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "") -> Drive:
     """Find the path of every scanner and pass, and the cell of every point.
 
     Parameters
@@ -135,6 +158,8 @@ def reconstruct(path: str, spools: dict[int, Spool]) -> Drive:
         File name, for messages.
     spools
         Points in the order of their times, by scanner.
+    split
+        Dimension that tells the scanners apart.
 
     Raises
     ------
@@ -152,7 +177,7 @@ def reconstruct(path: str, spools: dict[int, Spool]) -> Drive:
         figures += own_figures
         n_unplaced += n_lost
     findings = judge(path, figures, n_unplaced, sum(len(spool) for spool in spools.values()))
-    return Drive(tuple(heads), tuple(scans), tuple(figures), findings, n_unplaced)
+    return Drive(tuple(heads), tuple(scans), tuple(figures), findings, n_unplaced, split)
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,6 +321,7 @@ def _put(cells: Spool, records: NDArray[np.void], scan: Scan, number: int, seen:
     row["column"] = placed.column
     row["range"] = placed.range_m
     row["pass"] = number
+    row["angle"] = scan.angle_start_rad + scan.step_rad * placed.column
     row["return_number"], row["number_of_returns"] = returns_of(records, placed.range_m, by_time=not scan.by_bearing)
     cells.append(row)
     seen.see(placed.line, placed.column, placed.range_m)

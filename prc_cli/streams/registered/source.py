@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import file_state
 from prc_cli.core.stream import Assumption
@@ -27,6 +27,10 @@ PASS = "pass"
 """Dimension that tells apart what was seen at different times or by different scanners."""
 HEADS = ("scanner_channel", "point_source_id", "user_data")
 """Dimensions that may tell scanners apart."""
+LOOKED_AT = 1 << 22
+"""Records whose numbers of scanners are looked at."""
+MOST_SCANNERS = 8
+"""A dimension with more values does not number scanners."""
 
 
 def with_points(
@@ -53,18 +57,17 @@ def with_points(
     split = None if config.scanner == "none" else config.scanner
     drive = _drive_of(source, split)
     cloud = RegisteredSource(source, drive)
-    several = len(drive.scans) > 1
     rules: dict[str, object] = {
         "lines": "dimension:scan_line",
         "columns": "dimension:column",
         "range": "dimension:range",
         "order": "trust",
-        "scanner": PASS if several else "none",
-        "points_per_line": drive.points_per_line,
-        "angle_start": math.degrees(drive.angle_start_rad),
-        "angle_step": math.degrees(drive.step_rad),
-        "nadir": None,
+        "scanner": PASS if len(drive.scans) > 1 else "none",
     }
+    if drive.is_even:
+        rules["points_per_line"] = drive.points_per_line
+        rules["angle_start"] = math.degrees(drive.angle_start_rad)
+        rules["angle_step"] = math.degrees(drive.step_rad)
     return cloud, config.model_copy(update=rules), drive.assumptions()
 
 
@@ -80,8 +83,47 @@ def _drive_of(source: RecordSource, split: str | None) -> Drive:
     if state is None or _latest is None or _latest[0] != key:
         # the temporary files of the drive before go first
         _latest = None
-        _latest = (key, reconstruct(source.path, spool_by_time(source, split)))
+        _latest = (key, _reconstructed(source, split))
     return _latest[1]
+
+
+def _reconstructed(source: RecordSource, split: str | None) -> Drive:
+    """Reconstruct a drive; where one scanner does not explain it, try the dimensions that number scanners."""
+    if split is not None:
+        return reconstruct(source.path, spool_by_time(source, split))
+    refusal: EvidenceError | None = None
+    drive: Drive | None = None
+    try:
+        drive = reconstruct(source.path, spool_by_time(source, None))
+    except EvidenceError as error:
+        refusal = error
+    if drive is not None and drive.is_sure:
+        return drive
+    for name in _numbers_of_scanners(source):
+        try:
+            parted = reconstruct(source.path, spool_by_time(source, name), split=name)
+        except EvidenceError:
+            continue
+        if parted.is_sure:
+            return parted
+    if drive is None:
+        assert refusal is not None
+        raise refusal
+    return drive
+
+
+def _numbers_of_scanners(source: RecordSource) -> Iterator[str]:
+    """Yield the dimensions that have few values in the first records, as numbers of scanners have."""
+    names = tuple(name for name in HEADS if name in source.dimensions)
+    values: dict[str, set[int]] = {name: set() for name in names}
+    n_seen = 0
+    for chunk in source.chunks(names) if names else ():
+        for name in names:
+            values[name].update(np.unique(chunk.values[name]).astype(int).tolist())
+        n_seen += chunk.n
+        if n_seen >= LOOKED_AT:
+            break
+    yield from (name for name in names if 1 < len(values[name]) <= MOST_SCANNERS)
 
 
 def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
@@ -138,7 +180,19 @@ class RegisteredSource(DerivedSource):
     def dimensions(self) -> tuple[str, ...]:
         """Names that the source can deliver."""
         carried = [name for name in ("intensity",) if name in self.source.dimensions]
-        return ("range", "scan_line", "column", "time", *XYZ, *carried, "return_number", "number_of_returns", PASS)
+        angle = () if self.drive.is_even else ("angle",)
+        return (
+            "range",
+            "scan_line",
+            "column",
+            *angle,
+            "time",
+            *XYZ,
+            *carried,
+            "return_number",
+            "number_of_returns",
+            PASS,
+        )
 
     @property
     def facts(self) -> SourceFacts:
