@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import re
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import shorten
+from prc_cli.formats.text.head import Head, has_mark, read_head, separator_of, without_mark
 from prc_cli.formats.text.lines import MAX_LINE_BYTES, iter_lines, too_long
 
 MAX_COLUMNS = 10_000
@@ -48,6 +49,8 @@ class TextFormat:
     """Whether the delimiter was detected."""
     decimal: str = "."
     """Character before the decimals."""
+    last_head: int = 0
+    """Number of the last line before the rows, where more than the line of names is there."""
 
     @property
     def n_columns(self) -> int:
@@ -75,16 +78,25 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         is_empty = next(iter_lines(path, HEAD_BYTES), None) is None
         problem = "the file is empty" if is_empty else "only comments and blank lines"
         raise InputError(str(path), f"{problem}, expected a record a row", "copy it from the archive again")
-    skipped, is_pts = None, path.suffix.lower() == ".pts" and len(rows) > 1
-    if is_pts and rows[0][1].strip().isdecimal() and len(rows[1][1].split()) > 1:
-        # Leica's files begin with the number of points
+    skipped = None
+    if (separator := separator_of(rows[0][1])) is not None and len(rows) > 1:
         skipped, rows = rows[0][0], rows[1:]
     is_found = layout is None or not {"delimiter", "fields"} & layout.model_fields_set
-    delimiter = _find_delimiter([text for _, text in rows], given.decimal) if is_found else given.delimiter
-    decimal = given.decimal or _find_decimal([text for _, text in rows], delimiter)
+    texts = [text for _, text in rows]
+    # a line with the number of rows has no delimiter
+    texts = [text for text in texts if not text.strip().isdecimal()] or texts
+    delimiter = (separator or _find_delimiter(texts, given.decimal)) if is_found else given.delimiter
+    decimal = given.decimal or _find_decimal(texts, delimiter)
     if decimal == delimiter:
         problem = "found ',' for both the decimals and the cells"
         raise ConfigError("layout.decimal", problem, 'give the other one: --set layout.delimiter=";"')
+    if given.header is not False and decimal != delimiter:
+        head = _find_head(_head_lines(path, draft), delimiter, decimal)
+        if head is not None:
+            names = head.names
+            return TextFormat(
+                delimiter, draft.comment, head.names_line, head.last_line, names, is_found, decimal, head.last_line
+            )
     number, text = rows[0]
     cells = split(path, number, text, delimiter)
     if len(cells) > MAX_COLUMNS:
@@ -95,10 +107,44 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
         problem = f"no row follows the header in line {number}, expected a record a row"
         raise InputError(str(path), problem, "copy it from the archive again")
     names = tuple(cell.strip() for cell in cells) if has_header else ("",) * len(cells)
-    if has_header and names[0].startswith("//"):
-        # CloudCompare's header
-        names = (names[0].removeprefix("//").strip(), *names[1:])
+    if has_header:
+        names = (without_mark(names[0]), *names[1:])
     return TextFormat(delimiter, draft.comment, number if has_header else skipped, number, names, is_found, decimal)
+
+
+def _head_lines(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
+    """Return number and text of the first lines, comments too, blank ones left out."""
+    found: list[tuple[int, str]] = []
+    for block in iter_lines(path, HEAD_BYTES):
+        for number, line in enumerate(block.data.split(b"\n"), block.first):
+            if draft.stripped(line):
+                found.append((number, line.decode("utf-8", errors="replace").rstrip("\r")))
+            if len(found) == SNIFFED_ROWS:
+                return found
+    return found
+
+
+def _find_head(lines: list[tuple[int, str]], delimiter: str, decimal: str) -> Head | None:
+    """Return what stands before the rows, if it is more than a line of names."""
+    rows: list[tuple[int, str, list[str]]] = []
+    if lines and separator_of(lines[0][1]) is not None:
+        lines = lines[1:]
+    for number, text in lines:
+        plain = without_mark(text)
+        cells = try_split(plain, delimiter) or [plain]
+        rows.append((number, text, cells))
+    is_row = [not has_mark(text) and all(is_number(cell, decimal) for cell in cells) for _, text, cells in rows]
+    # the rows have as many cells as the last one, of which R's row names may be quoted numbers
+    n_columns = len(rows[-1][2]) if rows and is_row[-1] else 0
+    first = next((i for i, (_, _, cells) in enumerate(rows) if is_row[i] and len(cells) == n_columns), 0)
+    is_plain = first == 0 or (first == 1 and len(rows[0][2]) == n_columns and not has_mark(rows[0][1]))
+    is_even = all(is_row[first:]) and all(len(cells) == n_columns for _, _, cells in rows[first:])
+    # rows with fewer or more cells are damage
+    is_odd = any(is_row[i] and len(rows[i][2]) > 1 for i in range(first))
+    if is_plain or n_columns < 2 or is_odd or not is_even:
+        return None
+    head = read_head(rows[:first], n_columns)
+    return replace(head, names=("",) * n_columns) if head is not None and not head.names else head
 
 
 def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
@@ -140,10 +186,12 @@ def _find_delimiter(rows: list[str], decimal: str | None) -> str:
     last = [row.split() for row in rows[-_LAST_ROWS:]]
     if all(len(cells) > 1 and all(map(_has_inner_comma, cells)) for cells in last) and any("," in row for row in rows):
         return BLANKS
-    for delimiter in (one for one in _DELIMITERS if one != decimal):
-        counts = {row.count(delimiter) for row in rows}
-        if counts != {0} and len(counts) == 1:
-            return delimiter
+    # text before the header is of another kind than the rows
+    for sample in (rows, rows[-_LAST_ROWS:] if len(rows) > _LAST_ROWS else rows):
+        for delimiter in (one for one in _DELIMITERS if one != decimal):
+            counts = {row.count(delimiter) for row in sample}
+            if counts != {0} and len(counts) == 1:
+                return delimiter
     # where rows differ, take the delimiter of the first row, so that the error names the odd row
     for delimiter in (one for one in _DELIMITERS if one != decimal):
         if delimiter in rows[0]:

@@ -76,7 +76,7 @@ class TextBody:
 
     def _rows(self) -> Iterator[Lines]:
         """Yield the lines behind the header."""
-        header = self.text.header_line or 0
+        header = max(self.text.header_line or 0, self.text.last_head)
         for lines in iter_lines(self._path, self._block_bytes):
             n_skipped = max(0, header + 1 - lines.first)
             parts = lines.data.split(b"\n", n_skipped)

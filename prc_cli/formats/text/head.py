@@ -1,0 +1,118 @@
+"""Lines before the rows of a text file: names, units, the number of rows, text of the program that wrote it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from prc_cli.formats.names import usual_names
+from prc_cli.formats.options import FACTORS
+
+MOST_HEAD = 12
+"""Most lines before the rows."""
+MARKS = ("//", "%", "#")
+"""What lines of names begin with in exports of CloudCompare, MATLAB and NumPy."""
+_SEPARATOR = re.compile(r'"?sep=(.|\\t)"?', re.IGNORECASE)
+_UNIT = re.compile(r"[\[(]?\s*([^\[\]()]*?)\s*[\])]?")
+_NO_UNIT = ("", "-", "--", "1", "none", "#", "n/a")
+_LONG_UNITS = {
+    "metre": "m", "metres": "m", "meter": "m", "meters": "m", "millimetre": "mm", "millimetres": "mm",
+    "feet": "ft", "foot": "ft", "degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad",
+    "second": "s", "seconds": "s", "sec": "s", "µs": "us", "μs": "us", "grad": "gon",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """What stands before the rows."""
+
+    names: tuple[str, ...] = ()
+    """Of the columns; empty = none."""
+    names_line: int | None = None
+    """Number of the line with the names."""
+    last_line: int = 0
+    """Number of the last line before the rows."""
+
+
+def separator_of(text: str) -> str | None:
+    r"""Return the delimiter that the first line of a file for Excel gives; None where it is no such line.
+
+    >>> separator_of("sep=;"), separator_of("sep=\\t"), separator_of("a;b")
+    (';', '\t', None)
+    """
+    found = _SEPARATOR.fullmatch(text.strip())
+    return None if found is None else found[1].replace("\\t", "\t")
+
+
+def without_mark(text: str) -> str:
+    """Return a line without the mark of a comment.
+
+    >>> without_mark("// X Y Z"), without_mark("% a,b"), without_mark("#a b"), without_mark("a b")
+    ('X Y Z', 'a,b', 'a b', 'a b')
+    """
+    plain = text.strip()
+    for mark in MARKS:
+        if plain.startswith(mark):
+            return plain.removeprefix(mark).strip()
+    return plain
+
+
+def has_mark(text: str) -> bool:
+    """Whether a line begins as a comment of some program does."""
+    return text.strip().startswith(MARKS)
+
+
+def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> Head | None:
+    """Find the names among the lines before the rows; None where a line has no explanation.
+
+    Parameters
+    ----------
+    lines : sequence of (number, text, cells)
+    n_columns : int
+        Cells of a row.
+    """
+    if len(lines) > MOST_HEAD or not lines:
+        return None
+    names: tuple[str, ...] = ()
+    names_line, is_sure = None, False
+    for number, text, cells in lines:
+        stripped = [cell.strip() for cell in cells]
+        if names and _are_units(stripped, n_columns):
+            names = tuple(_with_unit(name, unit) for name, unit in zip(names, stripped, strict=True))
+            continue
+        is_usual = bool(usual_names(stripped))
+        fits = len(stripped) in (n_columns, n_columns - 1) and any(map(_has_letters, stripped))
+        if fits and (is_usual or (not has_mark(text) and not is_sure)):
+            # write.table of R leaves out the name of the row names
+            names = ("",) * (n_columns - len(stripped)) + tuple(stripped)
+            names_line, is_sure = number, is_usual
+    if not names and any(not _is_count(cells) and not has_mark(text) for _, text, cells in lines):
+        return None
+    return Head(names, names_line, lines[-1][0])
+
+
+def _has_letters(cell: str) -> bool:
+    return any(letter.isalpha() for letter in cell)
+
+
+def _is_count(cells: list[str]) -> bool:
+    """Whether a line is the number of rows."""
+    return len(cells) == 1 and cells[0].strip().isdecimal()
+
+
+def _unit(cell: str) -> str:
+    found = _UNIT.fullmatch(cell.strip())
+    word = cell if found is None else found[1]
+    return _LONG_UNITS.get(word.lower(), word.lower())
+
+
+def _are_units(cells: list[str], n_columns: int) -> bool:
+    """Whether a row holds units of the columns."""
+    units = [_unit(cell) for cell in cells]
+    return len(cells) == n_columns and all(unit in FACTORS or unit in _NO_UNIT for unit in units) and any(units)
+
+
+def _with_unit(name: str, cell: str) -> str:
+    unit = _unit(cell)
+    return f"{name} [{unit}]" if unit in FACTORS else name

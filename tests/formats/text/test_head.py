@@ -1,0 +1,68 @@
+"""Lines before the rows, as NumPy, CloudCompare, MATLAB, Excel and R write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.formats.text.read import TextSource
+
+ROWS = [(i // 5, i % 5, -10.5 + i, 20.25 + i) for i in range(30)]
+NAMES = ("scan_line", "column", "angle", "range")
+
+
+def write(path: Path, head: str, delimiter: str = " ", *, has_row_names: bool = False) -> Path:
+    lines = [delimiter.join(map(str, row)) for row in ROWS]
+    if has_row_names:
+        lines = [f'"{i + 1}"{delimiter}{line}' for i, line in enumerate(lines)]
+    path.write_text(head + "\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".csv", ".asc"])
+@pytest.mark.parametrize(
+    ("head", "delimiter", "line"),
+    [
+        ("# scan_line column angle range\n", " ", 1),
+        ("#scan_line,column,angle,range\n", ",", 1),
+        ("# run 7 of today\n# scan_line column angle range\n", " ", 2),
+        ("//Scan_Line Column Angle Range\n30\n", " ", 1),
+        ("// scan_line column angle range\n", " ", 1),
+        ("//scan_line,column,angle,range\n", ",", 1),
+        ("% scan_line column angle range\n", " ", 1),
+        ("sep=;\nscan_line;column;angle;range\n", ";", 2),
+        ("Export of run 7\nscan_line,column,angle,range\n", ",", 2),
+        ("Project: street, east\nDate: today\n\nscan_line,column,angle,range\n", ",", 4),
+        ("scan_line,column,angle,range\n-,-,deg,m\n", ",", 1),
+        ("scan_line;column;angle;range\n[-];[-];[°];[m]\n", ";", 1),
+        ("scan_line column angle range\n", " ", 1),
+    ],
+)
+def test_names_are_found(tmp_path: Path, head: str, delimiter: str, line: int, suffix: str) -> None:
+    source = TextSource(write(tmp_path / f"a{suffix}", head, delimiter))
+    assert source.text.header_line == line
+    values = next(iter(source.chunks(NAMES))).values
+    np.testing.assert_allclose(values["range"], [row[3] for row in ROWS])
+    np.testing.assert_allclose(np.rad2deg(values["angle"]), [row[2] for row in ROWS])
+
+
+def test_units_of_their_own_row_count(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "scan_line,column,angle,range\n-,-,gon,[mm]\n", ",")
+    values = next(iter(TextSource(path).chunks(NAMES))).values
+    np.testing.assert_allclose(values["range"], [row[3] / 1000 for row in ROWS])
+    np.testing.assert_allclose(np.rad2deg(values["angle"]), [row[2] * 0.9 for row in ROWS])
+
+
+def test_row_names_of_r_have_no_name(tmp_path: Path) -> None:
+    head = '"scan_line" "column" "angle" "range"\n'
+    source = TextSource(write(tmp_path / "a.txt", head, has_row_names=True))
+    assert source.text.names == ("", *NAMES)
+    np.testing.assert_allclose(next(iter(source.chunks(("range",)))).values["range"], [row[3] for row in ROWS])
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".asc", ".pts", ".txt"])
+def test_a_count_of_rows_is_no_row(tmp_path: Path, suffix: str) -> None:
+    source = TextSource(write(tmp_path / f"a{suffix}", "30\n"))
+    assert sum(chunk.n for chunk in source.chunks(source.dimensions)) == 30
