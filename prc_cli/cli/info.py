@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.next_step import output_for
+from prc_cli.cli.next_step import output_for, typed
 from prc_cli.cli.options import Sectioned, config_from, given_words, output_options, stream_options
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.config import LoadedConfig, load_config
@@ -138,7 +138,7 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
         if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
             return ""
     mends = mends or list(dict.fromkeys(one.option for one in doubts if one.option))
-    words = ["prc", "classify", inspection.path, str(output_for(Path(inspection.path)))]
+    words = ["prc", "classify", typed(inspection.path), typed(output_for(Path(inspection.path)))]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
     return shlex.join([*words, *given_words(options, mended)]) + "".join(f" {mend}" for mend in mends)
 

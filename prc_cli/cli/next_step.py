@@ -13,6 +13,15 @@ from prc_cli.formats.labels import KITTI_SUFFIX
 from prc_cli.formats.registry import is_cloud, is_dump, keeps_points
 
 
+def typed(path: Path | str) -> str:
+    """Return a file name as it can be typed: one that begins with a dash would be an option.
+
+    >>> typed(Path("-dash.npz")), typed(Path("drive.npz"))
+    ('./-dash.npz', 'drive.npz')
+    """
+    return f"./{path}" if str(path).startswith("-") else str(path)
+
+
 def output_for(source: Path) -> Path:
     """Return a name for the classified file: point clouds stay what they are, of other files the labels are written.
 
@@ -52,13 +61,13 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     picture = output.with_name(f"{_stem(output)}.png")
     if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
         # labels of a part do not fit the whole input; a cloud of a part stands for itself
-        draw = ["prc", "render", str(output), str(picture), "--labels", str(output)]
+        draw = ["prc", "render", typed(output), typed(picture), "--labels", typed(output)]
         return [] if not is_cloud(output) else [f"draw it: {shlex.join(draw)}"]
-    draw = ["prc", "render", str(source), str(picture), *given_words(options)]
+    draw = ["prc", "render", typed(source), typed(picture), *given_words(options)]
     if not has_records:
         return [f"draw it: {shlex.join(draw)}"]
-    draw = [*draw[:4], "--labels", str(output), *given_words(options, ("--method", "--preset"))]
+    draw = [*draw[:4], "--labels", typed(output), *given_words(options, ("--method", "--preset"))]
     reference = source.with_suffix(KITTI_SUFFIX)
     found = is_dump(source) and reference.is_file()
-    compare = ["prc", "evaluate", str(output), str(reference) if found else "REFERENCE"]
+    compare = ["prc", "evaluate", typed(output), str(reference) if found else "REFERENCE"]
     return [f"draw it: {shlex.join(draw)}", f"compare it: {shlex.join(compare)}"]

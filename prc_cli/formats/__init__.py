@@ -8,6 +8,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats.bags import METADATA, parts_of
+from prc_cli.formats.foreign import hint_of
 from prc_cli.formats.las import SUFFIXES as LAS_SUFFIXES
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import RecordSource
@@ -104,7 +105,7 @@ def _not_a_scan(path: Path) -> str:
         captures = [path.with_suffix(suffix) for suffix in (".pcap", ".pcapng") if path.with_suffix(suffix).is_file()]
         if captures:
             return f"this describes a scanner: name the capture beside it, {captures[0]}"
-    return "rename the file or convert it"
+    return hint_of(path) or "rename the file or convert it"
 
 
 def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:

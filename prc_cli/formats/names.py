@@ -12,10 +12,10 @@ from prc_cli.formats.options import FACTORS, UNITS, Layout, LayoutField, check_f
 from prc_cli.formats.records import STANDARD_NAMES, Column, listed
 
 NAMES: dict[str, tuple[str, ...]] = {
-    "range": ("range", "distance", "r"),
+    "range": ("range", "distance", "r", "slant_range", "slantrange", "slope_distance"),
     "scan_line": ("scan_line", "scanline", "line"),
     "column": ("column", "col"),
-    "angle": ("angle", "scan_angle", "theta", "zenith", "azimuth"),
+    "angle": ("angle", "scan_angle", "scanangle", "scan_angle_rank", "scananglerank", "theta", "zenith", "azimuth"),
     "time": ("gps_time", "gpstime", "time", "timestamp", "t", "offset_ns"),
     "intensity": ("intensity", "amplitude"),
     "return_number": ("return_number", "num_echo"),
@@ -26,9 +26,16 @@ NAMES: dict[str, tuple[str, ...]] = {
 a unit behind (``range_m``, ``angle_gon``, ``time [us]``)."""
 _BESIDE_RANGE = ("theta", "zenith", "azimuth")
 """Directions of a shot where its range is there; else of anything."""
-_UNIT = re.compile(r"(?P<name>.+?) ?(?:_|\(|\[| ) ?(?P<unit>mm|cm|m|ft|s|ms|us|ns|rad|deg|gon) ?[)\]]?")
-"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``; runs of blanks are one blank by then, as
-many of them would take hours."""
+UNIT_WORDS = {
+    **{unit: unit for unit in ("mm", "cm", "m", "ft", "s", "ms", "us", "ns", "rad", "deg", "gon")},
+    "metre": "m", "metres": "m", "meter": "m", "meters": "m", "millimetres": "mm", "millimeters": "mm",
+    "feet": "ft", "foot": "ft", "degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad",
+    "grad": "gon", "second": "s", "seconds": "s", "sec": "s", "µs": "us", "μs": "us",
+}  # fmt: skip
+"""Units by the words that programs write."""
+_UNIT = re.compile(rf"(?P<name>.+?) ?(?:_|/|\(|\[| in | ) ?(?P<unit>{'|'.join(UNIT_WORDS)}) ?[)\]]?")
+"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``, ``range/m``, ``angle in degrees``; runs of
+blanks are one blank by then, as many of them would take hours."""
 ZENITH = "zenith"
 """Angles from straight up: straight down is 180 degrees."""
 _FROM_UP = (ZENITH, "zenith_angle", "polar", "polar_angle", "colatitude")
@@ -57,10 +64,18 @@ def split_unit(name: str) -> tuple[str, str]:
 
     >>> split_unit("Range [mm]"), split_unit("scalar_angle_gon"), split_unit("scan_line")
     (('range', 'mm'), ('angle', 'gon'), ('scan_line', ''))
+    >>> split_unit("Range/m"), split_unit("angle in degrees"), split_unit("Line[-]")
+    (('range', 'm'), ('angle', 'deg'), ('line', ''))
     """
-    plain = " ".join(name.lower().split()).removeprefix("scalar_")
+    plain = _lowered(name)
     found = _UNIT.fullmatch(plain)
-    return (plain, "") if found is None else (found["name"], found["unit"])
+    return (plain, "") if found is None else (found["name"], UNIT_WORDS[found["unit"]])
+
+
+def _lowered(name: str) -> str:
+    """Return a name in lower case, without what says that it has no unit."""
+    plain = " ".join(name.lower().split()).removeprefix("scalar_")
+    return re.sub(r" ?(?:\[-*\]|\(-*\))$", "", plain)
 
 
 def unit_of(standard: str, name: str) -> str:
@@ -85,14 +100,14 @@ def usual_names(names: Sequence[str]) -> dict[str, Usual]:
     >>> [(standard, one.name, one.unit) for standard, one in found.items()]
     [('range', 'Range [mm]', 'mm'), ('scan_line', 'line', ''), ('angle', 'theta', 'rad')]
     """
-    lowered = [name.strip().lower().removeprefix("scalar_") for name in names]
+    lowered = [_lowered(name) for name in names]
     plain = [split_unit(name)[0] for name in names]
     found: dict[str, Usual] = {}
     for standard in (*STANDARD_NAMES, "ring"):
         aliases = NAMES.get(standard, (standard,))
         if standard == "angle" and "range" in found:
             # of two directions the vertical one turns within a line
-            aliases = (*aliases[:2], *_vertical_names(plain), *aliases[2:])
+            aliases = (*aliases[:5], *_vertical_names(plain), *aliases[5:])
         for alias in aliases:
             if (alias in _BESIDE_RANGE and "range" not in found) or (alias == "r" and {"g", "b"} <= set(lowered)):
                 continue

@@ -49,15 +49,21 @@ def _columns(path: Path, names: dict[str, tuple[str, ...]]) -> F64:
     rows = _rows(path, with_head=True)
     with closing(rows):
         number, first = next(rows, (1, ""))
-        delimiter = next((mark for mark in ",;\t" if mark in first), None)
+        delimiter = next((mark for mark in ";\t," if mark in first), None)
         cells = _cells(first.lstrip("#"), delimiter)
         left: Iterator[tuple[int, str]] = rows
+        if delimiter != ",":
+            start = list(islice(rows, _LOOKED_AT))
+            left = chain(start, rows)
+            if _has_decimal_commas([first, *(text for _, text in start)], delimiter):
+                left = ((place, text.replace(",", ".")) for place, text in left)
+                first, cells = first.replace(",", "."), [cell.replace(",", ".") for cell in cells]
         is_bare = names is _NAMES and len(cells) == len(names) and all(_number(cell) is not None for cell in cells)
         if first.startswith("#") or not is_bare:
             columns = _find_columns(f"{path}: line {number}", cells, names)
         else:
             columns = list(range(len(names)))
-            left = chain([(number, first)], rows)
+            left = chain([(number, first)], left)
         parts = []
         while batch := list(islice(left, _BATCH)):
             parts.append(_parse(path, batch, delimiter, columns))
@@ -115,6 +121,17 @@ def _rows(path: Path, *, with_head: bool) -> Generator[tuple[int, str], None, No
 
 def _cells(row: str, delimiter: str | None) -> list[str]:
     return [cell.strip().strip('"') for cell in row.split(delimiter)]
+
+
+_LOOKED_AT = 20
+"""Rows that tell whether decimals stand behind a comma."""
+
+
+def _has_decimal_commas(rows: list[str], delimiter: str | None) -> bool:
+    """Whether numbers of the rows have their decimals behind a comma, and none behind a point."""
+    cells = [cell for row in rows for cell in _cells(row, delimiter)]
+    has_comma = any("," in cell and _number(cell.replace(",", ".")) is not None for cell in cells)
+    return has_comma and not any("." in cell and _number(cell) is not None for cell in cells)
 
 
 def _number(cell: str) -> float | None:

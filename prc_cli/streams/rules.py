@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
@@ -423,9 +424,17 @@ def _auto_range(source: RecordSource) -> tuple[str, str]:
     ways = ["--range dimension:NAME"]
     if set(XYZ) <= set(source.dimensions):
         ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
-    names = ", ".join(source.dimensions[:12]) + (", ..." if len(source.dimensions) > 12 else "")
+    # the file's own dimensions are behind those of its format
+    every = sorted(source.dimensions, key=lambda name: not _RANGE_WORD.search(name.lower()))
+    own = [name for name in reversed(every) if name not in STANDARD_NAMES][: max(len(every) - 12, 0)]
+    every = list(dict.fromkeys([*every[:6], *own, *every]))
+    names = ", ".join(every[:12]) + (", ..." if len(every) > 12 else "")
     problem = f"{_NO_RANGE}: the file has no dimension range, it has {names or 'none'}"
     raise InputError(source.path, problem, f"give {_either(ways)}")
+
+
+_RANGE_WORD = re.compile(r"range|dist|slant|slope|depth|echo")
+"""Names that may be those of a slant range."""
 
 
 def _either(ways: list[str]) -> str:

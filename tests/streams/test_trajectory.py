@@ -204,3 +204,18 @@ def test_clocks_that_differ_by_weeks(offset: float, hint: str | None) -> None:
 
 
 # -- weeks and orders --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time;x;y;z\n0,5;1,25;2;3\n1,5;2,25;2;3\n",
+        "0,5\t1,25\t2,0\t3,0\n1,5\t2,25\t2,0\t3,0\n",
+        "time x y z\n0,5 1,25 2 3\n1,5 2,25 2 3\n",
+        "time;x;y;z\n0.5;1.25;2;3\n1.5;2.25;2;3\n",
+    ],
+)
+def test_decimals_behind_a_comma_are_found(tmp_path: Path, text: str) -> None:
+    path = load(write(tmp_path / "path.csv", text))
+    np.testing.assert_allclose(path.time_s, [0.5, 1.5])
+    np.testing.assert_allclose(path.positions(np.array([0.5, 1.5])), [[1.25, 2, 3], [2.25, 2, 3]])

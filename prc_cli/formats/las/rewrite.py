@@ -176,7 +176,8 @@ def _planned_vlrs(plan: Plan, notice: Callable[[str], None], *, keeps_index: boo
     fields = las.fields()
     if fields.get("global_encoding") & 4 and fields.has("waveform_start"):
         name = f"{las.path.stem}.wdp"
-        notice(f"waveforms lie in a file of their own beside the input; copy {name} beside the output")
+        beside = "copy it beside the output, with the output's name and .wdp"
+        notice(f"waveforms lie in a file of their own beside the input, {name}; {beside}")
     if not plan.compress:
         return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)]
     same = not plan.upgrades and not plan.appended

@@ -89,7 +89,11 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
     decimal = given.decimal or _find_decimal(texts, delimiter)
     if decimal == delimiter:
         problem = "found ',' for both the decimals and the cells"
-        raise ConfigError("layout.decimal", problem, 'give the other one: --set layout.delimiter=";"')
+        raise ConfigError(
+            "layout.decimal",
+            problem,
+            'if the cells are separated by ;, --set layout.delimiter=";"; else separate them by ;',
+        )
     if given.header is not False and decimal != delimiter:
         head = _find_head(_head_lines(path, draft), delimiter, decimal)
         if head is not None:
@@ -235,12 +239,18 @@ def try_split(text: str, delimiter: str) -> list[str] | None:
     return None
 
 
+MISSING_WORDS = ("NA", "N/A", "NULL", "null", "None", "#N/A")
+"""Cells without a value, as R, SQL, pandas and spreadsheets write them."""
+
+
 def is_number(cell: str, decimal: str = ".") -> bool:
     """Whether a cell is empty, a decimal number, ``nan`` or ``inf`` in any case.
 
     >>> [is_number(cell) for cell in ("", " 1.5e3 ", "NaN", "-inf", "1,5", "0x10", "1_000")]
     [True, True, True, True, False, False, False]
     """
+    if cell.strip(' \t"') in MISSING_WORDS:
+        return True
     text = with_point(cell.strip(" \t"), decimal)
     return not text or _NUMBER.fullmatch(text) is not None
 
@@ -257,6 +267,6 @@ def with_point(cell: str, decimal: str) -> str:
 def to_number(cell: str) -> float | None:
     """Return the number in a cell, NaN if it is empty, None if it is neither."""
     text = cell.strip(" \t")
-    if not text:
+    if not text or text in MISSING_WORDS:
         return float("nan")
     return float(text) if _NUMBER.fullmatch(text) else None

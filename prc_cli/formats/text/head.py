@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from prc_cli.formats.names import usual_names
+from prc_cli.formats.names import UNIT_WORDS, usual_names
 from prc_cli.formats.options import FACTORS
 
 MOST_HEAD = 12
@@ -16,11 +16,6 @@ MARKS = ("//", "%", "#")
 _SEPARATOR = re.compile(r'"?sep=(.|\\t)"?', re.IGNORECASE)
 _UNIT = re.compile(r"[\[(]?\s*([^\[\]()]*?)\s*[\])]?")
 _NO_UNIT = ("", "-", "--", "1", "none", "#", "n/a")
-_LONG_UNITS = {
-    "metre": "m", "metres": "m", "meter": "m", "meters": "m", "millimetre": "mm", "millimetres": "mm",
-    "feet": "ft", "foot": "ft", "degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad",
-    "second": "s", "seconds": "s", "sec": "s", "µs": "us", "μs": "us", "grad": "gon",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +99,7 @@ def _is_count(cells: list[str]) -> bool:
 def _unit(cell: str) -> str:
     found = _UNIT.fullmatch(cell.strip())
     word = cell if found is None else found[1]
-    return _LONG_UNITS.get(word.lower(), word.lower())
+    return UNIT_WORDS.get(word.lower(), word.lower())
 
 
 def _are_units(cells: list[str], n_columns: int) -> bool:

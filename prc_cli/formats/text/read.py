@@ -21,7 +21,16 @@ from prc_cli.core.types import F64
 from prc_cli.formats.names import angle_rules, find_columns
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import AXES, Column, FieldSource, shorten
-from prc_cli.formats.text.dialect import BLANKS, TextFormat, find_format, split, to_number, try_split, with_point
+from prc_cli.formats.text.dialect import (
+    BLANKS,
+    MISSING_WORDS,
+    TextFormat,
+    find_format,
+    split,
+    to_number,
+    try_split,
+    with_point,
+)
 from prc_cli.formats.text.lines import BLOCK_BYTES, MAX_LINE_BYTES, Lines, iter_lines
 
 PARSERS = 2
@@ -142,11 +151,35 @@ class TextBody:
         is_text = re.search("[\udc80-\udcff]", cell) is None
         found = repr(shorten(cell.strip(" \t"))) if is_text else "bytes that are not UTF-8"
         column = repr(shorten(name)) if name else f"{index} (from 0)"
-        hint = "leave the cell empty or write nan where there is no value"
-        if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", cell):
-            hint = "write decimals with a point, or give --set layout.decimal=,"
+        hint = _hint_of_cell(cell.strip(), name, self.text.delimiter, number)
         problem = f"column {column}: found {found}, expected a number"
         return InputError(f"{self._path}: line {number}", problem, hint)
+
+
+_MINUS = "\u2212\u2013"
+"""Characters that look like a minus."""
+_HINTS = (
+    (r"[+-]?\d{1,3}(?:[,.' \u00a0\u202f\u2019]\d{3})+(?:[.,]\d+)?", "write numbers without thousands separators"),
+    (r"[+-]?\d*\.?\d+[dD][+-]?\d+", r"write exponents with E: sed -E 's/([0-9.])[dD]([+-]?[0-9])/\1E\2/g' IN > OUT"),
+    (rf"[{_MINUS}].*", "write the minus as -: sed 's/\u2212/-/g; s/\u2013/-/g' IN > OUT"),
+    (r"\d{4}-\d\d-\d\d.*|\d{1,2}:\d\d(?::.*)?", "write times as seconds, such as GPS seconds of the week"),
+    (r"\x1a", "the end mark of an old program: tr -d '\\032' < IN > OUT"),
+)
+"""Cells that are no numbers, by what they hold, and what to do."""
+
+
+def _hint_of_cell(cell: str, name: str, delimiter: str, line: int) -> str:
+    """Return what to do with a cell that is no number."""
+    if name and cell == name:
+        return f"the names come again: sed {line}d IN > OUT"
+    if re.fullmatch(r"[+-]?\d+,\d+", cell):
+        if delimiter == ",":
+            return "write decimals with a point, or separate the cells by ; and keep the comma"
+        return "write decimals with a point, or give --set layout.decimal=,"
+    for pattern, hint in _HINTS:
+        if re.fullmatch(pattern, cell):
+            return hint
+    return "leave the cell empty or write nan where there is no value"
 
 
 _BLANK = re.compile(rb"^(?:[ \t\r]*+\n|[ \t\r]++\Z)", re.MULTILINE)
@@ -189,7 +222,10 @@ def parse_fast(
             csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES, use_threads=False),
             csv.ParseOptions(delimiter=delimiter),
             csv.ConvertOptions(
-                column_types=wanted, include_columns=list(wanted), null_values=[""], decimal_point=decimal
+                column_types=wanted,
+                include_columns=list(wanted),
+                null_values=["", *MISSING_WORDS],
+                decimal_point=decimal,
             ),
             pa.system_memory_pool(),  # freed memory goes back to the system, not to pyarrow's own pool
         )

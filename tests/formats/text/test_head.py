@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prc_cli.core.errors import InputError
 from prc_cli.formats.text.read import TextSource
 
 ROWS = [(i // 5, i % 5, -10.5 + i, 20.25 + i) for i in range(30)]
@@ -66,3 +67,33 @@ def test_row_names_of_r_have_no_name(tmp_path: Path) -> None:
 def test_a_count_of_rows_is_no_row(tmp_path: Path, suffix: str) -> None:
     source = TextSource(write(tmp_path / f"a{suffix}", "30\n"))
     assert sum(chunk.n for chunk in source.chunks(source.dimensions)) == 30
+
+
+@pytest.mark.parametrize(
+    ("cell", "hint"),
+    [
+        ('"68,072.0"', "without thousands separators"),
+        ("1.5D+02", "exponents with E"),
+        ("\u22125.0", "write the minus as -"),
+        ("2024-05-01T10:00:00", "times as seconds"),
+        ("range", "sed 9d IN > OUT"),
+        ('"68,07"', "separate the cells by ;"),
+        ("\x1a", "tr -d"),
+        ("wall", "write nan"),
+    ],
+)
+def test_a_cell_that_is_no_number_gets_its_own_hint(tmp_path: Path, cell: str, hint: str) -> None:
+    rows = [f"{i},{i}.5" for i in range(60)]
+    rows[7] = f"7,{cell}"
+    (tmp_path / "a.csv").write_text("scan_line,range\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError) as caught:
+        list(TextSource(tmp_path / "a.csv").chunks(("range",)))
+    assert hint in caught.value.hint
+
+
+@pytest.mark.parametrize("word", ["NA", "N/A", "NULL", "None", "#N/A", "nan", ""])
+def test_words_for_nothing_are_missing(tmp_path: Path, word: str) -> None:
+    rows = [f"{i},{word if i % 3 == 0 else i}" for i in range(60)]
+    (tmp_path / "a.csv").write_text("scan_line,range\n" + "\n".join(rows) + "\n")
+    (chunk,) = TextSource(tmp_path / "a.csv").chunks(("range",))
+    assert np.isnan(chunk.values["range"]).sum() == 20

@@ -1,0 +1,57 @@
+"""Files of other programs that prc does not read: who makes them, and the export that prc reads."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from prc_cli.core.files import suffix_of
+
+_SCANNERS = {
+    (".rxp", ".rdbx", ".rdb", ".3dd"): ("RIEGL", "RiSCAN PRO or RiPROCESS", "LAS or LAZ with times, or PTX"),
+    (".zfs", ".zfc", ".zfprj"): ("Zoller+Fröhlich", "Z+F LaserControl", "a structured E57, PTX, or ASCII"),
+    (".fls", ".lsproj", ".fws", ".afr"): ("FARO", "FARO SCENE", "a structured E57 or PTX"),
+    (".lgs", ".lgsx", ".imp"): ("Leica", "Cyclone or REGISTER 360", "a structured E57 or PTX"),
+    (".tzf", ".tdx", ".rwp"): ("Trimble", "RealWorks", "a structured E57 or PTX"),
+    (".cl3", ".clr"): ("Topcon", "ScanMaster", "a structured E57 or PTX"),
+    (".rcp", ".rcs", ".rcc"): ("Autodesk ReCap", "the scanner's own program", "a structured E57 or PTX"),
+    (".pod",): ("Bentley Pointools", "the scanner's own program", "a structured E57 or PTX"),
+}
+_ARCHIVES = {".zip": "unzip {}", ".7z": "7z x {}", ".rar": "unrar x {}", ".tar": "tar xf {}", ".tgz": "tar xzf {}"}
+_SHEETS = (".xlsx", ".xls", ".ods", ".numbers")
+_LIVOX = (".lvx", ".lvx2", ".lvx3")
+_PATHS = (".sbet", ".out", ".pos")
+_ROW = "python -c \"import numpy, scipy.io; numpy.savez({out}, range_m=scipy.io.loadmat({name})['NAME'])\""
+
+
+def hint_of(path: Path) -> str | None:
+    """Return how to make a file that prc reads of a file of another program; None if that is not known.
+
+    >>> hint_of(Path("scan.fls"))
+    'a scan of FARO: export a structured E57 or PTX with FARO SCENE'
+    >>> hint_of(Path("drive.zip"))
+    'an archive: unpack it, unzip drive.zip, and name the file in it'
+    """
+    suffix = path.suffix.lower()
+    for suffixes, (maker, program, export) in _SCANNERS.items():
+        if suffix in suffixes:
+            return f"a scan of {maker}: export {export} with {program}"
+    if suffix in _ARCHIVES:
+        return f"an archive: unpack it, {_ARCHIVES[suffix].format(shlex.quote(str(path)))}, and name the file in it"
+    if suffix in _SHEETS:
+        return "a spreadsheet: save the sheet as CSV (.csv)"
+    if suffix in _LIVOX:
+        return "a recording of Livox, whose scan has no lines: prc does not support it"
+    if suffix in _PATHS:
+        return f"a trajectory: give it beside the scan, --range trajectory:{shlex.quote(str(path))}"
+    if suffix == ".mat":
+        row = _ROW.format(out=repr(f"{path.stem}.npz"), name=repr(path.name))
+        return f"a file of MATLAB: write its ranges (lines x shots) as .npz, {row}, where NAME is the variable"
+    if suffix in (".h5", ".hdf5"):
+        return "an HDF5 file: write its ranges (lines x shots) as .npz with numpy.savez(FILE, range_m=...)"
+    if suffix == ".osf":
+        target = shlex.quote(path.stem + ".pcap")
+        return f"a recording of Ouster: ouster-cli source {shlex.quote(str(path))} save {target}"
+    if suffix_of(path) in (".gz", ".bz2", ".xz", ".zst"):
+        return "a compressed file: unpack it first; only .csv and .txt are read compressed (.gz, .zst)"
+    return None

@@ -1,0 +1,35 @@
+"""Files of other programs: the message names the maker and an export that prc reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from prc_cli.core.errors import InputError
+from prc_cli.formats import check_input
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("a.rxp", ("RIEGL", "RiSCAN PRO")),
+        ("a.rdbx", ("RIEGL",)),
+        ("a.zfs", ("Zoller+Fröhlich", "LaserControl", "E57")),
+        ("a.fls", ("FARO", "SCENE", "E57")),
+        ("a.LGS", ("Leica", "E57")),
+        ("a.mat", ("MATLAB", "numpy.savez('a.npz'")),
+        ("a.xlsx", ("save the sheet as CSV",)),
+        ("a b.zip", ("unzip", "'")),
+        ("a.lvx2", ("Livox", "does not support")),
+        ("a.sbet", ("--range trajectory:",)),
+        ("a.osf", ("ouster-cli source",)),
+        ("a.foo", ("rename the file or convert it",)),
+    ],
+)
+def test_the_maker_and_the_export_are_named(tmp_path: Path, name: str, words: tuple[str, ...]) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"1234")
+    with pytest.raises(InputError) as caught:
+        check_input(path)
+    assert all(word in caught.value.hint for word in words)
