@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +11,11 @@ import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
-from prc_cli.formats import open_source
-from prc_cli.formats.options import Layout
+from prc_cli.core.stream import ScanStream
+from prc_cli.formats import check_input, open_source
+from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.registry import by_suffix
 
 GAP_S = 1.0
 """Longest time between the last record of a file and the first of the next one, where one drive goes on [s]."""
@@ -84,10 +87,63 @@ class JoinedSource:
                 n += chunk.n
             first += n
 
+    def notes(self, number: int) -> tuple[str, ...]:
+        """Return notes on a file."""
+        return self.parts[number].facts.notes
+
+    def upto(self, n: int) -> JoinedSource:
+        """Return the first files."""
+        return JoinedSource(self.parts[:n])
+
     def firsts(self) -> list[int]:
         """Return the number of the first record of every file, and the number of all records."""
         counts = [part.n_records if part.n_records is not None else _count(part) for part in self.parts]
         return [0, *np.cumsum(counts).tolist()]
+
+
+RECORDINGS = ("bag", "capture")
+"""Formats whose files may be parts of one recording, though they hold whole scans."""
+
+
+@dataclass(frozen=True)
+class JoinedRecordings:
+    """Bags, or captures, of one drive: messages and packets go on from file to file."""
+
+    paths: tuple[Path, ...]
+    config: InputConfig
+
+    def firsts(self) -> list[int]:
+        """Return the number of the first record of every file, and the number of all records."""
+        counts = [
+            sum(block.tally.n_records for block in open_recordings((path,), self.config).blocks())
+            for path in self.paths
+        ]
+        return [0, *np.cumsum(counts).tolist()]
+
+    def notes(self, _: int) -> tuple[str, ...]:
+        """Return notes on a file: none, as the stream has those of all files."""
+        return ()
+
+    def upto(self, n: int) -> JoinedRecordings:
+        """Return the first files."""
+        return replace(self, paths=self.paths[:n])
+
+
+def are_recordings(paths: Sequence[Path]) -> bool:
+    """Whether all files are bags, or all are captures."""
+    forms = {by_suffix("scans")[check_input(path)].name for path in paths}
+    return len(forms) == 1 and forms <= set(RECORDINGS)
+
+
+def open_recordings(paths: Sequence[Path], config: InputConfig) -> ScanStream:
+    """Open bags, or captures, of one drive as one stream."""
+    if by_suffix("scans")[check_input(paths[0])].name == "bag":
+        from prc_cli.formats.bags.read import BagStream
+
+        return BagStream(paths[0], config, parts=tuple(paths))
+    from prc_cli.formats.packets.read import PacketStream
+
+    return PacketStream(paths[0], config, parts=tuple(paths))
 
 
 def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSource:
@@ -96,8 +152,8 @@ def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSo
     for path in paths:
         source = open_source(path, layout)
         if source is None:
-            problem = "holds a range image or whole scans, expected records, where several files are one drive"
-            raise InputError(str(path), problem, "classify it by itself")
+            problem = "holds whole scans, expected lists of records, or bags alone, or captures alone, of one drive"
+            raise InputError(str(path), problem, f"classify it by itself: prc classify {shlex.quote(str(path))} OUT")
         parts.append(source)
     return JoinedSource(tuple(parts))
 

@@ -19,7 +19,7 @@ from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64
 from prc_cli.formats import LAS_SUFFIXES, check_input
-from prc_cli.formats.joined import JoinedSource, find_break, open_joined
+from prc_cli.formats.joined import Break, JoinedRecordings, JoinedSource, are_recordings, find_break, open_joined
 from prc_cli.formats.registry import by_suffix, is_cloud, keeps_points
 from prc_cli.formats.writing import open_writer, prepare_label_outputs
 from prc_cli.formats.writing.base import StagedWriter
@@ -69,6 +69,8 @@ def classify_drive(
     outputs = outputs_of_drive(parts, outputs) if isinstance(outputs, Path) else outputs
     if config.config.input.window is not None:
         raise ConfigError("input", "found a window, expected none where several files are one drive", "leave it out")
+    # what cannot be joined leaves no folder behind
+    _joined(parts, with_layout_beside(parts[0], config))
     for part, output in zip(parts, outputs, strict=True):
         if is_cloud(output) and not keeps_points(part, output):
             problem = f"would make points of the ranges in {part.name}, expected labels alone for the files of a drive"
@@ -81,18 +83,25 @@ def classify_drive(
     with whole_set():
         while first < len(parts):
             loaded = with_layout_beside(parts[first], config)
-            joined = open_joined(parts[first:], loaded.config.layout)
-            cut = find_break(joined)
+            joined, cut = _joined(parts[first:], loaded)
             stop = len(parts) if cut is None else first + cut.part
             note = drive_note([part.name for part in parts])
             run = _Run(tuple(parts[first:stop]), tuple(outputs[first:stop]), (*([why] if why else []), note))
             with use_engine(engine):
                 summaries += run.execute(
-                    loaded, JoinedSource(joined.parts[: stop - first]), overwrite=overwrite, progress=progress,
+                    loaded, joined.upto(stop - first), overwrite=overwrite, progress=progress,
                     threads=threads_of(engine, threads), engine=engine, loading=loading,
                 )  # fmt: skip
             first, why = stop, "" if cut is None else f"a stream of its own begins with this file: {cut.why}"
     return summaries
+
+
+def _joined(parts: Sequence[Path], loaded: LoadedConfig) -> tuple[JoinedSource | JoinedRecordings, Break | None]:
+    """Open the files of a drive, and find the first that does not go on where the one before ended."""
+    if are_recordings(parts):
+        return JoinedRecordings(tuple(parts), loaded.config.input), None
+    joined = open_joined(parts, loaded.config.layout)
+    return joined, find_break(joined)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +114,7 @@ class _Run:
     """For the records: why a stream begins with the first file, if it is not that of the drive, and for all of them."""
 
     def execute(
-        self, loaded: LoadedConfig, joined: JoinedSource,
+        self, loaded: LoadedConfig, joined: JoinedSource | JoinedRecordings,
         *, overwrite: bool, progress: Progress | None, threads: int, engine: Engine,
         loading: Callable[[], AbstractContextManager[None]],
     ) -> Iterator[RunSummary]:  # fmt: skip
@@ -139,7 +148,7 @@ class _Run:
             for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
                 own = divided.counts[number]
                 record = run_record(stream.info, own, loaded, fingerprint(part))
-                notes = (*loaded.notes, *joined.parts[number].facts.notes, *told, *self.notes[-1 if number else 0 :])
+                notes = (*loaded.notes, *joined.notes(number), *told, *self.notes[-1 if number else 0 :])
                 n_records = firsts[number + 1] - firsts[number]
                 record = writer.finish(replace(record, n_records=n_records, notices=notes, engine=engine))
                 yield RunSummary(self.outputs[number], record, own, found)

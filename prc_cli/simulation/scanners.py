@@ -102,6 +102,9 @@ class Scanner(Params):
         if self.turns and abs(self.centre_deg - 90.0) + self.field_deg / 2.0 > 90.0:
             problem = "elevations of a head that turns within -90 and 90 degrees"
             raise ValueError(problem)
+        if self.turns and (self.slant_deg or self.heading_deg):
+            problem = "slant_deg and heading_deg 0 for a head that turns: its mount stands upright"
+            raise ValueError(problem)
         if self.is_static and self.spins:
             problem = "is_static or spins, not both"
             raise ValueError(problem)

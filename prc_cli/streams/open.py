@@ -21,7 +21,7 @@ from prc_cli.core.stream import Assumption, ScanBlock, ScanStream, StreamInfo, c
 from prc_cli.core.types import F64
 from prc_cli.core.window import Window
 from prc_cli.formats import open_images, open_source
-from prc_cli.formats.joined import open_joined
+from prc_cli.formats.joined import are_recordings, open_joined, open_recordings
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.systems import in_metres, refuse_degrees
@@ -45,7 +45,10 @@ def open_input(
 
     With ``only_ranges`` blocks of records have no times, and intensities only ``with_intensity``.
     """
-    source = open_source(path, layout) if len(parts) < 2 else open_joined(parts, layout)
+    is_recorded = len(parts) > 1 and are_recordings(parts)
+    source = None
+    if not is_recorded:
+        source = open_source(path, layout) if len(parts) < 2 else open_joined(parts, layout)
     config = with_layout(config, layout)
     # times say where a window is
     only_ranges = only_ranges and (config.window is None or config.window.in_lines)
@@ -53,7 +56,10 @@ def open_input(
     if source is None:
         from prc_cli.streams.order import WatchedStream
 
-        images = open_images(path, config, lines_at_once=lines_at_once)
+        if is_recorded:
+            images = open_recordings(parts, config)
+        else:
+            images = open_images(path, config, lines_at_once=lines_at_once)
         if images.info.format not in ("array", "bag"):
             refuse_scale(config, str(path), "its ranges are metres")
         return windowed(WatchedStream(images, config.order), config)

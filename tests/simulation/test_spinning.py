@@ -164,3 +164,8 @@ def test_mount_turns_the_plane() -> None:
 def test_senseless_values_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         SCANNERS["photon-80"].changed(**values)
+
+
+def test_a_slant_of_a_head_that_turns_is_refused() -> None:
+    with pytest.raises(ConfigError, match="slant_deg"):
+        load_settings("street", options={"scanner": {"name": "hdl-64e", "slant_deg": 30.0}})

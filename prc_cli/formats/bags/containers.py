@@ -58,6 +58,8 @@ class Bag:
     """A bag: what is in it, and its messages."""
 
     path: Path
+    files: tuple[Path, ...] = ()
+    """Files of one drive, in the order of recording; none = those of the path."""
     counts: dict[Topic, int] = field(default_factory=dict)
     """Number of messages of every topic."""
     start_ns: int = 0
@@ -69,13 +71,14 @@ class Bag:
     """Why it ends before the end of the recording; empty if it does not."""
 
     def __post_init__(self) -> None:
-        for part in parts_of(self.path):
+        self.files = self.files or tuple(parts_of(self.path))
+        for part in self.files:
             for _ in bounded(part, self._survey(part)):
                 pass
 
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
         """Yield the messages of some topics, in the order they were recorded."""
-        for part in parts_of(self.path):
+        for part in self.files:
             yield from bounded(part, _rows(self, part, topics) if _is_database(part) else _decoded(part, topics))
 
     def connections(self) -> list[Any]:

@@ -45,10 +45,12 @@ def is_labels(topic: Topic, topics: Collection[Topic]) -> bool:
 class BagStream:
     """A bag as a :class:`prc_cli.core.stream.ScanStream`."""
 
-    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
+    def __init__(
+        self, path: Path, config: InputConfig, _lines_at_once: int = 1, parts: tuple[Path, ...] = ()
+    ) -> None:  # scans are blocks
         check_rules(path, config, "a recording of scans")
         self._path, self._config = path, config
-        self.bag = Bag(path)
+        self.bag = Bag(path, parts)
         self._scans: dict[Topic, list[LaserScan]] = {}
         self._left_out: dict[Topic, ShortMessageError] = {}
         """Why clouds cannot be read."""

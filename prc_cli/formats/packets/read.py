@@ -114,9 +114,12 @@ class _Scanner:
 class PacketStream:
     """A capture as a :class:`prc_cli.core.stream.ScanStream`."""
 
-    def __init__(self, path: Path, config: InputConfig, _lines_at_once: int = 1) -> None:  # scans are blocks
+    def __init__(
+        self, path: Path, config: InputConfig, _lines_at_once: int = 1, parts: tuple[Path, ...] = ()
+    ) -> None:  # scans are blocks
         check_rules(path, config, "packets of scanners")
         self._path, self._config = path, config
+        self._files = parts or (path,)
         self._metadata = find_metadata(path, config)
         self._count = CaptureCount()
         self._others: dict[tuple[int, int], int] = {}
@@ -187,10 +190,14 @@ class PacketStream:
         others = sorted(self._others.items(), key=lambda item: -item[1])[:most]
         return ", ".join(f"{n:,} of {size} bytes to port {port}" for (port, size), n in others)
 
+    def _datagrams(self, count: CaptureCount) -> Iterator[Datagram]:
+        for path in self._files:
+            yield from read_datagrams(path, count)
+
     def _look(self) -> dict[str, _Scanner]:
         """Read the capture once: which scanners there are, and where it ends."""
         found: dict[str, _Scanner] = {}
-        for datagram in read_datagrams(self._path, self._count):
+        for datagram in self._datagrams(self._count):
             if not is_scan(datagram.payload, self._metadata):
                 key = (datagram.port, len(datagram.payload))
                 if key in self._others or len(self._others) < MAX_SCANNERS:
@@ -238,7 +245,7 @@ class PacketStream:
         lines: dict[str, PacketLines] = {}
         repeats = {key: Repeats() for key in self._scanners}
         record = 0
-        for datagram in read_datagrams(self._path, CaptureCount()):
+        for datagram in self._datagrams(CaptureCount()):
             key = _key(datagram)
             if key not in self._scanners or not is_scan(datagram.payload, self._metadata):
                 continue
