@@ -74,7 +74,7 @@ def open_input(
     source = with_clock(source, config.time_unit)
     if config.points_per_line is not None:
         source.facts.align_chunks(config.points_per_line * lines_at_once)
-    of_points = config.range.partition(":")[0] in ("trajectory", "origin", "sensor-xyz")
+    of_points = config.range.partition(":")[0] in ("points", "trajectory", "origin", "sensor-xyz")
     if of_points:
         refuse_degrees(source)
     if not of_points or config.range_scale == 1.0:
@@ -90,9 +90,13 @@ def open_input(
 
         source, config, told = with_points(source, config)
     elif config.range.startswith(("trajectory:", "origin:")):
+        from prc_cli.streams.registered.source import is_tile, with_path
         from prc_cli.streams.rules import with_sweeps
 
-        config, told = with_sweeps(source, config)
+        if is_tile(source, config):
+            source, config, told = with_path(source, config)
+        else:
+            config, told = with_sweeps(source, config)
     grid = open_grid(
         source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity,
         told=told,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F64, I64
+from prc_cli.streams.registered.along import Places, track_along, turning_along
 from prc_cli.streams.registered.evidence import (
     PathFigures,
     Placed,
@@ -25,7 +26,7 @@ from prc_cli.streams.registered.evidence import (
 from prc_cli.streams.registered.fit import (
     KNOT_S,
     Clock,
-    Pieces,
+    PassPieces,
     Track,
     are_shots_of_one_time,
     find_turning,
@@ -149,7 +150,7 @@ class Drive:
         return tuple(told)
 
 
-def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "") -> Drive:
+def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "", places: Places | None = None) -> Drive:
     """Find the path of every scanner and pass, and the cell of every point.
 
     Parameters
@@ -160,6 +161,8 @@ def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "") -> Driv
         Points in the order of their times, by scanner.
     split
         Dimension that tells the scanners apart.
+    places
+        The path where it is given: then only rates and frames are found.
 
     Raises
     ------
@@ -171,7 +174,7 @@ def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "") -> Driv
     figures: list[PathFigures] = []
     n_unplaced = 0
     for _, points in sorted(spools.items()):
-        head, own_scans, own_figures, n_lost = _reconstruct_head(path, points, len(scans))
+        head, own_scans, own_figures, n_lost = _reconstruct_head(path, points, len(scans), places)
         heads.append(head)
         scans += own_scans
         figures += own_figures
@@ -188,22 +191,32 @@ class _Rates:
     clock: Clock
 
 
-def _rates(path: str, points: Spool, longest: slice) -> _Rates:
+def _rates(path: str, points: Spool, longest: slice, places: Places | None) -> _Rates:
     """Find the rates of a scanner from a sample of its points."""
-    rotation = find_rotation(*sample(points))
-    if rotation is None or not rotation.is_possible:
-        raise no_rotation(path, rotation)
+    rotation = None
+    if places is None:
+        rotation = find_rotation(*sample(points))
+        if rotation is None or not rotation.is_possible:
+            raise no_rotation(path, rotation)
     part = points.read(longest.start, min(longest.stop, longest.start + CONTIGUOUS_POINTS))
     clock = read_clock(part["time"])
     if clock is None:
         raise no_clock(path)
-    return _Rates(find_turning(part["time"], coordinates(part), rotation), clock)
+    if rotation is not None:
+        return _Rates(find_turning(part["time"], coordinates(part), rotation), clock)
+    assert places is not None
+    turning = turning_along(part["time"], coordinates(part), places)
+    if turning is None:
+        raise no_rotation(path, None)
+    return _Rates(turning, clock)
 
 
-def _reconstruct_head(path: str, points: Spool, first_number: int) -> tuple[Head, list[Scan], list[PathFigures], int]:
+def _reconstruct_head(
+    path: str, points: Spool, first_number: int, places: Places | None
+) -> tuple[Head, list[Scan], list[PathFigures], int]:
     passes = find_passes(points)
     longest = max(passes, key=lambda one: one.stop - one.start)
-    rates = _rates(path, points, longest)
+    rates = _rates(path, points, longest, places)
     cells = Spool(CELL)
     scans: list[Scan] = []
     figures: list[PathFigures] = []
@@ -211,8 +224,12 @@ def _reconstruct_head(path: str, points: Spool, first_number: int) -> tuple[Head
     for part in passes:
         track = None
         if part.stop - part.start >= LEAST_PASS_POINTS:
+            pieces = _thinned(points, part, rates.turning)
             duration_s = _duration(points, part)
-            track = fit_track(_thinned(points, part, rates.turning), rates.turning, duration_s)
+            if places is None:
+                track = fit_track(pieces, rates.turning, duration_s)
+            else:
+                track = track_along(pieces, rates.turning, duration_s, places)
         if track is None:
             n_unplaced += part.stop - part.start
             _leave_out(points, cells, part)
@@ -269,7 +286,7 @@ def find_passes(points: Spool) -> list[slice]:
     return [slice(start, stop) for start, stop in pairwise(borders) if stop > start]
 
 
-def _thinned(points: Spool, part: slice, turning: Turning) -> Pieces:
+def _thinned(points: Spool, part: slice, turning: Turning) -> PassPieces:
     """Return what gives every n-th point of a pass, so that enough lie between two knots."""
     between = (part.stop - part.start) / _duration(points, part) * max(1.0 / turning.line_hz, KNOT_S)
     every = max(int(between / POINTS_PER_KNOT), 1)

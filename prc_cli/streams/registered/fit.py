@@ -108,11 +108,11 @@ def _arcs(time_s: F64, rotation: Rotation) -> Turning | None:
     return Turning(rotation.hz, rates.line_hz, rates.time_origin_s)
 
 
-Pieces: TypeAlias = Callable[[], Iterator[tuple[F64, F64]]]
+PassPieces: TypeAlias = Callable[[], Iterator[tuple[F64, F64]]]
 """Gives times (n,) and points (n, 3) of a pass from its beginning, in pieces of rising times."""
 
 
-def fit_track(pieces: Pieces, turning: Turning, duration_s: float) -> Track | None:
+def fit_track(pieces: PassPieces, turning: Turning, duration_s: float) -> Track | None:
     """Fit the path of one pass; None where too few lines can be placed.
 
     Parameters
@@ -127,14 +127,21 @@ def fit_track(pieces: Pieces, turning: Turning, duration_s: float) -> Track | No
     windows = _windows(pieces, turning, window_spacing(duration_s))
     if windows is None or np.count_nonzero(windows.trusted) < LEAST_TRUSTED:
         return None
-    step = max(1.0 / turning.line_hz, KNOT_S)
-    first_s, last_s = windows.time_s[0] - 1.0 / turning.line_hz, windows.time_s[-1] + 1.0 / turning.line_hz
-    n_knots = max(math.ceil((last_s - first_s) / step) + 1, 4)
-    knots = knots_between(windows, first_s + step * np.arange(n_knots))
+    knots = knots_between(windows, knot_times(windows, turning))
     return _smooth_all(pieces, turning, knots, float(windows.trusted.mean()))
 
 
-def _windows(pieces: Pieces, turning: Turning, spacing_s: float) -> Windows | None:
+def knot_times(windows: Windows, turning: Turning) -> F64:
+    """Return evenly spaced times from a line before the first window to a line after the last, (k,) [s]."""
+    line_s = 1.0 / turning.line_hz
+    step = max(line_s, KNOT_S)
+    first_s, last_s = windows.time_s[0] - line_s, windows.time_s[-1] + line_s
+    n_knots = max(math.ceil((last_s - first_s) / step) + 1, 4)
+    times: F64 = first_s + step * np.arange(n_knots)
+    return times
+
+
+def _windows(pieces: PassPieces, turning: Turning, spacing_s: float) -> Windows | None:
     """Return the stations of single lines of a whole pass."""
     parts = [
         windows
@@ -159,7 +166,7 @@ def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator
         yield rest_s, rest_m
 
 
-def _smooth_all(pieces: Pieces, turning: Turning, knots: Knots, share_trusted: float) -> Track:
+def _smooth_all(pieces: PassPieces, turning: Turning, knots: Knots, share_trusted: float) -> Track:
     """Smooth the knots in overlapping segments; neighbouring segments give half of what they share."""
     n = len(knots.time_s)
     sigma = np.zeros((n, 3))
@@ -199,7 +206,7 @@ def _figures(fit: Fit, usable: Mask) -> tuple[float, float, float, int]:
     return residual, on_beam, float(np.mean(fit.range_m[usable] > 0)), len(off)
 
 
-def segments(pieces: Pieces, knots_s: F64) -> Iterator[tuple[int, int, F64, F64]]:
+def segments(pieces: PassPieces, knots_s: F64) -> Iterator[tuple[int, int, F64, F64]]:
     """Yield first and last knot of every segment, and the times and points between them."""
     n = len(knots_s)
     first = 0

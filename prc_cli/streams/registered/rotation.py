@@ -44,10 +44,20 @@ class Pieces:
     """(p, n, 3) float64, points less the first point of the piece [m]."""
     weight: F64
     """(p, n) float64, 1 = a point, 0 = filler."""
+    middle_s: F64
+    """(p,) float64, middle of every piece [s]."""
+    first_m: F64
+    """(p, 3) float64, the point that coordinates count from [m]."""
 
     def thinned(self) -> Pieces:
         """Return every second piece with every second point: enough to tell rates apart."""
-        return Pieces(self.time_s[::2, ::2], self.xyz_m[::2, ::2], self.weight[::2, ::2])
+        return Pieces(
+            self.time_s[::2, ::2],
+            self.xyz_m[::2, ::2],
+            self.weight[::2, ::2],
+            self.middle_s[::2],
+            self.first_m[::2],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +149,7 @@ def pieces_between(time_s: F64, xyz_m: F64, begin: np.ndarray, end: np.ndarray, 
     weight = (place < np.minimum(n_points, count)[:, None]).astype(np.float64)
     first = xyz_m[index[:, 0]]
     middle = 0.5 * (time_s[index[:, 0]] + time_s[np.clip(end - 1, 0, len(time_s) - 1)])
-    return Pieces(time_s[index] - middle[:, None], xyz_m[index] - first[:, None, :], weight)
+    return Pieces(time_s[index] - middle[:, None], xyz_m[index] - first[:, None, :], weight, middle, first)
 
 
 def find_rotation(time_s: F64, xyz_m: F64, *, n_pieces: int = 48) -> Rotation | None:

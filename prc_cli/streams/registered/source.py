@@ -17,9 +17,10 @@ from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.streams.order import sorted_by_time
-from prc_cli.streams.ranges import XYZ
+from prc_cli.streams.ranges import XYZ, open_ranges
 from prc_cli.streams.registered.drive import Drive, reconstruct
 from prc_cli.streams.registered.spool import Spool
+from prc_cli.streams.rules import only_times_tell
 
 CARRIED = ("intensity", "return_number", "number_of_returns")
 """Dimensions that are handed on where the cloud has them."""
@@ -29,6 +30,8 @@ HEADS = ("scanner_channel", "point_source_id", "user_data")
 """Dimensions that may tell scanners apart."""
 LOOKED_AT = 1 << 22
 """Records whose numbers of scanners are looked at."""
+MOST_STEPS_BACK = 1e-3
+"""Clouds whose times go back more often are sorted in space."""
 MOST_SCANNERS = 8
 """A dimension with more values does not number scanners."""
 
@@ -56,7 +59,35 @@ def with_points(
         raise InputError(source.path, problem, f"it has: {', '.join(source.dimensions)}")
     split = None if config.scanner == "none" else config.scanner
     drive = _drive_of(source, split)
-    cloud = RegisteredSource(source, drive)
+    return _as_stream(source, config, drive, drive.assumptions())
+
+
+def is_tile(source: RecordSource, config: InputConfig) -> bool:
+    """Tell whether a cloud with a given path is sorted in space, and nothing but its times tells lines and columns."""
+    asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
+    has_path = config.range.startswith("trajectory:") and set(XYZ) <= set(source.dimensions)
+    if not asks or not has_path or not only_times_tell(source) or config.order == "trust":
+        return False
+    first = next(iter(source.chunks(("time",))), None)
+    return first is not None and bool(np.mean(np.diff(first.values["time"]) < 0) > MOST_STEPS_BACK)
+
+
+def with_path(
+    source: RecordSource, config: InputConfig
+) -> tuple[RegisteredSource, InputConfig, tuple[Assumption, ...]]:
+    """Return a cloud whose path is given as a stream; see :func:`with_points`."""
+    rule = open_ranges(config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt)
+    assert rule.trajectory is not None
+    split = None if config.scanner == "none" else config.scanner
+    spools = spool_by_time(source, split)
+    drive = reconstruct(source.path, spools, split=split or "", places=rule.trajectory.positions)
+    _, *rates = drive.assumptions()
+    return _as_stream(source, config, drive, (*rule.assumptions, *rates))
+
+
+def _as_stream(
+    source: RecordSource, config: InputConfig, drive: Drive, told: tuple[Assumption, ...]
+) -> tuple[RegisteredSource, InputConfig, tuple[Assumption, ...]]:
     rules: dict[str, object] = {
         "lines": "dimension:scan_line",
         "columns": "dimension:column",
@@ -68,7 +99,7 @@ def with_points(
         rules["points_per_line"] = drive.points_per_line
         rules["angle_start"] = math.degrees(drive.angle_start_rad)
         rules["angle_step"] = math.degrees(drive.step_rad)
-    return cloud, config.model_copy(update=rules), drive.assumptions()
+    return RegisteredSource(source, drive), config.model_copy(update=rules), told
 
 
 _latest: tuple[tuple[object, ...], Drive] | None = None

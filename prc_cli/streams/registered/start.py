@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from prc_cli.core.types import F64, Mask
+from prc_cli.core.types import F64, I64, Mask
 from prc_cli.streams.registered.path import Knots, rotation_matrices, rotation_vectors
 from prc_cli.streams.registered.resection import Stations, fit_planes
 from prc_cli.streams.registered.rotation import Turning, pieces_between, stations_of
@@ -51,6 +51,19 @@ def stations_of_lines(time_s: F64, xyz_m: F64, turning: Turning, spacing_s: floa
     spacing_s
         Time from window to window, at least a line [s].
     """
+    begin, end = lines_between(time_s, turning, spacing_s)
+    pieces = pieces_between(time_s, xyz_m, begin, end, WINDOW_POINTS)
+    stations = stations_of(pieces, fit_planes(pieces.xyz_m, pieces.weight), turning.hz)
+    stations = replace(
+        stations,
+        position_m=stations.position_m + pieces.first_m,
+        frame=turned_back(stations.frame, turning.bearing(pieces.middle_s)),
+    )
+    return Windows(pieces.middle_s, stations, trusted_windows(pieces.middle_s, stations))
+
+
+def lines_between(time_s: F64, turning: Turning, spacing_s: float) -> tuple[I64, I64]:
+    """Return first and last point (exclusive) of one scan line in every ``spacing_s`` that has enough points."""
     line_s = 1.0 / turning.line_hz
     every = max(round(spacing_s / line_s), 1)
     first_line = math.floor((time_s[0] - turning.origin_s) / line_s)
@@ -59,15 +72,7 @@ def stations_of_lines(time_s: F64, xyz_m: F64, turning: Turning, spacing_s: floa
     begin = np.searchsorted(time_s, starts)
     end = np.searchsorted(time_s, starts + line_s)
     enough = end - begin >= LEAST_WINDOW_POINTS
-    starts, begin, end = starts[enough], begin[enough], end[enough]
-    pieces = pieces_between(time_s, xyz_m, begin, end, WINDOW_POINTS)
-    first = np.clip(begin, 0, len(time_s) - 1)
-    middle = 0.5 * (time_s[first] + time_s[end - 1])
-    stations = stations_of(pieces, fit_planes(pieces.xyz_m, pieces.weight), turning.hz)
-    frame = _turned(stations.frame, turning.bearing(middle))
-    position = stations.position_m + xyz_m[pieces_first(begin, end)]
-    stations = Stations(position, frame, stations.residual_m, stations.in_front, stations.spread_m)
-    return Windows(middle, stations, trusted_windows(middle, stations))
+    return begin[enough], end[enough]
 
 
 def join_windows(parts: list[Windows]) -> Windows:
@@ -82,16 +87,8 @@ def join_windows(parts: list[Windows]) -> Windows:
     return Windows(time_s, stations, trusted_windows(time_s, stations))
 
 
-def pieces_first(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the index of the point that coordinates of a piece count from; see ``pieces_between``."""
-    count = end - begin
-    step = count / np.minimum(WINDOW_POINTS, np.maximum(count, 1))
-    first: np.ndarray = begin + np.minimum(0.5 * step, np.maximum(count - 1, 0)).astype(np.int64)
-    return first
-
-
-def _turned(frame: F64, back_rad: F64) -> F64:
-    """Return frames whose bearings are larger by some angles (w,)."""
+def turned_back(frame: F64, back_rad: F64) -> F64:
+    """Return frames (w, 3, 3) whose bearings are larger by some angles (w,)."""
     cosine, sine = np.cos(back_rad)[:, None], np.sin(back_rad)[:, None]
     first = cosine * frame[:, :, 0] - sine * frame[:, :, 1]
     second = sine * frame[:, :, 0] + cosine * frame[:, :, 1]
