@@ -111,3 +111,27 @@ def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> No
     np.testing.assert_allclose(np.asarray(written.xyz), expected, atol=2e-3)
     found = prc("convert", tmp_path / "two.ptx", tmp_path / "points.laz")
     assert "positions of the scans, such as 6500, 4500, 120 m" in found.out + found.err
+
+
+def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
+    shape = np.arange(IMAGE.size).reshape(IMAGE.shape)
+    rows = np.full(IMAGE.size, np.nan, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("range", "f4"), ("normal", "f4", 2)])
+    rows["x"], rows["range"] = 0.2 * (shape // IMAGE.shape[1]).ravel(), IMAGE.ravel()
+    rows["y"], rows["z"] = (IMAGE * np.sin(angles())).ravel(), (-IMAGE * np.cos(angles())).ravel()
+    head = "VERSION 0.7\nFIELDS x y z range normal\nSIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 1 2\n"
+    head += f"WIDTH {IMAGE.shape[1]}\nHEIGHT {len(IMAGE)}\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {IMAGE.size}\nDATA binary\n"
+    (tmp_path / "a.pcd").write_bytes(head.encode() + rows.tobytes())
+    found = prc("classify", tmp_path / "a.pcd", tmp_path / "b.pcd", *OPTIONS)
+    assert found.code in (0, 4), found.err
+    written = (tmp_path / "b.pcd").read_bytes()[:900].decode("latin-1").splitlines()
+    assert {f"WIDTH {IMAGE.shape[1]}", f"HEIGHT {len(IMAGE)}", "VIEWPOINT 1 2 3 1 0 0 0"} <= set(written)
+    assert "not kept: field normal as one field" in found.err
+
+
+def test_other_elements_of_a_ply_are_told(prc: Prc, tmp_path: Path) -> None:
+    cloud = plyfile.PlyData.read(ply(tmp_path / "points.ply"))
+    source = tmp_path / "a.ply"
+    camera = plyfile.PlyElement.describe(np.array([(1.0,)], [("focal", "f4")]), "camera")
+    plyfile.PlyData([*cloud.elements, camera]).write(source)
+    found = prc("classify", source, tmp_path / "b.ply", *OPTIONS)
+    assert "not kept: element camera" in found.err

@@ -74,6 +74,8 @@ def decode_lzf(data: memoryview, n_bytes: int) -> bytearray | None:
 
 MAX_UNPACKED_BYTES = 4 << 30
 """Largest compressed cloud when unpacked: it is held in memory."""
+USUAL_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""Of headers that say nothing of the sensor."""
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _KINDS = {"I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8)), "F": ("f", (4, 8))}
 """Letter and sizes of a numpy type."""
@@ -200,6 +202,12 @@ def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
         path=path, format=f"PCD, {data.replace('_', ' ')}", types=types, keys=keys,
         rules=_rules(viewpoint, width, height, {name.lower() for name in types}),
         points_per_line=width if height > 1 else None,
+        viewpoint=tuple(viewpoint) if tuple(viewpoint) != USUAL_VIEWPOINT else (),
+        vectors=tuple(
+            name for name, count in zip(
+                header.words("FIELDS"), header.numbers("COUNT", MAX_PROPERTIES, "1 " * len(fields)), strict=False
+            ) if count > 1 and name != "_"
+        ),
         comments=tuple(text for text in header.comments if text.startswith(OWN_COMMENT)),
         described={
             "width": width, "height": height, "points": width * height, "data": data, "viewpoint": viewpoint,
@@ -244,6 +252,10 @@ def _compressed(header: PcdHeader, fields: list[tuple[str, np.dtype[Any]]], n: i
             problem = f"{n_packed} packed bytes of {max(there - 8, 0)} in the file, for {wanted} bytes of points"
             raise InputError(f"{path}: byte {start}", problem, _COPY)
         unpacked = decode_lzf(memoryview(handle.read(n_packed)), wanted)
+    if unpacked is None and n_packed == n_unpacked:
+        problem = "the points are said to be compressed, but are as long as without"
+        hint = "its writer did not compress them: save it again as binary, for example with Open3D or PCL"
+        raise InputError(f"{path}: byte {start + 8}", problem, hint)
     if unpacked is None:
         raise InputError(f"{path}: byte {start + 8}", f"the compressed points do not unpack to {wanted} bytes", _COPY)
     columns: Columns = {}

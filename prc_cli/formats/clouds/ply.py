@@ -178,6 +178,7 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
         path=path, format=f"PLY, {header.form.replace('_', ' ')}", keys=keys,
         types={name: np.dtype(kind) for name, kind in vertex.properties.items()},
         offsets_m=offsets_of(header.comments), comments=tuple(header.comments), notes=notes,
+        others=tuple(one.name for one in header.elements if one is not vertex and one.count),
         described={
             "format": header.form,
             "elements": {one.name: one.count for one in header.elements},

@@ -52,6 +52,12 @@ class CloudHead:
     """To be added to x, y, z, where a comment says so."""
     rules: tuple[KnownRule, ...] = ()
     points_per_line: int | None = None
+    viewpoint: tuple[float, ...] = ()
+    """Place and direction of the sensor in the header; empty = none."""
+    others: tuple[str, ...] = ()
+    """What the file holds beside the points and their properties, such as other elements."""
+    vectors: tuple[str, ...] = ()
+    """Fields of several numbers."""
     notes: tuple[str, ...] = ()
     comments: tuple[str, ...] = ()
     described: Mapping[str, Any] = field(default_factory=dict)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,12 @@ _CELL_NAMES = ("scan_line", "column")
 
 
 def cloud_header(
-    suffix: str, dtype: np.dtype[np.void], n: int, comments: tuple[str, ...] = (), width: int | None = None
+    suffix: str,
+    dtype: np.dtype[np.void],
+    n: int,
+    comments: tuple[str, ...] = (),
+    width: int | None = None,
+    viewpoint: Sequence[float] = (),
 ) -> bytes:
     """Return a header, as long for any number of points.
 
@@ -64,7 +69,8 @@ def cloud_header(
     columns, rows = (width, n // width) if width and n and n % width == 0 and n > width else (n, 1)
     sizes = " ".join(str(kind.itemsize) for kind in kinds)
     types = " ".join({"f": "F", "u": "U", "i": "I"}[kind.kind] for kind in kinds)
-    counted = f"WIDTH {columns}\nHEIGHT {rows}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\n"
+    place = " ".join(f"{value:.17g}" for value in viewpoint or (0, 0, 0, 1, 0, 0, 0))
+    counted = f"WIDTH {columns}\nHEIGHT {rows}\nVIEWPOINT {place}\nPOINTS {n}\n"
     padding = "." * (4 * _COUNT_DIGITS - len(f"{columns}{rows}{n}"))
     head = ["# .PCD v0.7", *(f"# {text}" for text in comments)]
     head += [f"# {padding}", "VERSION 0.7", f"FIELDS {' '.join(names)}", f"SIZE {sizes}"]
@@ -229,6 +235,21 @@ class CloudRewriter(ScatterWriter):
         if replaced:
             self._notice(f"the input has {', '.join(replaced)} already; the values were replaced")
 
+        self._width = None if labels.is_thinned or labels.is_part else source.head.points_per_line
+        if lost := self._lost():
+            self._notice(f"not kept: {'; '.join(lost)}")
+
+    def _lost(self) -> list[str]:
+        """Return what the header of the input says and that of the output does not."""
+        head, is_pcd = self._source.head, self.path.suffix.lower() == ".pcd"
+        lost = [f"element {name}" for name in head.others]
+        lost += [f"field {name} as one field: its numbers are fields of their own" for name in head.vectors]
+        if head.viewpoint and not is_pcd:
+            lost.append("the viewpoint " + " ".join(f"{value:g}" for value in head.viewpoint))
+        if head.points_per_line and not (is_pcd and self._width):
+            lost.append(f"the rows of {head.points_per_line} points")
+        return lost
+
     def _write(self, record: RunRecord) -> RunRecord:
         source, total = self._source, self._total(record)
         fields = [(name, self._type(name)) for name in self._kept]
@@ -236,7 +257,8 @@ class CloudRewriter(ScatterWriter):
         dtype = np.dtype([*fields, (_CLASS, np.dtype("u1"))])
         with self._temporary.open("wb") as handle:
             comments = (*(text for text in source.head.comments if not text.startswith(OWN_COMMENT)), self._own_comment)
-            handle.write(cloud_header(self.path.suffix.lower(), dtype, total, comments))
+            suffix, viewpoint = self.path.suffix.lower(), source.head.viewpoint
+            handle.write(cloud_header(suffix, dtype, total, comments, self._width, viewpoint))
             stored = source.stored(self._kept)
             for first, columns, n in stored:
                 found = np.empty(n, dtype)
