@@ -156,7 +156,9 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     source = open_source(path, loaded.config.layout)
     source = None if source is None else with_clock(source, loaded.config.input.time_unit)
     stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
-    judged = loaded.config.input.order == "require" and not _sorts_by_itself(source, loaded.config.input)
+    judged = loaded.config.input.order == "require" and (
+        source is None or not _sorts_by_itself(source, loaded.config.input)
+    )
     if stream is not None:
         needs = loaded.config.classifier.method().needs
         stream = watched(stream, loaded.config.input, refuses=False, needs=needs, others=loaded.findings)

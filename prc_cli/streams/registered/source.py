@@ -66,7 +66,7 @@ def is_tile(source: RecordSource, config: InputConfig) -> bool:
     """Tell whether a cloud with a given path is sorted in space, and nothing but its times tells lines and columns."""
     asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
     has_path = config.range.startswith("trajectory:") and set(XYZ) <= set(source.dimensions)
-    if not asks or not has_path or not only_times_tell(source) or config.order == "trust":
+    if not asks or not has_path or not only_times_tell(source):
         return False
     first = next(iter(source.chunks(("time",))), None)
     return first is not None and bool(np.mean(np.diff(first.values["time"]) < 0) > MOST_STEPS_BACK)
