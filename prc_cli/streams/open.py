@@ -27,6 +27,7 @@ from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.systems import in_metres, refuse_degrees
 
 if TYPE_CHECKING:
+    from prc_cli.formats.records import RecordSource
     from prc_cli.streams.grid import GridStream
 
 
@@ -80,28 +81,32 @@ def open_input(
     if not of_points or config.range_scale == 1.0:
         source = in_metres(source)
     line_hz = None if layout is None else layout.line_frequency
-    told: tuple[Assumption, ...] = ()
-    if config.lines.startswith("elevation:"):
-        from prc_cli.streams.rules import with_elevation
-
-        source, config, told = with_elevation(source, config)
-    elif config.range == "points":
-        from prc_cli.streams.registered.source import with_points
-
-        source, config, told = with_points(source, config)
-    elif config.range.startswith(("trajectory:", "origin:")):
-        from prc_cli.streams.registered.source import is_tile, with_path
-        from prc_cli.streams.rules import with_sweeps
-
-        if is_tile(source, config):
-            source, config, told = with_path(source, config)
-        else:
-            config, told = with_sweeps(source, config)
+    source, config, told = _with_lines(source, config)
     grid = open_grid(
         source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity,
         told=told,
     )  # fmt: skip
     return windowed(grid, config)
+
+
+def _with_lines(source: RecordSource, config: InputConfig) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
+    """Return a source with lines and columns where only its points tell them, its rules, and what is assumed."""
+    if config.lines.startswith("elevation:"):
+        from prc_cli.streams.rules import with_elevation
+
+        return with_elevation(source, config)
+    if config.range == "points":
+        from prc_cli.streams.registered.source import with_points
+
+        return with_points(source, config)
+    if config.range.startswith(("trajectory:", "origin:")):
+        from prc_cli.streams.registered.source import is_tile, with_path
+        from prc_cli.streams.rules import with_sweeps
+
+        if is_tile(source, config):
+            return with_path(source, config)
+        return source, *with_sweeps(source, config)
+    return source, config, ()
 
 
 def with_layout(config: InputConfig, layout: Layout | None) -> InputConfig:
