@@ -114,3 +114,10 @@ def test_coordinates_and_times_without_names(
     assert run("info", path, "--draft", tmp_path / "draft.toml", "-q") == 0
     fields = tomllib.loads((tmp_path / "draft.toml").read_text(encoding="utf-8"))["layout"]["fields"]
     assert [(field["name"], field["source"]) for field in fields] == [("x", 0), ("y", 1), ("z", 2), ("time", 3)]
+
+
+def test_a_dump_of_an_odd_number_of_small_numbers_is_drafted(tmp_path: Path) -> None:
+    range_mm = np.rint(1000 * (6 + 2 * np.sin(np.arange(6001) % 60 / 9.0))).astype("<u2")
+    range_mm.tofile(tmp_path / "a.bin")
+    text = draft(tmp_path / "a.bin", load_config(), tmp_path / "a.toml")
+    assert 'type = "u2"' in text
