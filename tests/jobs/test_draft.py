@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main
+from prc_cli.config import load_config
+from prc_cli.jobs.draft import draft
 from tests.golden.inputs import N_LINES, M, image
 from tests.streams.evidence.test_estimates import drive
 
@@ -119,5 +121,5 @@ def test_coordinates_and_times_without_names(
 def test_a_dump_of_an_odd_number_of_small_numbers_is_drafted(tmp_path: Path) -> None:
     range_mm = np.rint(1000 * (6 + 2 * np.sin(np.arange(6001) % 60 / 9.0))).astype("<u2")
     range_mm.tofile(tmp_path / "a.bin")
-    text = draft(tmp_path / "a.bin", load_config(), tmp_path / "a.toml")
+    text = draft(tmp_path / "a.bin", tmp_path / "a.toml", load_config())
     assert 'type = "u2"' in text
