@@ -41,7 +41,7 @@ from prc_cli.streams.grid import open_grid
 from prc_cli.streams.lines import first_ranges
 from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time, take_turns
-from prc_cli.streams.registered.source import is_tile
+from prc_cli.streams.registered.source import sorts_by_itself
 from prc_cli.streams.rules import (
     MEASURED,
     NO_RANGES,
@@ -157,7 +157,7 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     source = None if source is None else with_clock(source, loaded.config.input.time_unit)
     stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
     judged = loaded.config.input.order == "require" and (
-        source is None or not _sorts_by_itself(source, loaded.config.input)
+        source is None or not sorts_by_itself(source, loaded.config.input)
     )
     if stream is not None:
         needs = loaded.config.classifier.method().needs
@@ -181,7 +181,7 @@ def _inspect_records(
     order: OrderEvidence | None,
 ) -> Inspection:
     """Describe a file of records, and try what may mend it."""
-    judged = loaded.config.input.order == "require" and not _sorts_by_itself(source, loaded.config.input)
+    judged = loaded.config.input.order == "require" and not sorts_by_itself(source, loaded.config.input)
     if stream is None and is_timed_cloud(source, loaded.config.input):
         # nothing is reconstructed unless it is asked for by name
         lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
@@ -209,11 +209,6 @@ def _inspect_records(
     # its order was trusted: under its own rules it may be refused
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
-
-
-def _sorts_by_itself(source: RecordSource, inputs: InputConfig) -> bool:
-    """Tell whether times are sorted without being told: where the stream is found from points and times."""
-    return inputs.range == "points" or is_tile(source, inputs)
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:

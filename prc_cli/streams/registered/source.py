@@ -62,6 +62,11 @@ def with_points(
     return _as_stream(source, config, drive, drive.assumptions())
 
 
+def sorts_by_itself(source: RecordSource, config: InputConfig) -> bool:
+    """Tell whether times are sorted without being told: where the stream is found from points and times."""
+    return config.range == "points" or is_tile(source, config)
+
+
 def is_tile(source: RecordSource, config: InputConfig) -> bool:
     """Tell whether a cloud with a given path is sorted in space, and nothing but its times tells lines and columns."""
     asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
