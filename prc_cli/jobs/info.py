@@ -40,7 +40,15 @@ from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.lines import first_ranges
 from prc_cli.streams.open import open_input
-from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time, take_turns
+from prc_cli.streams.order import (
+    OrderEvidence,
+    OrderWatch,
+    RingOrderWatch,
+    fire_in_turns,
+    order_hint,
+    sorted_by_time,
+    take_turns,
+)
 from prc_cli.streams.registered.source import sorts_by_itself
 from prc_cli.streams.rules import (
     MEASURED,
@@ -405,10 +413,20 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
 
 def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
     """Read the records once, in the order of the input, and count what they hold; return the order of the times."""
-    watch = OrderWatch(source.path, "trust", source.facts.time_name) if "time" in source.dimensions else None
+    watch: OrderWatch | RingOrderWatch | None = None
     for chunk in watched_contents(source, contents):
-        if watch is not None:
-            watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
+        if "time" not in source.dimensions:
+            continue
+        time_s, column = np.asarray(chunk.values["time"], np.float64), chunk.values.get("column")
+        if watch is None:
+            in_turns = column is not None and fire_in_turns(time_s, column)
+            watch = RingOrderWatch(source, "trust") if in_turns else OrderWatch.of(source, "trust")
+        if isinstance(watch, OrderWatch):
+            watch.see(time_s, chunk.record)
+        elif column is not None:
+            watch.count(time_s, chunk.record, column)
+    if watch is None and "time" in source.dimensions:
+        watch = OrderWatch.of(source, "trust")
     return None if watch is None else watch.evidence()
 
 
