@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import shutil
 import textwrap
@@ -16,12 +17,14 @@ import click
 from prc_cli.cli.next_step import output_for, typed
 from prc_cli.cli.options import Sectioned, config_from, given_words, output_options, stream_options
 from prc_cli.cli.paths import WRITTEN, ScanPath
+from prc_cli.cli.report import print_doubts
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.errors import PrcError, printable
-from prc_cli.core.findings import LABEL_CHECKS, Verdict
+from prc_cli.core.errors import InputError, PrcError, printable
+from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.formats.las.vlrs import short_crs
 from prc_cli.formats.records import Contents
 from prc_cli.jobs.info import Inspection, inspect
+from prc_cli.jobs.path import prepare_path, save_path, sentence
 from prc_cli.streams.evidence.table import check_table
 
 
@@ -35,12 +38,24 @@ from prc_cli.streams.evidence.table import check_table
     metavar="FILE.toml",
     help="Write a layout that reads FILE, from its header, its first records or the period of its bytes.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing draft.")
+@click.option(
+    "--path",
+    "path_output",
+    type=WRITTEN,
+    metavar="OUTPUT",
+    help="Write the path of the scanner that --range points finds: .csv with its uncertainty, or .sbet, .out.",
+)
+@click.option(
+    "--check-path",
+    is_flag=True,
+    help="Hold --range trajectory:FILE against the path found from the points: clock, lever arm, coordinates.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing draft or path.")
 @click.option("--checks", is_flag=True, help="List every check, with what it found and what it expects.")
 @output_options
 def info(
-    files: tuple[Path, ...], deep: bool, draft: Path | None, overwrite: bool, checks: bool, as_json: bool,
-    quiet: bool, verbose: bool, **options: Any,
+    files: tuple[Path, ...], deep: bool, draft: Path | None, path_output: Path | None, check_path: bool,
+    overwrite: bool, checks: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Say whether FILE can be classified, what to type, and what it holds.
 
@@ -48,30 +63,60 @@ def info(
     The exit code is 0 for a file that can be read, also where the answer is no: ask "classifiable" of --json.
 
     \b
-    Example: prc info drive.laz --lines time:200 --columns time:1000000
+    Examples: prc info drive.laz --lines time:200 --columns time:1000000
+              prc info tile.laz --range points --path path.csv
     """
     loaded = config_from(options)
     if draft is not None:
         loaded = _drafted(files, draft, loaded, overwrite=overwrite)
         options = {**options, "config_file": draft}
+    if path_output is not None:
+        _prepare_path(files, path_output, loaded, is_checked=check_path, overwrite=overwrite)
     found: list[dict[str, Any]] = []
     code = 0
     for path in files:
+        written: tuple[Path, ...] = ()
         try:
-            inspection = inspect(path, loaded, deep=deep)
+            inspection = inspect(path, loaded, deep=deep, checks_path=check_path)
+            if path_output is not None:
+                written, doubted = _written_path(inspection, path_output, loaded, overwrite=overwrite)
+                code = max(code, print_doubts(doubted))
         except PrcError as error:
             click.echo(f"error: {printable(str(error))}", err=True)
             found.append({"path": str(path), "error": str(error), "classifiable": False})
             code = max(code, error.exit_code)
             continue
         command = _command(inspection, options)
-        found.append(inspection.as_dict() | {"command": command})
+        files_written = {"written": [str(name) for name in written]} if written else {}
+        found.append(inspection.as_dict() | {"command": command} | files_written)
         if not as_json and not quiet:
             _print(inspection, command, checks=checks, verbose=verbose)
+            for name in written:
+                click.echo(printable(f"{name}: the path of the scanner"))
     if as_json:
         click.echo(json.dumps(found[0] if len(files) == 1 else found, indent=2))
     if code:
         raise SystemExit(code)
+
+
+def _prepare_path(
+    files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, is_checked: bool, overwrite: bool
+) -> None:
+    if len(files) != 1:
+        message = "--path takes one file"
+        raise click.UsageError(message)
+    if not is_checked and loaded.config.input.range != "points":
+        message = "--path needs the path of the scanner: give --range points, or --check-path with a trajectory"
+        raise click.UsageError(message)
+    prepare_path(output, loaded, files[0], overwrite=overwrite)
+
+
+def _written_path(
+    inspection: Inspection, output: Path, loaded: LoadedConfig, *, overwrite: bool
+) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
+    if inspection.drive is None:
+        raise InputError(inspection.path, inspection.problem or "no path was found", inspection.hint)
+    return save_path(output, inspection.drive, loaded, Path(inspection.path), overwrite=overwrite)
 
 
 def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, overwrite: bool) -> LoadedConfig:
@@ -160,6 +205,7 @@ def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]
     if inspection.order is not None and inspection.order.sentence() not in inspection.problem:
         yield "time order", inspection.order.sentence()
     yield from _stream_rows(inspection, verbose=verbose)
+    yield from _path_rows(inspection, verbose=verbose)
     # how many shots a line has is said with the lines
     taken = [one for one in inspection.assumptions if verbose or one.key != "input.points_per_line"]
     for why, alike in groupby(taken, lambda one: one.why):
@@ -171,6 +217,33 @@ def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]
             yield name, f"{count:,}"
     if verbose and inspection.format not in LISTED:
         yield from ((f"header: {key}", str(value)) for key, value in head.items())
+
+
+def _path_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
+    """Tell what was found from the points of a registered cloud, and how a trajectory fits it."""
+    drive = inspection.drive
+    if drive is None:
+        return
+    for number, one in enumerate(drive.figures if verbose else drive.figures[:MOST_SHOWN]):
+        name = f"pass {number}" if len(drive.figures) > 1 else "path"
+        head = f"scanner {one.scanner}, " if len(drive.heads) > 1 else ""
+        height = "" if math.isnan(one.height_m) else f", {one.height_m:.2f} m above the ground"
+        yield name, f"{head}{one.length_m:.1f} m in {one.duration_s:.1f} s, {one.speed_m_s:.2f} m/s (median){height}"
+        turns = "" if one.turns_hz == one.lines_hz else f"{one.turns_hz:.6g} turns and "
+        rates = f"{turns}{one.lines_hz:.6g} lines a second, {one.shots_hz:,.0f} shots a second"
+        yield "rotation", f"{rates}, M = {one.points_per_line:,}; the scan plane leans by {one.tilt_deg:.1f} deg"
+        fit = f"points lie {1e3 * one.residual_m:.1f} mm off their beams (median), {one.share_on_beam:.0%} on a beam"
+        certain = f"stations are certain to {1e3 * one.sigma_m:.1f} mm (median)"
+        bridged = f"{one.share_bridged:.0%} of the lines stand on their neighbours"
+        yield "fit", f"{fit}; {certain}, {bridged}; {one.share_holes:.1%} of the cells amid surfaces are empty"
+    left = len(drive.figures) - MOST_SHOWN
+    if left > 0 and not verbose:
+        yield "passes", f"and {left} more"
+    if drive.n_unplaced:
+        yield "no path", f"{drive.n_unplaced:,} points belong to passes that no path fits"
+    for comparison in inspection.comparisons:
+        head = f"scanner {comparison.scanner}: " if len(inspection.comparisons) > 1 else ""
+        yield "trajectory", head + sentence(comparison)
 
 
 def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, str]]:

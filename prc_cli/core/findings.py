@@ -15,7 +15,7 @@ from prc_cli.core.brief import Brief
 from prc_cli.core.errors import EvidenceError
 
 CHECK_NAMES = (
-    "thinned", "path",
+    "thinned", "path", "trajectory",
     "ranges", "rounding", "missing-code", "shot-order", "few-lines", "line-length", "columns-along", "line-order",
     "standing", "repeated-lines", "times", "collisions", "unplaced", "left-out", "returns", "unread", "other-readers",
     "dropouts", "range-noise", "units", "coordinates", "angle-step", "down", "method", "ground-below", "ground-lean",

@@ -6,8 +6,9 @@ Positions in SBET are geographic; they are projected to the coordinate system of
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,7 +83,7 @@ def read_turns(path: Path, target: str | None) -> F64:
     if path.suffix.lower() in SBET_SUFFIXES:
         values = _sbet_records(path, path.stat().st_size)
         roll, pitch = np.degrees(values[:, 7]), -np.degrees(values[:, 8])
-        heading = np.degrees(values[:, 9] - values[:, 10]) - _convergence(values[:, 1:3], target)
+        heading = np.degrees(values[:, 9] - values[:, 10]) - convergence(values[:, 1:3], target)
         yaw = 90.0 - heading
     else:
         head = next(_rows(path, with_head=True), (1, ""))[1].lower()
@@ -94,8 +95,8 @@ def read_turns(path: Path, target: str | None) -> F64:
     return quaternion
 
 
-def _convergence(place: F64, target: str | None) -> F64:
-    """Return the angle from true north to grid north at (latitude, longitude) [rad], in degrees."""
+def convergence(place: F64, target: str | None) -> F64:
+    """Return the angle from true north to grid north at (latitude, longitude) (n, 2) [rad], in degrees (n,)."""
     import pyproj
 
     earth = pyproj.Proj(pyproj.CRS.from_user_input(target))
@@ -314,6 +315,39 @@ def _sbet_records(path: Path, size: int) -> F64:
 
 def project(path: Path, position: F64, target: str | None) -> F64:
     """Project longitude and latitude to the coordinate system of the points; heights stay ellipsoidal."""
+    system = _projected_system(path, target)
+    x, y = system.forward(np.degrees(position[:, 0]), np.degrees(position[:, 1]))
+    xyz_m: F64 = np.stack([x, y, position[:, 2]], axis=1)
+    finite = np.isfinite(xyz_m).all(axis=1)
+    if not finite.all():
+        problem = f"position {int(np.argmin(finite))} lies outside of what {system.shown!r} can show"
+        raise InputError(str(path), problem, "check trajectory_crs")
+    return xyz_m
+
+
+def unproject(path: Path, xyz_m: F64, target: str | None) -> F64:
+    """Return longitude, latitude [rad] and height [m] of positions (n, 3), the inverse of :func:`project`."""
+    system = _projected_system(path, target)
+    longitude, latitude = system.backward(xyz_m[:, 0], xyz_m[:, 1])
+    place: F64 = np.stack([np.radians(longitude), np.radians(latitude), xyz_m[:, 2]], axis=1)
+    finite = np.isfinite(place).all(axis=1)
+    if not finite.all():
+        problem = f"position {int(np.argmin(finite))} lies outside of what {system.shown!r} can show"
+        raise InputError(str(path), problem, "check trajectory_crs")
+    return place
+
+
+@dataclass(frozen=True, slots=True)
+class _System:
+    """A projected coordinate system in metres."""
+
+    shown: str
+    forward: Callable[[F64, F64], tuple[F64, F64]]
+    """Longitude and latitude in degrees to x and y."""
+    backward: Callable[[F64, F64], tuple[F64, F64]]
+
+
+def _projected_system(path: Path, target: str | None) -> _System:
     if target is None:
         problem = "an SBET trajectory is in latitude and longitude, and the points' coordinate system is not known"
         raise ConfigError(str(path), problem, "set trajectory_crs, for example EPSG:32635")
@@ -331,17 +365,12 @@ def project(path: Path, position: F64, target: str | None) -> F64:
         if not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
             problem = f"coordinate system {shown!r} is not a projected one in metres"
             raise ConfigError(str(path), problem, remedy)
-        transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-        x, y = transformer.transform(np.degrees(position[:, 0]), np.degrees(position[:, 1]))
+        forward = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+        backward = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
     except pyproj.exceptions.ProjError as error:
         problem = f"coordinate system {shown!r} cannot be used ({str(error).splitlines()[0]})"
         raise ConfigError(str(path), problem, remedy) from None
-    xyz_m: F64 = np.stack([x, y, position[:, 2]], axis=1)
-    finite = np.isfinite(xyz_m).all(axis=1)
-    if not finite.all():
-        problem = f"position {int(np.argmin(finite))} lies outside of what {shown!r} can show"
-        raise InputError(str(path), problem, "check trajectory_crs")
-    return xyz_m
+    return _System(shown, forward.transform, backward.transform)
 
 
 def _refuse_heights(path: Path, crs: pyproj.CRS, shown: str) -> None:

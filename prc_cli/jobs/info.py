@@ -15,7 +15,7 @@ from prc_cli.core.brief import finite
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
-from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, Verdict, refuse
+from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Doubted, Finding, Verdict, accept, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
 from prc_cli.formats import LAS_SUFFIXES, open_source
@@ -24,6 +24,7 @@ from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import Contents, DerivedSource, RecordChunk, RecordSource, watched_contents
 from prc_cli.jobs.choice import decide_and_open
+from prc_cli.jobs.path import hold_against
 from prc_cli.streams.angles import shots_in_time
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.periods import (
@@ -39,17 +40,11 @@ from prc_cli.streams.evidence.periods import (
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.lines import first_ranges
-from prc_cli.streams.open import open_input
-from prc_cli.streams.order import (
-    OrderEvidence,
-    OrderWatch,
-    RingOrderWatch,
-    fire_in_turns,
-    order_hint,
-    sorted_by_time,
-    take_turns,
-)
-from prc_cli.streams.registered.source import sorts_by_itself
+from prc_cli.streams.open import drive_of, open_input
+from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time, take_turns
+from prc_cli.streams.registered.comparison import Comparison
+from prc_cli.streams.registered.drive import Drive
+from prc_cli.streams.registered.source import is_tile
 from prc_cli.streams.rules import (
     MEASURED,
     NO_RANGES,
@@ -121,10 +116,16 @@ class Inspection(Doubted):
     """What the records hold; None where the file is no list of records."""
     missing: tuple[str, ...] = ()
     """Every option of the command line that is still needed, with what was measured."""
+    drive: Drive | None = None
+    """What was found from the points of a registered cloud; None where it was not asked for."""
+    comparisons: tuple[Comparison, ...] = ()
+    """The trajectory that is given against the path found, for every scanner; empty where it was not asked for."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
-        table: dict[str, Any] = finite(asdict(self))
+        table: dict[str, Any] = finite(asdict(replace(self, drive=None)))
+        table.pop("drive")
+        table["path_found"] = None if self.drive is None else _path_as_dict(self.drive)
         table["contents"] = None if self.contents is None else self.contents.as_dict()
         table["classifiable"] = not self.problem
         table["doubts"] = [one.check for one in self.doubts]
@@ -138,8 +139,28 @@ class Inspection(Doubted):
         return table
 
 
-def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspection:
-    """Read a file once or twice and describe its contents."""
+def _path_as_dict(drive: Drive) -> dict[str, Any]:
+    """Return the figures of all passes."""
+    passes: list[dict[str, Any]] = [finite(asdict(one)) for one in drive.figures]
+    return {"n_scanners": len(drive.heads), "n_unplaced": drive.n_unplaced, "passes": passes}
+
+
+def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False, checks_path: bool = False) -> Inspection:
+    """Read a file once or twice and describe its contents.
+
+    Parameters
+    ----------
+    path
+        The file.
+    loaded
+        The configuration.
+    deep
+        Decode every layer of LAZ.
+    checks_path
+        Hold the trajectory that is given against the path that is found from the points.
+    """
+    if checks_path:
+        return _with_comparisons(path, loaded, deep=deep)
     loaded, opened = decide_and_open(path, loaded, trust_order=True)
     if deep:
         _decode(path, loaded)
@@ -149,6 +170,23 @@ def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspecti
     return replace(
         found, method=loaded.config.method, choice=choice, notes=(*loaded.notes, *found.notes), assumptions=assumptions
     )
+
+
+def _with_comparisons(path: Path, loaded: LoadedConfig, *, deep: bool) -> Inspection:
+    """Describe a file and its trajectory; also where the trajectory is refused, since the path tells why."""
+    drive, comparisons, finding = hold_against(path, loaded)
+    try:
+        found = inspect(path, loaded, deep=deep)
+    except InputError as refusal:
+        source = open_source(path, loaded.config.layout)
+        found = _describe(path, source, None, None, refusal, judged=False)
+    (finding,) = accept([finding], loaded.config.input.accept_doubts or ())
+    found = replace(found, drive=drive, comparisons=comparisons, findings=(finding, *found.findings))
+    is_against = finding.verdict is Verdict.AGAINST and not finding.is_accepted
+    if not is_against and not (found.problem and finding.option):
+        return found
+    # what the reader of the trajectory refused, its path may explain
+    return replace(found, problem=finding.problem, hint=finding.hint, mend=finding.option, missing=())
 
 
 def _decode(path: Path, loaded: LoadedConfig) -> None:
@@ -165,7 +203,7 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     source = None if source is None else with_clock(source, loaded.config.input.time_unit)
     stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
     judged = loaded.config.input.order == "require" and (
-        source is None or not sorts_by_itself(source, loaded.config.input)
+        source is None or not _sorts_by_itself(source, loaded.config.input)
     )
     if stream is not None:
         needs = loaded.config.classifier.method().needs
@@ -177,7 +215,12 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     contents = Contents(class_names=names_of_file(path) if suffix_of(path) in LAS_SUFFIXES else {})
     order = _time_order(source, contents)
     found = _inspect_records(path, loaded, source, stream, refusal, order)
-    return replace(found, contents=contents)
+    return replace(found, contents=contents, drive=_drive_found(stream, loaded.config.input))
+
+
+def _drive_found(stream: ScanStream | None, inputs: InputConfig) -> Drive | None:
+    """Return what was found from the points; None where it was not asked for, also if a path was given."""
+    return drive_of(stream) if stream is not None and inputs.range == "points" else None
 
 
 def _inspect_records(
@@ -189,7 +232,7 @@ def _inspect_records(
     order: OrderEvidence | None,
 ) -> Inspection:
     """Describe a file of records, and try what may mend it."""
-    judged = loaded.config.input.order == "require" and not sorts_by_itself(source, loaded.config.input)
+    judged = loaded.config.input.order == "require" and not _sorts_by_itself(source, loaded.config.input)
     if stream is None and is_timed_cloud(source, loaded.config.input):
         # nothing is reconstructed unless it is asked for by name
         lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
@@ -217,6 +260,11 @@ def _inspect_records(
     # its order was trusted: under its own rules it may be refused
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
+
+
+def _sorts_by_itself(source: RecordSource, inputs: InputConfig) -> bool:
+    """Tell whether times are sorted without being told: where the stream is found from points and times."""
+    return inputs.range == "points" or is_tile(source, inputs)
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
@@ -413,20 +461,10 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
 
 def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
     """Read the records once, in the order of the input, and count what they hold; return the order of the times."""
-    watch: OrderWatch | RingOrderWatch | None = None
+    watch = OrderWatch(source.path, "trust", source.facts.time_name) if "time" in source.dimensions else None
     for chunk in watched_contents(source, contents):
-        if "time" not in source.dimensions:
-            continue
-        time_s, column = np.asarray(chunk.values["time"], np.float64), chunk.values.get("column")
-        if watch is None:
-            in_turns = column is not None and fire_in_turns(time_s, column)
-            watch = RingOrderWatch(source, "trust") if in_turns else OrderWatch.of(source, "trust")
-        if isinstance(watch, OrderWatch):
-            watch.see(time_s, chunk.record)
-        elif column is not None:
-            watch.count(time_s, chunk.record, column)
-    if watch is None and "time" in source.dimensions:
-        watch = OrderWatch.of(source, "trust")
+        if watch is not None:
+            watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
     return None if watch is None else watch.evidence()
 
 

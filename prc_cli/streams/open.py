@@ -12,7 +12,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from prc_cli.formats.systems import in_metres, refuse_degrees
 if TYPE_CHECKING:
     from prc_cli.formats.records import RecordSource
     from prc_cli.streams.grid import GridStream
+    from prc_cli.streams.registered.drive import Drive
 
 
 def open_input(
@@ -122,6 +123,17 @@ def grid_of(stream: ScanStream) -> GridStream | None:
 
     inner = stream.source if isinstance(stream, WindowedStream) else stream
     return inner if isinstance(inner, GridStream) else None
+
+
+def drive_of(stream: ScanStream) -> Drive | None:
+    """Return what was found of a registered cloud behind a stream (``range = "points"``); None for other inputs."""
+    layer: object = stream
+    while layer is not None:
+        drive = getattr(layer, "drive", None)
+        if drive is not None:
+            return cast("Drive", drive)
+        layer = getattr(layer, "source", None)
+    return None
 
 
 @dataclass(slots=True)

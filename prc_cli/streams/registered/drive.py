@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -48,6 +48,8 @@ CONTIGUOUS_POINTS = 1 << 20
 """Consecutive points in which the rate is refined."""
 POINTS_PER_KNOT = 320
 """Points that are kept of the time between two knots, about."""
+NEAR_DOWN_RAD = math.radians(15.0)
+"""Shots within this angle of straight down tell how high the scanner is [rad]."""
 SAME_STEP = 1e-4
 """Scans whose shots in a turn differ by less have the same columns."""
 SAME_START_RAD = 0.02
@@ -87,6 +89,8 @@ class Drive:
     heads: tuple[Head, ...]
     scans: tuple[Scan, ...]
     """By number of the pass, over all scanners."""
+    tracks: tuple[Track, ...]
+    """The path of each pass, with its uncertainty."""
     figures: tuple[PathFigures, ...]
     """What each pass shows."""
     findings: tuple[Finding, ...]
@@ -170,17 +174,27 @@ def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "", places:
         Where no rotation fits the points of a scanner.
     """
     heads: list[Head] = []
-    scans: list[Scan] = []
-    figures: list[PathFigures] = []
-    n_unplaced = 0
-    for _, points in sorted(spools.items()):
-        head, own_scans, own_figures, n_lost = _reconstruct_head(path, points, len(scans), places)
-        heads.append(head)
-        scans += own_scans
-        figures += own_figures
-        n_unplaced += n_lost
-    findings = judge(path, figures, n_unplaced, sum(len(spool) for spool in spools.values()))
-    return Drive(tuple(heads), tuple(scans), tuple(figures), findings, n_unplaced, split)
+    passes = _Passes()
+    for number, points in sorted(spools.items()):
+        heads.append(_reconstruct_head(path, points, passes, number if len(spools) > 1 else 0, places))
+    findings = judge(path, passes.figures, passes.n_unplaced, sum(len(spool) for spool in spools.values()))
+    scans, tracks, figures = tuple(passes.scans), tuple(passes.tracks), tuple(passes.figures)
+    return Drive(tuple(heads), scans, tracks, figures, findings, passes.n_unplaced, split)
+
+
+@dataclass(slots=True)
+class _Passes:
+    """What was found of all passes so far."""
+
+    scans: list[Scan] = field(default_factory=list)
+    tracks: list[Track] = field(default_factory=list)
+    figures: list[PathFigures] = field(default_factory=list)
+    n_unplaced: int = 0
+
+    def add(self, scan: Scan, track: Track, figures: PathFigures) -> None:
+        self.scans.append(scan)
+        self.tracks.append(track)
+        self.figures.append(figures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,16 +225,12 @@ def _rates(path: str, points: Spool, longest: slice, places: Places | None) -> _
     return _Rates(turning, clock)
 
 
-def _reconstruct_head(
-    path: str, points: Spool, first_number: int, places: Places | None
-) -> tuple[Head, list[Scan], list[PathFigures], int]:
+def _reconstruct_head(path: str, points: Spool, found: _Passes, number: int, places: Places | None) -> Head:
     passes = find_passes(points)
     longest = max(passes, key=lambda one: one.stop - one.start)
     rates = _rates(path, points, longest, places)
     cells = Spool(CELL)
-    scans: list[Scan] = []
-    figures: list[PathFigures] = []
-    n_unplaced = 0
+    n_before = len(found.scans)
     for part in passes:
         track = None
         if part.stop - part.start >= LEAST_PASS_POINTS:
@@ -231,19 +241,18 @@ def _reconstruct_head(
             else:
                 track = track_along(pieces, rates.turning, duration_s, places)
         if track is None:
-            n_unplaced += part.stop - part.start
+            found.n_unplaced += part.stop - part.start
             _leave_out(points, cells, part)
             continue
         scan = _scan_of(points, part, track, rates)
-        placed = _place(points, cells, part, scan, first_number + len(scans))
+        placed = _place(points, cells, part, scan, len(found.scans))
         if rates.turning.is_arc:
             # the times do not tell where an arc ends, its last shot does
             scan = replace(scan, points_per_line=min(placed.last_column + 1, scan.points_per_line))
-        scans.append(scan)
-        figures.append(figures_of(track, scan, placed))
-    if not scans:
+        found.add(scan, track, replace(figures_of(track, scan, placed), scanner=number))
+    if len(found.scans) == n_before:
         raise no_stations(path, rates.turning)
-    return Head(points, cells), scans, figures, n_unplaced
+    return Head(points, cells)
 
 
 def _scan_of(points: Spool, part: slice, track: Track, rates: _Rates) -> Scan:
@@ -342,6 +351,8 @@ def _put(cells: Spool, records: NDArray[np.void], scan: Scan, number: int, seen:
     row["return_number"], row["number_of_returns"] = returns_of(records, placed.range_m, by_time=not scan.by_bearing)
     cells.append(row)
     seen.see(placed.line, placed.column, placed.range_m)
+    seen.see_times(records["time"])
+    seen.see_heights(_heights_above(records, placed.column, scan))
 
 
 def returns_of(records: NDArray[np.void], range_m: F64, *, by_time: bool) -> tuple[I64, I64]:
@@ -368,3 +379,12 @@ def returns_of(records: NDArray[np.void], range_m: F64, *, by_time: bool) -> tup
     if "return_number" not in names or "number_of_returns" not in names:
         return one, one
     return records["return_number"].astype(np.int64), records["number_of_returns"].astype(np.int64)
+
+
+def _heights_above(records: NDArray[np.void], column: I64, scan: Scan) -> F64:
+    """Return the heights of the scanner above its points near straight down, (n,) [m]."""
+    angle = scan.angle_start_rad + column * scan.step_rad
+    beside = np.abs(np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi)
+    below = records[beside < NEAR_DOWN_RAD]
+    height: F64 = scan.stations(below["time"])[:, 2] - below["z"]
+    return height

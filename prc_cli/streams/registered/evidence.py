@@ -42,6 +42,11 @@ class Placed:
     """Cells that are empty between two neighbouring points of one surface."""
     n_filled: int = 0
     last_column: int = 0
+    first_s: float = math.inf
+    last_s: float = -math.inf
+    """Times of the first and the last point [s]."""
+    heights_m: list[float] = field(default_factory=list)
+    """Height of the scanner above points near straight down, the median of every piece of the pass [m]."""
 
     def see(self, line: I64, column: I64, range_m: F64) -> None:
         """Take the points of whole lines, in the order of their times."""
@@ -52,6 +57,21 @@ class Placed:
         inside = (np.diff(line) == 0) & (step >= 1) & (step <= HOLE_CELLS) & smooth
         self.n_filled += int(np.count_nonzero(inside))
         self.n_empty += int(step[inside].sum()) - int(np.count_nonzero(inside))
+
+    def see_times(self, time_s: F64) -> None:
+        """Take the rising times of points."""
+        if len(time_s):
+            self.first_s, self.last_s = min(self.first_s, float(time_s[0])), max(self.last_s, float(time_s[-1]))
+
+    def see_heights(self, height_m: F64) -> None:
+        """Take the heights of the scanner above points near straight down [m]."""
+        if len(height_m):
+            self.heights_m.append(float(np.median(height_m)))
+
+    @property
+    def height_m(self) -> float:
+        """Return the height of the scanner above the ground [m]; NaN where no point lies near straight down."""
+        return float(np.median(self.heights_m)) if self.heights_m else math.nan
 
     @property
     def share_empty(self) -> float:
@@ -65,6 +85,9 @@ class PathFigures:
     """What one pass shows, for ``prc info`` and the checks."""
 
     start_s: float
+    """First time of the path [s]."""
+    points_s: tuple[float, float]
+    """Times of the first and the last point [s]."""
     duration_s: float
     length_m: float
     speed_m_s: float
@@ -84,6 +107,10 @@ class PathFigures:
     points_per_line: int
     tilt_deg: float
     """Tilt of the scan plane from the vertical [deg]."""
+    height_m: float
+    """Height of the scanner above the ground, the median over points near straight down [m]; NaN = not known."""
+    scanner: int = 0
+    """Number of the scanner that made the pass; 0 where there is one."""
 
 
 def figures_of(track: Track, scan: Scan, placed: Placed) -> PathFigures:
@@ -99,6 +126,7 @@ def figures_of(track: Track, scan: Scan, placed: Placed) -> PathFigures:
     turning = scan.turning
     return PathFigures(
         start_s=float(knots.time_s[0]),
+        points_s=(placed.first_s, placed.last_s),
         duration_s=float(knots.time_s[-1] - knots.time_s[0]),
         length_m=float(moved.sum()),
         speed_m_s=float(np.median(speed)),
@@ -114,6 +142,7 @@ def figures_of(track: Track, scan: Scan, placed: Placed) -> PathFigures:
         shots_hz=scan.shots_per_turn * turning.hz,
         points_per_line=scan.points_per_line,
         tilt_deg=math.degrees(math.acos(min(scan.cos_tilt, 1.0))),
+        height_m=placed.height_m,
     )
 
 

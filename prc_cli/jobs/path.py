@@ -1,0 +1,212 @@
+"""``prc info --path`` and ``--check-path``: a path found from points, as output and as judge."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.config import LoadedConfig
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import atomic_output, check_output, prepare_outputs, whole_set
+from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
+from prc_cli.formats import open_source
+from prc_cli.formats.clock import with_clock
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.records import RecordSource
+from prc_cli.formats.systems import in_metres, refuse_degrees
+from prc_cli.formats.writing.trajectory import PathTable, check_path_suffix, write_path
+from prc_cli.streams.ranges import metres_of
+from prc_cli.streams.registered.comparison import FAR_HEIGHT_M, FAR_M, Comparison, Positions, compare
+from prc_cli.streams.registered.drive import Drive
+from prc_cli.streams.registered.found import found_paths
+from prc_cli.streams.registered.source import with_points
+from prc_cli.streams.trajectory import Trajectory, load_trajectory
+
+CHECK = "trajectory"
+"""Name of the check."""
+MOST_SPREAD_M = 0.1
+"""A lever arm that spreads more is none [m]."""
+LEAST_LEVER_M = 0.1
+"""Shorter lever arms are of no account [m]."""
+FROM_POINTS = "--range points"
+_KIND = "trajectory:"
+
+
+def prepare_path(output: Path, loaded: LoadedConfig, path: Path, *, overwrite: bool) -> None:
+    """Refuse an output for a path before any work is done."""
+    check_path_suffix(output)
+    prepare_outputs(output, overwrite=overwrite, inputs=(path, *loaded.files))
+
+
+def save_path(
+    output: Path, drive: Drive, loaded: LoadedConfig, path: Path, *, overwrite: bool
+) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
+    """Write the path of every scanner of a drive; of several scanners, one file each.
+
+    Parameters
+    ----------
+    output
+        Name ending in .csv, .txt, .sbet or .out.
+    drive
+        What was found from the points; a path that the check ``path`` speaks against is not written.
+    loaded
+        The configuration.
+    path
+        The cloud.
+    overwrite
+        Whether existing files are replaced.
+
+    Returns
+    -------
+    tuple
+        The files, and what is doubtful about the path.
+    """
+    findings = accept(drive.findings, loaded.config.input.accept_doubts or ())
+    refuse(str(path), findings)
+    paths = found_paths(drive)
+    crs_wkt = _source(path, loaded).facts.crs_wkt
+    inputs = loaded.config.input
+    scale = np.array(metres_of(inputs, crs_wkt))[[0, 0, 1]]
+    names = [output]
+    if len(paths) > 1:
+        names = [output.with_stem(f"{output.stem}_scanner{one.scanner}") for one in paths]
+        for name in names:
+            check_output(name, overwrite=overwrite, inputs=(path, *loaded.files))
+    with ExitStack() as stack:
+        stack.enter_context(whole_set())
+        for name, one in zip(names, paths, strict=True):
+            table = PathTable(one.time_s, one.xyz_m / scale, one.sigma_m / scale, one.frame[:, :, 0], one.number)
+            temporary = stack.enter_context(atomic_output(name, overwrite=overwrite))
+            _write(temporary, name, table, inputs.trajectory_crs or crs_wkt)
+    return tuple(names), doubts(findings)
+
+
+def _write(temporary: Path, name: Path, table: PathTable, crs: str | None) -> None:
+    try:
+        write_path(temporary, name, table, crs)
+    except ConfigError as error:
+        hint = "--set input.trajectory_crs=EPSG:CODE, the projected system of the points, or write .csv"
+        raise ConfigError(error.where, error.problem, f"give {hint}") from None
+
+
+def _source(path: Path, loaded: LoadedConfig) -> RecordSource:
+    source = open_source(path, loaded.config.layout)
+    if source is None:
+        raise InputError(str(path), "is no list of points with coordinates and times", "give a registered cloud")
+    return with_clock(source, loaded.config.input.time_unit)
+
+
+def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive, tuple[Comparison, ...], Finding]:
+    """Find the path of every scanner from the points, and hold the trajectory that is given against it.
+
+    Returns
+    -------
+    tuple
+        The drive found, one comparison for every scanner, and the answer of the check ``trajectory``.
+    """
+    inputs = loaded.config.input
+    if not inputs.range.startswith(_KIND):
+        problem = f"found range = {inputs.range}, expected a trajectory to hold against the path of the points"
+        raise ConfigError("--check-path", problem, "give --range trajectory:FILE")
+    source = _source(path, loaded)
+    refuse_degrees(source)
+    trajectory = _positions(source, inputs)
+    only_points = {"range": "points", "lines": "auto", "columns": "auto", "points_per_line": None}
+    cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
+    refuse(str(path), cloud.drive.findings)
+    comparisons = tuple(compare(one, trajectory) for one in found_paths(cloud.drive))
+    findings = [_judge(one, inputs) for one in comparisons]
+    worst = max(findings, key=lambda one: one.verdict)
+    doubtful = [one for one in cloud.drive.findings if one.verdict > Verdict.FINE]
+    if doubtful:
+        worst = replace(worst, hint=f"{worst.hint}; mind that the path found is doubtful: {doubtful[0].problem}")
+    return cloud.drive, comparisons, worst
+
+
+def _positions(source: RecordSource, inputs: InputConfig) -> Positions:
+    """Return the trajectory that is given, with its orientation where it has one."""
+    trajectory = _trajectory(source, inputs, with_turns=True) or _trajectory(source, inputs, with_turns=False)
+    assert trajectory is not None
+    frame = None
+    if trajectory.quaternion is not None:
+        from scipy.spatial.transform import Rotation
+
+        frame = np.asarray(Rotation.from_quat(trajectory.quaternion).as_matrix(), np.float64)
+    return Positions(trajectory.time_s, trajectory.xyz_m, frame)
+
+
+def _trajectory(source: RecordSource, inputs: InputConfig, *, with_turns: bool) -> Trajectory | None:
+    """Read the trajectory; None where orientations are asked for and it has none."""
+    xy_m, z_m = metres_of(inputs, source.facts.crs_wkt)
+    try:
+        return load_trajectory(
+            Path(inputs.range.removeprefix(_KIND)).expanduser(),
+            crs=inputs.trajectory_crs,
+            source_crs_wkt=source.facts.crs_wkt,
+            time_offset=inputs.trajectory_time_offset,
+            max_gap=inputs.trajectory_max_gap,
+            topic=inputs.trajectory_topic,
+            lever_arm_m=inputs.trajectory_lever_arm,
+            unit_m=(xy_m, xy_m, z_m),
+            with_turns=with_turns,
+        )
+    except InputError:
+        if with_turns:
+            return None
+        raise
+
+
+def _judge(one: Comparison, inputs: InputConfig) -> Finding:
+    """Say what speaks against a trajectory, worst first, with what to type."""
+    if one.misfit:
+        hint = f"give the trajectory of this drive in the coordinates of the points, or the path found: {FROM_POINTS}"
+        limits = f"at most {FAR_M:g} m in plan and {FAR_HEIGHT_M:g} m in height"
+        return Finding(CHECK, Verdict.AGAINST, one.misfit, limits, hint, FROM_POINTS)
+    mends: list[str] = []
+    troubles: list[str] = []
+    if one.clock_s:
+        troubles.append(f"its clock is {abs(one.clock_s):.4f} s {'behind' if one.clock_s > 0 else 'ahead'}")
+        mends.append(f"--set input.trajectory_time_offset={_offset(one, inputs.trajectory_time_offset)}")
+    if one.lever_length_m > LEAST_LEVER_M:
+        troubles.append(f"the scanner is not its point: {_arm(one)}")
+        arm = np.add(one.lever_m, inputs.trajectory_lever_arm or (0.0, 0.0, 0.0))
+        if one.axes == "vehicle":
+            mends.append(f"--set input.trajectory_lever_arm=[{','.join(f'{value:.3f}' for value in arm)}]")
+        else:
+            mends = [FROM_POINTS]
+    if one.spread_m > MOST_SPREAD_M:
+        troubles.append(f"it leaves the path found by {one.spread_m:.2f} m, whatever its clock and lever arm")
+        mends = [FROM_POINTS]
+    if troubles:
+        option = " ".join(mends)
+        said = f"the trajectory is not the path of the points: {'; '.join(troubles)}"
+        return Finding(CHECK, Verdict.DOUBTFUL, said, "", f"give {option}", option)
+    clock = f"within {max(3 * one.clock_sigma_s, 5e-4):.4f} s" if one.tells_clock else "not told by so even a drive"
+    said = f"the trajectory is the path of the points: {one.lever_length_m:.3f} m off, clock {clock}"
+    return Finding(CHECK, Verdict.FINE, said, "")
+
+
+def _offset(one: Comparison, told_s: float) -> str:
+    """Return the whole offset of the clock, with the digits that are certain."""
+    digits = min(max(math.floor(-math.log10(3.0 * max(one.clock_sigma_s, 1e-9))), 1), 6)
+    return f"{told_s + one.clock_s:.{digits}f}"
+
+
+def _arm(one: Comparison) -> str:
+    # no minus before zeros
+    first, left, up = (round(value, 3) + 0.0 for value in one.lever_m)
+    axis = "forward" if one.axes == "vehicle" else "along the axis of its turn"
+    return f"{first:.3f} m {axis}, {left:.3f} m left, {up:.3f} m up (spread {one.spread_m:.3f} m)"
+
+
+def sentence(one: Comparison) -> str:
+    """Return what a comparison found, for ``prc info``."""
+    if one.misfit:
+        return one.misfit
+    told = f"{one.clock_s:+.6f} s" if one.tells_clock else "not told: the drive is too even"
+    certain = f" (certain to {one.clock_sigma_s:.6f} s)" if one.tells_clock else ""
+    return f"lacks {told}{certain}; from its point to the scanner {_arm(one)}; covers {one.overlap:.0%} of the path"

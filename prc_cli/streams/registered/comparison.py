@@ -1,0 +1,419 @@
+"""Holds a trajectory against the path that was found from the points: its clock, its lever arm, its coordinates.
+
+The scanner lies at a constant place in the frame of the vehicle, so path less trajectory is constant on the axes of
+the scanner once the clocks agree. Where the speed changes, the clock and the lever arm along the path are told apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prc_cli.core.types import F64, Mask
+from prc_cli.streams.registered.found import FoundPath
+
+COARSE_S = 0.2
+"""Step of the clock in the search over a whole drive [s]."""
+COARSE_SAMPLES, MOST_SAMPLES = 240, 20_000
+"""Positions of the path in that search, and in the fit."""
+BATCH = 512
+"""Clocks that are tried at once."""
+LEAST_OVERLAP = 0.5
+"""Share of the path that the trajectory must cover."""
+FAR_M = 15.0
+"""Farther from the path, a trajectory is in other coordinates or of another drive: no vehicle is longer [m]."""
+FAR_HEIGHT_M = 10.0
+"""Heights that differ by more are of other systems, not of a lever arm [m]."""
+FOOT_M = 0.3048
+MUCH_NEARER = 0.1
+"""Share of the distance that another unit must leave."""
+MOST_CLOCKS, APART_S = 5, 1.0
+"""Clocks from which the fit begins, and how far they are apart [s]: a street may be passed twice."""
+ALIKE_FITS = 1.5
+"""Fits that leave less than this multiple of the least are alike."""
+LEAST_CLOCK_S, CERTAIN = 5e-4, 3.0
+"""Clocks agree within this [s], and within this multiple of the standard deviation."""
+ROUNDS = 20
+FIRST_SCALE_M = 1.0
+LEAST_SCALE_M = 0.002
+"""Residuals at which weights halve are not below this [m]."""
+SPEED_STEP_S = 0.02
+"""The speed of the trajectory is that over twice this time, or two of its steps [s]."""
+INDEPENDENT_S = 0.1
+"""Errors of positions that lie closer in time than this are one [s]."""
+TELLING_S = 0.02
+"""A clock that is told less well than this is not told [s]."""
+STRAIGHT_M = 1.0
+"""A path that leaves its straight line by less (standard deviation) has no shape [m]."""
+ALIKE_M, ALIKE_SHARE = 2.0, 0.03
+"""Shapes are alike within this, or this share of their extent: a lever arm turns with the vehicle."""
+MOST_DEGREES = (180.0, 90.0)
+LEAST_METRES = 1000.0
+"""Coordinates beyond this are no degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class Positions:
+    """Positions of a trajectory, with its own clock."""
+
+    time_s: F64
+    """(n,) float64, rising [s]."""
+    xyz_m: F64
+    """(n, 3) float64 [m]."""
+    frame: F64 | None = None
+    """(n, 3, 3) float64, columns: forward, left, up of the vehicle; None = not known."""
+
+    def xyz_at(self, time_s: F64) -> F64:
+        """Return the positions at times of any shape (...), (..., 3) [m]."""
+        return np.stack([np.interp(time_s, self.time_s, self.xyz_m[:, axis]) for axis in range(3)], axis=-1)
+
+    def covers(self, time_s: F64) -> Mask:
+        """Tell which times lie within the trajectory."""
+        inside: Mask = (time_s >= self.time_s[0]) & (time_s <= self.time_s[-1])
+        return inside
+
+    def speed_at(self, time_s: F64) -> F64:
+        """Return the velocity at times (n,), (n, 3) [m/s]."""
+        half = max(SPEED_STEP_S, float(np.median(np.diff(self.time_s))))
+        before = np.maximum(time_s - half, self.time_s[0])
+        after = np.minimum(time_s + half, self.time_s[-1])
+        speed: F64 = (self.xyz_at(after) - self.xyz_at(before)) / (after - before)[:, None]
+        return speed
+
+    def frame_at(self, time_s: F64) -> F64:
+        """Return the axes of the vehicle at times (n,), (n, 3, 3), those of the nearest position."""
+        assert self.frame is not None
+        middle = 0.5 * (self.time_s[1:] + self.time_s[:-1])
+        return self.frame[np.searchsorted(middle, time_s)]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """How a trajectory fits the path of one scanner."""
+
+    scanner: int
+    distance_m: float
+    """Median distance of the path from the trajectory as it is given [m]; NaN where their times do not overlap."""
+    clock_s: float
+    """What the trajectory's times lack [s]."""
+    clock_sigma_s: float
+    """Its standard deviation [s]."""
+    lever_m: tuple[float, float, float]
+    """From the trajectory's point to the scanner [m], on :attr:`axes`."""
+    lever_spread_m: tuple[float, float, float]
+    """How it spreads over the path, as a standard deviation [m]."""
+    axes: str
+    """``vehicle``: forward, left, up, by the trajectory's orientation; ``scanner``: axis of the turn, left, up."""
+    overlap: float
+    """Share of the path that the trajectory covers with that clock."""
+    misfit: str = ""
+    """What speaks against one drive in one coordinate system; empty = nothing."""
+
+    @property
+    def lever_length_m(self) -> float:
+        """Return the length of the lever arm [m]."""
+        return float(np.linalg.norm(self.lever_m))
+
+    @property
+    def spread_m(self) -> float:
+        """Return the spread of the lever arm on all axes [m]."""
+        return float(np.linalg.norm(self.lever_spread_m))
+
+    @property
+    def tells_clock(self) -> bool:
+        """Whether the clock can be told from the lever arm."""
+        return self.clock_sigma_s < TELLING_S
+
+
+def compare(path: FoundPath, trajectory: Positions) -> Comparison:
+    """Fit the clock and the lever arm of a trajectory to the path of a scanner.
+
+    Parameters
+    ----------
+    path
+        As found from the points.
+    trajectory
+        Positions of a vehicle or of the scanner.
+    """
+    every = max(len(path.time_s) // MOST_SAMPLES, 1)
+    chosen = slice(None, None, every)
+    sample = _Sample(path.time_s[chosen], path.xyz_m[chosen], path.frame[chosen])
+    given_m = _distance_as_given(sample, trajectory)
+    clocks, distance_m = _near_clocks(sample, trajectory)
+    if not len(clocks):
+        return _unlike(path, given_m, "the trajectory covers less than half of the path, whatever its clock")
+    if distance_m.min() > FAR_M:
+        return _unlike(path, given_m, _why_far(sample, trajectory, float(distance_m.min())))
+    near = distance_m <= FAR_M
+    found = _best_fit(path.scanner, sample, trajectory, clocks[near], distance_m[near])
+    return replace(found, distance_m=given_m)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    time_s: F64
+    xyz_m: F64
+    frame: F64
+
+    def thinned(self) -> _Sample:
+        every = max(len(self.time_s) // COARSE_SAMPLES, 1)
+        return _Sample(self.time_s[::every], self.xyz_m[::every], self.frame[::every])
+
+
+def _unlike(path: FoundPath, given_m: float, why: str) -> Comparison:
+    unknown = (math.nan, math.nan, math.nan)
+    return Comparison(path.scanner, given_m, math.nan, math.inf, unknown, unknown, "scanner", math.nan, why)
+
+
+def _distance_as_given(sample: _Sample, trajectory: Positions) -> float:
+    inside = trajectory.covers(sample.time_s)
+    if not inside.any():
+        return math.nan
+    off = sample.xyz_m[inside] - trajectory.xyz_at(sample.time_s[inside])
+    return float(np.median(np.linalg.norm(off, axis=1)))
+
+
+def _clocks(sample: _Sample, trajectory: Positions) -> F64:
+    """Return the clocks that are tried, all at which enough of the path is covered; 0 is one of them."""
+    first_s, last_s = sample.time_s[[0, -1]]
+    low, high = first_s - trajectory.time_s[-1], last_s - trajectory.time_s[0]
+    step = max(COARSE_S, (high - low) / 1_000_000)
+    clocks: F64 = step * np.arange(math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64)
+    return clocks
+
+
+def _near_clocks(sample: _Sample, trajectory: Positions) -> tuple[F64, F64]:
+    """Return the clocks at which the trajectory lies nearest (c,) [s], and the median distances there (c,) [m]."""
+    coarse = sample.thinned()
+    clocks = _clocks(coarse, trajectory)
+    distance = np.concatenate(
+        [_distances(coarse, trajectory, clocks[first : first + BATCH]) for first in range(0, len(clocks), BATCH)]
+    )
+    # the one given counts first: a vehicle that stands is equally near at many
+    order = np.lexsort((np.abs(clocks), np.round(distance, 2)))
+    chosen: list[tuple[float, float]] = []
+    for place in order[np.isfinite(distance[order])]:
+        if all(abs(clocks[place] - clock) > APART_S for clock, _ in chosen):
+            chosen.append((float(clocks[place]), float(distance[place])))
+        if len(chosen) == MOST_CLOCKS:
+            break
+    finer = [_finer_clock(coarse, trajectory, *pair) for pair in chosen]
+    return np.array([clock for clock, _ in finer]), np.array([distance for _, distance in finer])
+
+
+def _finer_clock(sample: _Sample, trajectory: Positions, clock_s: float, distance_m: float) -> tuple[float, float]:
+    for step in (COARSE_S / 8, COARSE_S / 64):
+        clocks = clock_s + step * np.arange(-8, 9, dtype=np.float64)
+        distance = _distances(sample, trajectory, clocks)
+        place = int(np.argmin(distance))
+        if distance[place] < distance_m - 1e-4:
+            clock_s, distance_m = float(clocks[place]), float(distance[place])
+    return clock_s, distance_m
+
+
+def _distances(sample: _Sample, trajectory: Positions, clocks: F64) -> F64:
+    """Return the median distances in plan (c,) [m], infinite where too little of the path is covered."""
+    time_s = sample.time_s[None, :] - clocks[:, None]
+    inside = trajectory.covers(time_s)
+    off = np.linalg.norm(sample.xyz_m[None, :, :2] - trajectory.xyz_at(time_s)[..., :2], axis=2)
+    off[~inside] = np.nan
+    enough = inside.mean(axis=1) >= LEAST_OVERLAP
+    distance = np.full(len(clocks), np.inf)
+    if enough.any():
+        distance[enough] = np.nanmedian(off[enough], axis=1)
+    return distance
+
+
+def _best_fit(scanner: int, sample: _Sample, trajectory: Positions, clocks: F64, distance_m: F64) -> Comparison:
+    """Return the fit from the clock that leaves least; of fits that are alike, the nearest."""
+    fits = [_fit(scanner, sample, trajectory, float(clock)) for clock in clocks]
+    least = min(fit.spread_m for fit in fits)
+    alike = [place for place, fit in enumerate(fits) if fit.spread_m <= ALIKE_FITS * least + LEAST_SCALE_M]
+    return fits[min(alike, key=lambda place: float(distance_m[place]))]
+
+
+def _fit(scanner: int, sample: _Sample, trajectory: Positions, clock_s: float) -> Comparison:
+    """Fit clock and lever arm together; the clock as it is given where the drive does not tell of another."""
+    height_m = _height_off(sample, trajectory, clock_s)
+    misfit = ""
+    if abs(height_m) > FAR_HEIGHT_M:
+        misfit = f"the heights differ by {height_m:.2f} m throughout"
+        trajectory = replace(trajectory, xyz_m=trajectory.xyz_m + np.array([0.0, 0.0, height_m]))
+    solved = _solve(sample, trajectory, clock_s, with_clock=True)
+    given = _distances(sample.thinned(), trajectory, np.zeros(1))[0]
+    limit = FAR_M if solved.clock_sigma_s > TELLING_S else 0.0
+    if abs(solved.clock_s) < max(CERTAIN * solved.clock_sigma_s, LEAST_CLOCK_S) or given < limit:
+        alone = _solve(sample, trajectory, 0.0, with_clock=False)
+        solved = _Solved(0.0, solved.clock_sigma_s, alone.lever_m, alone.off_m)
+    spread = 1.4826 * np.median(np.abs(solved.off_m), axis=0)
+    inside = trajectory.covers(sample.time_s - solved.clock_s)
+    return Comparison(
+        scanner=scanner,
+        distance_m=math.nan,
+        clock_s=solved.clock_s,
+        clock_sigma_s=solved.clock_sigma_s,
+        lever_m=(float(solved.lever_m[0]), float(solved.lever_m[1]), float(solved.lever_m[2])),
+        lever_spread_m=(float(spread[0]), float(spread[1]), float(spread[2])),
+        axes="scanner" if trajectory.frame is None else "vehicle",
+        overlap=float(inside.mean()),
+        misfit=misfit,
+    )
+
+
+def _height_off(sample: _Sample, trajectory: Positions, clock_s: float) -> float:
+    time_s = sample.time_s - clock_s
+    inside = trajectory.covers(time_s)
+    return float(np.median(sample.xyz_m[inside, 2] - trajectory.xyz_at(time_s[inside])[:, 2]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    clock_s: float
+    clock_sigma_s: float
+    lever_m: F64
+    """(3,) float64."""
+    off_m: F64
+    """(n, 3) float64, what the lever arm leaves [m]."""
+
+
+def _solve(sample: _Sample, trajectory: Positions, clock_s: float, *, with_clock: bool) -> _Solved:
+    lever = np.zeros(3)
+    sigma = math.inf
+    scale = FIRST_SCALE_M
+    off = np.zeros((1, 3))
+    for _ in range(ROUNDS):
+        time_s = sample.time_s - clock_s
+        inside = trajectory.covers(time_s)
+        if np.count_nonzero(inside) < 3:
+            break
+        time_s = time_s[inside]
+        frame = sample.frame[inside] if trajectory.frame is None else trajectory.frame_at(time_s)
+        arm = np.einsum("nji,nj->ni", frame, sample.xyz_m[inside] - trajectory.xyz_at(time_s))
+        # a later clock leaves the trajectory behind
+        speed = np.einsum("nji,nj->ni", frame, trajectory.speed_at(time_s))
+        off = arm - lever
+        weight = 1.0 / (1.0 + (off * off).sum(axis=1) / scale**2)
+        mean_arm = np.average(arm, axis=0, weights=weight)
+        mean_speed = np.average(speed, axis=0, weights=weight)
+        change = speed - mean_speed
+        stiffness = float((weight[:, None] * change * change).sum())
+        step = 0.0
+        if with_clock and stiffness > 0.0:
+            step = -float((weight[:, None] * change * (arm - mean_arm)).sum()) / stiffness
+            step = float(np.clip(step, -COARSE_S, COARSE_S))
+        clock_s += step
+        lever = mean_arm + mean_speed * step
+        off = arm + speed * step - lever
+        scale = max(3.0 * float(np.median(np.linalg.norm(off, axis=1))), LEAST_SCALE_M)
+        if stiffness > 0.0:
+            sigma = _clock_sigma(off, weight, stiffness, time_s)
+        if abs(step) < 1e-7 and scale < FIRST_SCALE_M:
+            break
+    return _Solved(clock_s, sigma, lever, off)
+
+
+def _clock_sigma(off_m: F64, weight: F64, stiffness: float, time_s: F64) -> float:
+    """Return the standard deviation of the clock [s]; neighbouring errors are alike and count as one."""
+    variance = float((weight[:, None] * off_m * off_m).sum()) / max(2.0 * float(weight.sum()), 1e-9)
+    n_times = max(float(np.ptp(time_s)) / INDEPENDENT_S, 1.0)
+    alike = max(len(time_s) / n_times, 1.0)
+    return math.sqrt(max(variance, 1e-10) * alike / stiffness)
+
+
+def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:
+    """Say what a trajectory that lies far from the path may be: in other coordinates, or of another drive."""
+    far = f"the trajectory lies {distance_m:,.0f} m from the path found, at the best of all clocks"
+    xy = np.abs(trajectory.xyz_m[:, :2]).max(axis=0)
+    in_degrees = bool(np.all(xy <= MOST_DEGREES))
+    if in_degrees and np.abs(sample.xyz_m[:, :2]).max() > LEAST_METRES:
+        return f"{far}: its coordinates look like degrees"
+    for what, changed in _OTHER_UNITS.items():
+        _, near_m = _near_clocks(sample, replace(trajectory, xyz_m=changed(trajectory.xyz_m)))
+        if near_m.min(initial=math.inf) < min(FAR_M, MUCH_NEARER * distance_m):
+            return f"{far}: {what}"
+    if moved := _moved_as_given(sample, trajectory):
+        return f"{far}, but has the same path: {moved}"
+    coarse = sample.thinned()
+    if _breadth(coarse.xyz_m) < STRAIGHT_M:
+        return f"{far}: other coordinates or another drive, which a straight path does not tell"
+    best = _shape(coarse, trajectory)
+    if best.off_m > max(ALIKE_M, ALIKE_SHARE * _extent(coarse.xyz_m)):
+        return f"{far}, and no part of it has the same shape (best: {best.off_m:.1f} m off): another drive"
+    return f"{far}, but has the same shape: {best.said()}"
+
+
+def _moved_as_given(sample: _Sample, trajectory: Positions) -> str:
+    """Say by what a trajectory is moved throughout, with the clock as it is given; empty if by nothing constant."""
+    if not trajectory.covers(sample.time_s).all():
+        return ""
+    off = sample.xyz_m - trajectory.xyz_at(sample.time_s)
+    spread = float(np.linalg.norm(off.std(axis=0)))
+    if spread > MUCH_NEARER * min(_extent(sample.xyz_m), FAR_M):
+        return ""
+    x, y, z = (off.mean(axis=0).round(1) + 0.0).tolist()
+    return f"another coordinate system, moved by x {x:,.1f}, y {y:,.1f}, z {z:,.1f} m throughout"
+
+
+_OTHER_UNITS: dict[str, Callable[[F64], F64]] = {
+    "its x and y are swapped": lambda xyz_m: xyz_m[:, [1, 0, 2]],
+    "its unit is feet": lambda xyz_m: xyz_m * FOOT_M,
+}
+"""What else a trajectory may be in, and how it comes out of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    """The turn, scale and move that bring a trajectory onto a path."""
+
+    off_m: float
+    """Root mean square of what is left [m]."""
+    factor: complex
+    """Scale and turn."""
+    moved_m: tuple[float, float, float]
+
+    def said(self) -> str:
+        """Return it in words."""
+        scale, turn = abs(self.factor), math.degrees(math.atan2(self.factor.imag, self.factor.real))
+        if abs(scale - 1.0) > 0.02:
+            return f"its unit is another, {scale:.4f} m, and its coordinate system"
+        x, y, z = (round(value, 1) + 0.0 for value in self.moved_m)
+        turned = f" and turned by {turn:.2f} deg" if abs(turn) > 0.05 else ""
+        return f"another coordinate system, moved by x {x:,.1f}, y {y:,.1f}, z {z:,.1f} m{turned}"
+
+
+def _shape(sample: _Sample, trajectory: Positions) -> _Shape:
+    """Return the closest shape over all clocks at which the trajectory covers the path."""
+    path = sample.xyz_m[:, 0] + 1j * sample.xyz_m[:, 1]
+    centred = path - path.mean()
+    best = _Shape(math.inf, 0j, (0.0, 0.0, 0.0))
+    clocks = _clocks(sample, trajectory)
+    for first in range(0, len(clocks), BATCH):
+        time_s = sample.time_s[None, :] - clocks[first : first + BATCH, None]
+        covered = trajectory.covers(time_s).all(axis=1)
+        if not covered.any():
+            continue
+        xyz = trajectory.xyz_at(time_s[covered])
+        plane = xyz[..., 0] + 1j * xyz[..., 1]
+        part = plane - plane.mean(axis=1, keepdims=True)
+        power = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-12)
+        factor = (np.conj(part) @ centred) / power
+        left = (np.abs(centred) ** 2).sum() - np.abs(factor) ** 2 * power
+        off = np.sqrt(np.maximum(left, 0.0) / len(path))
+        place = int(np.argmin(off))
+        if off[place] < best.off_m:
+            x, y, z = (sample.xyz_m - xyz[place]).mean(axis=0).tolist()
+            best = _Shape(float(off[place]), complex(factor[place]), (x, y, z))
+    return best
+
+
+def _extent(xyz_m: F64) -> float:
+    return float(np.linalg.norm(np.ptp(xyz_m[:, :2], axis=0)))
+
+
+def _breadth(xyz_m: F64) -> float:
+    """Return how far a path leaves its straight line, as a standard deviation [m]."""
+    centred = xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0)
+    return float(np.linalg.svd(centred, compute_uv=False)[-1]) / math.sqrt(len(centred))

@@ -1,0 +1,85 @@
+"""A beam that turns in a corridor on a platform that moves: a registered cloud in closed form, with its true path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyproj
+
+from prc_cli.core.types import F64
+
+LINES_HZ, SHOTS_HZ = 50.0, 20_000.0
+DURATION_S = 4.0
+HEIGHT_M = 2.1
+LEFT_M, RIGHT_M, CEILING_M = 4.0, -6.0, 5.0
+CORNER_M = (384_000.0, 6_672_000.0, 12.0)
+"""Where the corridor begins, in EPSG:32635."""
+EPSG = 32635
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """Points with times, and the true path."""
+
+    time_s: F64
+    xyz_m: F64
+    path_s: F64
+    path_m: F64
+
+
+def stations(time_s: F64) -> F64:
+    """True positions of the scanner, (n, 3) [m]: its speed changes, and it sways."""
+    along = 6.0 * time_s + 0.8 * np.sin(1.7 * time_s)
+    return np.stack([along, 0.3 * np.sin(0.9 * time_s), HEIGHT_M + 0.02 * np.sin(5.0 * time_s)], axis=1) + np.array(
+        CORNER_M
+    )
+
+
+def make_corridor(*, begin_s: float = 100.0, gap_s: float = 0.0) -> Corridor:
+    """Cast the beam; a gap cuts the drive into two passes."""
+    since = np.arange(round(DURATION_S * SHOTS_HZ)) / SHOTS_HZ
+    station = stations(since)
+    # no beam is level or upright
+    angle = 2.0 * np.pi * LINES_HZ * since + 0.001
+    # the scan plane leans back by 20 degrees and looks a little to the side
+    lean, aside = np.radians(20.0), np.radians(3.0)
+    axis = np.array([np.cos(lean) * np.cos(aside), np.cos(lean) * np.sin(aside), -np.sin(lean)])
+    left = np.array([-np.sin(aside), np.cos(aside), 0.0])
+    up = np.cross(axis, left)
+    beam = np.cos(angle)[:, None] * left + np.sin(angle)[:, None] * up
+    local = station - CORNER_M
+    to_side = np.where(beam[:, 1] > 0, LEFT_M - local[:, 1], RIGHT_M - local[:, 1]) / beam[:, 1]
+    to_level = np.where(beam[:, 2] > 0, CEILING_M - local[:, 2], -local[:, 2]) / beam[:, 2]
+    xyz = station + np.minimum(to_side, to_level)[:, None] * beam
+    xyz += np.random.default_rng(3).normal(0.0, 0.002, xyz.shape)
+    # a part of the ceiling is open
+    seen = (np.sin(angle) < 0.95) | (beam[:, 2] < 0)
+    later = np.where(since > 0.5 * DURATION_S, gap_s, 0.0)
+    path_s = np.arange(-1.0, DURATION_S + 1.0, 0.005)
+    return Corridor((since + later + begin_s)[seen], xyz[seen], path_s + begin_s, stations(path_s))
+
+
+def write_cloud(path: Path, cloud: Corridor, *, epsg: int | None = None, metres: float = 1.0) -> Path:
+    """Write coordinates and times alone, in the order of x; in units of some metres."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, np.floor(cloud.xyz_m.min(axis=0) / metres)
+    if epsg is not None:
+        header.add_crs(pyproj.CRS.from_epsg(epsg))
+    las = laspy.LasData(header)
+    order = np.argsort(cloud.xyz_m[:, 0], kind="stable")
+    las.x, las.y, las.z = (cloud.xyz_m[order] / metres).T
+    las.gps_time = cloud.time_s[order]
+    las.write(path)
+    return path
+
+
+def write_trajectory(
+    path: Path, cloud: Corridor, *, clock_s: float = 0.0, moved_m: tuple[float, ...] = (0, 0, 0)
+) -> Path:
+    """Write the true path with another clock, elsewhere."""
+    rows = np.column_stack([cloud.path_s + clock_s, cloud.path_m + np.array(moved_m)])
+    np.savetxt(path, rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.6f")
+    return path

@@ -1,0 +1,113 @@
+"""A trajectory against the path that was found: its clock, its lever arm, its coordinates."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prc_cli.core.types import F64
+from prc_cli.streams.registered.comparison import Comparison, Positions, compare
+from prc_cli.streams.registered.found import FoundPath
+
+ARM = np.array([0.6, -0.3, 1.1])
+
+
+def drive(time_s: F64, *, even: bool = False) -> tuple[F64, F64]:
+    """Positions (n, 3) and axes (n, 3, 3) of a vehicle that turns and changes its speed, or does not."""
+    if even:
+        heading, x, y = 0.0 * time_s, 8.0 * time_s, 0.0 * time_s
+    else:
+        heading = 0.02 * time_s + 0.5 * np.sin(0.1 * time_s)
+        fine = np.arange(time_s[0], time_s[-1] + 0.001, 0.001)
+        turn, speed = 0.02 * fine + 0.5 * np.sin(0.1 * fine), 8.0 + 2.0 * np.sin(0.3 * fine)
+        x, y = (np.interp(time_s, fine, np.cumsum(speed * part) * 0.001) for part in (np.cos(turn), np.sin(turn)))
+    zero, one = 0.0 * time_s, 1.0 + 0.0 * time_s
+    forward = np.stack([np.cos(heading), np.sin(heading), zero], axis=1)
+    left = np.stack([-np.sin(heading), np.cos(heading), zero], axis=1)
+    up = np.stack([zero, zero, one], axis=1)
+    place = np.stack([x, y, 0.02 * x], axis=1) + np.array([383_000.0, 6_670_000.0, 20.0])
+    return place, np.stack([forward, left, up], axis=2)
+
+
+def tile_and_drive(*, arm: F64 = ARM, even: bool = False) -> tuple[FoundPath, Positions]:
+    """The path of a tile of ten seconds, and the trajectory of three minutes that it is of."""
+    time_s = np.arange(0.0, 180.0, 0.01)
+    place, frame = drive(time_s, even=even)
+    part = slice(6000, 7000)
+    noise = np.random.default_rng(1).normal(0.0, 0.002, (1000, 3))
+    scanner = place[part] + np.einsum("nij,j->ni", frame[part], arm) + noise
+    ends = (float(time_s[part][0]), float(time_s[part][-1]))
+    path = FoundPath(0, time_s[part], scanner, np.full((1000, 3), 0.002), frame[part], np.zeros(1000, np.int64), ends)
+    return path, Positions(time_s, place)
+
+
+def moved(trajectory: Positions, *, clock_s: float = 0.0, by_m: tuple[float, ...] = (0, 0, 0)) -> Positions:
+    return replace(trajectory, time_s=trajectory.time_s + clock_s, xyz_m=trajectory.xyz_m + np.array(by_m))
+
+
+@pytest.mark.parametrize("clock_s", [0.0012, -0.25, 17.3, -604_800.4])
+def test_the_clock_is_found_to_a_tenth_of_a_millisecond_with_the_lever_arm(clock_s: float) -> None:
+    path, trajectory = tile_and_drive()
+    found = compare(path, moved(trajectory, clock_s=-clock_s))
+    assert found.clock_s == pytest.approx(clock_s, abs=1e-3)
+    assert abs(found.clock_s - clock_s) < 4 * found.clock_sigma_s
+    assert found.lever_m == pytest.approx(ARM, abs=0.01)
+    assert found.spread_m < 0.01
+    assert not found.misfit
+
+
+def test_the_true_trajectory_is_left_as_it_is() -> None:
+    path, trajectory = tile_and_drive(arm=np.zeros(3))
+    found = compare(path, trajectory)
+    assert (found.clock_s, found.misfit) == (0.0, "")
+    assert found.lever_length_m < 0.001
+    assert found.distance_m < 0.01
+
+
+def test_an_even_straight_drive_tells_no_clock_and_says_so() -> None:
+    path, trajectory = tile_and_drive(even=True)
+    found = compare(path, trajectory)
+    assert not found.tells_clock
+    assert found.clock_s == 0.0
+    assert found.lever_m == pytest.approx(ARM, abs=0.02)
+
+
+def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle() -> None:
+    path, trajectory = tile_and_drive()
+    _, frame = drive(trajectory.time_s)
+    # the scanner stands across
+    across = replace(path, frame=path.frame[:, :, [1, 2, 0]])
+    assert compare(across, replace(trajectory, frame=frame)).lever_m == pytest.approx(ARM, abs=0.01)
+    assert compare(across, trajectory).lever_m == pytest.approx(ARM[[1, 2, 0]], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda one: replace(one, xyz_m=one.xyz_m[:, [1, 0, 2]]), "x and y are swapped"),
+        (lambda one: replace(one, xyz_m=one.xyz_m / 0.3048), "unit is feet"),
+        (lambda one: moved(one, by_m=(-300_000.0, 40.0, 0.0)), "moved by x 300,000.*throughout"),
+        (lambda one: moved(one, by_m=(-300_000.0, 40.0, 0.0), clock_s=20.0), "same shape.*x 300,000"),
+        (lambda one: moved(one, by_m=(0.0, 0.0, 18.5)), "heights differ by -17.4"),
+        (lambda one: Positions(one.time_s, one.xyz_m * 1e-5), "degrees"),
+        (lambda one: Positions(one.time_s, 90.0 * np.sin(np.outer(one.time_s, [0.3, 0.41, 0])) + 400.0), "another d"),
+        (lambda one: Positions(one.time_s[:300], one.xyz_m[:300]), "less than half"),
+    ],
+)  # fmt: skip
+def test_other_coordinates_and_other_drives_are_named(change: object, words: str) -> None:
+    path, trajectory = tile_and_drive()
+    found: Comparison = compare(path, change(trajectory))  # type: ignore[operator]
+    assert re.search(words, found.misfit), found.misfit
+
+
+def test_a_street_that_is_passed_twice_is_matched_with_its_own_pass() -> None:
+    path, trajectory = tile_and_drive()
+    again = trajectory.xyz_m[4000:9000] + np.random.default_rng(2).normal(0.0, 0.3, 3)
+    slower = np.arange(len(again)) * 0.0125
+    both = Positions(
+        np.concatenate([trajectory.time_s, 200.0 + slower]), np.concatenate([trajectory.xyz_m, again])
+    )  # fmt: skip
+    assert compare(path, moved(both, clock_s=-3.0)).clock_s == pytest.approx(3.0, abs=1e-3)
