@@ -67,8 +67,11 @@ def write_npz(path: Path, image: F32) -> Path:
 
 
 def write_endless(path: Path) -> Path:
-    """A raw file, or an array, of nothing but missing shots, a hole on the disk that takes hours to classify."""
-    n_lines, n_shots = 20_000_000, 2000
+    """A raw file, or an array, of nothing but missing shots, a hole on the disk that takes minutes to classify.
+
+    A larger hole is refused as a copy that never ended.
+    """
+    n_lines, n_shots = 530_000, 2000
     with path.open("wb") as handle:
         if path.suffix == ".npy":
             about = {"descr": "<f4", "fortran_order": False, "shape": (n_lines, n_shots)}

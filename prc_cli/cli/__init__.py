@@ -22,7 +22,7 @@ import click
 from prc_cli import __version__
 from prc_cli.cli.guard import REPEATED_S, begin
 from prc_cli.core.errors import PrcError, printable, printable_lines
-from prc_cli.core.files import drop_proofs, forget_placed, keep_proofs, left_words, take_back
+from prc_cli.core.files import drop_proofs, forget_placed, keep_proofs, left_words, remove_own, take_back
 from prc_cli.core.paths import begin_command
 from prc_cli.core.process import claim_process, no_collecting, raise_or_hold
 
@@ -131,8 +131,10 @@ def main(args: list[str] | None = None) -> None:
             take_back()
         raise
     finally:
-        if args is None and not is_guarded:
-            drop_proofs()
+        if args is None:
+            remove_own()
+            if not is_guarded:
+                drop_proofs()
     if args is None:
         gc.freeze()  # skips Python's last garbage collection, a fifth of the time of a short command
     sys.exit(code)

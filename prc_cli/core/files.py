@@ -243,7 +243,10 @@ def temporary_name(path: Path) -> Path:
     """Return a fresh hidden name beside ``path``, on its file system, with the machine and the process id in it."""
     _note(path)
     number = f"{_RUN.get()}{secrets.token_hex(4)}"
-    return path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{number}.part")
+    name = path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{number}.part")
+    if _State.keeps_proofs:
+        _MADE.append(name)
+    return name
 
 
 @contextlib.contextmanager
@@ -520,11 +523,39 @@ def drop_proofs() -> None:
     _PROOFS.clear()
 
 
+_MADE: list[Path] = []
+"""Temporary names of a command, which may still be there: a signal may come between a file and who removes it."""
+
+
+def remove_own() -> None:
+    """Remove the temporary files of a command that has ended, but for the names that were kept."""
+    for temporary in _MADE:
+        if temporary not in _PROOFS:
+            _remove(temporary)
+    _MADE.clear()
+
+
+def why_not_written(temporary: Path) -> int:
+    """Return the error of the system that a library did not tell when it could not write a file; 0 = not known."""
+    with contextlib.suppress(OSError, ImportError):
+        import resource
+
+        most = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+        if most != resource.RLIM_INFINITY and temporary.stat().st_size + _LEAST_FREE > most:
+            return errno.EFBIG
+    with contextlib.suppress(OSError):
+        if shutil.disk_usage(temporary.parent).free < _LEAST_FREE:
+            return errno.ENOSPC
+    return 0
+
+
 _NEW: list[Path] = []
 """Outputs of the running command, where there were none before."""
 _REPLACED: list[Path] = []
 """Outputs of the running command that replaced others."""
 _MOST_NAMED = 2
+_LEAST_FREE = 1 << 20
+"""Less is as good as nothing for a library that writes in pieces [bytes]."""
 
 
 def forget_placed() -> None:

@@ -64,7 +64,7 @@ def check_input(path: Path) -> str:
     return suffix
 
 
-HOLLOW_BYTES, HOLLOW_RATIO = 1 << 30, 256
+HOLLOW_BYTES, HOLLOW_RATIO = 1 << 32, 256
 """A file of so many bytes that takes less than one of so many on the disk was reserved and never written."""
 
 

@@ -158,18 +158,25 @@ def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSo
     return JoinedSource(tuple(parts))
 
 
-def find_break(joined: JoinedSource) -> Break | None:
-    """Return the first place where the files are not one drive: other contents, another M, or a gap of time."""
+def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
+    """Return the first place where the files are not one drive: other contents, another M, or a gap of time.
+
+    Tiles of a drive are not in the order of their times (``in_order``): only their contents are compared.
+    """
     for number in range(1, len(joined.parts)):
-        if why := _why_apart(joined.parts[number - 1], joined.parts[number]):
+        before, after = joined.parts[number - 1], joined.parts[number]
+        why = ""
+        if (before.format, before.dimensions) != (after.format, after.dimensions):
+            why = "it has other dimensions than the file before"
+        elif in_order:
+            why = _why_apart(before, after)
+        if why:
             return Break(number, why)
     return None
 
 
 def _why_apart(before: RecordSource, after: RecordSource) -> str:
     """Say why a file does not go on where the one before ended; empty if it does."""
-    if (before.format, before.dimensions) != (after.format, after.dimensions):
-        return "it has other dimensions than the file before"
     m = before.facts.points_per_line, after.facts.points_per_line
     if m[0] != m[1]:
         return f"it has {m[1]} shots a line, the file before {m[0]}"

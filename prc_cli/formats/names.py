@@ -194,6 +194,14 @@ def _check_once(where: str, names: Sequence[str], name: str) -> None:
         raise InputError(where, problem, hint)
 
 
+def ring_rules() -> tuple[KnownRule, ...]:
+    """Return the rules of points of a spinning scanner: a ring beside x, y, z."""
+    return (
+        KnownRule("lines", "rings", "the points have a ring, and x, y, z from the scanner"),
+        KnownRule("range", "sensor-xyz", "rings turn around the origin of x, y, z"),
+    )
+
+
 def angle_rules(name: str | None) -> tuple[KnownRule, ...]:
     """Return what the name of the angles says of straight down.
 

@@ -150,7 +150,7 @@ class InputConfig(Params):
         description="captures: the JSON metadata of an Ouster sensor; default: the name of the capture with .json",
     )
     max_gap_lines: int = Field(
-        100_000, ge=0, description="more missing lines in a row than this are an error, not a gap"
+        100_000, ge=0, le=1_000_000_000, description="more missing lines in a row than this are an error, not a gap"
     )
 
     only_lines: Annotated[str, _window_text("only_lines")] | None = Field(
@@ -255,7 +255,7 @@ class LayoutField(Params):
 class Layout(Params):
     """The records of a raw dump or a text file (``[layout]``)."""
 
-    header_bytes: int = Field(0, ge=0, description="raw binary: bytes before the first record")
+    header_bytes: int = Field(0, ge=0, le=1 << 40, description="raw binary: bytes before the first record")
     endian: Literal["little", "big"] = Field("little", description="raw binary: byte order of the fields")
     record_bytes: int | None = Field(
         None,

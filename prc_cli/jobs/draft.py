@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_output, prepare_outputs
-from prc_cli.formats import open_source
+from prc_cli.formats import check_input, open_source
 from prc_cli.formats.clouds.source import CloudSource
 from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
 from prc_cli.formats.options import InputConfig, Layout
@@ -101,9 +101,11 @@ def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout |
     """Return the table ``[layout]`` of a dump, a text file or a cloud; none for other files."""
     if loaded.config.layout is not None and loaded.config.layout.fields:
         return [], None
-    source = open_source(path, loaded.config.layout)
+    check_input(path)
+    # before it is opened: the usual dump is one of float32
     if is_dump(path) and not path.name.startswith("pulse-"):
         return _dump_lines(path)
+    source = open_source(path, loaded.config.layout)
     if isinstance(source, TextSource):
         return _text_lines(source)
     if isinstance(source, CloudSource):

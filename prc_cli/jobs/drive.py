@@ -37,6 +37,7 @@ from prc_cli.jobs.classify import (
 )
 from prc_cli.kernels import Engine, use_engine
 from prc_cli.streams.evidence.watch import watched
+from prc_cli.streams.registered.source import sorts_by_itself
 
 SAME = "same"
 FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(by_suffix("labels"))))
@@ -101,7 +102,7 @@ def _joined(parts: Sequence[Path], loaded: LoadedConfig) -> tuple[JoinedSource |
     if are_recordings(parts):
         return JoinedRecordings(tuple(parts), loaded.config.input), None
     joined = open_joined(parts, loaded.config.layout)
-    return joined, find_break(joined)
+    return joined, find_break(joined, in_order=not sorts_by_itself(joined, loaded.config.input))
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,10 +41,18 @@ from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.lines import first_ranges
 from prc_cli.streams.open import drive_of, open_input
-from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint, sorted_by_time, take_turns
+from prc_cli.streams.order import (
+    OrderEvidence,
+    OrderWatch,
+    RingOrderWatch,
+    fire_in_turns,
+    order_hint,
+    sorted_by_time,
+    take_turns,
+)
 from prc_cli.streams.registered.comparison import Comparison
 from prc_cli.streams.registered.drive import Drive
-from prc_cli.streams.registered.source import is_tile
+from prc_cli.streams.registered.source import sorts_by_itself
 from prc_cli.streams.rules import (
     MEASURED,
     NO_RANGES,
@@ -203,7 +211,7 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     source = None if source is None else with_clock(source, loaded.config.input.time_unit)
     stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
     judged = loaded.config.input.order == "require" and (
-        source is None or not _sorts_by_itself(source, loaded.config.input)
+        source is None or not sorts_by_itself(source, loaded.config.input)
     )
     if stream is not None:
         needs = loaded.config.classifier.method().needs
@@ -232,7 +240,7 @@ def _inspect_records(
     order: OrderEvidence | None,
 ) -> Inspection:
     """Describe a file of records, and try what may mend it."""
-    judged = loaded.config.input.order == "require" and not _sorts_by_itself(source, loaded.config.input)
+    judged = loaded.config.input.order == "require" and not sorts_by_itself(source, loaded.config.input)
     if stream is None and is_timed_cloud(source, loaded.config.input):
         # nothing is reconstructed unless it is asked for by name
         lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
@@ -260,11 +268,6 @@ def _inspect_records(
     # its order was trusted: under its own rules it may be refused
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
-
-
-def _sorts_by_itself(source: RecordSource, inputs: InputConfig) -> bool:
-    """Tell whether times are sorted without being told: where the stream is found from points and times."""
-    return inputs.range == "points" or is_tile(source, inputs)
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
@@ -461,10 +464,20 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
 
 def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
     """Read the records once, in the order of the input, and count what they hold; return the order of the times."""
-    watch = OrderWatch(source.path, "trust", source.facts.time_name) if "time" in source.dimensions else None
+    watch: OrderWatch | RingOrderWatch | None = None
     for chunk in watched_contents(source, contents):
-        if watch is not None:
-            watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
+        if "time" not in source.dimensions:
+            continue
+        time_s, column = np.asarray(chunk.values["time"], np.float64), chunk.values.get("column")
+        if watch is None:
+            in_turns = column is not None and fire_in_turns(time_s, column)
+            watch = RingOrderWatch(source, "trust") if in_turns else OrderWatch.of(source, "trust")
+        if isinstance(watch, OrderWatch):
+            watch.see(time_s, chunk.record)
+        elif column is not None:
+            watch.count(time_s, chunk.record, column)
+    if watch is None and "time" in source.dimensions:
+        watch = OrderWatch.of(source, "trust")
     return None if watch is None else watch.evidence()
 
 

@@ -235,7 +235,7 @@ class Fit:
 
 
 def fit_of(left: Cloud, right: Cloud) -> Fit | None:
-    """Measure two clouds in tiles spread over the left one; None where they have no tile in common."""
+    """Measure two clouds in tiles spread over the left one; None where they do not lie on each other."""
     boxes = tiles_of(left, right)
     random = np.random.default_rng(0)
     parts: list[tuple[F64, F64, F64]] = []
@@ -256,6 +256,8 @@ def fit_of(left: Cloud, right: Cloud) -> Fit | None:
         return None
     apart, around, spacing = (np.concatenate(part) for part in zip(*parts, strict=True))
     spread, step = float(np.median(apart)), float(np.median(spacing))
+    if not math.isfinite(spread):  # most points have no other near them
+        return None
     tolerance = _tolerance(np.sort(apart), spread, step)
     beyond = apart > tolerance
     sparse = float(np.mean(apart[beyond] <= around[beyond])) if beyond.any() else 0.0

@@ -37,7 +37,7 @@ from prc_cli.streams.columns import (
     take,
 )
 from prc_cli.streams.evidence.periods import MAX_SHOTS, WEAK_PERIOD, estimate_points_per_line
-from prc_cli.streams.order import OrderWatch
+from prc_cli.streams.order import OrderWatch, RingOrderWatch, fire_in_turns
 from prc_cli.streams.rules import GridRules
 from prc_cli.streams.steps import ONE, Step
 
@@ -407,7 +407,7 @@ def whole_lines(
 ) -> Iterator[WholeLines]:
     """Read a source from start to end as whole lines, chronological for each scanner."""
     states: dict[int, ScanState] = {}
-    watches: dict[int, OrderWatch] = {}
+    watches: dict[int, OrderWatch | RingOrderWatch] = {}
     waiting = ReadTally()
     names = rules.names if prepare is None else tuple(dict.fromkeys((*rules.names, *rules.carried)))
     for chunk in source.chunks(names):
@@ -418,8 +418,7 @@ def whole_lines(
         for scanner, records in split_scanners(table, rules.scanner, source.path):
             state = states.get(scanner, ScanState())
             if rules.has("time"):
-                watch = watches.setdefault(scanner, OrderWatch.of(source, rules.config.order))
-                waiting += watch.count(records["time"], records[RECORD])
+                waiting += _count_back(watches, scanner, records, source, rules)
             tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
             state, waiting = replace(state, tally=tally), ReadTally()
             try:
@@ -435,6 +434,26 @@ def whole_lines(
     for watch in watches.values():
         watch.finish()
     yield from _last_lines(source, rules, line_rules, states)
+
+
+def _count_back(
+    watches: dict[int, OrderWatch | RingOrderWatch],
+    scanner: int,
+    records: Table,
+    source: RecordSource,
+    rules: GridRules,
+) -> ReadTally:
+    """Watch the order of records in time; of rings that fire in turns, ring after ring."""
+    column = None if rules.column_dimension is None else records.get(rules.column_dimension)
+    if scanner not in watches:
+        by_ring = column is not None and fire_in_turns(np.asarray(records["time"], np.float64), column)
+        order = rules.config.order
+        watches[scanner] = RingOrderWatch(source, order) if by_ring else OrderWatch.of(source, order)
+    watch = watches[scanner]
+    if isinstance(watch, OrderWatch):
+        return watch.count(records["time"], records[RECORD])
+    assert column is not None
+    return watch.count(records["time"], records[RECORD], column)
 
 
 def _last_lines(

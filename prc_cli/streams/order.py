@@ -253,6 +253,50 @@ class OrderWatch:
         raise OrderError(self._path, problem, order_hint(evidence, self._path, can_sort=self._can_sort))
 
 
+def fire_in_turns(time_s: F64, column: NDArray[Any]) -> bool:
+    """Return whether the times of records fall from shot to shot, but rise in each of a few columns.
+
+    The rings of a spinning scanner do so: they fire in another order than they lie, and see a line at other times.
+
+    >>> fire_in_turns(np.array([0.0, 2.0, 1.0, 3.0, 5.0, 4.0]), np.array([0, 1, 2, 0, 1, 2]))
+    True
+    """
+    known = np.isfinite(time_s) & (column >= 0)
+    time_s, column = time_s[known], column[known]
+    if not len(time_s) or column.max() >= MAX_RINGS or not (np.diff(time_s) < 0).any():
+        return False
+    order = np.argsort(column, kind="stable")
+    falls = (np.diff(time_s[order]) < 0) & (np.diff(column[order]) == 0)
+    return not falls.any()
+
+
+class RingOrderWatch:
+    """Checks the times of every ring by itself; a ring has a column."""
+
+    def __init__(self, source: RecordSource, policy: Policy) -> None:
+        self._source, self._policy = source, policy
+        self._rings: dict[int, OrderWatch] = {}
+
+    def count(self, values: NDArray[Any], record: I64 | None, column: NDArray[Any]) -> ReadTally:
+        """Take the next records; return the number of steps back."""
+        order = np.argsort(column, kind="stable")
+        present, first = np.unique(column[order], return_index=True)
+        tally = ReadTally()
+        for ring, own in zip(present.tolist(), np.split(order, first[1:]), strict=True):
+            watch = self._rings.setdefault(int(ring), OrderWatch.of(self._source, self._policy))
+            tally += watch.count(values[own], None if record is None else record[own])
+        return tally
+
+    def finish(self) -> None:
+        """Check all steps so far."""
+        for watch in self._rings.values():
+            watch.finish()
+
+    def evidence(self) -> OrderEvidence:
+        """Return the figures of the ring that is least in order."""
+        return max((one.evidence() for one in self._rings.values()), key=lambda one: (one.n_back, one.n_steps))
+
+
 def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> str:
     """Return what to do with an input whose times are out of order."""
     if evidence.n_back == 1 and abs(evidence.largest_back - WEEK_S) < WEEK_S / 100:

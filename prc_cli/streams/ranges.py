@@ -144,6 +144,30 @@ def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F3
     return range_m, xyz_m, tally
 
 
+IN_PLANE = 0.05
+"""Directions of a profiler lie in a plane, or on a flat cone, within this share of what they spread along it."""
+
+
+def is_in_plane(values: dict[str, NDArray[Any]]) -> bool:
+    """Whether directions from the scanner lie on a plane or a cone, as those of a profiler do.
+
+    >>> angle = np.linspace(-2.0, 2.0, 50)
+    >>> is_in_plane({"x": 0 * angle + 0.3, "y": np.sin(angle), "z": -np.cos(angle)})
+    True
+    >>> is_in_plane({"x": np.cos(angle), "y": np.sin(angle), "z": 0.3 * np.sin(9 * angle)})
+    False
+    """
+    xyz = np.stack([np.asarray(values[axis], np.float64) for axis in XYZ], axis=1)
+    length = np.sqrt((xyz * xyz).sum(axis=1))
+    use = np.isfinite(length) & (length > 0)
+    if np.count_nonzero(use) < len(XYZ):
+        return True
+    unit = xyz[use] / length[use, None]
+    unit -= unit.mean(axis=0)
+    spread = np.linalg.eigvalsh(unit.T @ unit)
+    return bool(spread[0] < IN_PLANE**2 * spread[2])
+
+
 def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
     """Whether coordinates beside ranges are relative to the sensor: then their length is the range.
 

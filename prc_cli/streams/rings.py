@@ -155,6 +155,39 @@ def turns_of_rings(frame: Table, path: str) -> tuple[Table, Turns]:
     return take(frame, order), Turns(rank[order], along[order], 0.0, way)
 
 
+MOST_TURNS = 1.5
+"""Turns of the scanner in a frame, at most: beyond it there are several."""
+LEAST_ORDERED = 0.9
+"""Least share of the steps of a ring that go one way, where records are in the order of their times."""
+
+
+def turns_in_order(frame: Table) -> float:
+    """Return how often the ring with most points turns around the scanner; 0 where it has no number or order."""
+    if RING not in frame:
+        return 0.0
+    number, count = np.unique(frame[RING], return_counts=True)
+    xyz = frame[XYZ][frame[RING] == number[np.argmax(count)]].astype(np.float64)
+    step = wrap(np.diff(np.arctan2(xyz[:, 1], xyz[:, 0])))
+    step *= math.copysign(1.0, float(np.sign(step).sum()))
+    is_ordered = len(step) > 0 and np.mean(step > 0) >= LEAST_ORDERED
+    return float(step.sum()) / _TURN if is_ordered else 0.0
+
+
+def _several_turns(source: RecordSource, n_turns: float) -> InputError:
+    """Return the error of a file of several turns, with the rate of its firing columns where there are times."""
+    rate = "HZ (firing columns a second)"
+    if "time" in source.dimensions:
+        first = next(iter(source.chunks(("time", RING))))
+        number, count = np.unique(first.values[RING], return_counts=True)
+        of_ring = first.values[RING] == number[np.argmax(count)]
+        step = np.diff(np.asarray(first.values["time"], np.float64)[of_ring])
+        step = step[step > 0]
+        rate = f"{1.0 / float(np.median(step)):.5g}" if len(step) else rate
+    problem = f"the file holds {n_turns:.1f} turns of the scanner, expected one"
+    way = f"--lines time:{rate} --columns dimension:{RING} --range sensor-xyz"
+    return InputError(source.path, problem, f"read them as a drive, {way}; or give one turn a file")
+
+
 def _cut_turns(along: F64) -> tuple[I64, F64]:
     """Return ring and azimuth within it of shots whose rings begin at multiples of a turn."""
     turn = np.floor(along / _TURN)
@@ -314,6 +347,8 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
     frame, n_records, tally = _read(source, config)
     if n_rows(frame) < 2:
         raise InputError(source.path, f"{n_rows(frame)} records have a range, too few for rings", "check the layout")
+    if (n_turns := turns_in_order(frame)) > MOST_TURNS:
+        raise _several_turns(source, n_turns)
     frame, turns, own = _in_own_frame(frame, source.path)
     n_rings, column = ring_columns(frame[XYZ], turns, config.points_per_line, source.path)
     step = math.radians(config.azimuth_step) if config.azimuth_step is not None else find_step(turns)

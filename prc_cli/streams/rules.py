@@ -31,7 +31,7 @@ from prc_cli.streams.columns import Table
 from prc_cli.streams.directions import angles_in_planes
 from prc_cli.streams.evidence.periods import TimedScan, measure_sweeps
 from prc_cli.streams.order import judge_first_records, sorted_by_time
-from prc_cli.streams.ranges import XYZ, RangeRule, is_sensor_xyz, measure_ranges, open_ranges
+from prc_cli.streams.ranges import XYZ, RangeRule, is_in_plane, is_sensor_xyz, measure_ranges, open_ranges
 
 _NO_RANGE = "no slant range"
 _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
@@ -406,12 +406,14 @@ def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) 
 
 
 def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
-    """Whether coordinates beside ranges are relative to the scanner; not needed with scan angles."""
+    """Whether coordinates beside ranges are relative to the scanner; of a profiler scan angles tell as much."""
     kind, _, name = range_.partition(":")
-    if kind != "dimension" or name in XYZ or "angle" in source.dimensions or not set(XYZ) <= set(source.dimensions):
+    if kind != "dimension" or name in XYZ or not set(XYZ) <= set(source.dimensions):
         return False
     first = next(iter(source.chunks((*XYZ, name))), None)
     if first is None or not is_sensor_xyz(first.values, name):
+        return False
+    if "angle" in source.dimensions and is_in_plane(first.values):
         return False
     why = f"their length is {name!r} in the first records: they are relative to the scanner"
     taken.append(Assumption("input.range", "x, y, z as directions", why))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from prc_cli.config import PRESETS, load_config, to_toml
+from prc_cli.config import PRESETS, RunConfig, load_config, to_toml
+from prc_cli.core.config import model_in
 from prc_cli.core.errors import ConfigError
 
 
@@ -71,3 +74,20 @@ def test_what_is_shown_can_be_read_back(preset: str | None, comments: bool, tmp_
     path = tmp_path / "shown.toml"
     path.write_text(to_toml(loaded, comments=comments))
     assert load_config(path).config == loaded.config
+
+
+def whole_numbers(model: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, field in model.model_fields.items():
+        inner = model_in(field.annotation)
+        if inner is not None:
+            yield from whole_numbers(inner, f"{prefix}{name}.")
+        elif field.annotation in (int, int | None):
+            yield f"{prefix}{name}", field
+
+
+def test_every_whole_number_of_the_configuration_has_a_largest_value() -> None:
+    """What is counted with it must not leave the integers of the processor."""
+    known = dict(whole_numbers(RunConfig))
+    assert len(known) > 30
+    for name, field in known.items():
+        assert any(getattr(bound, "le", 1 << 62) <= 1 << 40 for bound in field.metadata), name

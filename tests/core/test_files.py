@@ -9,6 +9,7 @@ import stat
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -190,3 +191,11 @@ def test_to_begin_a_flush_changes_nothing_and_never_fails(tmp_path: Path, monkey
 def test_an_output_onto_a_device_or_a_pipe_is_refused() -> None:
     with pytest.raises(OutputError, match="is a pipe or a device"):
         check_output(Path(os.devnull), overwrite=True)
+
+
+def test_what_a_library_does_not_say_of_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "o.e57"
+    path.write_bytes(b"half")
+    assert files.why_not_written(path) == 0
+    monkeypatch.setattr(files.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4096))
+    assert files.why_not_written(path) == errno.ENOSPC

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main
+from prc_cli.config import load_config
+from prc_cli.jobs.draft import draft
 from tests.golden.inputs import N_LINES, M, image
 from tests.streams.evidence.test_estimates import drive
 
@@ -114,3 +116,10 @@ def test_coordinates_and_times_without_names(
     assert run("info", path, "--draft", tmp_path / "draft.toml", "-q") == 0
     fields = tomllib.loads((tmp_path / "draft.toml").read_text(encoding="utf-8"))["layout"]["fields"]
     assert [(field["name"], field["source"]) for field in fields] == [("x", 0), ("y", 1), ("z", 2), ("time", 3)]
+
+
+def test_a_dump_of_an_odd_number_of_small_numbers_is_drafted(tmp_path: Path) -> None:
+    range_mm = np.rint(1000 * (6 + 2 * np.sin(np.arange(6001) % 60 / 9.0))).astype("<u2")
+    range_mm.tofile(tmp_path / "a.bin")
+    text = draft(tmp_path / "a.bin", tmp_path / "a.toml", load_config())
+    assert 'type = "u2"' in text

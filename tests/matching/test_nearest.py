@@ -128,3 +128,8 @@ def test_points_far_apart_and_any_tolerance_take_no_memory(tolerance: float) -> 
     pairs = [item.to.tolist() for item in nearest_join(cloud(far), cloud(far[::-1]), tolerance, tally)]
     assert tally.n_pairs == 2
     assert sum(map(len, pairs)) == 2
+
+
+def test_clouds_in_other_units_do_not_lie_on_each_other() -> None:
+    metres = np.random.default_rng(3).random((1200, 3)) * [100, 100, 5]
+    assert fit_of(cloud(metres), cloud(metres / 0.3048)) is None

@@ -16,7 +16,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64, Mask
-from prc_cli.formats.names import NAMES, angle_rules, find_columns
+from prc_cli.formats.names import NAMES, angle_rules, find_columns, ring_rules
 from prc_cli.formats.options import Layout
 from prc_cli.formats.raw_binary.read import BinaryBody
 from prc_cli.formats.records import AXES, Body, FieldSource, RecordChunk, Stored, check_names, shorten
@@ -132,11 +132,7 @@ class CloudSource(FieldSource):
         has_own_lines = "scan_line" in found and own_m is None
         rules = list(head.rules)
         if {"ring", *AXES} <= set(found) and not has_own_lines and "angle" not in found:
-            rings = (
-                KnownRule("lines", "rings", "the points have a ring, and x, y, z from the scanner"),
-                KnownRule("range", "sensor-xyz", "rings turn around the origin of x, y, z"),
-            )
-            rules += [rule for rule in rings if rule.key not in {one.key for one in head.rules}]
+            rules += [rule for rule in ring_rules() if rule.key not in {one.key for one in head.rules}]
         rules += angle_rules(found["angle"].name if "angle" in found else None)
         self.facts = SourceFacts(
             range_name=found["range"].name if "range" in found else "range",

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
+from prc_cli.core.files import why_not_written
 from prc_cli.core.types import F64
 from prc_cli.formats.tables.write import stream_rows
 from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
@@ -43,6 +44,8 @@ class E57Stream(StreamWriter):
             problem = "writing E57 needs pye57, which is not installed"
             raise OutputError(str(path), problem, "pip install prc-cli[e57]") from None
         super().__init__(path, shape)
+        if shape.times or shape.returns:
+            self._notice("pye57 reads times and several returns of E57 only with ignore_unsupported_fields=True")
         self._library = libe57
         self._scan: _Scan | None = None
         self._done: list[int] = []
@@ -99,6 +102,8 @@ class E57Stream(StreamWriter):
         try:
             yield
         except (self._library.E57Exception, RuntimeError) as error:
+            if code := why_not_written(self._temporary):
+                raise OSError(code, os.strerror(code), str(self._temporary)) from error
             text = (str(error).strip().splitlines() or [type(error).__name__])[0].strip(" *")
             raise OutputError(str(self.path), f"cannot be written ({text})", "check the disk") from error
 

@@ -18,7 +18,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F64
-from prc_cli.formats.names import angle_rules, find_columns
+from prc_cli.formats.names import angle_rules, find_columns, ring_rules
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import AXES, Column, FieldSource, shorten
 from prc_cli.formats.text.dialect import (
@@ -257,6 +257,9 @@ class TextSource(FieldSource):
         columns = find_columns(where, names, layout, tuple(map(str, range(n))), hint)
         super().__init__(path, "text", columns, TextBody(path, self.text, block_bytes))
         rules = angle_rules(columns["angle"].name if "angle" in columns else None)
+        has_lines = bool({"scan_line", "column", "range", "angle"} & set(columns))
+        if {"ring", *AXES} <= set(columns) and not has_lines:
+            rules += ring_rules()
         range_name = columns["range"].name if "range" in columns else "range"
         self.facts = SourceFacts(notes=self.notes, range_name=range_name, rules=rules, describe=self.describe)
 

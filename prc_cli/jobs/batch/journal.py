@@ -11,6 +11,7 @@ machine: a rollback journal is kept, since SQLite's WAL needs memory that all wh
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import secrets
@@ -25,7 +26,7 @@ from typing import Any, get_args
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
-from prc_cli.core.files import make_folder, refuse_links
+from prc_cli.core.files import make_folder, refuse_links, why_not_written
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -280,8 +281,12 @@ def _errors(path: Path) -> Iterator[None]:
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             problem = f"is held by another program ({error})"
             raise BusyError(str(path), problem, "close what has the journal open, then run again") from error
-        if code == sqlite3.SQLITE_FULL:
+        why = why_not_written(path) if code == sqlite3.SQLITE_IOERR else 0
+        if code == sqlite3.SQLITE_FULL or why == errno.ENOSPC:
             raise OutputError(str(path), "the disk is full", "free space on the disk, then run again") from error
+        if why == errno.EFBIG:
+            problem = "the system's limit for the size of a file is too small"
+            raise OutputError(str(path), problem, "raise it: ulimit -f unlimited") from error
         if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_IOERR):
             problem = f"cannot be read or written ({error})"
             raise OutputError(str(path), problem, "check the disk, the folder and its permissions") from error

@@ -531,12 +531,12 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
     if found and found >= options.min_matched * of:
         return
     share = f"{found} of its {of} records found a partner in {other.path}"
-    if not found:
+    if not found and np.isfinite([left.tally.low, right.tally.low]).all():
         name = "key" if left.key is None else left.key.dimension
         spans = [f"{name} {side.tally.low:.9g} to {side.tally.high:.9g}" for side in (left, right)]
         share = f"{share}: {left.path} has {spans[0]}, {right.path} has {spans[1]}"
     else:
-        share = f"{share} ({100 * found / of:.1f} %), expected at least {100 * options.min_matched:g} %"
+        share = f"{share} ({100 * found / max(of, 1):.1f} %), expected at least {100 * options.min_matched:g} %"
     hints = {
         "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
         "nearest": "check that both clouds are registered in one coordinate system, or give a larger tolerance",

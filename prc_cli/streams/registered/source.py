@@ -19,6 +19,8 @@ from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.streams.order import sorted_by_time
 from prc_cli.streams.ranges import XYZ, open_ranges
 from prc_cli.streams.registered.drive import Drive, reconstruct
+from prc_cli.streams.registered.spinning import NoScan
+from prc_cli.streams.registered.spinning_drive import SpinningDrive, SpinningSource, reconstruct_spinning
 from prc_cli.streams.registered.spool import Spool
 from prc_cli.streams.rules import only_times_tell
 
@@ -38,7 +40,7 @@ MOST_SCANNERS = 8
 
 def with_points(
     source: RecordSource, config: InputConfig
-) -> tuple[RegisteredSource, InputConfig, tuple[Assumption, ...]]:
+) -> tuple[RegisteredSource | SpinningSource, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud as a stream, the rules that read it, and what is assumed.
 
     Parameters
@@ -59,7 +61,14 @@ def with_points(
         raise InputError(source.path, problem, f"it has: {', '.join(source.dimensions)}")
     split = None if config.scanner == "none" else config.scanner
     drive = _drive_of(source, split)
+    if isinstance(drive, SpinningDrive):
+        return SpinningSource(source, drive), config.model_copy(update=drive.rules()), drive.assumptions()
     return _as_stream(source, config, drive, drive.assumptions())
+
+
+def sorts_by_itself(source: RecordSource, config: InputConfig) -> bool:
+    """Tell whether times are sorted without being told: where the stream is found from points and times."""
+    return config.range == "points" or is_tile(source, config)
 
 
 def is_tile(source: RecordSource, config: InputConfig) -> bool:
@@ -102,11 +111,11 @@ def _as_stream(
     return RegisteredSource(source, drive), config.model_copy(update=rules), told
 
 
-_latest: tuple[tuple[object, ...], Drive] | None = None
+_latest: tuple[tuple[object, ...], Drive | SpinningDrive] | None = None
 """The drive that was found last: a command opens its input several times."""
 
 
-def _drive_of(source: RecordSource, split: str | None) -> Drive:
+def _drive_of(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
     global _latest
     file = Path(source.path)
     state = file_state(file) if file.is_file() else None
@@ -118,21 +127,21 @@ def _drive_of(source: RecordSource, split: str | None) -> Drive:
     return _latest[1]
 
 
-def _reconstructed(source: RecordSource, split: str | None) -> Drive:
+def _reconstructed(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
     """Reconstruct a drive; where one scanner does not explain it, try the dimensions that number scanners."""
     if split is not None:
-        return reconstruct(source.path, spool_by_time(source, split))
+        return _turning(source.path, spool_by_time(source, split))
     refusal: EvidenceError | None = None
-    drive: Drive | None = None
+    drive: Drive | SpinningDrive | None = None
     try:
-        drive = reconstruct(source.path, spool_by_time(source, None))
+        drive = _turning(source.path, spool_by_time(source, None))
     except EvidenceError as error:
         refusal = error
     if drive is not None and drive.is_sure:
         return drive
     for name in _numbers_of_scanners(source):
         try:
-            parted = reconstruct(source.path, spool_by_time(source, name), split=name)
+            parted = _turning(source.path, spool_by_time(source, name), split=name)
         except EvidenceError:
             continue
         if parted.is_sure:
@@ -141,6 +150,17 @@ def _reconstructed(source: RecordSource, split: str | None) -> Drive:
         assert refusal is not None
         raise refusal
     return drive
+
+
+def _turning(path: str, spools: dict[int, Spool], *, split: str = "") -> Drive | SpinningDrive:
+    """Reconstruct the drive of scanners of one plane, else of spinning heads, whose beams lie on cones."""
+    try:
+        return reconstruct(path, spools, split=split)
+    except EvidenceError as error:
+        spinning = reconstruct_spinning(path, spools)
+        if isinstance(spinning, NoScan):
+            raise error from None
+        return spinning
 
 
 def _numbers_of_scanners(source: RecordSource) -> Iterator[str]:

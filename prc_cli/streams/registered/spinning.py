@@ -913,7 +913,8 @@ def find_head(time_s: F64, xyz_m: F64) -> SpinningHead | NoScan:
         path = fit_windows(time_s[piece], xyz_m[piece], rate, rings)
         if not len(path.time_s) or path.is_trusted.mean() < MIN_TRUSTED:
             continue
-        ring = ring_numbers(path.local(time_s[piece], xyz_m[piece]), rings)
+        local = path.local(time_s[piece], xyz_m[piece])
+        ring = ring_numbers(local, rings)
         firings = find_firings(time_s[piece], ring, rings.ahead_rad, rate.hz)
         if firings is not None:
             # counted from the start of the drive, not of the piece
@@ -935,6 +936,10 @@ def scan_piece(time_s: F64, xyz_m: F64, head: SpinningHead) -> tuple[SpinningSca
         As found, or as returned with the piece before.
     """
     path = fit_windows(time_s, xyz_m, head.rate, head.rings)
+    if not len(path.time_s):
+        nothing = np.full(len(time_s), -1, np.int64)
+        nowhere = np.full((len(time_s), 3), np.nan)
+        return SpinningScan(path, nothing, nothing, nothing, nothing, nowhere), head
     local = path.local(time_s, xyz_m)
     ring = ring_numbers(local, head.rings)
     firing, firings = firing_numbers(time_s, ring, head.firings)

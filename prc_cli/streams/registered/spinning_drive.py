@@ -1,0 +1,276 @@
+"""Reconstructs the scans of spinning scanners in a cloud, in bounded memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.facts import SourceFacts
+from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.stream import Assumption
+from prc_cli.core.types import F64
+from prc_cli.formats.records import DerivedSource, RecordChunk
+from prc_cli.streams.registered.drive import coordinates, find_passes, sample
+from prc_cli.streams.registered.evidence import PathFigures, Placed, judge
+from prc_cli.streams.registered.spinning import (
+    NoScan,
+    SpinningHead,
+    SpinningScan,
+    find_head,
+    scan_piece,
+)
+from prc_cli.streams.registered.spool import Spool
+
+PIECE_POINTS = 1 << 20
+"""Points whose lines are found at once."""
+NO_COLUMN = -1
+PASS = "pass"
+MOST_RETURNS = 255
+"""Returns of a shot that are told apart."""
+_CELL = (
+    ("scan_line", "i4"),
+    ("column", "i4"),
+    ("range", "f8"),
+    (PASS, "i4"),
+    ("return_number", "u1"),
+    ("number_of_returns", "u1"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SpinningDrive:
+    """All spinning scanners and passes of a cloud."""
+
+    scans: tuple[Spool, ...]
+    """Points of every scanner in the order of their lines, with coordinates relative to the head and their cells."""
+    heads: tuple[SpinningHead, ...]
+    figures: tuple[PathFigures, ...]
+    """What each pass shows."""
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether nothing speaks against the paths."""
+        return all(finding.verdict is Verdict.FINE for finding in self.findings)
+
+    @property
+    def points_per_line(self) -> int:
+        """M, the number of rings, the largest of all scanners."""
+        return max(head.rings.n_rings for head in self.heads)
+
+    def rules(self) -> dict[str, object]:
+        """Return the keys of ``[input]`` that read the points."""
+        return {
+            "lines": "dimension:scan_line",
+            "columns": "dimension:column",
+            "range": "dimension:range",
+            "order": "trust",
+            "scanner": PASS if len(self.figures) > 1 else "none",
+            "points_per_line": self.points_per_line,
+        }
+
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Return what was found, for ``prc info`` and the run record."""
+        head, figures = self.heads[0], self.figures[0]
+        firing_hz = 1.0 / head.firings.period_s
+        off = f"points lie {figures.residual_m:.3f} m off their beams (median)"
+        told = [
+            Assumption("input.range", "points", f"a head that spins {head.rate.hz:.6g} times a second; {off}"),
+            Assumption("input.lines", f"time:{firing_hz:.9g}", "the rings fire together this often"),
+            Assumption("input.columns", f"{head.rings.n_rings} rings", "elevations at which the points crowd"),
+        ]
+        if len(self.figures) > 1:
+            told.append(Assumption("input.scanner", f"{len(self.figures)} passes", "gaps in time, or other scanners"))
+        return tuple(told)
+
+
+@dataclass(slots=True)
+class _Pass:
+    """What is counted of one pass."""
+
+    time_s: list[F64] = field(default_factory=list)
+    station_m: list[F64] = field(default_factory=list)
+    residual_m: list[F64] = field(default_factory=list)
+    trusted: list[NDArray[np.bool_]] = field(default_factory=list)
+    cos_tilt: list[F64] = field(default_factory=list)
+    n_points: int = 0
+    n_on_rings: int = 0
+    holes: Placed = field(default_factory=Placed)
+
+    def see(self, scan: SpinningScan) -> None:
+        """Take a piece."""
+        path = scan.path
+        self.time_s.append(path.time_s)
+        self.station_m.append(path.poses.station_m)
+        self.residual_m.append(np.hypot(path.beside_m, path.cone_m))
+        self.trusted.append(path.is_trusted)
+        self.cos_tilt.append(np.abs(path.poses.frame[:, 2, 2]))
+        self.n_points += len(scan.ring)
+        known = np.flatnonzero(scan.ring >= 0)
+        self.n_on_rings += len(known)
+        # neighbours of a surface lie along the rings
+        order = known[np.lexsort((scan.line[known], scan.ring[known]))]
+        self.holes.see(scan.ring[order], scan.line[order], scan.range_m[order])
+
+    def figures(self, head: SpinningHead) -> PathFigures | None:
+        """Return the figures; none if no window was fitted."""
+        time_s = np.concatenate(self.time_s)
+        if len(time_s) < 2:
+            return None
+        moved = np.linalg.norm(np.diff(np.concatenate(self.station_m), axis=0), axis=1)
+        speed = moved / np.maximum(np.diff(time_s), 0.2 / head.rate.hz)
+        tilt = math.acos(min(float(np.median(np.concatenate(self.cos_tilt))), 1.0))
+        return PathFigures(
+            start_s=float(time_s[0]),
+            duration_s=float(time_s[-1] - time_s[0]),
+            length_m=float(moved.sum()),
+            speed_m_s=float(np.median(speed)),
+            top_speed_m_s=float(np.percentile(speed, 99.0)),
+            residual_m=float(np.median(np.concatenate(self.residual_m))),
+            share_on_beam=self.n_on_rings / max(self.n_points, 1),
+            share_in_front=1.0,
+            share_bridged=1.0 - float(np.mean(np.concatenate(self.trusted))),
+            sigma_m=0.0,
+            share_holes=self.holes.share_empty,
+            turns_hz=head.rate.hz,
+            lines_hz=1.0 / head.firings.period_s,
+            shots_hz=head.rings.n_rings / head.firings.period_s,
+            points_per_line=head.rings.n_rings,
+            tilt_deg=math.degrees(tilt),
+        )
+
+
+def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive | NoScan:
+    """Find the rings, the path of every head, and the cell of every point.
+
+    Parameters
+    ----------
+    path
+        File name, for messages.
+    spools
+        Points in the order of their times, by scanner.
+
+    Returns
+    -------
+    SpinningDrive or NoScan
+        Why a scanner is no spinning head.
+    """
+    scans: list[Spool] = []
+    heads: list[SpinningHead] = []
+    figures: list[PathFigures] = []
+    n_points, n_lost = 0, 0
+    for _, points in sorted(spools.items()):
+        head = find_head(*sample(points))
+        if isinstance(head, NoScan):
+            return head
+        found_here = {name for name, _ in _CELL}
+        kept = [one for one in points.dtype.descr if one[0] not in found_here]
+        placed = Spool(np.dtype([*kept, *_CELL]))
+        then = head
+        for part in find_passes(points):
+            seen = _Pass()
+            then = _place(points, part, placed, then, len(figures), seen)
+            found = seen.figures(head)
+            n_points += part.stop - part.start
+            if found is None:
+                n_lost += part.stop - part.start
+            else:
+                figures.append(found)
+        scans.append(placed)
+        heads.append(head)
+    if not figures:
+        return NoScan("no turn of the head fits")
+    findings = judge(path, figures, n_lost, n_points)
+    return SpinningDrive(tuple(scans), tuple(heads), tuple(figures), findings)
+
+
+def _place(points: Spool, part: slice, placed: Spool, head: SpinningHead, number: int, seen: _Pass) -> SpinningHead:
+    """Find the cells of the points of a pass, and write the points in the order of their lines."""
+    late = int(head.firings.late.max())
+    waiting = np.empty(0, placed.dtype)
+    first: int | None = None
+    for records in points.chunks(part.start, part.stop, PIECE_POINTS):
+        scan, head = scan_piece(np.ascontiguousarray(records["time"]), coordinates(records), head)
+        seen.see(scan)
+        known = scan.ring >= 0
+        if first is None and known.any():
+            first = int(scan.line[known].min()) - late
+        rows = np.empty(len(records), placed.dtype)
+        for name in set(points.dtype.names or ()) & set(rows.dtype.names or ()):
+            rows[name] = records[name]
+        local = upright(scan)
+        for axis, values in zip(("x", "y", "z"), local.T, strict=True):
+            rows[axis] = values
+        # rings that look ahead fire later where a line looks: the line has the time of its first shots
+        rows["time"] -= np.where(known, head.firings.late[scan.ring], 0) * head.firings.period_s
+        rows["range"] = scan.range_m
+        rows[PASS] = number
+        # points off every ring go with those around them
+        firing = np.maximum.accumulate(np.where(known, scan.firing, 0))
+        line = np.where(known, scan.line, firing - late) - (first or 0)
+        rows["scan_line"] = np.maximum(line, 0)
+        rows["column"] = np.where(known, scan.column, NO_COLUMN)
+        waiting = np.concatenate([waiting, rows])
+        waiting = waiting[np.lexsort((waiting["range"], waiting["column"], waiting["scan_line"]))]
+        # lines to which later firings may add
+        is_open = waiting["scan_line"] >= int(firing.max(initial=0)) - late - (first or 0)
+        placed.append(with_returns(waiting[~is_open]))
+        waiting = waiting[is_open]
+    placed.append(with_returns(waiting))
+    return head
+
+
+def with_returns(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return rows in the order of line, column and range with the returns of every shot numbered."""
+    begins = (np.diff(rows["scan_line"], prepend=-1) != 0) | (np.diff(rows["column"], prepend=-2) != 0)
+    begins |= rows["column"] == NO_COLUMN
+    shot = np.cumsum(begins) - 1
+    first = np.flatnonzero(begins)
+    count = np.diff(first, append=len(rows))
+    rows["return_number"] = np.minimum(np.arange(len(rows)) - first[shot] + 1, MOST_RETURNS)
+    rows["number_of_returns"] = np.minimum(count[shot], MOST_RETURNS)
+    return rows
+
+
+def upright(scan: SpinningScan) -> F64:
+    """Return points relative to the head along its own axes, z upwards, (n, 3) [m].
+
+    The axis of the head and not the vertical: rings are level then, as the method for rings expects, however the head
+    is mounted and however the platform nods.
+    """
+    if not len(scan.path.time_s):
+        return scan.local_m
+    up = 1.0 if float(np.median(scan.path.poses.frame[:, 2, 2])) > 0.0 else -1.0
+    own: F64 = scan.local_m * np.array([1.0, up, up])
+    return own
+
+
+@dataclass(frozen=True)
+class SpinningSource(DerivedSource):
+    """A cloud in the order of the lines of its spinning scanners."""
+
+    drive: SpinningDrive
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that the source can deliver."""
+        return tuple(name for name in self.drive.scans[0].dtype.names or () if name != "record")
+
+    @property
+    def facts(self) -> SourceFacts:
+        """Metadata of the cloud, and what is doubtful about the path."""
+        facts: SourceFacts = self.source.facts
+        return replace(facts, points_per_line=None, rules=(), findings=(*facts.findings, *self.drive.findings))
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Deliver the points scanner after scanner, each in the order of its lines."""
+        first = 0
+        for scan in self.drive.scans:
+            for rows in scan.chunks():
+                values = {name: np.ascontiguousarray(rows[name]) for name in names}
+                yield RecordChunk(first, values, len(rows), rows["record"].copy())
+                first += len(rows)

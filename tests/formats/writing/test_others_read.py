@@ -1,0 +1,100 @@
+"""What is written is read by programs that share nothing with this one."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+from rosbags.highlevel import AnyReader
+
+from prc_cli.config import load_config
+from prc_cli.formats.registry import by_suffix
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.simulate import simulate
+from prc_cli.simulation.settings import load_settings
+
+LINES, M = 30, 200
+SETTINGS = {"scanner": {"points_per_line": M}, "lines": LINES, "trajectory": {"stop_every_m": 0.0}}
+
+
+def _las(path: Path) -> int:
+    with laspy.open(path) as reader:
+        assert len(reader.read().points) == reader.header.point_count
+        return int(reader.header.point_count)
+
+
+def _csv(text: str) -> int:
+    rows = list(csv.reader(io.StringIO(text)))
+    assert len({len(row) for row in rows}) == 1
+    return len(rows) - 1
+
+
+def _zst(path: Path) -> int:
+    with pa.input_stream(str(path), compression="zstd") as stream:
+        return _csv(stream.read().decode())
+
+
+def _array(path: Path) -> int:
+    loaded = np.load(path, allow_pickle=False)
+    return int((loaded["range_m"] if path.suffix == ".npz" else loaded).size)
+
+
+def _dump(path: Path) -> int:
+    layout = tomllib.loads(path.with_name(f"{path.name}.toml").read_text())["layout"]
+    kind = np.dtype([(field["name"], f"<{field['type']}") for field in layout["fields"]])
+    return len(np.fromfile(path, kind))
+
+
+def _e57(path: Path) -> int:
+    pye57 = pytest.importorskip("pye57")
+    with pye57.E57(str(path)) as file:
+        points = file.read_scan_raw(0, ignore_unsupported_fields=True)
+        return len(points["cartesianX"])
+
+
+def _cloud(path: Path) -> int:
+    word = rb"element vertex (\d+)" if path.suffix == ".ply" else rb"POINTS (\d+)"
+    found = re.search(word, path.read_bytes()[:2000])
+    assert found is not None
+    return int(found[1])
+
+
+def _bag(path: Path) -> int:
+    with AnyReader([path.parent if path.suffix == ".db3" else path]) as reader:
+        scans = [reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/scan"]
+    return sum(len(scan.ranges) for scan in scans)
+
+
+READERS: dict[str, Callable[[Path], int]] = {
+    ".las": _las, ".laz": _las, ".csv": lambda path: _csv(path.read_text()), ".csv.zst": _zst,
+    ".csv.gz": lambda path: _csv(gzip.decompress(path.read_bytes()).decode()), ".npz": _array, ".npy": _array,
+    ".parquet": lambda path: parquet.read_table(path).num_rows, ".bin": _dump, ".e57": _e57, ".ply": _cloud,
+    ".pcd": _cloud, ".bag": _bag, ".mcap": _bag, ".db3": _bag,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", sorted(by_suffix("streams")))
+def test_every_stream(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"o{suffix}"
+    made = simulate("street", path, load_settings("street", options=SETTINGS))
+    n_returns = made.counts.n_shots - made.counts.n_missing
+    found = READERS[suffix](path)
+    assert found in {LINES * M, n_returns, n_returns + made.counts.n_extra}
+
+
+@pytest.mark.parametrize("suffix", sorted(set(by_suffix("labels")) - {".las", ".laz", ".bag", ".mcap", ".db3"}))
+def test_labels(tmp_path: Path, suffix: str) -> None:
+    source, path = tmp_path / "in.npz", tmp_path / f"o{suffix}"
+    simulate("street", source, load_settings("street", options=SETTINGS))
+    classify(source, path, load_config(preset="urban", options={"input": {"accept_doubts": ["shot-order"]}}))
+    assert 0 < READERS[suffix](path) <= LINES * M

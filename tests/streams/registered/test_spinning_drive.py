@@ -1,0 +1,49 @@
+"""Clouds of spinning scanners as streams."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.stream import ScanBlock
+from prc_cli.formats.options import InputConfig
+from prc_cli.streams.open import open_input
+from prc_cli.streams.registered.spinning_drive import with_returns
+from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud
+
+EVEN = np.arange(-15.0, 16.0, 2.0)
+AHEAD = np.array([1.2, -1.2, 3.6, -3.6] * 4)
+
+
+def write(points: Cloud, path: Path) -> None:
+    """Write times and coordinates, in the order of x."""
+    order = np.argsort(points.xyz_m[:, 0])
+    table = np.column_stack([points.time_s, points.xyz_m])[order]
+    np.savetxt(path, table, fmt=["%.9f", "%.3f", "%.3f", "%.3f"], delimiter=",", header="time,x,y,z", comments="")
+
+
+def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path: Path) -> None:
+    points = spinning_cloud(EVEN, AHEAD, duration_s=0.6)
+    write(points, tmp_path / "cloud.csv")
+    stream = open_input(tmp_path / "cloud.csv", InputConfig(range="points"))
+    blocks: list[ScanBlock] = list(stream.blocks())
+    range_m = np.concatenate([block.range_m for block in blocks])
+    record = np.concatenate([block.record for block in blocks])
+    assert stream.info.points_per_line == 16
+    order = np.argsort(points.xyz_m[:, 0])
+    line, column = np.nonzero(record >= 0)
+    place = order[record[line, column]]
+    assert len(place) > 0.995 * len(points.time_s)
+    assert np.mean(points.ring[place] == column) > 0.999
+    assert len(np.unique(line - points.line[place])) == 1
+    assert np.nanmedian(np.abs(range_m[line, column] - points.range_m[place])) < 0.005
+
+
+def test_points_of_one_shot_are_its_returns_from_near_to_far() -> None:
+    rows = np.zeros(5, [("scan_line", "i4"), ("column", "i4"), ("return_number", "u1"), ("number_of_returns", "u1")])
+    rows["scan_line"] = [0, 0, 0, 1, 1]
+    rows["column"] = [-1, -1, 3, 3, 3]
+    found = with_returns(rows)
+    assert found["return_number"].tolist() == [1, 1, 1, 1, 2]
+    assert found["number_of_returns"].tolist() == [1, 1, 1, 2, 2]
