@@ -85,6 +85,8 @@ class SourceFacts:
     """LAZ of point formats 6-10: filled while the records are read, for rewriting the same file."""
     downs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     """Scan angle that points straight down [rad] and cosine of the tilt of the scan plane, by scanner, where known."""
+    has_fitted_lines: bool = False
+    """Whether lines and columns are those of a fitted path: a part of a drive, whose lines need not repeat."""
     findings: tuple[Finding, ...] = ()
     """Answers of checks that were asked before lines were found."""
     describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)

@@ -294,8 +294,8 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
     yield (order := check_shot_order(figures))
     if _is_against(order):
         return
-    if not seen.has_rings:
-        # what rings are is known: columns cannot be others, lines cannot be longer
+    if not seen.has_rings and not seen.info.facts.has_fitted_lines:
+        # what rings and fitted lines are is known: columns cannot be others, lines cannot be longer
         turned = most_turned(seen.windows)
         yield (length := check_line_length(seen, figures, turned))
         if _is_against(length):

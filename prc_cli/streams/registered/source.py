@@ -254,6 +254,7 @@ class RegisteredSource(DerivedSource):
             points_per_line=None,
             rules=tuple(rule for rule in facts.rules if rule.key == "turn"),
             downs={number: (0.0, scan.cos_tilt) for number, scan in enumerate(self.drive.scans)},
+            has_fitted_lines=True,
             findings=(*facts.findings, *self.drive.findings),
         )
 
