@@ -55,6 +55,10 @@ SECONDS_AT_MOST = 900
 Options: TypeAlias = tuple[str, ...]
 
 
+class NotMadeError(Exception):
+    """An input or the labels of a raw stream could not be made."""
+
+
 # Commands
 
 
@@ -122,7 +126,7 @@ def prc(*arguments: object) -> Run:
 def _must(*arguments: object) -> None:
     run = prc(*arguments)
     if run.code not in (0, 4):
-        raise RuntimeError(f"{' '.join(run.arguments)}\n{run.said}")
+        raise NotMadeError(f"{' '.join(run.arguments)}\n{run.said}")
 
 
 # Clouds
@@ -261,7 +265,7 @@ class Reference:
             if "--trust-order" in run.said:
                 more += ("--trust-order",)
             if set(more) <= set(options):
-                raise RuntimeError(f"{' '.join(run.arguments)}\n{run.said}")
+                raise NotMadeError(f"{' '.join(run.arguments)}\n{run.said}")
             options += more
         values = {name: getattr(run, name) for name in Run.__slots__}
         record.write_text(json.dumps(values), encoding="utf-8")
@@ -491,6 +495,12 @@ def verdict(case: Case, row: Row, raw_doubts: frozenset[str]) -> str:
 # Drives and their parts
 
 
+FIELD = tuple(
+    word
+    for value in ("setback_m=25", "trees=0", "parked=0", "people=0", "cars_per_km=0")
+    for word in ("--set", f"scene.{value}")
+)
+"""A street with nothing on the ground within sight."""
 DRIVES = {
     drive.name: drive
     for drive in (
@@ -502,14 +512,7 @@ DRIVES = {
         Drive("vlp-32c", "vlp-32c", 2.5, 5106),
         Drive("hdl-64e", "hdl-64e", 1.5, 5107),
         Drive("forest", "focus3d-120", 4.0, 5108, "forest"),
-        Drive(
-            "field", "photon-80", 8.0, 5109,
-            options=tuple(
-                word
-                for value in ("setback_m=60", "trees=0", "parked=0", "people=0", "cars_per_km=0")
-                for word in ("--set", f"scene.{value}")
-            ),
-        ),
+        Drive("field", "photon-80", 8.0, 5109, options=("--sight", "25", *FIELD)),
         Drive("standing", "photon-80", 18.0, 5110, options=("--speed", "4", "--set", "trajectory.stop_every_m=45")),
         Drive("first_pass", "photon-80", 8.0, 5111),
         Drive("second_pass", "photon-80", 10.0, 5111, options=("--speed", "6")),
@@ -934,7 +937,7 @@ def said(row: Row) -> Iterator[str]:
         yield f"$ prc {' '.join(run.arguments)}    # exit code {run.code}"
         yield from run.messages() if run.code else ()
     if row.note:
-        yield f"# {row.note}"
+        yield from (f"# {line}" for line in row.note.splitlines())
 
 
 def main() -> None:
@@ -976,7 +979,10 @@ def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
                 _make(case, work)
                 continue
             with tempfile.TemporaryDirectory(dir=work) as folder:
-                row = run_case(case, work, Path(folder))
+                try:
+                    row = run_case(case, work, Path(folder))
+                except NotMadeError as failure:
+                    row = Row(case.name, "not measured", note=str(failure))
                 text = "\n".join(said(row)).replace(folder, "OUT").replace(str(work), "WORK").replace(str(DATA), "DATA")
             print(f"| {' | '.join(cells(row))} |", flush=True)
             notes.append(f"\n{case.name}:\n\n```text\n{text}\n```")
@@ -985,7 +991,11 @@ def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
 
 def _make(case: Case, work: Path) -> None:
     """Make the inputs of a case and the labels of its raw streams; print their scores."""
-    parts = case.make(work)
+    try:
+        parts = case.make(work)
+    except NotMadeError as failure:
+        print(f"| {case.name}: {failure} |")
+        return
     labelled = [piece for piece in parts if piece.references]
     if not labelled:
         return
