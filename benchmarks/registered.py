@@ -106,7 +106,7 @@ class Run:
         lines: list[str] = []
         inside = False
         for line in self.said.splitlines():
-            starts = line.startswith(("error:", "warning:"))
+            starts = bool(re.match(r"error:|warning:|\[\d+/\d+\] (?!done)", line))
             inside = starts or (inside and line.startswith(" "))
             if inside:
                 lines.append(line.strip())
@@ -387,6 +387,8 @@ class Row:
     same: float = float("nan")
     """Share of the points with the label of the raw stream."""
     path: PathError | None = None
+    plain_info: Run | None = None
+    """``prc info`` without options."""
     info: Run | None = None
     runs: list[Run] = field(default_factory=list)
     n_points: int = 0
@@ -450,6 +452,7 @@ def _measure_path(case: Case, piece: Part, row: Row, output: Path) -> None:
     if "points" not in piece.options:
         return
     found = output / "path.csv"
+    row.plain_info = prc("info", piece.points)
     row.info = prc("info", piece.points, *piece.options, "--path", found)
     if not found.exists():
         return
@@ -899,7 +902,8 @@ CASES: tuple[tuple[str, tuple[Case, ...]], ...] = (
 HEADER = (
     "case", "verdict", "macro whole", "macro raw", "macro points", "loss", "same labels", *KINDS,
     "path, median / 95 % [m]",
-    "covered", "CPU [s]", "M points a CPU second", "MiB", "info CPU [s]",
+    "covered", "CPU [s]", "M points a CPU second", "MiB", "info proposes points",
+    "info CPU [s]", "info with points CPU [s]",
 )  # fmt: skip
 
 
@@ -922,8 +926,15 @@ def cells(row: Row) -> list[str]:
         f"{cpu_s:.1f}",
         f"{rate:.2f}" if row.n_points else "",
         f"{max((run.mib for run in row.runs), default=float('nan')):.0f}",
+        *_info_cells(row.plain_info),
         "" if row.info is None else f"{row.info.cpu_s:.1f}",
     ]
+
+
+def _info_cells(run: Run | None) -> tuple[str, str]:
+    if run is None:
+        return "", ""
+    return ("yes" if "--range points" in run.printed + run.said else "no"), f"{run.cpu_s:.1f}"
 
 
 def _number(value: float | None) -> str:
