@@ -167,7 +167,10 @@ def times_of_rows(cloud: Cloud) -> Cloud:
     return replace(part, time_s=CLOCK_S + np.arange(len(part.time_s)) * 1e-5)
 
 
-@pytest.mark.parametrize("spoil", [anywhere, coarse_times, times_of_rows, one_plane, centimetres])
+SLOW = [pytest.param(spoil, marks=pytest.mark.slow) for spoil in (times_of_rows, one_plane, centimetres)]
+
+
+@pytest.mark.parametrize("spoil", [anywhere, coarse_times, *SLOW])
 def test_what_cannot_be_right_is_refused_or_doubted(tmp_path: Path, spoil: Callable[[Cloud], Cloud]) -> None:
     path = write(tmp_path / "cloud.laz", spoil(drive()))
     with pytest.raises(PrcError):
