@@ -871,7 +871,7 @@ CASES: tuple[tuple[str, tuple[Case, ...]], ...] = (
             Case("5 cm thinning", partial(thinned, "photon", one_in_5_cm, "5cm"), may_doubt=True),
             Case("two passes in a tile", two_passes, may_doubt=True),
             *(
-                Case(f"in {unit}", partial(changed, "photon", partial(scaled, factor), unit), may_doubt=True)
+                Case(f"unit {unit}", partial(changed, "photon", partial(scaled, factor), unit), may_doubt=True)
                 for unit, factor in (("mm", 1000.0), ("cm", 100.0), ("feet", 1 / 0.3048))
             ),
             Case("strip adjustment", partial(changed, "photon", adjusted, "adjusted")),
