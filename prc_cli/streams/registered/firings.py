@@ -96,7 +96,7 @@ def find_firings(time_s: F64, ring: I64, ahead_rad: F64, turn_hz: float) -> Firi
     return starting(replace(firings, late=ahead.max() - ahead), origin)
 
 
-def firing_numbers(time_s: F64, ring: I64, firings: Firings) -> tuple[I64, Firings]:
+def firing_numbers(time_s: F64, ring: I64, firings: Firings, shot_s: F64 | None = None) -> tuple[I64, Firings]:
     """Return the firing of every point, and the firings for the next piece of the drive.
 
     Parameters
@@ -107,6 +107,8 @@ def firing_numbers(time_s: F64, ring: I64, firings: Firings) -> tuple[I64, Firin
         (n,) int64, -1 = none.
     firings
         As found, or as returned with the piece before.
+    shot_s
+        (n,) float64, the times of the shots by their azimuths, if the times themselves are too coarse [s].
 
     Returns
     -------
@@ -116,7 +118,8 @@ def firing_numbers(time_s: F64, ring: I64, firings: Firings) -> tuple[I64, Firin
     known = ring >= 0
     if not known.any():
         return np.full(len(time_s), -1, np.int64), firings
-    cycles = (time_s - firings.origin_s) / firings.period_s - firings.delay_s[ring] / firings.period_s
+    fired_s = time_s if shot_s is None else shot_s
+    cycles = (fired_s - firings.origin_s) / firings.period_s - firings.delay_s[ring] / firings.period_s
     block = np.floor((time_s[known] - firings.origin_s) / BLOCK_S).astype(np.int64)
     begin = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
     phase = np.angle(np.add.reduceat(np.exp(2j * np.pi * cycles[known]), begin)) / (2.0 * np.pi)

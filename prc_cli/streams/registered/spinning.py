@@ -361,6 +361,16 @@ def ring_numbers(local_m: F64, rings: Rings) -> I64:
     return numbers
 
 
+def are_clear(local_m: F64, ring: I64, rings: Rings) -> Mask:
+    """Mark points nearer to their ring than a quarter of the way to the next one, (n,) bool."""
+    known = rings.elevation_rad
+    gap = np.diff(known, prepend=-np.inf, append=np.inf)
+    quarter = 0.25 * np.minimum(gap[:-1], gap[1:])
+    elevation = np.arctan2(local_m[:, 2], np.hypot(local_m[:, 0], local_m[:, 1]))
+    clear: Mask = (ring >= 0) & (np.abs(elevation - known[ring]) <= quarter[ring])
+    return clear
+
+
 def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate] | NoScan:
     """Find the rings of a head, and its rate more closely.
 
@@ -832,6 +842,10 @@ def _moved_on(path: HeadPath, windows: Windows) -> Poses:
 
 SAMPLE_POINTS = 300_000
 """Points in a row in which the firings are sought."""
+MOST_SHARED = 0.02
+"""Most shots of a ring that may share their time with the one before: more, and times are coarser than firings."""
+SAME_SHOT_RAD = math.radians(0.05)
+"""Points of one ring and time that lie closer are returns of one shot."""
 N_TRIES = 3
 MIN_TRUSTED = 0.5
 """Least share of the windows of a sample that must lie on the rings."""
@@ -844,6 +858,8 @@ class SpinningHead:
     rate: TurnRate
     rings: Rings
     firings: Firings
+    by_azimuth: bool = False
+    """Whether firings are found by the measured azimuths, since the times are coarser than the firings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -915,12 +931,32 @@ def find_head(time_s: F64, xyz_m: F64) -> SpinningHead | NoScan:
             continue
         local = path.local(time_s[piece], xyz_m[piece])
         ring = ring_numbers(local, rings)
-        firings = find_firings(time_s[piece], ring, rings.ahead_rad, rate.hz)
+        shot = shot_times(time_s[piece], local, ring, rate, rings)
+        is_coarse = share_one_time(time_s[piece], shot, ring, rate) > MOST_SHARED
+        fired = shot if is_coarse else time_s[piece]
+        firings = find_firings(fired, ring, rings.ahead_rad, rate.hz)
         if firings is not None:
             # counted from the start of the drive, not of the piece
-            return SpinningHead(rate, rings, starting(firings, float(time_s[0])))
+            return SpinningHead(rate, rings, starting(firings, float(time_s[0])), is_coarse)
         reason = "rings do not fire evenly: times are too coarse, or several scanners are mixed"
     return NoScan(reason)
+
+
+def shot_times(time_s: F64, local_m: F64, ring: I64, rate: TurnRate, rings: Rings) -> F64:
+    """Return when the head looked at every point, by its azimuth, near the point's own time, (n,) [s]."""
+    azimuth = rate.azimuth(time_s) + rings.ahead_rad[ring]
+    late = _wrapped(np.arctan2(local_m[:, 1], local_m[:, 0]) - azimuth)
+    shot: F64 = np.where(ring >= 0, time_s + late / (2.0 * np.pi * rate.hz), time_s)
+    return shot
+
+
+def share_one_time(time_s: F64, shot_s: F64, ring: I64, rate: TurnRate) -> float:
+    """Return the share of points that have the time of the one before in their ring, but another azimuth."""
+    known = np.flatnonzero(ring >= 0)
+    order = known[np.argsort(ring[known], kind="stable")]
+    same = (np.diff(ring[order]) == 0) & (np.diff(time_s[order]) == 0)
+    apart = np.abs(np.diff(shot_s[order])) * 2.0 * np.pi * rate.hz > SAME_SHOT_RAD
+    return float(np.count_nonzero(same & apart)) / max(len(order), 1)
 
 
 def scan_piece(time_s: F64, xyz_m: F64, head: SpinningHead) -> tuple[SpinningScan, SpinningHead]:
@@ -942,7 +978,8 @@ def scan_piece(time_s: F64, xyz_m: F64, head: SpinningHead) -> tuple[SpinningSca
         return SpinningScan(path, nothing, nothing, nothing, nothing, nowhere), head
     local = path.local(time_s, xyz_m)
     ring = ring_numbers(local, head.rings)
-    firing, firings = firing_numbers(time_s, ring, head.firings)
+    shot = shot_times(time_s, local, ring, head.rate, head.rings) if head.by_azimuth else None
+    firing, firings = firing_numbers(time_s, ring, head.firings, shot)
     line = line_numbers(firing, ring, firings)
     column = ring if head.rings.is_up else np.where(ring >= 0, head.rings.n_rings - 1 - ring, -1)
     return SpinningScan(path, line, firing, ring, column, local), replace(head, firings=firings)

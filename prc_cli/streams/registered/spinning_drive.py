@@ -15,11 +15,12 @@ from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F64
 from prc_cli.formats.records import DerivedSource, RecordChunk
 from prc_cli.streams.registered.drive import coordinates, find_passes, sample
-from prc_cli.streams.registered.evidence import PathFigures, Placed, judge
+from prc_cli.streams.registered.evidence import CHECK, PathFigures, Placed, judge
 from prc_cli.streams.registered.spinning import (
     NoScan,
     SpinningHead,
     SpinningScan,
+    are_clear,
     find_head,
     scan_piece,
 )
@@ -29,6 +30,8 @@ PIECE_POINTS = 1 << 20
 """Points whose lines are found at once."""
 NO_COLUMN = -1
 PASS = "pass"
+LEAST_CLEAR, WORST_CLEAR = 0.9, 0.5
+"""Share of points that lie clearly on one ring, doubtful and refused below: half of them do by chance."""
 MOST_RETURNS = 255
 """Returns of a shot that are told apart."""
 _CELL = (
@@ -99,10 +102,12 @@ class _Pass:
     cos_tilt: list[F64] = field(default_factory=list)
     n_points: int = 0
     n_on_rings: int = 0
+    n_clear: int = 0
     holes: Placed = field(default_factory=Placed)
 
-    def see(self, scan: SpinningScan) -> None:
+    def see(self, scan: SpinningScan, head: SpinningHead) -> None:
         """Take a piece."""
+        self.n_clear += int(np.count_nonzero(are_clear(scan.local_m, scan.ring, head.rings)))
         path = scan.path
         self.time_s.append(path.time_s)
         self.station_m.append(path.poses.station_m)
@@ -162,7 +167,7 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
     scans: list[Spool] = []
     heads: list[SpinningHead] = []
     figures: list[PathFigures] = []
-    n_points, n_lost = 0, 0
+    n_points, n_lost, n_clear = 0, 0, 0
     for _, points in sorted(spools.items()):
         head = find_head(*sample(points))
         if isinstance(head, NoScan):
@@ -176,6 +181,7 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
             then = _place(points, part, placed, then, len(figures), seen)
             found = seen.figures(head)
             n_points += part.stop - part.start
+            n_clear += seen.n_clear
             if found is None:
                 n_lost += part.stop - part.start
             else:
@@ -184,8 +190,18 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
         heads.append(head)
     if not figures:
         return NoScan("no turn of the head fits")
-    findings = judge(path, figures, n_lost, n_points)
+    findings = (*judge(path, figures, n_lost, n_points), judge_rings(n_clear / max(n_points, 1)))
     return SpinningDrive(tuple(scans), tuple(heads), tuple(figures), findings)
+
+
+def judge_rings(share_clear: float) -> Finding:
+    """Return whether the rings are told apart, by the share of points that lie clearly on one of them."""
+    verdict = Verdict.FINE
+    if share_clear < LEAST_CLEAR:
+        verdict = Verdict.DOUBTFUL if share_clear >= WORST_CLEAR else Verdict.AGAINST
+    hint = "the times may be rounded, or the points moved after the drive; give the path: --range trajectory:FILE"
+    found = f"{1.0 - share_clear:.0%} of the points lie between the rings of the scanner"
+    return Finding(CHECK, verdict, found, f"at most {1.0 - LEAST_CLEAR:.0%}", hint)
 
 
 def _place(points: Spool, part: slice, placed: Spool, head: SpinningHead, number: int, seen: _Pass) -> SpinningHead:
@@ -195,7 +211,7 @@ def _place(points: Spool, part: slice, placed: Spool, head: SpinningHead, number
     first: int | None = None
     for records in points.chunks(part.start, part.stop, PIECE_POINTS):
         scan, head = scan_piece(np.ascontiguousarray(records["time"]), coordinates(records), head)
-        seen.see(scan)
+        seen.see(scan, head)
         known = scan.ring >= 0
         if first is None and known.any():
             first = int(scan.line[known].min()) - late

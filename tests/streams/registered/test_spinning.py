@@ -10,12 +10,16 @@ import pytest
 from prc_cli.streams.registered.firings import find_firings, firing_numbers
 from prc_cli.streams.registered.spinning import (
     NoScan,
+    Rings,
     SpinningHead,
+    TurnRate,
     find_head,
     find_turn_hz,
     lock,
     scan_piece,
+    share_one_time,
     sharpest_height,
+    shot_times,
 )
 from prc_cli.streams.registered.turning import cut_windows, fit_linear, turned
 from tests.streams.registered.spinning_clouds import TURN_HZ, Cloud, frame, spinning_cloud, station
@@ -101,6 +105,20 @@ def test_a_tenth_of_the_points_is_enough() -> None:
     assert isinstance(found, SpinningHead)
     scan, _ = scan_piece(points.time_s, points.xyz_m, found)
     assert np.mean(scan.column == points.ring) > 0.99
+
+
+def test_times_coarser_than_firings_are_told_by_the_azimuths() -> None:
+    true_s = 5.0 + 55e-6 * np.arange(4000)
+    ring = np.zeros(4000, np.int64)
+    rate = TurnRate(TURN_HZ, 5.0, 0.0, 1.0)
+    rings = Rings(np.zeros(1), np.zeros(1), np.zeros(1), np.ones(1, np.int64), 0.0, True)
+    azimuth = rate.azimuth(true_s)
+    local = 9.0 * np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(4000)], axis=1)
+    coarse_s = np.round(true_s / 1e-4) * 1e-4
+    shot_s = shot_times(coarse_s, local, ring, rate, rings)
+    assert shot_s == pytest.approx(true_s, abs=1e-8)
+    assert share_one_time(coarse_s, shot_s, ring, rate) > 0.3
+    assert share_one_time(true_s, true_s, ring, rate) == 0.0
 
 
 def test_points_of_one_plane_are_no_spinning_head() -> None:

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
-from prc_cli.streams.registered.spinning_drive import with_returns
+from prc_cli.streams.registered.spinning_drive import judge_rings, with_returns
 from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud
 
 EVEN = np.arange(-15.0, 16.0, 2.0)
@@ -47,3 +48,8 @@ def test_points_of_one_shot_are_its_returns_from_near_to_far() -> None:
     found = with_returns(rows)
     assert found["return_number"].tolist() == [1, 1, 1, 1, 2]
     assert found["number_of_returns"].tolist() == [1, 1, 1, 2, 2]
+
+
+def test_rings_that_points_lie_between_are_doubted_then_refused() -> None:
+    verdicts = [judge_rings(share).verdict for share in (0.99, 0.8, 0.4)]
+    assert verdicts == [Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST]
