@@ -22,7 +22,7 @@ from prc_cli.streams.registered.start import (
     WINDOW_POINTS,
     Windows,
     drift_hz,
-    join_windows,
+    join_along,
     knots_between,
     lines_between,
     trusted_windows,
@@ -127,7 +127,8 @@ def windows_along(time_s: F64, xyz_m: F64, station_m: F64, turning: Turning, spa
         in_front=np.ones(n),
         spread_m=np.full(n, np.inf),
     )
-    return Windows(pieces.middle_s, stations, trusted_windows(pieces.middle_s, stations))
+    # the path is given: there is no mirror image
+    return Windows(pieces.middle_s, stations, stations, trusted_windows(pieces.middle_s, stations))
 
 
 def _offsets(pieces: Pieces) -> F64:
@@ -193,7 +194,7 @@ def track_along(pieces: PassPieces, turning: Turning, duration_s: float, places:
     ]
     if not parts:
         return None
-    windows = join_windows(parts)
+    windows = join_along(parts)
     if np.count_nonzero(windows.trusted) < LEAST_TRUSTED:
         return None
     knots = knots_between(windows, knot_times(windows, turning))

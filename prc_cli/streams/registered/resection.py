@@ -36,6 +36,11 @@ class Stations:
     spread_m: F64
     """(w,) float64, spread of the points across their main direction, in the plane [m]; small on open ground."""
 
+    @property
+    def misfit_m(self) -> F64:
+        """(w,) float64, the residual, larger where points lie behind the beam [m]."""
+        return self.residual_m / np.maximum(self.in_front, 0.05)
+
     def where(self, use: Mask, other: Stations) -> Stations:
         """Return these stations where ``use`` (w,) holds, else the other ones."""
         return Stations(

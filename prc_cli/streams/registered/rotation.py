@@ -199,13 +199,17 @@ def _best_rate(pieces: Pieces) -> Rotation:
 
 
 def _score(pieces: Pieces, planes: Planes, hz: float) -> float:
-    stations = stations_of(pieces, planes, hz)
-    return float(np.median(stations.residual_m / np.maximum(stations.in_front, 0.05)))
+    return float(np.median(stations_of(pieces, planes, hz).misfit_m))
 
 
 def stations_of(pieces: Pieces, planes: Planes, hz: float) -> Stations:
     """Return the station of every piece at a rate of turns, for the sense of turning that fits it better."""
+    return stations_both_ways(pieces, planes, hz)[0]
+
+
+def stations_both_ways(pieces: Pieces, planes: Planes, hz: float) -> tuple[Stations, Stations]:
+    """Return the station of every piece for the sense of turning that fits it better, and for the other one."""
     bearing = 2.0 * math.pi * hz * pieces.time_s
     left, right = (resect(planes, pieces.xyz_m, bearing, pieces.weight, sense) for sense in (1, -1))
-    left_m, right_m = (one.residual_m / np.maximum(one.in_front, 0.05) for one in (left, right))
-    return left.where(left_m <= right_m, right)
+    use = left.misfit_m <= right.misfit_m
+    return left.where(use, right), right.where(use, left)

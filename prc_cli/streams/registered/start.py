@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.streams.registered.path import Knots, rotation_matrices, rotation_vectors
 from prc_cli.streams.registered.resection import Stations, fit_planes
-from prc_cli.streams.registered.rotation import Turning, pieces_between, stations_of
+from prc_cli.streams.registered.rotation import Turning, pieces_between, stations_both_ways
 
 WINDOW_POINTS = 200
 """Points of a turn that are used."""
@@ -20,6 +20,8 @@ NEIGHBOURS = 10
 MOST_RESIDUAL_M = 0.25
 LEAST_IN_FRONT = 0.9
 LEAST_SPREAD_M = 0.3
+CLEAR_MISFIT = 0.2
+"""A sense of turning is clear where it misfits by less than this share of the other one."""
 MOST_TURN_OFF_RAD = 0.2
 """A window whose frame is turned farther from those of its neighbours is left out [rad]."""
 MOST_MOVE_OFF_M = 1.5
@@ -33,8 +35,40 @@ class Windows:
     time_s: F64
     """(w,) float64, middle of every window [s]."""
     stations: Stations
+    mirrored: Stations
+    """The same for a beam that turns the other way."""
     trusted: Mask
     """(w,) bool, whether it fits and agrees with its neighbours."""
+
+    @classmethod
+    def settled(cls, time_s: F64, stations: Stations, mirrored: Stations) -> Windows:
+        """Choose between mirror images, and mark what can be trusted.
+
+        A line that sees open ground alone is seen as well from its mirror image below the ground, by a beam that turns
+        the other way. The lines beside it that see more tell which it is; else the upper one.
+        """
+        clear = stations.misfit_m < CLEAR_MISFIT * mirrored.misfit_m
+        keep = stations.position_m[:, 2] >= mirrored.position_m[:, 2]
+        if clear.any():
+            nearest = nearest_of(np.flatnonzero(clear), len(time_s))
+            axis = stations.frame[:, :, 2]
+            keep = np.einsum("wi,wi->w", axis, axis[nearest]) >= 0.0
+        chosen = stations.where(keep | clear, mirrored)
+        return cls(time_s, chosen, mirrored.where(keep | clear, stations), trusted_windows(time_s, chosen))
+
+
+def nearest_of(places: I64, n: int) -> I64:
+    """Return for 0 to n - 1 the nearest of some places, which rise; there is at least one.
+
+    >>> nearest_of(np.array([1, 5]), 7).tolist()
+    [1, 1, 1, 1, 5, 5, 5]
+    """
+    index = np.arange(n)
+    after = np.minimum(np.searchsorted(places, index), len(places) - 1)
+    before = np.maximum(after - 1, 0)
+    is_before = index - places[before] <= np.abs(places[after] - index)
+    nearest: I64 = np.where(is_before, places[before], places[after])
+    return nearest
 
 
 def stations_of_lines(time_s: F64, xyz_m: F64, turning: Turning, spacing_s: float) -> Windows:
@@ -53,13 +87,17 @@ def stations_of_lines(time_s: F64, xyz_m: F64, turning: Turning, spacing_s: floa
     """
     begin, end = lines_between(time_s, turning, spacing_s)
     pieces = pieces_between(time_s, xyz_m, begin, end, WINDOW_POINTS)
-    stations = stations_of(pieces, fit_planes(pieces.xyz_m, pieces.weight), turning.hz)
-    stations = replace(
-        stations,
-        position_m=stations.position_m + pieces.first_m,
-        frame=turned_back(stations.frame, turning.bearing(pieces.middle_s)),
+    both = stations_both_ways(pieces, fit_planes(pieces.xyz_m, pieces.weight), turning.hz)
+    back_rad = turning.bearing(pieces.middle_s)
+    stations, mirrored = (
+        replace(
+            one,
+            position_m=one.position_m + pieces.first_m,
+            frame=turned_back(one.frame, back_rad),
+        )
+        for one in both
     )
-    return Windows(pieces.middle_s, stations, trusted_windows(pieces.middle_s, stations))
+    return Windows.settled(pieces.middle_s, stations, mirrored)
 
 
 def lines_between(time_s: F64, turning: Turning, spacing_s: float) -> tuple[I64, I64]:
@@ -77,14 +115,23 @@ def lines_between(time_s: F64, turning: Turning, spacing_s: float) -> tuple[I64,
 
 def join_windows(parts: list[Windows]) -> Windows:
     """Return the windows of consecutive parts of a pass as one."""
-    stations = Stations(
-        *(
-            np.concatenate([getattr(part.stations, name) for part in parts])
-            for name in ("position_m", "frame", "residual_m", "in_front", "spread_m")
-        )
-    )
     time_s = np.concatenate([part.time_s for part in parts])
-    return Windows(time_s, stations, trusted_windows(time_s, stations))
+    return Windows.settled(
+        time_s, _joined([part.stations for part in parts]), _joined([part.mirrored for part in parts])
+    )
+
+
+def join_along(parts: list[Windows]) -> Windows:
+    """Return the windows of consecutive parts of a pass whose path is given as one."""
+    time_s = np.concatenate([part.time_s for part in parts])
+    stations = _joined([part.stations for part in parts])
+    return Windows(time_s, stations, stations, trusted_windows(time_s, stations))
+
+
+def _joined(parts: list[Stations]) -> Stations:
+    return Stations(
+        **{one.name: np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Stations)}
+    )
 
 
 def turned_back(frame: F64, back_rad: F64) -> F64:
