@@ -24,6 +24,7 @@ from prc_cli.streams.registered.comparison import FAR_HEIGHT_M, FAR_M, Compariso
 from prc_cli.streams.registered.drive import Drive
 from prc_cli.streams.registered.found import found_paths
 from prc_cli.streams.registered.source import with_points
+from prc_cli.streams.registered.spinning_drive import SpinningDrive, SpinningSource
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 CHECK = "trajectory"
@@ -43,7 +44,7 @@ def prepare_path(output: Path, loaded: LoadedConfig, path: Path, *, overwrite: b
 
 
 def save_path(
-    output: Path, drive: Drive, loaded: LoadedConfig, path: Path, *, overwrite: bool
+    output: Path, drive: Drive | SpinningDrive, loaded: LoadedConfig, path: Path, *, overwrite: bool
 ) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
     """Write the path of every scanner of a drive; of several scanners, one file each.
 
@@ -67,6 +68,8 @@ def save_path(
     """
     findings = accept(drive.findings, loaded.config.input.accept_doubts or ())
     refuse(str(path), findings)
+    if isinstance(drive, SpinningDrive):
+        raise InputError(str(path), "the path of a head that spins is not written yet", "leave out --path")
     paths = found_paths(drive)
     crs_wkt = _source(path, loaded).facts.crs_wkt
     inputs = loaded.config.input
@@ -117,6 +120,9 @@ def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive, tuple[Compari
     trajectory = _positions(source, inputs)
     only_points = {"range": "points", "lines": "auto", "columns": "auto", "points_per_line": None}
     cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
+    if isinstance(cloud, SpinningSource):
+        problem = "a head that spins measured the points; its path is not held against trajectories yet"
+        raise InputError(str(path), problem, "leave out --check-path")
     refuse(str(path), cloud.drive.findings)
     comparisons = tuple(compare(one, trajectory) for one in found_paths(cloud.drive))
     findings = [_judge(one, inputs) for one in comparisons]

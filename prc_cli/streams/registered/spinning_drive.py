@@ -54,6 +54,8 @@ class SpinningDrive:
     figures: tuple[PathFigures, ...]
     """What each pass shows."""
     findings: tuple[Finding, ...]
+    n_unplaced: int
+    """Points of passes that no turn of the head fits."""
 
     @property
     def is_sure(self) -> bool:
@@ -103,6 +105,8 @@ class _Pass:
     n_points: int = 0
     n_on_rings: int = 0
     n_clear: int = 0
+    first_s: float = math.inf
+    last_s: float = -math.inf
     holes: Placed = field(default_factory=Placed)
 
     def see(self, scan: SpinningScan, head: SpinningHead) -> None:
@@ -131,6 +135,7 @@ class _Pass:
         tilt = math.acos(min(float(np.median(np.concatenate(self.cos_tilt))), 1.0))
         return PathFigures(
             start_s=float(time_s[0]),
+            points_s=(self.first_s, self.last_s),
             duration_s=float(time_s[-1] - time_s[0]),
             length_m=float(moved.sum()),
             speed_m_s=float(np.median(speed)),
@@ -146,6 +151,7 @@ class _Pass:
             shots_hz=head.rings.n_rings / head.firings.period_s,
             points_per_line=head.rings.n_rings,
             tilt_deg=math.degrees(tilt),
+            height_m=math.nan,
         )
 
 
@@ -191,7 +197,7 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
     if not figures:
         return NoScan("no turn of the head fits")
     findings = (*judge(path, figures, n_lost, n_points), judge_rings(n_clear / max(n_points, 1)))
-    return SpinningDrive(tuple(scans), tuple(heads), tuple(figures), findings)
+    return SpinningDrive(tuple(scans), tuple(heads), tuple(figures), findings, n_lost)
 
 
 def judge_rings(share_clear: float) -> Finding:
@@ -212,6 +218,8 @@ def _place(points: Spool, part: slice, placed: Spool, head: SpinningHead, number
     for records in points.chunks(part.start, part.stop, PIECE_POINTS):
         scan, head = scan_piece(np.ascontiguousarray(records["time"]), coordinates(records), head)
         seen.see(scan, head)
+        seen.first_s = min(seen.first_s, float(records["time"][0]))
+        seen.last_s = max(seen.last_s, float(records["time"][-1]))
         known = scan.ring >= 0
         if first is None and known.any():
             first = int(scan.line[known].min()) - late
