@@ -425,8 +425,8 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTa
         there = np.isfinite(range_m)
         use = there & ((xyz[:, 0] != 0) | (xyz[:, 1] != 0))
         # with ring numbers, records without range are shots without return: their cells stay empty
-        # so are records whose coordinates are no numbers
-        is_shot = there if RING in names else np.isfinite(chunk.values["x"])
+        # so are records with a coordinate that is no number
+        is_shot = there if RING in names else ~np.isnan(xyz).any(axis=1)
         n_unplaced += int(np.count_nonzero(is_shot & ~use))
         part: Table = {RECORD: table_of(chunk, ())[RECORD][use], RANGE: range_m[use], XYZ: xyz[use]}
         if INTENSITY in names:
