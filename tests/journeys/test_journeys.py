@@ -1,4 +1,4 @@
-"""The twelve journeys: the way from one command to the next, as a user walks it, each with a figure that must hold.
+"""The journeys: the way from one command to the next, as a user walks it, each with a figure that must hold.
 
 Read this first: it is what ``prc`` is for. Only drives that nothing was tuned to, only commands.
 """
@@ -209,6 +209,53 @@ def test_12_python_and_the_command_line_are_one(prc: Shell) -> None:
     typed = json.loads(prc("prc evaluate typed.npy drive.npz --json -q").out)
     called = prc_cli.evaluate(prc.here / "called.npy", prc.here / "drive.npz")
     assert typed["overall"]["accuracy"] == called.n_right / called.n_scored
+
+
+def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
+    """Tiles of times and coordinates alone, sorted in space: each by what info says, and all of them as one drive."""
+    prc(f"prc simulate street drive.laz -q {STREET}")
+    truth = laspy.read(prc.here / "drive.laz")
+    (prc.here / "tiles").mkdir()
+    rows = tiles_of(truth, prc.here / "tiles")
+    prc("prc classify drive.laz raw.laz -q")
+    told = prc("prc info tiles/t_0.laz").told("type")
+    assert told == "prc classify tiles/t_0.laz tiles/t_0_classified.laz --range points"
+    prc(told)
+    raw, reference = (np.asarray(laspy.read(prc.here / name).classification) for name in ("raw.laz", "drive.laz"))
+    tile = np.asarray(laspy.read(prc.here / "tiles/t_0_classified.laz").classification)
+    assert f1_of(tile, reference[rows[0]]) > f1_of(raw[rows[0]], reference[rows[0]]) - 0.05
+    (prc.here / "tiles/t_0_classified.laz").unlink()
+    prc("prc batch tiles out --drive 't_*.laz' --range points -q")
+    whole = np.zeros(len(raw), np.uint8)
+    for number, own in enumerate(rows):
+        whole[own] = laspy.read(prc.here / f"out/t_{number}.laz").classification
+    assert f1_of(whole, reference) > f1_of(raw, reference) - ALIKE
+    assert np.mean(whole == raw) > 0.98
+
+
+def tiles_of(drive: laspy.LasData, folder: Path) -> list[NDArray[Any]]:
+    """Write the drive in two tiles with coordinates and times alone, sorted in space; return the records of each."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, drive.header.offsets
+    middle = float(np.median(drive.x))
+    rows = []
+    for number, inside in enumerate((np.asarray(drive.x) < middle, np.asarray(drive.x) >= middle)):
+        own = np.flatnonzero(inside)
+        own = own[np.lexsort((np.floor(drive.y[own]), np.floor(drive.x[own])))]
+        tile = laspy.LasData(header)
+        tile.x, tile.y, tile.z, tile.gps_time = (np.asarray(drive[name])[own] for name in ("x", "y", "z", "gps_time"))
+        tile.write(folder / f"t_{number}.laz")
+        rows.append(own)
+    return rows
+
+
+def f1_of(codes: NDArray[Any], truth: NDArray[Any]) -> float:
+    """Return the mean F1 of ground, building, vegetation and noise."""
+    scores = []
+    for code in (2, 6, 5, 7):
+        both = np.count_nonzero((codes == code) & (truth == code))
+        scores.append(2 * both / max(np.count_nonzero(codes == code) + np.count_nonzero(truth == code), 1))
+    return float(np.mean(scores))
 
 
 def points_of(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:

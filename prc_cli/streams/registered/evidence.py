@@ -221,7 +221,8 @@ def no_stations(path: str, turning: Turning) -> EvidenceError:
     problem = (
         f"the beam turns {turning.hz:.5g} times a second, but its lines are too short or too few to place the scanner"
     )
-    return EvidenceError(path, problem, f"give a larger part of the drive; or {_HINT_TRAJECTORY}")
+    hint = f"look at the unit of x, y, z; give a larger part of the drive; or {_HINT_TRAJECTORY}"
+    return EvidenceError(path, problem, hint)
 
 
 def no_rotation(path: str, rotation: Rotation | None) -> EvidenceError:
