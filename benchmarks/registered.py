@@ -476,7 +476,7 @@ def _classify_drive(parts: Sequence[Part], row: Row, output: Path) -> list[U8 | 
     folder = parts[0].points.parent
     run = prc("batch", folder, output / "out", "--drive", "tile_*.laz", *parts[0].options, "--to", "npy")
     row.runs.append(run)
-    paths = [output / "out" / f"{piece.points.stem}.npy" for piece in parts]
+    paths = [output / "out" / f"{piece.points.name}.labels.npy" for piece in parts]
     return [np.load(path).ravel() if path.exists() else None for path in paths]
 
 
@@ -488,6 +488,8 @@ def verdict(case: Case, row: Row, raw_doubts: frozenset[str]) -> str:
         return f"FAILS: exit code {max(codes)}"
     if not all(run.has_hint for run in row.runs if run.code):
         return "FAILS: no hint"
+    if row.raw and not row.points and codes <= {0}:
+        return "FAILS: no labels"
     is_like_raw = bool(row.points) and row.loss <= case.limit
     whole_loss = row.whole.get("macro", 0.0) - row.points.get("macro", 0.0)
     is_right = is_like_raw and (not row.whole or whole_loss <= WHOLE_LOSS)
@@ -784,9 +786,9 @@ def riegl(work: Path) -> list[Part]:
         _must("classify", *(DATA / name for name in RIEGL), labels)
     own = np.concatenate([np.load(labels / f"{Path(name).name}.labels.npy").ravel() for name in RIEGL])
     n = len(rows)
-    one = np.ones(n, np.int64)
+    none = np.zeros(n, np.int64)
     xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    cloud = Cloud(xyz, rows["GPS_time"].astype(np.float64), own, points, np.arange(n), points, one, one, one, 0 * one)
+    cloud = Cloud(xyz, rows["GPS_time"].astype(np.float64), own, points, np.arange(n), points, none, none, none, none)
     path = work / "riegl_path.csv"
     with np.load(DATA / "registered" / "riegl_mirror_centre.npz") as arrays:
         table = np.column_stack([arrays["gps_time"], arrays["centre"]])
