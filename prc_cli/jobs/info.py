@@ -53,6 +53,7 @@ from prc_cli.streams.order import (
 from prc_cli.streams.registered.comparison import Comparison
 from prc_cli.streams.registered.drive import Drive
 from prc_cli.streams.registered.source import sorts_by_itself
+from prc_cli.streams.registered.spinning_drive import SpinningDrive
 from prc_cli.streams.rules import (
     MEASURED,
     NO_RANGES,
@@ -124,7 +125,7 @@ class Inspection(Doubted):
     """What the records hold; None where the file is no list of records."""
     missing: tuple[str, ...] = ()
     """Every option of the command line that is still needed, with what was measured."""
-    drive: Drive | None = None
+    drive: Drive | SpinningDrive | None = None
     """What was found from the points of a registered cloud; None where it was not asked for."""
     comparisons: tuple[Comparison, ...] = ()
     """The trajectory that is given against the path found, for every scanner; empty where it was not asked for."""
@@ -147,7 +148,7 @@ class Inspection(Doubted):
         return table
 
 
-def _path_as_dict(drive: Drive) -> dict[str, Any]:
+def _path_as_dict(drive: Drive | SpinningDrive) -> dict[str, Any]:
     """Return the figures of all passes."""
     passes: list[dict[str, Any]] = [finite(asdict(one)) for one in drive.figures]
     return {"n_scanners": len(drive.heads), "n_unplaced": drive.n_unplaced, "passes": passes}
@@ -226,7 +227,7 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
     return replace(found, contents=contents, drive=_drive_found(stream, loaded.config.input))
 
 
-def _drive_found(stream: ScanStream | None, inputs: InputConfig) -> Drive | None:
+def _drive_found(stream: ScanStream | None, inputs: InputConfig) -> Drive | SpinningDrive | None:
     """Return what was found from the points; None where it was not asked for, also if a path was given."""
     return drive_of(stream) if stream is not None and inputs.range == "points" else None
 

@@ -24,7 +24,7 @@ from prc_cli.streams.registered.comparison import FAR_HEIGHT_M, FAR_M, Compariso
 from prc_cli.streams.registered.drive import Drive
 from prc_cli.streams.registered.found import found_paths
 from prc_cli.streams.registered.source import with_points
-from prc_cli.streams.registered.spinning_drive import SpinningDrive, SpinningSource
+from prc_cli.streams.registered.spinning_drive import SpinningDrive
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 CHECK = "trajectory"
@@ -68,8 +68,6 @@ def save_path(
     """
     findings = accept(drive.findings, loaded.config.input.accept_doubts or ())
     refuse(str(path), findings)
-    if isinstance(drive, SpinningDrive):
-        raise InputError(str(path), "the path of a head that spins is not written yet", "leave out --path")
     paths = found_paths(drive)
     crs_wkt = _source(path, loaded).facts.crs_wkt
     inputs = loaded.config.input
@@ -82,7 +80,7 @@ def save_path(
     with ExitStack() as stack:
         stack.enter_context(whole_set())
         for name, one in zip(names, paths, strict=True):
-            table = PathTable(one.time_s, one.xyz_m / scale, one.sigma_m / scale, one.frame[:, :, 0], one.number)
+            table = PathTable(one.time_s, one.xyz_m / scale, one.sigma_m / scale, one.axis, one.number)
             temporary = stack.enter_context(atomic_output(name, overwrite=overwrite))
             _write(temporary, name, table, inputs.trajectory_crs or crs_wkt)
     return tuple(names), doubts(findings)
@@ -103,7 +101,7 @@ def _source(path: Path, loaded: LoadedConfig) -> RecordSource:
     return with_clock(source, loaded.config.input.time_unit)
 
 
-def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive, tuple[Comparison, ...], Finding]:
+def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive | SpinningDrive, tuple[Comparison, ...], Finding]:
     """Find the path of every scanner from the points, and hold the trajectory that is given against it.
 
     Returns
@@ -118,11 +116,8 @@ def hold_against(path: Path, loaded: LoadedConfig) -> tuple[Drive, tuple[Compari
     source = _source(path, loaded)
     refuse_degrees(source)
     trajectory = _positions(source, inputs)
-    only_points = {"range": "points", "lines": "auto", "columns": "auto", "points_per_line": None}
+    only_points: dict[str, object] = {"range": "points", "lines": "auto", "columns": "auto", "points_per_line": None}
     cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
-    if isinstance(cloud, SpinningSource):
-        problem = "a head that spins measured the points; its path is not held against trajectories yet"
-        raise InputError(str(path), problem, "leave out --check-path")
     refuse(str(path), cloud.drive.findings)
     comparisons = tuple(compare(one, trajectory) for one in found_paths(cloud.drive))
     findings = [_judge(one, inputs) for one in comparisons]
@@ -205,8 +200,7 @@ def _offset(one: Comparison, told_s: float) -> str:
 def _arm(one: Comparison) -> str:
     # no minus before zeros
     first, left, up = (round(value, 3) + 0.0 for value in one.lever_m)
-    axis = "forward" if one.axes == "vehicle" else "along the axis of its turn"
-    return f"{first:.3f} m {axis}, {left:.3f} m left, {up:.3f} m up (spread {one.spread_m:.3f} m)"
+    return f"{first:.3f} m {one.forward}, {left:.3f} m left, {up:.3f} m up (spread {one.spread_m:.3f} m)"
 
 
 def sentence(one: Comparison) -> str:

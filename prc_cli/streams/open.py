@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from prc_cli.formats.records import RecordSource
     from prc_cli.streams.grid import GridStream
     from prc_cli.streams.registered.drive import Drive
+    from prc_cli.streams.registered.spinning_drive import SpinningDrive
 
 
 def open_input(
@@ -125,13 +126,13 @@ def grid_of(stream: ScanStream) -> GridStream | None:
     return inner if isinstance(inner, GridStream) else None
 
 
-def drive_of(stream: ScanStream) -> Drive | None:
+def drive_of(stream: ScanStream) -> Drive | SpinningDrive | None:
     """Return what was found of a registered cloud behind a stream (``range = "points"``); None for other inputs."""
     layer: object = stream
     while layer is not None:
         drive = getattr(layer, "drive", None)
         if drive is not None:
-            return cast("Drive", drive)
+            return cast("Drive | SpinningDrive", drive)
         layer = getattr(layer, "source", None)
     return None
 

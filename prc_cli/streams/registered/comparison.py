@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prc_cli.core.types import F64, Mask
-from prc_cli.streams.registered.found import FoundPath
+from prc_cli.streams.registered.path import FoundPath
 
 COARSE_S = 0.2
 """Step of the clock in the search over a whole drive [s]."""
@@ -106,7 +106,9 @@ class Comparison:
     lever_spread_m: tuple[float, float, float]
     """How it spreads over the path, as a standard deviation [m]."""
     axes: str
-    """``vehicle``: forward, left, up, by the trajectory's orientation; ``scanner``: axis of the turn, left, up."""
+    """``vehicle``: by the trajectory's orientation; ``scanner``: those of the path found."""
+    forward: str
+    """What the first axis is, in words; the others are left and up."""
     overlap: float
     """Share of the path that the trajectory covers with that clock."""
     misfit: str = ""
@@ -149,7 +151,8 @@ def compare(path: FoundPath, trajectory: Positions) -> Comparison:
         return _unlike(path, given_m, _why_far(sample, trajectory, float(distance_m.min())))
     near = distance_m <= FAR_M
     found = _best_fit(path.scanner, sample, trajectory, clocks[near], distance_m[near])
-    return replace(found, distance_m=given_m)
+    forward = path.forward if trajectory.frame is None else "forward"
+    return replace(found, distance_m=given_m, forward=forward)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +168,7 @@ class _Sample:
 
 def _unlike(path: FoundPath, given_m: float, why: str) -> Comparison:
     unknown = (math.nan, math.nan, math.nan)
-    return Comparison(path.scanner, given_m, math.nan, math.inf, unknown, unknown, "scanner", math.nan, why)
+    return Comparison(path.scanner, given_m, math.nan, math.inf, unknown, unknown, "scanner", "", math.nan, why)
 
 
 def _distance_as_given(sample: _Sample, trajectory: Positions) -> float:
@@ -258,6 +261,7 @@ def _fit(scanner: int, sample: _Sample, trajectory: Positions, clock_s: float) -
         lever_m=(float(solved.lever_m[0]), float(solved.lever_m[1]), float(solved.lever_m[2])),
         lever_spread_m=(float(spread[0]), float(spread[1]), float(spread[2])),
         axes="scanner" if trajectory.frame is None else "vehicle",
+        forward="",
         overlap=float(inside.mean()),
         misfit=misfit,
     )

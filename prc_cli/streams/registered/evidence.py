@@ -86,8 +86,6 @@ class PathFigures:
 
     start_s: float
     """First time of the path [s]."""
-    points_s: tuple[float, float]
-    """Times of the first and the last point [s]."""
     duration_s: float
     length_m: float
     speed_m_s: float
@@ -107,7 +105,9 @@ class PathFigures:
     points_per_line: int
     tilt_deg: float
     """Tilt of the scan plane from the vertical [deg]."""
-    height_m: float
+    points_s: tuple[float, float]
+    """Times of the first and the last point [s]."""
+    height_m: float = math.nan
     """Height of the scanner above the ground, the median over points near straight down [m]; NaN = not known."""
     scanner: int = 0
     """Number of the scanner that made the pass; 0 where there is one."""

@@ -3,60 +3,43 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from prc_cli.core.types import F64, I64
+from prc_cli.core.types import F64
 from prc_cli.streams.registered.drive import Drive
-from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2
+from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, FoundPath, positions_at
 from prc_cli.streams.registered.scan import Scan, down_bearings, slow_part
-
-SPEED_S = 0.1
-"""Beyond the first and last knot the speed of this time goes on [s]."""
+from prc_cli.streams.registered.spinning_drive import SpinningDrive
 
 
-@dataclass(frozen=True, slots=True)
-class FoundPath:
-    """Where one scanner was, and how it stood, at ``k`` times of all its passes; straight lines in between."""
-
-    scanner: int
-    time_s: F64
-    """(k,) float64, rising [s]."""
-    xyz_m: F64
-    """(k, 3) float64 [m]."""
-    sigma_m: F64
-    """(k, 3) float64, standard deviations [m]."""
-    frame: F64
-    """(k, 3, 3) float64, columns: axis of the turn (on the side of the drive), left, up in the plane."""
-    number: I64
-    """(k,) int64, number of the pass."""
-    points_s: tuple[float, float]
-    """First and last time of the points of all its passes [s]."""
-
-
-def found_paths(drive: Drive) -> tuple[FoundPath, ...]:
+def found_paths(drive: Drive | SpinningDrive) -> tuple[FoundPath, ...]:
     """Return the path of every scanner of a drive.
 
     Every pass reaches from its first to its last point, so that a trajectory of it holds all points.
     """
+    passes = drive.paths if isinstance(drive, SpinningDrive) else _paths_of_passes(drive)
     by_scanner: dict[int, list[FoundPath]] = {}
-    for number, figures in enumerate(drive.figures):
-        by_scanner.setdefault(figures.scanner, []).append(_path_of_pass(drive, number))
+    for path in passes:
+        by_scanner.setdefault(path.scanner, []).append(path)
     return tuple(_joined(paths) for paths in by_scanner.values())
 
 
 def _joined(paths: list[FoundPath]) -> FoundPath:
-    first, last = paths[0], paths[-1]
-    return FoundPath(
-        first.scanner,
-        np.concatenate([path.time_s for path in paths]),
-        np.concatenate([path.xyz_m for path in paths]),
-        np.concatenate([path.sigma_m for path in paths]),
-        np.concatenate([path.frame for path in paths]),
-        np.concatenate([path.number for path in paths]),
-        (first.points_s[0], last.points_s[1]),
+    return replace(
+        paths[0],
+        time_s=np.concatenate([path.time_s for path in paths]),
+        xyz_m=np.concatenate([path.xyz_m for path in paths]),
+        sigma_m=np.concatenate([path.sigma_m for path in paths]),
+        frame=np.concatenate([path.frame for path in paths]),
+        axis=np.concatenate([path.axis for path in paths]),
+        number=np.concatenate([path.number for path in paths]),
     )
+
+
+def _paths_of_passes(drive: Drive) -> tuple[FoundPath, ...]:
+    return tuple(_path_of_pass(drive, number) for number in range(len(drive.figures)))
 
 
 def _path_of_pass(drive: Drive, number: int) -> FoundPath:
@@ -69,21 +52,9 @@ def _path_of_pass(drive: Drive, number: int) -> FoundPath:
     beyond = np.maximum(np.maximum(knots.time_s[0] - time_s, time_s - knots.time_s[-1]), 0.0)
     # where no line told the place, the speed may have changed as it usually does
     sigma = track.sigma_m[place] + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
-    xyz = _positions(knots.time_s, knots.position_m, time_s)
+    xyz = positions_at(knots.time_s, knots.position_m, time_s)
     frame = _level_frames(scan)[place]
-    return FoundPath(figures.scanner, time_s, xyz, sigma, frame, np.full(len(time_s), number), figures.points_s)
-
-
-def _positions(knots_s: F64, position_m: F64, time_s: F64) -> F64:
-    xyz = np.stack([np.interp(time_s, knots_s, position_m[:, axis]) for axis in range(3)], axis=1)
-    n = len(knots_s)
-    hop = min(max(round(SPEED_S / float(np.median(np.diff(knots_s)))), 1), n - 1)
-    for end, inner in ((0, hop), (n - 1, n - 1 - hop)):
-        speed = (position_m[end] - position_m[inner]) / (knots_s[end] - knots_s[inner])
-        since = time_s - knots_s[end]
-        beyond = since < 0 if end == 0 else since > 0
-        xyz[beyond] = position_m[end] + since[beyond, None] * speed
-    return xyz
+    return FoundPath(figures.scanner, time_s, xyz, sigma, frame, frame[:, :, 0], np.full(len(time_s), number))
 
 
 def _level_frames(scan: Scan) -> F64:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from prc_cli.core.types import F64
+from prc_cli.core.types import F64, I64
 from prc_cli.streams.registered.resection import masked_median
 
 SPEED_CHANGE_M_S2 = 4.0
@@ -26,6 +26,8 @@ LEAST_SCALE_M = 0.01
 MOST_FINE_ROUNDS = 10
 LONGEST_STEP_M, LONGEST_TURN_RAD = 3.0, 0.3
 """Longer steps of a knot are cut."""
+SPEED_S = 0.1
+"""Beyond the first and last knot the speed of this time goes on [s]."""
 STEP_M = 1e-5
 """Steps below this end the rounds [m]."""
 
@@ -44,6 +46,27 @@ class Knots:
     def relative_turns(self) -> F64:
         """Return the turn from every knot to the next in its own frame, (k - 1, 3) [rad]."""
         return rotation_vectors(np.swapaxes(self.frame[:-1], 1, 2) @ self.frame[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPath:
+    """Where one scanner was, and how it stood, at ``k`` times of all its passes; straight lines in between."""
+
+    scanner: int
+    time_s: F64
+    """(k,) float64, rising [s]."""
+    xyz_m: F64
+    """(k, 3) float64 [m]."""
+    sigma_m: F64
+    """(k, 3) float64, standard deviations [m]."""
+    frame: F64
+    """(k, 3, 3) float64, axes that stay in the scanner: forward (see :attr:`forward`), left, up."""
+    axis: F64
+    """(k, 3) float64, axis of the turn."""
+    number: I64
+    """(k,) int64, number of the pass."""
+    forward: str = "along the axis of its turn"
+    """What the first axis of the frame is, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +102,29 @@ class Fit:
     """Residual at which the weight of a point halves [m]."""
     sigma_m: F64
     """(k, 3) float64, standard deviation of the stations [m]."""
+
+
+def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
+    """Return positions on the straight lines between knots, (n, 3) [m]; beyond them the speed goes on.
+
+    Parameters
+    ----------
+    knots_s
+        (k,) float64, rising [s].
+    position_m
+        (k, 3) float64 [m].
+    time_s
+        (n,) float64 [s].
+    """
+    xyz = np.stack([np.interp(time_s, knots_s, position_m[:, axis]) for axis in range(3)], axis=1)
+    n = len(knots_s)
+    hop = min(max(round(SPEED_S / float(np.median(np.diff(knots_s)))), 1), n - 1)
+    for end, inner in ((0, hop), (n - 1, n - 1 - hop)):
+        speed = (position_m[end] - position_m[inner]) / (knots_s[end] - knots_s[inner])
+        since = time_s - knots_s[end]
+        beyond = since < 0 if end == 0 else since > 0
+        xyz[beyond] = position_m[end] + since[beyond, None] * speed
+    return xyz
 
 
 def rotation_vectors(matrices: F64) -> F64:

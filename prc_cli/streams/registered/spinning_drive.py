@@ -16,6 +16,7 @@ from prc_cli.core.types import F64
 from prc_cli.formats.records import DerivedSource, RecordChunk
 from prc_cli.streams.registered.drive import coordinates, find_passes, sample
 from prc_cli.streams.registered.evidence import CHECK, PathFigures, Placed, judge
+from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, FoundPath, positions_at
 from prc_cli.streams.registered.spinning import (
     NoScan,
     SpinningHead,
@@ -32,6 +33,9 @@ NO_COLUMN = -1
 PASS = "pass"
 LEAST_CLEAR, WORST_CLEAR = 0.9, 0.5
 """Share of points that lie clearly on one ring, doubtful and refused below: half of them do by chance."""
+LEAST_STATIONS = 5
+COURSE_S, STANDS_M_S = 1.0, 0.2
+"""The course is that over this time [s]; slower platforms keep it [m/s]."""
 MOST_RETURNS = 255
 """Returns of a shot that are told apart."""
 _CELL = (
@@ -54,7 +58,9 @@ class SpinningDrive:
     figures: tuple[PathFigures, ...]
     """What each pass shows."""
     findings: tuple[Finding, ...]
-    n_unplaced: int
+    paths: tuple[FoundPath, ...] = ()
+    """The path of each pass."""
+    n_unplaced: int = 0
     """Points of passes that no turn of the head fits."""
 
     @property
@@ -102,11 +108,11 @@ class _Pass:
     residual_m: list[F64] = field(default_factory=list)
     trusted: list[NDArray[np.bool_]] = field(default_factory=list)
     cos_tilt: list[F64] = field(default_factory=list)
+    axis: list[F64] = field(default_factory=list)
+    points_s: list[float] = field(default_factory=list)
     n_points: int = 0
     n_on_rings: int = 0
     n_clear: int = 0
-    first_s: float = math.inf
-    last_s: float = -math.inf
     holes: Placed = field(default_factory=Placed)
 
     def see(self, scan: SpinningScan, head: SpinningHead) -> None:
@@ -118,12 +124,28 @@ class _Pass:
         self.residual_m.append(np.hypot(path.beside_m, path.cone_m))
         self.trusted.append(path.is_trusted)
         self.cos_tilt.append(np.abs(path.poses.frame[:, 2, 2]))
+        self.axis.append(path.poses.frame[:, :, 2])
         self.n_points += len(scan.ring)
         known = np.flatnonzero(scan.ring >= 0)
         self.n_on_rings += len(known)
         # neighbours of a surface lie along the rings
         order = known[np.lexsort((scan.line[known], scan.ring[known]))]
         self.holes.see(scan.ring[order], scan.line[order], scan.range_m[order])
+
+    def path(self, scanner: int, number: int) -> FoundPath:
+        """Return the path, from the first to the last point, certain to what neighbouring windows scatter."""
+        known_s = np.concatenate(self.time_s)
+        station, axis = np.concatenate(self.station_m), np.concatenate(self.axis)
+        rising = np.flatnonzero(np.diff(known_s, prepend=-np.inf) > 0)
+        known_s, station, axis = known_s[rising], station[rising], axis[rising]
+        first_s, last_s = self.points_s[0], self.points_s[-1]
+        time_s = np.concatenate([[first_s], known_s[(known_s > first_s) & (known_s < last_s)], [last_s]])
+        place = np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1)
+        beyond = np.maximum(np.maximum(known_s[0] - time_s, time_s - known_s[-1]), 0.0)
+        sigma = scatter(station) + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
+        xyz = positions_at(known_s, station, time_s)
+        numbers = np.full(len(time_s), number)
+        return FoundPath(scanner, time_s, xyz, sigma, course_frames(time_s, xyz), axis[place], numbers, "forward")
 
     def figures(self, head: SpinningHead) -> PathFigures | None:
         """Return the figures; none if no window was fitted."""
@@ -135,7 +157,6 @@ class _Pass:
         tilt = math.acos(min(float(np.median(np.concatenate(self.cos_tilt))), 1.0))
         return PathFigures(
             start_s=float(time_s[0]),
-            points_s=(self.first_s, self.last_s),
             duration_s=float(time_s[-1] - time_s[0]),
             length_m=float(moved.sum()),
             speed_m_s=float(np.median(speed)),
@@ -144,15 +165,50 @@ class _Pass:
             share_on_beam=self.n_on_rings / max(self.n_points, 1),
             share_in_front=1.0,
             share_bridged=1.0 - float(np.mean(np.concatenate(self.trusted))),
-            sigma_m=0.0,
+            sigma_m=float(np.linalg.norm(scatter(np.concatenate(self.station_m)))),
             share_holes=self.holes.share_empty,
             turns_hz=head.rate.hz,
             lines_hz=1.0 / head.firings.period_s,
             shots_hz=head.rings.n_rings / head.firings.period_s,
             points_per_line=head.rings.n_rings,
             tilt_deg=math.degrees(tilt),
-            height_m=math.nan,
+            points_s=(self.points_s[0], self.points_s[-1]),
         )
+
+
+def scatter(station_m: F64) -> F64:
+    """Return the standard deviations of stations (w, 3) by how they scatter about their neighbours, (3,) [m]."""
+    if len(station_m) < LEAST_STATIONS:
+        return np.full(3, math.nan)
+    # of equal errors, a second difference has six times the variance
+    bend = np.abs(np.diff(station_m, n=2, axis=0))
+    deviation: F64 = 1.4826 * np.median(bend, axis=0) / math.sqrt(6.0)
+    return deviation
+
+
+def course_frames(time_s: F64, xyz_m: F64) -> F64:
+    """Return axes along the course of a path, (k, 3, 3): forward, left, up; a platform that stands keeps its course.
+
+    Parameters
+    ----------
+    time_s
+        (k,) float64, rising [s].
+    xyz_m
+        (k, 3) float64 [m].
+    """
+    ends = [np.clip(time_s + shift, time_s[0], time_s[-1]) for shift in (-0.5 * COURSE_S, 0.5 * COURSE_S)]
+    before, after = (np.stack([np.interp(end, time_s, column) for column in xyz_m.T[:2]], axis=1) for end in ends)
+    moved = after - before
+    length = np.linalg.norm(moved, axis=1)
+    moves = length > STANDS_M_S * np.maximum(ends[1] - ends[0], 1e-9)
+    last = np.maximum.accumulate(np.where(moves, np.arange(len(time_s)), -1))
+    first = int(np.argmax(moves)) if moves.any() else 0
+    place = np.where(last >= 0, last, first)
+    course = moved[place] / np.maximum(length[place], 1e-9)[:, None]
+    zero, one = np.zeros(len(time_s)), np.ones(len(time_s))
+    forward = np.stack([course[:, 0], course[:, 1], zero], axis=1)
+    left = np.stack([-course[:, 1], course[:, 0], zero], axis=1)
+    return np.stack([forward, left, np.stack([zero, zero, one], axis=1)], axis=2)
 
 
 def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive | NoScan:
@@ -173,8 +229,9 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
     scans: list[Spool] = []
     heads: list[SpinningHead] = []
     figures: list[PathFigures] = []
+    paths: list[FoundPath] = []
     n_points, n_lost, n_clear = 0, 0, 0
-    for _, points in sorted(spools.items()):
+    for scanner, points in sorted(spools.items()):
         head = find_head(*sample(points))
         if isinstance(head, NoScan):
             return head
@@ -184,6 +241,7 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
         then = head
         for part in find_passes(points):
             seen = _Pass()
+            seen.points_s = [float(points.read(place, place + 1)["time"][0]) for place in (part.start, part.stop - 1)]
             then = _place(points, part, placed, then, len(figures), seen)
             found = seen.figures(head)
             n_points += part.stop - part.start
@@ -191,13 +249,15 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
             if found is None:
                 n_lost += part.stop - part.start
             else:
-                figures.append(found)
+                own = scanner if len(spools) > 1 else 0
+                paths.append(seen.path(own, len(figures)))
+                figures.append(replace(found, scanner=own))
         scans.append(placed)
         heads.append(head)
     if not figures:
         return NoScan("no turn of the head fits")
     findings = (*judge(path, figures, n_lost, n_points), judge_rings(n_clear / max(n_points, 1)))
-    return SpinningDrive(tuple(scans), tuple(heads), tuple(figures), findings, n_lost)
+    return SpinningDrive(tuple(scans), tuple(heads), tuple(figures), findings, tuple(paths), n_lost)
 
 
 def judge_rings(share_clear: float) -> Finding:
@@ -218,8 +278,6 @@ def _place(points: Spool, part: slice, placed: Spool, head: SpinningHead, number
     for records in points.chunks(part.start, part.stop, PIECE_POINTS):
         scan, head = scan_piece(np.ascontiguousarray(records["time"]), coordinates(records), head)
         seen.see(scan, head)
-        seen.first_s = min(seen.first_s, float(records["time"][0]))
-        seen.last_s = max(seen.last_s, float(records["time"][-1]))
         known = scan.ring >= 0
         if first is None and known.any():
             first = int(scan.line[known].min()) - late

@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.types import F64
 from prc_cli.streams.registered.comparison import Comparison, Positions, compare
-from prc_cli.streams.registered.found import FoundPath
+from prc_cli.streams.registered.path import FoundPath
 
 ARM = np.array([0.6, -0.3, 1.1])
 
@@ -39,8 +39,9 @@ def tile_and_drive(*, arm: F64 = ARM, even: bool = False) -> tuple[FoundPath, Po
     part = slice(6000, 7000)
     noise = np.random.default_rng(1).normal(0.0, 0.002, (1000, 3))
     scanner = place[part] + np.einsum("nij,j->ni", frame[part], arm) + noise
-    ends = (float(time_s[part][0]), float(time_s[part][-1]))
-    path = FoundPath(0, time_s[part], scanner, np.full((1000, 3), 0.002), frame[part], np.zeros(1000, np.int64), ends)
+    path = FoundPath(
+        0, time_s[part], scanner, np.full((1000, 3), 0.002), frame[part], frame[part][:, :, 0], np.zeros(1000, np.int64)
+    )
     return path, Positions(time_s, place)
 
 

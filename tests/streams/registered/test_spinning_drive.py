@@ -9,9 +9,10 @@ import numpy as np
 from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams.open import open_input
+from prc_cli.streams.open import drive_of, open_input
+from prc_cli.streams.registered.found import found_paths
 from prc_cli.streams.registered.spinning_drive import judge_rings, with_returns
-from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud
+from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud, station
 
 EVEN = np.arange(-15.0, 16.0, 2.0)
 AHEAD = np.array([1.2, -1.2, 3.6, -3.6] * 4)
@@ -39,6 +40,14 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
     assert np.mean(points.ring[place] == column) > 0.999
     assert len(np.unique(line - points.line[place])) == 1
     assert np.nanmedian(np.abs(range_m[line, column] - points.range_m[place])) < 0.005
+    drive = drive_of(stream)
+    assert drive is not None
+    (path,) = found_paths(drive)
+    assert path.time_s[[0, -1]].tolist() == [points.time_s.min().round(9), points.time_s.max().round(9)]
+    off_m = np.abs(path.xyz_m - station(path.time_s))
+    assert np.median(off_m) < 0.02, off_m
+    assert off_m.max() < 0.2, off_m
+    assert np.isfinite(path.sigma_m).all()
 
 
 def test_points_of_one_shot_are_its_returns_from_near_to_far() -> None:
