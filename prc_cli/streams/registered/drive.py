@@ -368,12 +368,16 @@ def returns_of(records: NDArray[np.void], range_m: F64, *, by_time: bool) -> tup
         Whether points of one time are returns of one shot; else the cloud itself says so, or every point is a shot.
     """
     if by_time:
-        shot = np.cumsum(np.diff(records["time"], prepend=-np.inf) > 0) - 1
-        order = np.lexsort((range_m, shot))
-        first = np.searchsorted(shot, shot)
-        number = np.empty(len(records), np.int64)
-        number[order] = np.arange(len(records)) - first + 1
-        return np.minimum(number, MOST_RETURNS), np.minimum(np.bincount(shot)[shot], MOST_RETURNS)
+        is_first = np.diff(records["time"], prepend=-np.inf) > 0
+        begin = np.flatnonzero(is_first)
+        count = np.diff(begin, append=len(records))
+        shot = np.cumsum(is_first) - 1
+        number = np.ones(len(records), np.int64)
+        # only what shares its time is sorted by range
+        several = np.flatnonzero(count[shot] > 1)
+        order = several[np.lexsort((range_m[several], shot[several]))]
+        number[order] = several - begin[shot[several]] + 1
+        return np.minimum(number, MOST_RETURNS), np.minimum(count[shot], MOST_RETURNS)
     one = np.ones(len(records), np.int64)
     names = records.dtype.names or ()
     if "return_number" not in names or "number_of_returns" not in names:

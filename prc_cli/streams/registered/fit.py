@@ -32,6 +32,8 @@ POINTS_BETWEEN_KNOTS = 120
 """Points that are used between two knots."""
 CONE_ROUNDS = 2
 """Rounds in which the cone angle and the path are fitted in turns."""
+MOST_WHOLE_M = 0.08
+"""Lines are looked at as arcs where whole lines fit worse than this (median) [m]: the platform moves meanwhile."""
 ARC_GAIN = 0.3
 """Lines are arcs where that lowers the residual of whole lines to this share."""
 LEAST_TRUSTED = 3
@@ -86,7 +88,8 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
     turning = Turning(rotation.hz, rotation.hz, float(time_s[0]))
     windows = stations_of_lines(time_s, xyz_m, turning, spacing_s)
     residual = float(np.median(windows.stations.residual_m)) if len(windows.time_s) else math.inf
-    arcs = _arcs(time_s, rotation)
+    # whole turns that fit are no arcs
+    arcs = _arcs(time_s, rotation) if residual > MOST_WHOLE_M else None
     if arcs is not None:
         of_arcs = stations_of_lines(time_s, xyz_m, arcs, spacing_s)
         if len(of_arcs.time_s) and float(np.median(of_arcs.stations.residual_m)) < ARC_GAIN * residual:
@@ -102,7 +105,7 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
 
 def _arcs(time_s: F64, rotation: Rotation) -> Turning | None:
     """Return the turning of lines that the times alone show, if they are arcs of the rate."""
-    rates = measure_rates(np.unique(time_s))
+    rates = measure_rates(distinct_times(time_s))
     if rates is None or abs(rotation.hz / rates.line_hz - 1.0) < 0.01:
         return None
     return Turning(rotation.hz, rates.line_hz, rates.time_origin_s)
@@ -236,6 +239,11 @@ def cone_slope(fit: Fit, weight: F64) -> float:
     return float((offset * across).sum() / (offset * offset).sum())
 
 
+def distinct_times(time_s: F64) -> F64:
+    """Return rising times (n,) without repeats."""
+    return time_s[np.diff(time_s, prepend=-np.inf) > 0]
+
+
 @dataclass(frozen=True, slots=True)
 class Clock:
     """What the times say of the shots."""
@@ -258,7 +266,7 @@ def read_clock(time_s: F64) -> Clock | None:
     time_s
         (n,) float64, rising [s].
     """
-    distinct_s = shot_period(np.unique(time_s))
+    distinct_s = shot_period(distinct_times(time_s))
     shared_s = shot_period(time_s)
     if distinct_s <= 0 or shared_s <= 0:
         return None
