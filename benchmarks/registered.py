@@ -779,11 +779,14 @@ RIEGL = tuple(f"riegl/sample_riegl_18_0{number}.ply" for number in range(1, 6))
 
 
 def riegl(work: Path) -> list[Part]:
-    """Return the five RIEGL files as one cloud with coordinates and times; their own labels are the reference."""
+    """Return the five RIEGL files as one cloud with coordinates and times; their own labels are the reference.
+
+    Without amplitudes nothing tells the strongest return of a shot: both take the first one.
+    """
     points, labels = work / "riegl_points.laz", work / "riegl_labels"
     rows = np.concatenate([_ply_rows(DATA / name) for name in RIEGL])
     if not labels.exists():
-        _must("classify", *(DATA / name for name in RIEGL), labels)
+        _must("classify", *(DATA / name for name in RIEGL), labels, "--return", "first")
     own = np.concatenate([np.load(labels / f"{Path(name).name}.labels.npy").ravel() for name in RIEGL])
     n = len(rows)
     none = np.zeros(n, np.int64)
