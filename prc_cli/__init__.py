@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from prc_cli.jobs.thin import thin
     from prc_cli.jobs.transfer import transfer
 
-__version__ = "1.1.0"
+__version__ = "1.2.0"
 __all__ = [
     "ClassCodes",
     "ClassifiedRanges",
