@@ -185,6 +185,26 @@ MISSING_CODE = 0
 """Code of a shot without return in label files (LAS: created, never classified)."""
 
 
+ASPRS_NAMES = {
+    1: "unclassified",
+    2: "ground",
+    3: "low vegetation",
+    4: "medium vegetation",
+    5: "high vegetation",
+    6: "building",
+    7: "low noise",
+    8: "model key-point",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    12: "overlap",
+    17: "bridge deck",
+    18: "high noise",
+    20: "ignored ground",
+}
+"""Names of ASPRS LAS 1.4, table 17, for classes that references hold."""
+
+
 class ClassCodes(Params):
     """LAS class codes, ASPRS LAS 1.4 table 17 where it has one, user codes from 64 up elsewhere (``[classes]``)."""
 

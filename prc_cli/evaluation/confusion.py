@@ -101,16 +101,20 @@ def accumulate(
 
 
 def refuse_poor_match(
-    n_predicted: int, n_reference: int, predicted_name: str = "predicted", reference_name: str = "reference"
+    n_predicted: int,
+    n_reference: int,
+    predicted_name: str = "predicted",
+    reference_name: str = "reference",
+    hint: str = "",
 ) -> None:
     """Refuse two inputs that cannot be matched by order."""
     if n_predicted != n_reference:
         problem = (
             f"{n_predicted} records, but {reference_name} holds {n_reference}; matched by order needs equal counts"
         )
-        hint = "give two label files of the same stream (LAS holds no shots without return); labels of a part of it: "
-        hint += "--match time, or label the whole and give --only-lines, --only-time or --first here"
-        raise InputError(predicted_name, problem, hint)
+        usual = "give two label files of the same stream (LAS holds no shots without return); labels of a part of it: "
+        usual += "--match time, or label the whole and give --only-lines, --only-time or --first here"
+        raise InputError(predicted_name, problem, hint or usual)
 
 
 def shares(counts: I64, sums: I64) -> F64:

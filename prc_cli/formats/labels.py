@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.classes import ASPRS_NAMES, ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
 from prc_cli.core.types import I64
@@ -112,7 +113,7 @@ def code_suffix_of(path: Path) -> str:
     return suffix if suffix in by_suffix("codes") else ""
 
 
-def _choose(path: Path, names: list[str], dimension: str | None) -> str:
+def dimension_of_codes(path: Path, names: list[str], dimension: str | None) -> str:
     """Return the name that holds the codes."""
     shown = ", ".join(names[:40])
     if dimension is not None:
@@ -129,11 +130,32 @@ def _choose(path: Path, names: list[str], dimension: str | None) -> str:
     raise InputError(str(path), problem, "name the dimension that holds the class codes")
 
 
+CODES_BY_NAME = {name: code for names in (ASPRS_NAMES, ClassCodes().names()) for code, name in names.items()}
+"""Names of this program, else those of ASPRS."""
+_NUMBERED = "class "
+"""Prefix of the names that this program writes for other codes."""
+
+
+def code_of_name(where: str, name: str) -> int:
+    """Return the class code of a name or number in a cell; -1 where it is empty.
+
+    >>> code_of_name("a.csv", "Ground"), code_of_name("a.csv", "low vegetation"), code_of_name("a.csv", "class 40")
+    (2, 3, 40)
+    """
+    text = name.strip(' \t"').lower().replace("_", " ")
+    number = text.removeprefix(_NUMBERED)
+    code = NO_CODE if not text else int(number) if number.isdecimal() else CODES_BY_NAME.get(text)
+    if code is None:
+        problem = f"found the class name {name.strip()!r}, expected a class code or one of: {', '.join(CODES_BY_NAME)}"
+        raise InputError(where, problem, "write these names, or class codes and a --mapping for them")
+    return code
+
+
 def open_array_codes(path: Path, dimension: str | None) -> CodeSource:
     """Open an array of codes, 1-D or 2-D, or that of an archive."""
     file = ArrayFile(path)
     if file.is_archive:
-        name = _choose(path, list(file.headers), dimension)
+        name = dimension_of_codes(path, list(file.headers), dimension)
     elif dimension is not None:
         raise ConfigError(str(path), f"no dimension {dimension!r} in a .npy file", "leave it out")
     else:
@@ -159,7 +181,7 @@ def open_array_codes(path: Path, dimension: str | None) -> CodeSource:
 def open_record_codes(path: Path, dimension: str | None) -> CodeSource:
     """Open a dimension of a file of records: a text, a cloud."""
     source = by_suffix("scans")[suffix_of(path)].open_records(path, None)
-    name = _choose(path, list(source.dimensions), dimension)
+    name = dimension_of_codes(path, list(source.dimensions), dimension)
     # label files of this program have record numbers
     numbered = {"record", "class", "name"} <= set(source.dimensions)
 
@@ -196,8 +218,11 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
             schema, n = file.schema_arrow, file.metadata.num_rows
     except (pa.ArrowException, *_DAMAGED) as error:
         raise InputError(str(path), f"no whole Parquet file ({' '.join(str(error).split())[:160]})", damaged) from error
-    name = _choose(path, list(schema.names), dimension)
+    name = dimension_of_codes(path, list(schema.names), dimension)
     kind = schema.types[schema.names.index(name)]
+    plain = kind.value_type if pa.types.is_dictionary(kind) else kind
+    if pa.types.is_string(plain) or pa.types.is_large_string(plain):
+        return CodeSource(path, n, lambda: _named_codes(path, name))
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         problem = f"column {name!r} holds {kind}, expected class codes, whole numbers"
         raise InputError(str(path), problem, "name the column that holds class codes")
@@ -219,6 +244,20 @@ def open_parquet_codes(path: Path, dimension: str | None) -> CodeSource:
             raise InputError(str(path), problem, damaged) from error
 
     return CodeSource(path, n, read, name=name)
+
+
+def _named_codes(path: Path, name: str) -> Iterator[I64]:
+    """Yield the codes of a Parquet column of class names."""
+    import pyarrow as pa
+
+    from prc_cli.formats.tables.read import read_batches
+
+    for batch in read_batches(path, [name]):
+        column = batch.column(0)
+        coded = column if pa.types.is_dictionary(column.type) else column.dictionary_encode()
+        codes = [code_of_name(str(path), word or "") for word in coded.dictionary.to_pylist()]
+        index = coded.indices.cast(pa.int64()).fill_null(len(codes)).to_numpy(zero_copy_only=False)
+        yield np.array([*codes, NO_CODE], np.int64)[index]
 
 
 def open_semantic_codes(path: Path, dimension: str | None) -> CodeSource:

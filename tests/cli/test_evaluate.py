@@ -144,6 +144,44 @@ def test_files_of_different_methods_are_compared_in_the_classes_of_prc(prc: Prc,
     assert json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])["mapping"] == "prc"
 
 
+@pytest.mark.parametrize(
+    ("methods", "mapping"),
+    [
+        (("prc", "sequential-angle"), "street_scan"),
+        (("sequential-angle", "prc"), "street_scan"),
+        (("fused", "sequential-angle"), "street_scan"),
+        (("fused", "prc"), "prc"),
+        (("prc", "rings"), "prc"),
+        (("fused", "rings"), "street"),
+    ],
+)
+def test_two_methods_are_compared_in_the_classes_of_both(
+    prc: Prc, tmp_path: Path, methods: tuple[str, str], mapping: str
+) -> None:
+    paths = save(tmp_path, "a", [2, 6, 6, 65], [2, 6, 66, 65])
+    for path, method in zip(paths, methods, strict=True):
+        record(path, method, fused={"environment": "urban"})
+    code, out, err = prc(*paths, "--json")
+    assert (code, json.loads(out)["mapping"]) == (0, mapping)
+    if mapping != "street":
+        said = f"mapping: {mapping} (the run records say {methods[0]} and {methods[1]}: it has the classes of both)"
+        assert err == f"{said}; --mapping names another\n"
+
+
+def test_a_reference_of_class_names_is_read(prc: Prc, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([2, 6, 65], np.uint8))
+    (tmp_path / "names.csv").write_text("record,class\n0,ground\n1,building\n2,car\n", encoding="utf-8")
+    code, out, _ = prc(tmp_path / "a.npy", tmp_path / "names.csv", "--mapping", "street", "--json")
+    assert (code, json.loads(out)["overall"]["accuracy"]) == (0, 1.0)
+
+
+def test_the_help_names_a_cloud_classified_after_registration(prc: Prc) -> None:
+    code, out, _ = prc("--help")
+    assert code == 0
+    assert "CAR" in out
+    assert "prc evaluate classified.laz car.laz --match nearest" in out
+
+
 def rows(path: Path, codes: list[int], order: list[int], first: int = 0) -> Path:
     lines = [f"{first + record},{codes[record]}" for record in order]
     path.write_text("\n".join(["record,class", *lines, ""]), encoding="utf-8")

@@ -146,6 +146,16 @@ class TextBody:
                 values.append(value)
         return [np.array(values, dtype=np.float64) for values in found]
 
+    def cells(self, index: int) -> Iterator[list[tuple[int, str]]]:
+        """Yield line numbers and texts of one column, some rows at a time."""
+        text = self.text
+        for lines in self._rows():
+            numbered = enumerate(lines.data.split(b"\n"), lines.first)
+            rows = [
+                (number, line.rstrip(b"\r").decode(errors="replace")) for number, line in numbered if text.is_row(line)
+            ]
+            yield [(number, split(self._path, number, row, text.delimiter)[index]) for number, row in rows]
+
     def _not_a_number(self, number: int, index: int, cell: str) -> InputError:
         name = self.text.names[index]
         is_text = re.search("[\udc80-\udcff]", cell) is None

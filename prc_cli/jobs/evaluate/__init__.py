@@ -433,7 +433,8 @@ def _in_order(
         if n[0] != n[1] and knows_cells:
             raise _UnequalError
         for side, other in zip(n[1:], (right, third), strict=False):
-            refuse_poor_match(n[0], side, left.path, other.path if other else "")
+            hint = _hint_for_registered(left, right)
+            refuse_poor_match(n[0], side, left.path, other.path if other else "", hint)
 
     lengths = [_length_of(side) for side, _ in asked]
     if None not in lengths:  # known before anything is read
@@ -452,6 +453,16 @@ def _in_order(
         tally.n_pairs += len(one[CODE])
         tally.n_right += len(one[CODE])
         yield one, other, more[0][CODE] if more else None
+
+
+def _hint_for_registered(left: Side, right: Side) -> str:
+    """Return how shots find their partners among registered points; empty where the reference has no coordinates."""
+    if not set(AXES) <= set(right.dimensions):
+        return ""
+    points = "" if set(AXES) <= set(left.dimensions) else " --predicted-points INPUT, the file that was classified"
+    hint = f"if {right.path} holds registered points (CAR), add --match nearest{points}"
+    times = {SECONDS} <= {*left.dimensions} & {*right.dimensions}
+    return f"{hint}; if both hold times of one clock: --match time" if times else hint
 
 
 def _length_of(side: Side) -> int | None:
@@ -539,6 +550,7 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
         share = f"{share} ({100 * found / max(of, 1):.1f} %), expected at least {100 * options.min_matched:g} %"
     hints = {
         "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
-        "nearest": "check that both clouds are registered in one coordinate system, or give a larger tolerance",
+        "nearest": "register both in one coordinate system, or give a larger tolerance; shots that are relative to the "
+        "scanner: add --trajectory POSES",
     }
     raise InputError(smaller.path, share, hints.get(options.match, "check that the ids come from one run"))

@@ -149,17 +149,32 @@ MAPPINGS = {"sequential-angle": "street_scan", "fused": "street", "rings": "stre
 """Preset by method; forests have the classes of PRC, whatever the method."""
 
 
+COARSEST_FIRST = ("street_scan", "prc", "street")
+"""Presets that put two methods side by side, by the classes that they tell apart."""
+
+
 def mapping_of_runs(
     predicted: Sequence[Path], reference: Sequence[Path] = (), dimension: str | None = None
 ) -> tuple[str, str]:
-    """Choose the preset with the classes of the method that wrote the predicted files, and the reference's codes."""
-    asked = {_asked_by(path) for path in predicted}
-    name, method = asked.pop() if len(asked) == 1 else (DEFAULT_MAPPING, "")
-    why = [f"the run record says {method}"] if method else []
-    if reference and (other := _listing(load_mapping(name), reference[0], dimension)):
-        name = other
+    """Choose the preset with the classes of the methods that wrote the files, and the reference's codes."""
+    name, method = _asked_by_all(predicted)
+    other, other_method = _asked_by_all(reference)
+    if other_method and other != name:
+        # two methods are compared in the classes of both: the coarser ones
+        name = min(name, other, key=COARSEST_FIRST.index)
+        methods = " and ".join(filter(None, (method, other_method)))
+        return name, f"the run records say {methods}: it has the classes of both"
+    why = [f"the run record says {method}"] if method and name != DEFAULT_MAPPING else []
+    if reference and (listing := _listing(load_mapping(name), reference[0], dimension)):
+        name = listing
         why.append("it lists the reference's codes")
     return name, ", ".join(why)
+
+
+def _asked_by_all(paths: Sequence[Path]) -> tuple[str, str]:
+    """Return the preset of some files and their method, the default one where they differ."""
+    asked = {_asked_by(path) for path in paths}
+    return asked.pop() if len(asked) == 1 else (DEFAULT_MAPPING, "")
 
 
 def _listing(mapping: ClassMapping, reference: Path, dimension: str | None) -> str:
@@ -181,7 +196,8 @@ def _asked_by(path: Path) -> tuple[str, str]:
         config = record["config"]
         method = config["method"]
         forest = method == "fused" and config["fused"]["environment"] == "forest"
-        name = DEFAULT_MAPPING if forest or record["program"] != PROGRAM else MAPPINGS.get(method, DEFAULT_MAPPING)
+        name = DEFAULT_MAPPING if forest else MAPPINGS.get(method, DEFAULT_MAPPING)
+        known = record["program"] == PROGRAM and isinstance(method, str)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return DEFAULT_MAPPING, ""
-    return (DEFAULT_MAPPING, "") if name == DEFAULT_MAPPING else (name, method)
+        known = False
+    return (name, method) if known else (DEFAULT_MAPPING, "")

@@ -154,3 +154,32 @@ def test_the_same_run_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     for name in ("a", "b"):
         write(tmp_path / f"{name}{suffix}", SOURCE, blocks)
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+NAMED = ["ground", "Building", "car", "", "class 40", "low vegetation"]
+
+
+@pytest.mark.parametrize("head", ["class", "record,x,class", "record;LABEL;y"])
+def test_names_of_classes_in_text_are_codes(tmp_path: Path, head: str) -> None:
+    delimiter = ";" if ";" in head else ","
+    place = [word.lower() in ("class", "label") for word in head.split(delimiter)].index(True)
+    rows = [[*["7"] * place, name or '""', *["7"] * (head.count(delimiter) - place)] for name in NAMED]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([head, *(delimiter.join(row) for row in rows)]) + "\n", encoding="utf-8")
+    assert read(path) == [2, 6, 65, -1, 40, 3]
+
+
+def test_names_of_classes_in_parquet_are_codes(tmp_path: Path) -> None:
+    names = pa.array([name or None for name in NAMED])
+    assert read(write_parquet(tmp_path / "a.parquet", label=names)) == [2, 6, 65, -1, 40, 3]
+    assert read(write_parquet(tmp_path / "b.parquet", label=names.dictionary_encode())) == [2, 6, 65, -1, 40, 3]
+
+
+def test_unknown_names_of_classes_are_refused_with_the_known_ones(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("class\nground\nroof tile\n", encoding="utf-8")
+    expected = "a.csv: line 3: found the class name 'roof tile', expected a class code or one of: unclassified, ground"
+    assert refused(path).startswith(expected)
+    assert refused(write_parquet(tmp_path / "b.parquet", label=["roof tile"])).startswith(
+        "b.parquet: found the class name"
+    )

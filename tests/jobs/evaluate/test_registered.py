@@ -355,3 +355,19 @@ def test_sbet_and_csv_of_one_drive_turn_alike(tmp_path: Path) -> None:
         assert done.exit_code == 0, done.output
     one, other = (read_turns(tmp_path / name, "EPSG:32635") for name in ("a.csv", "a.sbet"))
     assert np.abs((one * other).sum(axis=1)).min() > 1 - 1e-12
+
+
+def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_it(
+    town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(Path("classified.las"), town.xyz, town.labels)
+    write(Path("car.las"), town.xyz[town.codes != 7][::-2], town.codes[town.codes != 7][::-2])
+    np.save("labels.npy", town.labels.astype(np.uint8))
+    hint = "if car.las holds registered points (CAR), add --match nearest"
+    for predicted, points in (("classified.las", ""), ("labels.npy", " --predicted-points INPUT")):
+        command = ["evaluate", predicted, "car.las"]
+        refused = runner().invoke(cli, command)
+        assert hint + points in str(refused.exception)
+        added = (hint + points).partition("add ")[2].replace("INPUT", "classified.las").split()
+        assert runner().invoke(cli, [*command, *added]).exit_code == 0
