@@ -172,6 +172,9 @@ def set_up(
         return setups, None, n_lines, tuple(taken)
     unseen = Estimates(timing=_given_timing(rules), steps=_usual_step(steps))
     default, _ = _set_up_one(rules, 0, m, unseen, None, source.n_records or 0)
+    for scanner, (down_rad, cos_tilt) in source.facts.downs.items():
+        # scanners that were not among the first records
+        setups.setdefault(scanner, replace(default, down_rad=down_rad, cos_tilt=cos_tilt))
     return setups, default, n_lines, tuple(taken)
 
 

@@ -145,6 +145,8 @@ def test_two_passes_are_one_path_with_a_gap(prc: Prc, tmp_path: Path) -> None:
     told = json.loads(prc("info", cloud, "--range", "points", "--path", output, "--json").out)
     assert len(told["path_found"]["passes"]) == 2
     assert told["written"] == [str(output)]
+    # the directions of the beams are known for every pass
+    assert told["method"] == "fused"
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert sorted(set(table["pass"])) == [0, 1]
     again = json.loads(prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out)
