@@ -131,6 +131,8 @@ class MethodChoice:
     """What is missing for a better method; empty where nothing is."""
     give: str = ""
     """What mends that."""
+    doubt: str = ""
+    """What speaks against the kind of place that was taken; empty where nothing does."""
 
     @property
     def method(self) -> MethodName:
@@ -139,7 +141,14 @@ class MethodChoice:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """A doubt where a better method could not be; figures of `python -m benchmarks.contest`, photon-80."""
+        """A doubt where a better method could not be, or the place may be another one.
+
+        Figures of `python -m benchmarks.contest`, photon-80.
+        """
+        if self.doubt:
+            expected = "a place that is clearly a street or a forest"
+            give = "say which it is: --preset fused-forest for a forest, --preset fused for a street"
+            return (Finding("method", Verdict.DOUBTFUL, self.doubt, expected, give),)
         if not self.lacks:
             return ()
         found = f"PRC as published was taken: {self.lacks}"

@@ -77,11 +77,15 @@ def choice_by_beams(
     if may_spin and first.beam_rad is not None and is_fan(first.beam_rad):
         return MethodChoice("rings", f"the beams lie within {math.degrees(WIDEST_FAN_RAD):.0f} deg, as rings do")
     place = place_of_blocks(blocks)
+    doubt = f"{place.why}: {place.doubt}" if place.doubt else ""
     if place.kind == "forest":
-        return MethodChoice("fused-forest", f"{known}, and the place looks like a forest: {place.why}")
+        why = f"{known}, and the place looks like a forest: {place.why}"
+        return MethodChoice("fused-forest", why, doubt=doubt)
     if place.kind == "street":
-        return MethodChoice("fused", f"{known}, and the place looks like a street: {place.why}")
-    return MethodChoice("fused", f"{known}; taken for a street: {place.why}; in a forest give --preset fused-forest")
+        why = f"{known}, and the place looks like a street: {place.why}"
+    else:
+        why = f"{known}; taken for a street: {place.why}; in a forest give --preset fused-forest"
+    return MethodChoice("fused", why, doubt=doubt)
 
 
 def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStream]:
@@ -93,6 +97,9 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         directed = with_beams(stream, config.input)
         beams = directed.known.values() if isinstance(directed, BeamStream) else ()
         if any(found.is_made_up for found in beams):
+            # refused where a later line has two
+            for _ in directed.blocks():
+                pass
             return MethodChoice("urban", "no line has two returns"), stream
         if (cosine := min((found.cos_tilt for found in beams), default=1.0)) < LEAST_COSINE:
             lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"

@@ -80,6 +80,8 @@ class Sample:
     is_spinning: bool = False
     frame: SensorFrame | None = None
     """Frame of the scanner, where the reader found it."""
+    tells: bool = False
+    """Whether a line has two returns."""
 
     @property
     def is_complete(self) -> bool:
@@ -94,10 +96,16 @@ class Sample:
             if self.is_complete:
                 break
             self.n_seen += 1
-            if not np.isnan(block.range_m[line]).all():
-                self.range_m.append(block.range_m[line].copy())
-                if block.xyz_m is not None:
-                    self.xyz_m.append(block.xyz_m[line].copy())
+            n_returns = int(np.count_nonzero(~np.isnan(block.range_m[line])))
+            if n_returns == 0:
+                continue
+            self.range_m.append(block.range_m[line].copy())
+            if block.xyz_m is not None:
+                self.xyz_m.append(block.xyz_m[line].copy())
+            self.tells |= n_returns > 1
+            if len(self.range_m) >= SAMPLE_LINES and not self.tells:
+                # a recording may begin with stray shots: directions are looked for behind them
+                del self.range_m[:-1], self.xyz_m[:-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +154,8 @@ class BeamFinder:
     def put(self, found: Found, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions."""
         if found.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
-            where, problem = self._where(block.scanner), f"the first {MAX_SAMPLE_CELLS} shots tell nothing"
-            raise InputError(where, f"no vertical direction known: {problem}", self._hint(None))
+            error = self._refusal(block.scanner, f"the first {MAX_SAMPLE_CELLS} shots tell nothing", None)
+            raise fitting_error(error, self.info.facts.refuses, self.info.facts.remedy)
         xyz_m = block.xyz_m if found.keep_xyz else None
         if xyz_m is None and found.cos_tilt < math.cos(MIN_TILT_RAD):
             xyz_m = _tilted(block.range_m, found.beam_rad, found.cos_tilt)

@@ -17,6 +17,7 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
+from prc_cli.jobs.choice import choose
 from prc_cli.jobs.classify import classify, open_stream
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.simulation.settings import load_settings, open_simulation
@@ -70,6 +71,30 @@ def test_every_scanner_has_beams_of_its_own_however_late_it_is_met() -> None:
             n_lines[block.scanner] += block.n_lines
         assert len(seen) == 3
         assert set(n_lines.values()) == {100}
+
+
+def with_stray_shots(block: ScanBlock, n_lines: int) -> ScanBlock:
+    """Return a block behind lines of one shot each."""
+    assert block.xyz_m is not None
+    range_m = np.full((n_lines, block.points_per_line), np.nan, np.float32)
+    xyz_m = np.full((*range_m.shape, 3), np.nan, np.float32)
+    range_m[:, 3], xyz_m[:, 3] = block.range_m[0, 3], block.xyz_m[0, 3]
+    return replace(block, range_m=np.concatenate([range_m, block.range_m]), xyz_m=np.concatenate([xyz_m, block.xyz_m]))
+
+
+@pytest.mark.parametrize("n_stray", [1, 63, 64, 500])
+def test_stray_shots_at_the_beginning_do_not_hide_the_beams(n_stray: int) -> None:
+    true = GEOMETRIES["through the zenith"]
+    block = with_stray_shots(lines(true, missing=0.0), n_stray)
+    assert worst_deg(beams_of(stream(block)), true) < 0.25
+
+
+def test_prc_for_want_of_beams_is_a_doubt_where_lines_have_returns(monkeypatch: pytest.MonkeyPatch) -> None:
+    block = lines(GEOMETRIES["through the zenith"], missing=0.0)
+    source = stream(with_stray_shots(block, 200))
+    monkeypatch.setattr("prc_cli.streams.beams.MAX_SAMPLE_CELLS", 70 * block.points_per_line)
+    (doubt,) = choose(source, load_config().config)[0].findings
+    assert "shots tell nothing" in doubt.found
 
 
 def registered(with_angle: bool) -> ScanBlock:

@@ -39,8 +39,11 @@ FOREST_SCORE, OPEN_SCORE = 0.98, 0.05
 """The smooth share of the ground, and a third of that of what stands higher: 0.99 and more in streets, forests have
 0.5 to 0.97. Chosen on 31 simulated streets (of four scanners) and 10 forests. So near to it more lines are looked at:
 coarse noisy scanners have 0.978 in 64 lines of a street, 1.02 and more in 256."""
+CLOSE_SCORE = 0.03
+"""So near to it the kind is in doubt."""
 BUILT_SHARE = 0.42
-"""Where less than this share of what stands higher is smooth, a place with a smooth floor may be a park."""
+"""Where less than this share of what stands higher is smooth, a place with a smooth floor may be a park, or a forest
+whose floor is level: simulated streets have 0.43 and more in 256 lines, but for one of 28, forests and a park 0.2."""
 
 
 Kind = Literal["street", "forest", "unknown"]
@@ -55,6 +58,8 @@ class Place:
     """What was found, for people."""
     is_open: bool = False
     """Whether more lines may tell otherwise."""
+    doubt: str = ""
+    """What speaks for another kind, with the limit; empty where nothing does."""
 
 
 def place_of(range_m: F32, beam_rad: F64) -> Place:
@@ -75,14 +80,21 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     found = f"{100 * floor:.0f} % of the ground is smooth"
     if n_high < LEAST_HIGH_SHARE * middle_m.size:
         # nothing stands there: a road in the open, or a clearing
-        return Place(
-            "street" if floor > FOREST_SCORE - BUILT_SHARE / 3 else "unknown", f"{found}, and nothing stands high"
-        )
+        limit = FOREST_SCORE - BUILT_SHARE / 3
+        kind: Kind = "street" if floor > limit else "unknown"
+        doubt = f"a road has more than {limit:.0%} of smooth ground" if abs(floor - limit) < CLOSE_SCORE else ""
+        return Place(kind, f"{found}, and nothing stands high", bool(doubt), doubt)
     standing = int(np.count_nonzero(high & smooth)) / n_high
     found += f", and {100 * standing:.0f} % of what stands higher than the scanner"
     score = floor + standing / 3
-    kind: Kind = "forest" if score < FOREST_SCORE else "street" if standing >= BUILT_SHARE else "unknown"
-    return Place(kind, found, abs(score - FOREST_SCORE) < OPEN_SCORE)
+    kind = "forest" if score < FOREST_SCORE else "street" if standing >= BUILT_SHARE else "unknown"
+    off = abs(score - FOREST_SCORE)
+    doubt = ""
+    if off < CLOSE_SCORE:
+        doubt = f"the first and a third of the second are {score:.2f}, forests have less than {FOREST_SCORE:.2f}"
+    elif kind == "unknown":
+        doubt = f"forests have less smooth ground, streets at least {BUILT_SHARE:.0%} of what stands"
+    return Place(kind, found, off < OPEN_SCORE or kind == "unknown", doubt)
 
 
 def _smooth(range_m: F32, beam_rad: F64, k: int, step: float) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from prc_cli.config import LoadedConfig, RunConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64
+from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.jobs.info import inspect
 from prc_cli.streams.evidence import periods as estimates
 from prc_cli.streams.evidence.figures import LineSample, Window, figures_of
@@ -254,6 +256,32 @@ def test_a_road_in_the_open_is_a_street() -> None:
     found = place_of(road, BEAM)
     assert found.kind == "street"
     assert "nothing stands high" in found.why
+
+
+def level_forest_lines(n_lines: int) -> F32:
+    """A forest whose floor is as level as a model of the terrain."""
+    forest = forest_lines(n_lines)
+    floor = np.cos(BEAM) >= 0.2
+    forest[:, floor] = (1.8 / np.cos(BEAM[floor])).astype(np.float32)
+    return forest
+
+
+def test_a_forest_on_a_level_floor_is_a_doubt() -> None:
+    found = place_of(level_forest_lines(MOST_LINES), BEAM)
+    assert found.kind == "unknown"
+    assert "streets at least 42%" in found.doubt
+    choice = choice_by_beams(*_first_and_all(level_forest_lines(MOST_LINES)))
+    assert "--preset fused-forest for a forest, --preset fused for" in choice.findings[0].hint
+
+
+def test_clear_places_are_no_doubt() -> None:
+    for lines in (street_lines(MOST_LINES)[0], forest_lines(MOST_LINES)):
+        assert not choice_by_beams(*_first_and_all(lines)).findings
+
+
+def _first_and_all(lines: F32) -> tuple[ScanBlock, Iterator[ScanBlock]]:
+    block = ScanBlock(0, lines, beam_rad=BEAM)
+    return block, iter((block,))
 
 
 @pytest.mark.parametrize("cut", [1, 7, 64, 90])
