@@ -256,6 +256,7 @@ def _inspect_records(
         inputs = loaded.config.input
         is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
         # only the times can say where lines and columns are
+        is_asked &= inputs.range != "points"
         if not inspection.mend and is_asked and only_times_tell(source) and inputs.points_per_line is None:
             inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection

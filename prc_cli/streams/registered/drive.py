@@ -226,10 +226,15 @@ def _rates(path: str, points: Spool, longest: slice, places: Places | None) -> _
 
 
 def _reconstruct_head(path: str, points: Spool, found: _Passes, number: int, places: Places | None) -> Head:
+    cells = Spool(CELL)
+    if len(points) < LEAST_PASS_POINTS and number > 0:
+        # stray points with the number of another scanner
+        found.n_unplaced += len(points)
+        _leave_out(points, cells, slice(0, len(points)))
+        return Head(points, cells)
     passes = find_passes(points)
     longest = max(passes, key=lambda one: one.stop - one.start)
     rates = _rates(path, points, longest, places)
-    cells = Spool(CELL)
     n_before = len(found.scans)
     for part in passes:
         track = None

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from prc_cli.core.errors import EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import file_state
 from prc_cli.core.stream import Assumption
+from prc_cli.core.types import I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.streams.order import sorted_by_time
@@ -38,9 +40,7 @@ MOST_SCANNERS = 8
 """A dimension with more values does not number scanners."""
 
 
-def with_points(
-    source: RecordSource, config: InputConfig
-) -> tuple[RegisteredSource | SpinningSource, InputConfig, tuple[Assumption, ...]]:
+def with_points(source: RecordSource, config: InputConfig) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud as a stream, the rules that read it, and what is assumed.
 
     Parameters
@@ -62,8 +62,15 @@ def with_points(
     split = None if config.scanner == "none" else config.scanner
     drive = _drive_of(source, split)
     if isinstance(drive, SpinningDrive):
-        return SpinningSource(source, drive), config.model_copy(update=drive.rules()), drive.assumptions()
+        cloud = _whole(source, SpinningSource(source, drive), sum(len(scan) for scan in drive.scans))
+        return cloud, config.model_copy(update=drive.rules()), drive.assumptions()
     return _as_stream(source, config, drive, drive.assumptions())
+
+
+def _whole(source: RecordSource, cloud: RegisteredSource | SpinningSource, n_usable: int) -> Cloud:
+    """Return a cloud with the records that no time or no coordinates place."""
+    lost = lost_records(source, n_usable)
+    return _WithLost(cloud, cloud.drive, lost) if len(lost) else cloud
 
 
 def sorts_by_itself(source: RecordSource, config: InputConfig) -> bool:
@@ -81,9 +88,7 @@ def is_tile(source: RecordSource, config: InputConfig) -> bool:
     return first is not None and bool(np.mean(np.diff(first.values["time"]) < 0) > MOST_STEPS_BACK)
 
 
-def with_path(
-    source: RecordSource, config: InputConfig
-) -> tuple[RegisteredSource, InputConfig, tuple[Assumption, ...]]:
+def with_path(source: RecordSource, config: InputConfig) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud whose path is given as a stream; see :func:`with_points`."""
     rule = open_ranges(config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt)
     assert rule.trajectory is not None
@@ -96,7 +101,7 @@ def with_path(
 
 def _as_stream(
     source: RecordSource, config: InputConfig, drive: Drive, told: tuple[Assumption, ...]
-) -> tuple[RegisteredSource, InputConfig, tuple[Assumption, ...]]:
+) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     rules: dict[str, object] = {
         "lines": "dimension:scan_line",
         "columns": "dimension:column",
@@ -108,7 +113,8 @@ def _as_stream(
         rules["points_per_line"] = drive.points_per_line
         rules["angle_start"] = math.degrees(drive.angle_start_rad)
         rules["angle_step"] = math.degrees(drive.step_rad)
-    return RegisteredSource(source, drive), config.model_copy(update=rules), told
+    n_usable = sum(len(head.points) for head in drive.heads)
+    return _whole(source, RegisteredSource(source, drive), n_usable), config.model_copy(update=rules), told
 
 
 _latest: tuple[tuple[object, ...], Drive | SpinningDrive] | None = None
@@ -130,7 +136,7 @@ def _drive_of(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
 def _reconstructed(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
     """Reconstruct a drive; where one scanner does not explain it, try the dimensions that number scanners."""
     if split is not None:
-        return _turning(source.path, spool_by_time(source, split))
+        return _turning(source.path, spool_by_time(source, split), split=split)
     refusal: EvidenceError | None = None
     drive: Drive | SpinningDrive | None = None
     try:
@@ -181,11 +187,64 @@ def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
     """Write the points into temporary files in the order of their times, one for every scanner."""
     carried = tuple(name for name in CARRIED if name in source.dimensions)
     names = (*XYZ, "time", *carried, *((split,) if split is not None and split not in carried else ()))
-    spools = _spooled(source, names, split, must_rise=True)
+    usable = _Usable(source)
+    spools = _spooled(usable, names, split, must_rise=True)
     if spools is None:
-        spools = _spooled(sorted_by_time(source), names, split, must_rise=False)
+        spools = _spooled(sorted_by_time(usable), names, split, must_rise=False)
     assert spools is not None
     return spools
+
+
+def lost_records(source: RecordSource, n_usable: int) -> I64:
+    """Return the numbers of the records that have no time or no coordinates, (n,) int64."""
+    if source.n_records == n_usable:
+        return np.empty(0, np.int64)
+    parts = [
+        chunk.records()[~_is_usable(chunk)] for chunk in source.chunks((*XYZ, "time")) if not _is_usable(chunk).all()
+    ]
+    return np.concatenate([np.empty(0, np.int64), *parts])
+
+
+def _is_usable(chunk: RecordChunk) -> Mask:
+    usable: Mask = np.ones(chunk.n, np.bool_)
+    for name in (*XYZ, "time"):
+        usable &= np.isfinite(chunk.values[name])
+    return usable
+
+
+@dataclass(frozen=True)
+class _WithLost(DerivedSource):
+    """A cloud as a stream, with the records that have no time or no coordinates behind it, without a cell."""
+
+    drive: Drive | SpinningDrive
+    lost: I64
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Deliver the stream, then what is lost."""
+        first = 0
+        for chunk in self.source.chunks(names):
+            yield chunk
+            first += chunk.n
+        n = len(self.lost)
+        whole = {"scan_line": 0, "column": -1, PASS: 0, "return_number": 1, "number_of_returns": 1}
+        values = {name: np.full(n, whole[name], np.int32) if name in whole else np.full(n, np.nan) for name in names}
+        yield RecordChunk(first, values, n, self.lost)
+
+
+class _Usable(DerivedSource):
+    """The records that have a time and coordinates."""
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named dimensions."""
+        every = tuple(dict.fromkeys((*names, *XYZ, "time")))
+        for chunk in self.source.chunks(every):
+            usable = _is_usable(chunk)
+            values = {name: chunk.values[name] for name in names}
+            if usable.all():
+                yield replace(chunk, values=values)
+                continue
+            kept = {name: column[usable] for name, column in values.items()}
+            yield RecordChunk(chunk.first_record, kept, int(usable.sum()), chunk.records()[usable])
 
 
 def _spooled(
@@ -271,3 +330,7 @@ class RegisteredSource(DerivedSource):
 def _column(name: str, points: NDArray[np.void], cells: NDArray[np.void]) -> NDArray[np.generic]:
     stored = cells if name in (cells.dtype.names or ()) else points
     return np.ascontiguousarray(stored[name])
+
+
+Cloud: TypeAlias = RegisteredSource | SpinningSource | _WithLost
+"""A registered cloud as a stream."""
