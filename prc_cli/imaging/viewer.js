@@ -100,7 +100,8 @@
   // ---- cloud: drawn by hand, so that any browser shows the same, with the nearest point of every pixel known
   const cloud = $("cloud"), cloudPen = cloud.getContext("2d");
   const RAD = Math.PI / 180, FOV = 40 * RAD;
-  const view = { azimuth: 0, up: 0, away: 1, target: [0, 0, 0] };
+  const view = { azimuth: 0, up: 0, away: 1, whole: 1, target: [0, 0, 0] };
+  const hint = $("cloud-hint").textContent;
   let depths = new Float32Array(0), ids = new Int32Array(0), sheet = null, fast = false, later = 0, queued = false;
   function axes() {
     const a = view.azimuth * RAD, e = view.up * RAD;
@@ -131,7 +132,7 @@
       if (round < 2 && seen.length) { middle[0] += (ends[0] + ends[1]) / 2; middle[1] += (ends[2] + ends[3]) / 2; }
     }
     view.target = view.target.map((_, k) => right[k] * middle[0] + down[k] * middle[1]);
-    view.away = away * 1.03;
+    view.away = view.whole = away * 1.03;
     redraw();
   }
   function projection() {
@@ -176,6 +177,7 @@
       out[k] = pack((colour & 255) * light, (colour >> 8 & 255) * light, (colour >> 16 & 255) * light);
     }
     cloudPen.putImageData(sheet, 0, 0);
+    $("cloud-hint").textContent = ids.some((q) => q >= 0) ? hint : "Nothing is in view: press Fit, or switch classes on.";
     if (chosen >= 0 && planes.x && data.x[chosen]) {
       const [x, y, depth] = place(p, ...[0, 1, 2].map((k) => valueOf("xyz"[k], chosen) - box.centre[k]));
       if (depth > near) ring(cloudPen, x, y);
@@ -203,7 +205,34 @@
     const { right, down } = axes(), s = view.away / (cloud.height / 2 / Math.tan(FOV / 2));
     view.target = view.target.map((v, k) => v - (right[k] * dx + down[k] * dy) * s);
   }
-  const zoomCloud = (factor) => { view.away = Math.max(0.2, Math.min(view.away / factor, 1e5)); };
+  function drawnNear(x, y) {
+    let best = -1, nearest = Infinity;
+    for (let k = 0; k < ids.length; k++) {
+      if (ids[k] < 0) continue;
+      const dx = k % cloud.width - x, dy = Math.floor(k / cloud.width) - y, far = dx * dx + dy * dy;
+      if (far < nearest) { nearest = far; best = ids[k]; }
+    }
+    return best;
+  }
+  // towards the point nearest to the pointer, never through it; and never so far that the cloud is lost
+  const NEAREST = 0.5, FARTHEST = 3;
+  function zoomCloud(factor, x = cloud.width / 2, y = cloud.height / 2) {
+    const q = drawnNear(x, y), farthest = view.whole * FARTHEST;
+    if (q < 0 && factor > 1) return;
+    const { right, down, front, focal, cx, cy } = projection();
+    if (q >= 0) {
+      const [px, py, depth] = place(projection(), X[q], Y[q], Z[q]);
+      if (depth > 0) {
+        view.target = view.target.map((v, k) => v + front[k] * (depth - view.away));
+        view.away = depth; x = px; y = py;
+      }
+    }
+    const away = Math.max(Math.min(NEAREST, view.away), Math.min(view.away / factor, farthest));
+    const moved = (view.away - away) / focal;
+    view.target = view.target.map((v, k) => v + (right[k] * (x - cx) + down[k] * (y - cy)) * moved);
+    view.away = away;
+    if (away >= farthest) view.target = [0, 0, 0];
+  }
 
   // ---- range image: tiles of cells, one pixel each, drawn enlarged
   const image = $("image"), imagePen = image.getContext("2d");

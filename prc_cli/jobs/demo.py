@@ -118,11 +118,13 @@ def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, 
     stream, reference = _folder_of(scan, folder) / f"{scan.stem}.npz", more / f"{scan.stem}_reference.npy"
     labels = more / f"{part.stem}_labels.npy"
     config = load_config(preset=part.preset)
+    path = more / f"{scan.stem}_path.csv"
+    settings = load_settings(scan.kind, options=options)
     if part.scan_of:
         summary = classify(stream, labels, config, overwrite=overwrite, progress=progress)
     else:
-        settings = load_settings(part.kind, options=options)
-        simulate(part.kind, stream, settings, beside=Beside(labels=reference), overwrite=overwrite)
+        beside = Beside(labels=reference, trajectory=path if part is PARTS["drive"] else None)
+        simulate(part.kind, stream, settings, beside=beside, overwrite=overwrite)
         summary = classify(stream, stream.parent / f"{scan.stem}.laz", config, overwrite=overwrite, progress=progress)
         classify(stream, labels, config, overwrite=overwrite)
     found = evaluate_all([labels], [reference], part.mapping)
@@ -135,8 +137,10 @@ def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, 
     _write_text(more / f"{part.stem}.toml", to_toml(config))
     render(stream, shown / f"{part.stem}.png", config, replace(part.picture, reference=reference), overwrite=overwrite)
     if part is PARTS["drive"]:
-        # classified once more: labels alone hold no heights above ground
-        render_viewer(stream, folder / f"{part.stem}.html", config, overwrite=overwrite)
+        # classified once more: labels alone hold no heights above ground; the poses are only to look at it
+        mount = (0.0, settings.scanner.slant_deg, settings.scanner.heading_deg)
+        placed = RenderOptions(trajectory=path, mount=mount)
+        render_viewer(stream, folder / f"{part.stem}.html", config, placed, overwrite=overwrite)
     return DemoPart(summary, found.matrix)
 
 

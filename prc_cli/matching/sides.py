@@ -197,7 +197,7 @@ _NAMES = {
 }
 _INDEX = ""
 _LINE, _COLUMN = "scan_line", "column"
-_LONGEST_LINE = 1 << 22
+LONGEST_LINE = 1 << 22
 """A cell is one whole number: its line times this, and its column."""
 _CODES = "class codes"
 """Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
@@ -287,7 +287,7 @@ class SideTally:
     @property
     def n_lines(self) -> int:
         """Scan lines up to the last one that has a record, where the key is the cell."""
-        return int(self.high // _LONGEST_LINE) + 1
+        return int(self.high // LONGEST_LINE) + 1
 
 
 @dataclass(frozen=True)
@@ -357,7 +357,7 @@ class Side:
                 if KEY in values and len(record):
                     self.tally.low = min(self.tally.low, float(values[KEY].min()))
                     self.tally.high = max(self.tally.high, float(values[KEY].max()))
-                    self.tally.n_columns = max(self.tally.n_columns, int((values[KEY] % _LONGEST_LINE).max()) + 1)
+                    self.tally.n_columns = max(self.tally.n_columns, int((values[KEY] % LONGEST_LINE).max()) + 1)
                 yield RecordChunk(first - n, {name: values[name] for name in names}, len(record), record)
             if first == n_before:
                 raise InputError(file.codes.path, "no records, expected class codes", "check the file")
@@ -448,8 +448,8 @@ def _cell_keys(line: NDArray[Any], column: NDArray[Any]) -> F64:
     >>> _cell_keys(np.array([0, 1, -1]), np.array([7, 0, 3])).tolist()
     [7.0, 4194304.0, nan]
     """
-    known = (line >= 0) & (column >= 0) & (column < _LONGEST_LINE)
-    return np.where(known, line * float(_LONGEST_LINE) + column, np.nan)
+    known = (line >= 0) & (column >= 0) & (column < LONGEST_LINE)
+    return np.where(known, line * float(LONGEST_LINE) + column, np.nan)
 
 
 def _whole(found: NDArray[Any]) -> I64:

@@ -129,7 +129,10 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     page = (folder / "street_report.html").read_text(encoding="utf-8")
     assert "fused (--preset fused) · input street.npz" in page
     assert str(folder) not in page
-    assert "height_above_ground" in (folder / "street.html").read_text(encoding="utf-8")
+    assert "street_path.csv" in more
+    viewer = (folder / "street.html").read_text(encoding="utf-8")
+    assert "height_above_ground" in viewer
+    assert "no trajectory" not in viewer
     result = prc("demo", "--output", folder)
     assert result.code == 2
     assert "holds files already" in result.err

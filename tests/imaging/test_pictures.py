@@ -9,6 +9,8 @@ import json
 import math
 import re
 import zlib
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective
 from prc_cli.imaging.pictures import segment_picture
 from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet, zoom_for
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, html_page, viewer_page
+from tests.browser import chromium
 
 
 def test_segments_differ_are_stable_and_none_is_black() -> None:
@@ -240,6 +243,46 @@ def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
     )
     _, planes = decoded(page_of(given))
     assert all(np.isnan(plane).all() for plane in planes.values())
+
+
+def test_a_browser_shows_long_values_and_keeps_the_cloud_in_view(tmp_path: Path) -> None:
+    given = shots()
+    sentence = "it stands higher than anything near it, and the beams around it pass by on both sides " * 2
+    words = {1: sentence, 2: sentence, 3: sentence}
+    reason = Values("because", given.classes.astype(float), 1.0, 1, "", words=words)
+    given = replace(given, more={**given.more, "reason": reason})
+    page = tmp_path / "a.html"
+    page.write_text(page_of(given), encoding="utf-8")
+    line, column = np.argwhere(given.classes == 1)[0]
+    outside = (
+        "const edge = document.querySelector('aside').getBoundingClientRect().right;"
+        "return Array.from(document.querySelectorAll('#shot dd')).filter((each) => {"
+        "const range = document.createRange(); range.selectNodeContents(each);"
+        "return range.getBoundingClientRect().right > edge; }).length"
+    )
+    seen = (
+        "const c = document.getElementById('cloud'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        "const all = new Uint32Array(d.buffer), many = new Map();"
+        "for (const v of all) many.set(v, (many.get(v) || 0) + 1);"
+        "return all.length - Math.max(...many.values())"
+    )
+    turn = (
+        "const c = document.getElementById('cloud'), r = c.getBoundingClientRect();"
+        "c.dispatchEvent(new WheelEvent('wheel', {{deltaY: {}, clientX: r.x + {}, clientY: r.y + 20}}))"
+    )
+    with chromium() as browser:
+        for width in (1280, 390):
+            browser.open(page, width=width)
+            browser.wait("document.body.dataset.ready")
+            browser.run(f"location.hash = '{100 + 2 * line},{3 * column}'")
+            browser.wait("document.querySelectorAll('#shot dd').length > 5")
+            assert browser.run(outside) == 0
+            for delta in (-240, 240, 4000, -4000):
+                for k in range(15):
+                    browser.run(turn.format(delta, 30 + 5 * k))
+                    browser.settle()
+                assert browser.run(seen) > 0, (width, delta)
+        assert browser.errors() == []
 
 
 def unpack(text: str, n_bytes: int) -> Any:

@@ -18,6 +18,8 @@ from prc_cli.jobs.render import RenderOptions, render
 from prc_cli.jobs.render.colours import LABEL_TABLE, RecordClasses, Vocabulary
 from prc_cli.jobs.render.scan import draw_scan
 from prc_cli.jobs.render.viewer import _Kept, render_viewer
+from prc_cli.jobs.simulate import Beside, simulate
+from prc_cli.simulation.settings import load_settings
 from tests.browser import chromium
 from tests.imaging.test_pictures import decoded
 from tests.jobs.test_convert import config, two_scanners
@@ -271,6 +273,26 @@ def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) ->
         )
         assert browser.run(empty) > 0.98
         assert browser.errors() == []
+
+
+def test_poses_place_the_shots_of_a_leaning_scanner(tmp_path: Path) -> None:
+    """As the demo draws its drive: planes that lean, drawn upright, would shear the facades."""
+    settings = load_settings("street", options={"lines": 8})
+    drive, truth, path, codes = (tmp_path / name for name in ("a.npz", "a.csv", "path.csv", "codes.npy"))
+    simulate("street", drive, settings, beside=Beside(trajectory=path, labels=codes))
+    simulate("street", truth, settings)
+    options = RenderOptions(labels=codes, trajectory=path, mount=(0.0, settings.scanner.slant_deg, 0.0))
+    render_viewer(drive, tmp_path / "a.html", load_config(preset="fused"), options)
+    _, planes = decoded(read(tmp_path / "a.html"))
+    assert "no trajectory" not in read(tmp_path / "a.html")
+    table = np.loadtxt(
+        truth, delimiter=",", skiprows=1, usecols=(5, 6, 7), converters=lambda cell: float(cell or "nan")
+    )
+    shown = np.stack([planes[axis].ravel() for axis in "xyz"], axis=1)
+    apart = shown - table
+    apart = apart[np.isfinite(apart).all(axis=1)]
+    assert len(apart) > 10_000
+    assert np.abs(apart - np.median(apart, axis=0)).max() < 0.05
 
 
 def test_what_only_some_blocks_have_is_not_shown() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,15 @@ from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.html import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.mapping import Side as SideName
-from prc_cli.formats.labels import open_codes
+from prc_cli.formats.labels import NO_CODE, open_codes
+from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.render.scan import open_for_pictures, upright
+from prc_cli.matching.join import CODE, KEY
+from prc_cli.matching.keys import KeyRule
 from prc_cli.matching.pairs import files_of, stem_of
-from prc_cli.matching.sides import LINE, Side, SideFile
+from prc_cli.matching.sides import LINE, LONGEST_LINE, Side, SideFile
 
 MAX_LINES = 600
 """Scan lines in a picture."""
@@ -45,25 +50,33 @@ def class_pictures(
     points_per_line = points_per_line or next(filter(None, (_line_length(*side) for side in paths)), None)
     if points_per_line is None:
         return ()
-    wanted = min(MAX_LINES, _MAX_CELLS // points_per_line) * points_per_line
+    most_lines = min(MAX_LINES, _MAX_CELLS // points_per_line)
     sides: tuple[tuple[SideName, Path], ...] = (("predicted", predicted), ("reference", reference))
+    files = [
+        _with_points(path, dimension, where)
+        for (_, path), dimension, where in zip(sides, dimensions, points, strict=True)
+    ]
+    cells = [_Cells.read(file, points_per_line, most_lines) for file in files]
+    # a side whose records are as many as those of the other has their cells
+    known = [_placed(one, other) for one, other in (cells, cells[::-1])]
+    if any(one.cell is None or not len(one.codes) for one in known):
+        return ()
+    first_line = max(one.first_line for one in known)
+    n_lines = min(one.stop_line(points_per_line) for one in known) - first_line
+    if n_lines <= 0:
+        return ()
     found = []
-    for (side, path), dimension in zip(sides, dimensions, strict=True):
-        codes = _first_codes(path, dimension, wanted)
+    for (side, _), one in zip(sides, known, strict=True):
         # place 0: not scored
         place = np.array([0, *(names.index(name) + 1 for name in mapping.names(side))])
+        codes = one.image(first_line, n_lines, points_per_line)
         found.append(place[mapping.class_indices(codes, side) + 1].astype(np.uint8))
-    n_lines = min(len(places) for places in found) // points_per_line
-    if not n_lines:
-        return ()
     beside = (_points_of(path, where) for (_, path), where in zip(sides, points, strict=True) if where is not None)
     rows = _rows((*beside, predicted, reference), points_per_line, -(-points_per_line // _HEIGHT))
-    first, second = (
-        places[: n_lines * points_per_line].reshape(n_lines, points_per_line)[:, rows].T for places in found
-    )
+    first, second = (places[:, rows].T for places in found)
     differ = np.where(first == second, np.uint8(len(names) + 1), first)
     differ[(first == 0) | (second == 0)] = 0
-    lines = f"lines 0-{n_lines - 1}"
+    lines = f"lines {first_line}-{first_line + n_lines - 1}"
     return (
         (f"Predicted, {lines} of {predicted.name}", _png(first, names)),
         (f"Reference, {lines} of {reference.name}", _png(second, names)),
@@ -104,11 +117,89 @@ def _line_length(path: Path, dimension: str | None) -> int | None:
     return m if np.array_equal(line - line[0], np.arange(len(line)) // m) else None
 
 
-def _first_codes(path: Path, dimension: str | None, wanted: int) -> I64:
+@dataclass(frozen=True, slots=True)
+class _Cells:
+    """Codes of the first lines of a file, (n,) int64, and the cells that they belong to."""
+
+    codes: I64
+    cell: I64 | None
+    """Line times M, plus column; None = not known."""
+    n_records: int | None
+    """Number of records of the file; None = not known."""
+    first_line: int = 0
+    is_assumed: bool = False
+    """Whether nothing says that there is a code for every cell."""
+
+    @classmethod
+    def read(cls, file: SideFile, points_per_line: int, most_lines: int) -> _Cells:
+        """Read the first lines."""
+        wanted = most_lines * points_per_line
+        if not file.has_cells:
+            codes = _first_codes(file, wanted)
+            # LAS holds no shots without return; of labels the run record says whether there is one for every cell
+            is_said = file.dense_line == points_per_line
+            is_assumed = not isinstance(file.table, LasSource) and not record_path(Path(file.codes.path)).is_file()
+            cell = np.arange(len(codes)) if is_said or is_assumed else None
+            return cls(codes, cell, file.codes.n, is_assumed=not is_said)
+        codes_read: list[I64] = []
+        cells_read: list[I64] = []
+        first: int | None = None
+        for chunk in Side((file,), KeyRule("cell")).chunks((CODE, KEY)):
+            line, column = np.divmod(chunk.values[KEY].astype(np.int64), LONGEST_LINE)
+            if not len(line):
+                continue
+            first = int(line.min()) if first is None else first
+            near = (line < first + most_lines) & (line >= first) & (column < points_per_line)
+            codes_read.append(chunk.values[CODE][near].astype(np.int64))
+            cells_read.append(line[near] * points_per_line + column[near])
+            if line.min() >= first + most_lines:
+                break
+        none = [np.empty(0, np.int64)]
+        codes, cell = np.concatenate(codes_read or none), np.concatenate(cells_read or none)
+        return cls(codes, cell, file.codes.n, first or 0)
+
+    def stop_line(self, points_per_line: int) -> int:
+        """Return the line behind the last one; an unfinished line of codes for every cell is left out."""
+        assert self.cell is not None
+        if np.array_equal(self.cell, np.arange(len(self.cell))):
+            return len(self.cell) // points_per_line
+        return int(self.cell.max()) // points_per_line + 1
+
+    def image(self, first_line: int, n_lines: int, points_per_line: int) -> I64:
+        """Return the code of every cell, (lines, M) int64, that of its first record; -1 = it has none."""
+        assert self.cell is not None
+        image = np.full(n_lines * points_per_line, NO_CODE, np.int64)
+        cell = self.cell - first_line * points_per_line
+        inside = (cell >= 0) & (cell < len(image))
+        # the last assignment counts
+        image[cell[inside][::-1]] = self.codes[inside][::-1]
+        return image.reshape(n_lines, points_per_line)
+
+
+def _placed(one: _Cells, other: _Cells) -> _Cells:
+    """Return codes with the cells of the other side, if that knows them and has as many records."""
+    if (one.cell is not None and not one.is_assumed) or other.cell is None or other.is_assumed:
+        return one
+    if one.n_records is None or one.n_records != other.n_records:
+        return one
+    n = min(len(one.codes), len(other.codes))
+    return replace(other, codes=one.codes[:n], cell=other.cell[:n])
+
+
+def _with_points(path: Path, dimension: str | None, where: Path | None) -> SideFile:
+    """Open a side with the points that know its cells, if they can be read as records."""
+    points = None if where is None else _points_of(path, where)
+    if points is not None:
+        with suppress(PrcError):
+            return SideFile.open(path, dimension, points)
+    return SideFile.open(path, dimension, None)
+
+
+def _first_codes(file: SideFile, wanted: int) -> I64:
     parts: list[I64] = []
     n = 0
     if wanted:
-        for chunk in open_codes(path, dimension).chunks():
+        for chunk in open_codes(Path(file.codes.path), file.name).chunks():
             parts.append(chunk[: wanted - n])
             n += len(parts[-1])
             if n == wanted:

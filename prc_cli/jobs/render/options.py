@@ -146,6 +146,10 @@ class RenderOptions:
     """Most shots that a viewer page holds; of longer scans every n-th line and column is kept."""
     line_spacing_m: float | None = None
     """Distance of scan lines in a viewer page, where the input has no coordinates [m]; None = assumed."""
+    trajectory: Path | None = None
+    """Poses that place the shots of a viewer page; None = coordinates of the input, else lines one behind the other."""
+    mount: tuple[float, ...] = ()
+    """Roll, pitch, yaw of the scanner on the vehicle [deg]; and x, y, z from the trajectory's point to it [m]."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)

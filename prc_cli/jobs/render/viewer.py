@@ -26,7 +26,7 @@ from prc_cli.formats.writing.columns import behind
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Progress, label_blocks
-from prc_cli.jobs.coordinates import spacing
+from prc_cli.jobs.coordinates import placed_source, spacing
 from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud
 from prc_cli.jobs.render.colours import (
     RecordClasses,
@@ -289,9 +289,13 @@ def _values(name: str, values: F64, seen: Mask) -> Values:
 def _of_files(source: Path, loaded: LoadedConfig, options: RenderOptions, record: I64) -> dict[str, F64]:
     """Return coordinates and stages that files hold, by name, each in the shape of ``record``."""
     found: dict[str, F64] = {}
-    cloud = labels = None
-    with suppress(InputError):
-        cloud = Cloud.open(source, loaded, options.station).records
+    cloud: RecordSource | None = None
+    labels = None
+    if options.trajectory is not None:
+        cloud = placed_source(source, source, options.trajectory, options.mount, layout=loaded.config.layout)
+    else:
+        with suppress(InputError):
+            cloud = Cloud.open(source, loaded, options.station).records
     # a label file that is no list of records, such as .npy, holds no stages
     with suppress(PrcError):
         labels = None if options.labels is None else open_source(options.labels, None)

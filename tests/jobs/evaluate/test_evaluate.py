@@ -440,6 +440,31 @@ def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
     assert _worst(np.array([[0, 0, 0], [3, 2, 1], [1, 0, 2]])).tolist() == [0, 1, 3]
 
 
+def test_records_without_their_missing_shots_are_drawn_in_their_cells(tmp_path: Path) -> None:
+    """LAS holds no shots without return: its records are no image."""
+    m, n = 40, 30
+    line, column = np.divmod(np.arange(n * m), m)
+    returned = np.random.default_rng(3).random(n * m) < 0.7
+    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    las.x = las.y = las.z = column[returned].astype(float)
+    for name, values in (("scan_line", line), ("column", column)):
+        las.add_extra_dim(laspy.ExtraBytesParams(name, "i4"))
+        las[name] = values[returned]
+    las.classification = np.where(column < m // 2, 2, 7).astype(np.uint8)[returned]
+    las.write(tmp_path / "cells.las")
+    np.save(tmp_path / "codes.npy", np.asarray(las.classification))
+    mapping = ClassMapping(predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)})
+    for pair in (("cells.las", "cells.las"), ("cells.las", "codes.npy"), ("codes.npy", "cells.las")):
+        for title, content in class_pictures(tmp_path / pair[0], tmp_path / pair[1], mapping, m)[:2]:
+            image = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+            for half, name in ((image[: len(image) // 2], "ground"), (image[len(image) // 2 :], "noise")):
+                seen = {tuple(one) for one in half.reshape(-1, 3).tolist()}
+                assert seen == {colour(name), WHITE}, (pair, title)
+    las.remove_extra_dims(["scan_line", "column"])
+    las.write(tmp_path / "bare.las")
+    assert class_pictures(tmp_path / "bare.las", tmp_path / "bare.las", mapping, m) == ()
+
+
 @pytest.mark.parametrize("rising", [True, False])
 @pytest.mark.parametrize("folder", [True, False])
 def test_the_sky_is_at_the_top_whichever_way_the_columns_run(tmp_path: Path, *, rising: bool, folder: bool) -> None:
