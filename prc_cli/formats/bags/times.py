@@ -20,6 +20,9 @@ _SAME_WAY = 0.8
 """Least share of steps in azimuth that go the way of the turn."""
 _LATE_TURN, _ABOUT_TURN = 0.9, 0.1
 """Late part of a turn, and how much more or less than a turn a message has."""
+_NEAR_RAD, _PAUSE_STEPS = math.radians(60.0), 100.0
+"""Points of a ring that are farther apart, or by so many times the usual step in time, have a sector without points
+between them [rad, steps]."""
 _LEAST_STEPS = 16
 """Fewer steps in azimuth do not show a turn."""
 _WHOLE_TURN = 0.02
@@ -67,9 +70,14 @@ def find_turning(ring: I64, time: F64, azimuth_rad: F64) -> Turning | None:
     """
     fullest = np.flatnonzero(ring == np.bincount(ring).argmax())
     fullest = fullest[np.argsort(time[fullest], kind="stable")]
-    span = float(np.ptp(time[fullest]))
     turned = wrap(np.diff(azimuth_rad[fullest]))
-    turned = turned[turned != 0]
+    after = np.diff(time[fullest])
+    if not (after > 0).any():
+        return None
+    # over a wide sector without points it cannot be told which way the scanner turned
+    is_near = (np.abs(turned) < _NEAR_RAD) & (after <= _PAUSE_STEPS * float(np.median(after[after > 0])))
+    span = float(after[is_near].sum())
+    turned = turned[is_near & (turned != 0)]
     if len(turned) < _LEAST_STEPS or not span > 0:
         return None
     share = float(np.mean(turned > 0))
