@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import runpy
 import shlex
+import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,8 @@ import pytest
 
 from prc_cli.cli import COMMANDS, cli
 from prc_cli.config import PRESETS
+from tests import patience
+from tests.browser import chromium
 from tests.street import angles, street
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -160,3 +164,35 @@ def test_figures_of_all_pages_are_those_of_the_tables() -> None:
     assert {path.name for path in pages} >= {"accuracy.md", "sequential_angle.md", "simulation.md", "speed.md"}
     for path, text in pages.items():
         assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python docs/generate.py"
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/outputs.md"])
+def test_the_promise_about_las_names_the_formats_that_are_upgraded(name: str) -> None:
+    """tests/formats/las/test_rewrite.py upgrades them."""
+    text = " ".join((ROOT / name).read_text(encoding="utf-8").split())
+    assert "ormats 0 to 5" in text
+    assert "#las-of-point-formats-0-to-5" in text
+
+
+@pytest.mark.slow
+def test_the_copy_button_copies_what_a_shell_takes(tmp_path: Path) -> None:
+    """Neither prompts nor outputs, in a browser."""
+    pytest.importorskip("material")
+    shutil.copytree(ROOT / "docs" / "stylesheets", tmp_path / "docs" / "stylesheets")
+    example = "```console\n$ prc demo\nstreet.html\n$ prc info a.laz  # what is in it\n```\n"
+    (tmp_path / "docs" / "index.md").write_text(example, encoding="utf-8")
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[0]
+    (tmp_path / "mkdocs.yml").write_text(settings, encoding="utf-8")
+    patience.run([sys.executable, "-m", "mkdocs", "build", "-q", "-d", "site"], cwd=tmp_path, check=True)
+    with chromium() as browser:
+        browser.open(tmp_path / "site" / "index.html")
+        button = "[data-clipboard-target]"
+        browser.wait(f"document.querySelector('{button}')")
+        browser.run(
+            "document.addEventListener('copy', () => { const box = document.activeElement;"
+            "window.copied = box && box.value !== undefined ? box.value : String(document.getSelection()); }, true)"
+        )
+        browser.click(button)
+        browser.wait("window.copied")
+        copied = browser.run("return window.copied")
+    assert [line for line in copied.split("\n") if line] == ["prc demo", "prc info a.laz  # what is in it"]

@@ -156,7 +156,7 @@ def _run(arguments: list[str], *, debug: bool) -> int:
             return error.exit_code
         failure = error
         context = getattr(error, "ctx", None)
-        said = error.format_message()
+        said = _without_line_ends(error)
         if context is not None:
             # click ends its sentences with a full stop, some after a colon of their own
             said = said.removesuffix(".") + (" " if said.endswith("?") else "; ") + f"see {context.command_path} --help"
@@ -185,6 +185,12 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     with contextlib.suppress(OSError):
         click.echo(f"error: {message}", err=True)
     return code
+
+
+def _without_line_ends(error: click.ClickException) -> str:
+    """Return what click says; it lists the choices of a missing argument a line each."""
+    said = error.format_message()
+    return " ".join(said.split()) if isinstance(error, click.MissingParameter) else said
 
 
 _LIMITS = {

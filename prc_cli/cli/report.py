@@ -121,8 +121,9 @@ def end_with(doubts: Iterable[Finding]) -> None:
 
 
 def table_of(title: str, *headings: str, rows: Iterable[Sequence[str]] = (), n_words: int = 1, **column: Any) -> Table:
-    """Return a table whose first columns hold words, the others numbers."""
+    """Return a table whose first columns hold words, the others numbers; narrow ones fold, none is cut."""
     table = Table(title=title)
+    column.setdefault("overflow", "fold")
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="left" if i < n_words else "right", **column)
     for row in rows:

@@ -157,7 +157,8 @@ def scanners(as_json: bool) -> None:
         click.echo(json.dumps({name: scanner.model_dump() for name, scanner in SCANNERS.items()}, indent=2))
         return
     table = table_of("scanners", "name", "lines/s", "shots a line", "field", "range", "noise", "returns")
-    table.add_column("kind")
+    table.columns[0].no_wrap = True  # the names are typed
+    table.add_column("kind", overflow="fold")
     for name, scanner in SCANNERS.items():
         kind = "static" if scanner.is_static else f"profiler, slant {scanner.slant_deg:g}°"
         kind = "spinning" if scanner.spins else kind

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ from prc_cli.core.classes import Label
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.explain import explain
 from prc_cli.methods.reasons import rule_of
+from prc_cli.simulation.scanners import SCANNERS
 from prc_cli.simulation.settings import Kind
 from tests import patience
 from tests.cli.conftest import Prc
@@ -573,3 +575,19 @@ def test_transfer_with_a_layout_and_wrong_usage(
         assert result.err.startswith("error: ")
         assert text in result.err
     assert not list(tmp_path.glob("*no.las*"))
+
+
+@pytest.mark.parametrize("command", [("completion",), ("simulate", "parameters")])
+def test_a_missing_choice_is_listed_in_one_line(prc: Prc, command: tuple[str, ...]) -> None:
+    found = prc(*command)
+    assert found.code == 2
+    assert re.search(r"Choose from: \w+, [\w-]+, [\w-]+; see prc", found.err)
+    assert "\\n" not in found.err
+
+
+@pytest.mark.parametrize("width", ["60", "80", "100"])
+def test_names_of_scanners_are_whole_in_a_narrow_terminal(width: str) -> None:
+    command = [sys.executable, "-m", "prc_cli", "simulate", "scanners"]
+    found = patience.run(command, env={**os.environ, "COLUMNS": width}, capture_output=True, text=True)
+    assert {line.split()[1] for line in found.stdout.splitlines() if line.startswith("│")} >= set(SCANNERS)
+    assert "…" not in found.stdout
