@@ -409,6 +409,7 @@ def whole_lines(
     states: dict[int, ScanState] = {}
     watches: dict[int, OrderWatch | RingOrderWatch] = {}
     waiting = ReadTally()
+    in_turns = scanners_in_turns(source, rules)
     names = rules.names if prepare is None else tuple(dict.fromkeys((*rules.names, *rules.carried)))
     for chunk in source.chunks(names):
         table = table_of(chunk, rules.names)
@@ -418,7 +419,14 @@ def whole_lines(
         for scanner, records in split_scanners(table, rules.scanner, source.path):
             state = states.get(scanner, ScanState())
             if rules.has("time"):
-                waiting += _count_back(watches, scanner, records, source, rules)
+                if scanner not in watches:
+                    kind = RingOrderWatch if scanner in in_turns else OrderWatch.of
+                    watches[scanner] = kind(source, rules.config.order)
+                watch = watches[scanner]
+                if isinstance(watch, OrderWatch):
+                    waiting += watch.count(records["time"], records[RECORD])
+                else:
+                    waiting += watch.count(records["time"], records[RECORD], records[rules.column_dimension or ""])
             tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
             state, waiting = replace(state, tally=tally), ReadTally()
             try:
@@ -436,24 +444,28 @@ def whole_lines(
     yield from _last_lines(source, rules, line_rules, states)
 
 
-def _count_back(
-    watches: dict[int, OrderWatch | RingOrderWatch],
-    scanner: int,
-    records: Table,
-    source: RecordSource,
-    rules: GridRules,
-) -> ReadTally:
-    """Watch the order of records in time; of rings that fire in turns, ring after ring."""
-    column = None if rules.column_dimension is None else records.get(rules.column_dimension)
-    if scanner not in watches:
-        by_ring = column is not None and fire_in_turns(np.asarray(records["time"], np.float64), column)
-        order = rules.config.order
-        watches[scanner] = RingOrderWatch(source, order) if by_ring else OrderWatch.of(source, order)
-    watch = watches[scanner]
-    if isinstance(watch, OrderWatch):
-        return watch.count(records["time"], records[RECORD])
-    assert column is not None
-    return watch.count(records["time"], records[RECORD], column)
+TURN_RECORDS = 1 << 16
+"""First records that show whether rings fire in turns, whatever the chunks of the reader."""
+
+
+def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
+    """Return the scanners whose rings fire in another order than they lie, by the first records."""
+    name = rules.column_dimension
+    if name is None or not rules.has("time"):
+        return frozenset()
+    names = tuple(dict.fromkeys(("time", name, *(() if rules.scanner is None else (rules.scanner,)))))
+    head: Table = {}
+    for chunk in source.chunks(names):
+        head = join([head, table_of(chunk, names)])
+        if n_rows(head) >= TURN_RECORDS:
+            break
+    head = take(head, slice(0, TURN_RECORDS)) if head else head
+    scanners = split_scanners(head, rules.scanner, source.path) if n_rows(head) else ()
+    return frozenset(
+        scanner
+        for scanner, records in scanners
+        if fire_in_turns(np.asarray(records["time"], np.float64), np.asarray(records[name], np.float64))
+    )
 
 
 def _last_lines(

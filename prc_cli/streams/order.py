@@ -279,6 +279,9 @@ class RingOrderWatch:
 
     def count(self, values: NDArray[Any], record: I64 | None, column: NDArray[Any]) -> ReadTally:
         """Take the next records; return the number of steps back."""
+        value = np.asarray(column, np.float64)
+        # records without a ring are judged together
+        column = np.where(np.isfinite(value), value, -1.0)
         order = np.argsort(column, kind="stable")
         present, first = np.unique(column[order], return_index=True)
         tally = ReadTally()

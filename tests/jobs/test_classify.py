@@ -106,7 +106,7 @@ def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path: Path) -> No
     built.write_bytes(data)
     summary = classify(built, tmp_path / "labels.npy")
     assert np.load(tmp_path / "labels.npy").size == n_points - 1000
-    assert any("follow the last record the header counts: not read" in notice for notice in summary.record.notices)
+    assert any("1,000 whole records follow the" in notice for notice in summary.record.notices)
 
 
 LINES = slice(50, 90)

@@ -31,7 +31,8 @@ def drafted(path: Path, *options: str) -> dict[str, Any]:
 
 def ranges_read(path: Path) -> Any:
     out = path.with_name("again.npz")
-    assert run("convert", path, out, "-q", "--config", path.with_name("draft.toml"), "--overwrite") == 0
+    # a short file is doubted: few lines
+    assert run("convert", path, out, "-q", "--config", path.with_name("draft.toml"), "--overwrite") in (0, 4)
     assert run("classify", path, path.with_name("l.npy"), "-q", "--config", path.with_name("draft.toml")) in (0, 4)
     with np.load(out) as arrays:
         return arrays["range_m"]
