@@ -551,6 +551,6 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
     hints = {
         "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
         "nearest": "register both in one coordinate system, or give a larger tolerance; shots that are relative to the "
-        "scanner: add --trajectory POSES",
+        "scanner: add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW",
     }
     raise InputError(smaller.path, share, hints.get(options.match, "check that the ids come from one run"))
