@@ -136,9 +136,9 @@ def turn_times(ring: I64, azimuth_rad: F64, between_s: float) -> F64:
 
     Examples
     --------
-    >>> azimuth = np.deg2rad([170.0, -100.0, -10.0, 80.0])
-    >>> turn_times(np.zeros(4, np.int64), azimuth, 0.1).round(3).tolist()
-    [0.0, 0.025, 0.05, 0.075]
+    >>> azimuth = np.deg2rad(np.arange(20) * 18.0)
+    >>> turn_times(np.zeros(20, np.int64), azimuth, 0.1)[:4].round(3).tolist()
+    [0.0, 0.005, 0.01, 0.015]
     """
     times: F64 = np.full(len(ring), np.nan)
     returned = np.flatnonzero(np.isfinite(azimuth_rad))

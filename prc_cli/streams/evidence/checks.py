@@ -13,6 +13,7 @@ from prc_cli.core.types import F32
 from prc_cli.formats.ranges import KEY
 from prc_cli.methods.rings.pipeline import is_fan
 from prc_cli.streams.agreement import ANGLES, CONTRADICTED, MOST_OFF
+from prc_cli.streams.evidence.cones import check_cones
 from prc_cli.streams.evidence.figures import Figures, Seen, figures_of, most_turned, without_lonely
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import (
@@ -309,6 +310,7 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
     yield check_few_rings(seen)
     if seen.has_rings or (seen.beam_rad is not None and is_fan(seen.beam_rad)):
         # the method for rings finds its ground by itself, also between walls and below a ceiling
+        yield check_cones(seen)
         return
     yield (height := check_height(seen))
     if not _is_against(height):

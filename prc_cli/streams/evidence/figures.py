@@ -430,6 +430,8 @@ class Seen:
     """Whether columns are known to be the rings of a spinning scanner."""
     least_rings: int = 0
     """With fewer rings the method tells classes less well."""
+    cone_spread_rad: tuple[float, float] | None = None
+    """Spread of elevation within rings as coordinates are used, and in the frame that suits best [rad]."""
 
     @property
     def points_per_line(self) -> int:

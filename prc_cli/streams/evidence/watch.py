@@ -24,6 +24,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.writing.record import dropped_beside
 from prc_cli.methods.base import Needs
 from prc_cli.streams.evidence.checks import ask_all, check_few_lines, check_thinned
+from prc_cli.streams.evidence.cones import ConeSample
 from prc_cli.streams.evidence.figures import LineSample, Seen
 from prc_cli.streams.evidence.lines import LEAST_LINES, LineRepeats, check_repeats, with_other_reading
 from prc_cli.streams.evidence.table import worst_of
@@ -43,6 +44,7 @@ class _Scanner:
     n_lines: int = 0
     n_shots: int = 0
     n_missing: int = 0
+    cones: ConeSample = field(default_factory=ConeSample)
 
 
 @dataclass(slots=True, repr=False)
@@ -88,6 +90,7 @@ class EvidenceStream(Brief):
         if one is None:
             one = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
         one.angle_rad, one.beam_rad, one.has_rings = block.angle_rad, block.beam_rad, block.has_rings
+        one.cones.add(block)
         one.n_lines += block.n_lines
         one.n_shots += block.range_m.size
         one.n_missing += int(np.count_nonzero(np.isnan(block.range_m)))
@@ -107,7 +110,7 @@ class EvidenceStream(Brief):
                 n_missing=n_missing, tally=self._tally,
                 angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
                 beam_rad=one.beam_rad, most_noise_m=self.most_noise_m, has_rings=one.has_rings,
-                least_rings=self.least_rings,
+                least_rings=self.least_rings, cone_spread_rad=one.cones.spread_rad(),
             )
             for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
         )  # fmt: skip
