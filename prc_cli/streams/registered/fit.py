@@ -30,8 +30,6 @@ LEAST_WINDOWS = 20
 """Lines whose station is found alone, at least, if there are so many."""
 POINTS_BETWEEN_KNOTS = 120
 """Points that are used between two knots."""
-CONE_ROUNDS = 2
-"""Rounds in which the cone angle and the path are fitted in turns."""
 MOST_WHOLE_M = 0.08
 """Lines are looked at as arcs where whole lines fit worse than this (median) [m]: the platform moves meanwhile."""
 ARC_GAIN = 0.3
@@ -180,13 +178,9 @@ def _smooth_all(pieces: PassPieces, turning: Turning, knots: Knots, share_truste
         own = slice(first, last + 1)
         start = Knots(knots.time_s[own], knots.position_m[own], knots.frame[own])
         bearing = turning.bearing(time_s)
-        fit = None
-        for _ in range(CONE_ROUNDS):
-            slopes = np.full(len(time_s), slope)
-            observed = observe(start.time_s, time_s, xyz_m, bearing, slopes, POINTS_BETWEEN_KNOTS)
-            fit = smooth(start if fit is None else fit.knots, observed)
-            slope += cone_slope(fit, observed.weight)
-        assert fit is not None
+        observed = observe(start.time_s, time_s, xyz_m, bearing, POINTS_BETWEEN_KNOTS)
+        fit = smooth(start, observed, slope)
+        slope = fit.slope
         begin = done
         done = last + 1 if last == n - 1 else last - OVERLAP_KNOTS // 2
         kept = slice(begin, done)
@@ -227,16 +221,6 @@ def segments(pieces: PassPieces, knots_s: F64) -> Iterator[tuple[int, int, F64, 
             begin = int(np.searchsorted(held_s, knots_s[first]))
             held_s, held_m = held_s[begin:], held_m[begin:]
     yield first, n - 1, held_s, held_m
-
-
-def cone_slope(fit: Fit, weight: F64) -> float:
-    """Return how much the beam rises along the axis per metre of range, beyond what the fit knows."""
-    usable = (weight > 0) & (np.abs(fit.across_m) < 4.0 * fit.scale_m) & (fit.range_m > 0)
-    range_m, across = fit.range_m[usable], fit.across_m[usable]
-    if len(range_m) < 100:
-        return 0.0
-    offset = range_m - range_m.mean()
-    return float((offset * across).sum() / (offset * offset).sum())
 
 
 def distinct_times(time_s: F64) -> F64:

@@ -24,6 +24,8 @@ SCALES_M = (1.0, 0.3, 0.1, 0.05)
 """Residuals at which the weight of a point halves, round by round [m]; the last one then follows the residuals."""
 LEAST_SCALE_M = 0.01
 MOST_FINE_ROUNDS = 10
+STEEPEST = 0.1
+"""Steepest cone: mirrors are a few tenths of a degree off."""
 LONGEST_STEP_M, LONGEST_TURN_RAD = 3.0, 0.3
 """Longer steps of a knot are cut."""
 SPEED_S = 0.1
@@ -81,8 +83,6 @@ class Observations:
     """(k - 1, n) float64, cosine of the bearing of the beam in the frame."""
     sine: F64
     """(k - 1, n) float64, sine of it."""
-    slope: F64
-    """(k - 1, n) float64, rise of the beam along the axis per metre across it: tangent of the cone angle."""
     weight: F64
     """(k - 1, n) float64, 1 = a point, 0 = filler."""
 
@@ -102,6 +102,8 @@ class Fit:
     """Residual at which the weight of a point halves [m]."""
     sigma_m: F64
     """(k, 3) float64, standard deviation of the stations [m]."""
+    slope: float
+    """Rise of the beam along the axis per metre across it: tangent of the cone on which the beam turns."""
 
 
 def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
@@ -152,7 +154,7 @@ def rotation_matrices(vectors: F64) -> F64:
     return matrices
 
 
-def observe(knots_s: F64, time_s: F64, xyz_m: F64, bearing_rad: F64, slope: F64, n_points: int) -> Observations:
+def observe(knots_s: F64, time_s: F64, xyz_m: F64, bearing_rad: F64, n_points: int) -> Observations:
     """Choose points between neighbouring knots, evenly in their order.
 
     Parameters
@@ -165,8 +167,6 @@ def observe(knots_s: F64, time_s: F64, xyz_m: F64, bearing_rad: F64, slope: F64,
         (n, 3) float64 [m].
     bearing_rad
         (n,) float64 [rad].
-    slope
-        (n,) float64.
     n_points
         Points between two knots at most.
     """
@@ -185,13 +185,12 @@ def observe(knots_s: F64, time_s: F64, xyz_m: F64, bearing_rad: F64, slope: F64,
         xyz_m[index],
         np.cos(bearing),
         np.sin(bearing),
-        slope[index],
         weight.astype(np.float64),
     )
 
 
-def smooth(knots: Knots, observed: Observations) -> Fit:
-    """Fit the path to points.
+def smooth(knots: Knots, observed: Observations, slope: float = 0.0) -> Fit:
+    """Fit the path, and the cone on which the beam turns, to points.
 
     Parameters
     ----------
@@ -199,6 +198,8 @@ def smooth(knots: Knots, observed: Observations) -> Fit:
         A first guess: within some metres and some tenths of a radian.
     observed
         Points between the knots.
+    slope
+        A first guess of the cone.
 
     Returns
     -------
@@ -210,13 +211,14 @@ def smooth(knots: Knots, observed: Observations) -> Fit:
     knots = replace(knots, position_m=knots.position_m - centre)
     observed = replace(observed, xyz_m=observed.xyz_m - centre)
     scale = SCALES_M[0]
-    system = _normal_equations(knots, observed, scale)
+    system = _normal_equations(knots, observed, scale, slope)
     for next_scale in (*SCALES_M[1:], *[0.0] * MOST_FINE_ROUNDS):
-        step = system.solve()
+        step, slope_step = system.solve()
         knots = _stepped(knots, step)
+        slope = float(np.clip(slope + slope_step, -STEEPEST, STEEPEST))
         # after the coarse rounds the scale follows the residuals
         scale = next_scale or float(np.clip(3.0 * system.spread_m, LEAST_SCALE_M, SCALES_M[-1]))
-        system = _normal_equations(knots, observed, scale)
+        system = _normal_equations(knots, observed, scale, slope)
         if next_scale == 0.0 and np.abs(step[:, 3:]).max() < STEP_M:
             break
     sigma = system.standard_deviations() * max(system.spread_m * 1.4826, 1e-4)
@@ -227,6 +229,7 @@ def smooth(knots: Knots, observed: Observations) -> Fit:
         system.range_m,
         scale,
         sigma,
+        slope,
     )
 
 
@@ -245,22 +248,32 @@ def _stepped(knots: Knots, step: F64) -> Knots:
 
 @dataclass(frozen=True, slots=True)
 class _System:
-    """Normal equations in blocks of six: turn in the frame, then move of the station."""
+    """Normal equations in blocks of six (turn in the frame, move of the station), with one unknown for all: the cone."""
 
     banded: F64
     """(18, 6 k) float64, lower diagonals; see :func:`scipy.linalg.cholesky_banded`."""
     gradient: F64
     """(k, 6) float64."""
+    border: F64
+    """(k, 6) float64, what couples the knots with the cone."""
+    cone_weight: float
+    cone_gradient: float
     in_plane_m: F64
     across_m: F64
     range_m: F64
     spread_m: float
     """Median size of the residuals [m]."""
 
-    def solve(self) -> F64:
+    def solve(self) -> tuple[F64, float]:
+        """Return the steps of the knots (k, 6), and that of the slope of the cone."""
         factor = cholesky_banded(self.banded, lower=True)
-        step: F64 = -cho_solve_banded((factor, True), self.gradient.ravel()).reshape(-1, 6)
-        return step
+        both = np.stack([self.gradient.ravel(), self.border.ravel()], axis=1)
+        of_gradient, of_border = cho_solve_banded((factor, True), both).T
+        border = self.border.ravel()
+        rest = self.cone_weight - float(border @ of_border)
+        slope_step = -(self.cone_gradient - float(border @ of_gradient)) / max(rest, 1e-9)
+        step: F64 = (-of_gradient - slope_step * of_border).reshape(-1, 6)
+        return step, slope_step
 
     def standard_deviations(self) -> F64:
         """Return the square roots of the inverse's diagonal for the stations, (k, 3)."""
@@ -268,7 +281,7 @@ class _System:
         return np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2)[:, 3:], 0.0))
 
 
-def _normal_equations(knots: Knots, observed: Observations, scale_m: float) -> _System:
+def _normal_equations(knots: Knots, observed: Observations, scale_m: float, slope: float) -> _System:
     turn = knots.relative_turns()
     share = observed.share
     # the frame between two knots, by the second order of the small turn
@@ -279,7 +292,7 @@ def _normal_equations(knots: Knots, observed: Observations, scale_m: float) -> _
     part = share[:, :, None] * turn[:, None, :]
     local = local - np.cross(part, local - 0.5 * np.cross(part, local))
     x, y, z = local[:, :, 0], local[:, :, 1], local[:, :, 2]
-    cosine, sine, slope = observed.cosine, observed.sine, observed.slope
+    cosine, sine = observed.cosine, observed.sine
     range_m = cosine * x + sine * y
     in_plane = cosine * y - sine * x
     across = z - slope * range_m
@@ -300,8 +313,10 @@ def _normal_equations(knots: Knots, observed: Observations, scale_m: float) -> _
     n = len(knots.time_s)
     banded_blocks = np.zeros((n, 3, 6, 6))
     gradient = np.zeros((n, 6))
+    border = np.zeros((n, 6))
     flat = jacobian.reshape(len(x), -1, 6)
     flat_residual = residual.reshape(len(x), -1)
+    flat_cone = np.stack([zero, -range_m], axis=2).reshape(len(x), -1)
     both = np.repeat(weight, 2, axis=1)
     near = np.repeat(1.0 - share, 2, axis=1)
     far = np.repeat(share, 2, axis=1)
@@ -311,8 +326,14 @@ def _normal_equations(knots: Knots, observed: Observations, scale_m: float) -> _
     banded_blocks[:-1, 1] += (transposed * (both * near * far)[:, None, :]) @ flat
     gradient[:-1] += (transposed @ (both * near * flat_residual)[:, :, None])[:, :, 0]
     gradient[1:] += (transposed @ (both * far * flat_residual)[:, :, None])[:, :, 0]
+    border[:-1] += (transposed @ (both * near * flat_cone)[:, :, None])[:, :, 0]
+    border[1:] += (transposed @ (both * far * flat_cone)[:, :, None])[:, :, 0]
     _add_smoothness(banded_blocks, gradient, knots, turn, scale_m)
-    return _System(_banded(banded_blocks), gradient, in_plane, across, range_m, spread)
+    cone_weight = float((weight * range_m**2).sum()) + 1.0
+    cone_gradient = -float((weight * across * range_m).sum())
+    return _System(
+        _banded(banded_blocks), gradient, border, cone_weight, cone_gradient, in_plane, across, range_m, spread
+    )
 
 
 def _add_smoothness(blocks: F64, gradient: F64, knots: Knots, turn: F64, scale_m: float) -> None:

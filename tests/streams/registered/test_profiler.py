@@ -123,6 +123,19 @@ def test_a_given_path_tells_the_rate_from_the_directions_alone() -> None:
     assert turning.hz == pytest.approx(LINE_HZ, rel=3e-4)
 
 
+def test_a_beam_that_turns_on_a_cone_is_no_offset_of_the_path() -> None:
+    """A mirror that is off by 0.3 degrees: found beside the path, which it would move along the axis."""
+    cloud = canyon(1.5, noise_m=0.003)
+    axis = frame(cloud.time_s)[:, :, 2]
+    points = cloud.xyz_m + np.tan(np.radians(0.3)) * cloud.range_m[:, None] * axis
+    turning = rotation.Turning(LINE_HZ, LINE_HZ, float(cloud.time_s[0]))
+    track = fit_track(lambda: iter([(cloud.time_s, points)]), turning, 1.5)
+    assert track is not None
+    assert abs(np.degrees(np.arctan(track.slope))) == pytest.approx(0.3, abs=0.02)
+    off = np.linalg.norm(track.knots.position_m - station(track.knots.time_s), axis=1)
+    assert np.median(off) < 0.01
+
+
 def test_selected_inversion_is_the_inverse() -> None:
     rng = np.random.default_rng(1)
     n = 7
@@ -154,12 +167,11 @@ def test_normal_equations_are_those_of_the_residuals() -> None:
         times, station(times) + 0.01, frame(times) @ path.rotation_matrices(np.full((len(times), 3), 0.004))
     )
     bearing = 2.0 * np.pi * LINE_HZ * cloud.time_s + np.pi
-    slope = np.full(len(bearing), 0.01)
-    observed = path.observe(times, cloud.time_s, cloud.xyz_m, bearing, slope, 40)
-    system = path._normal_equations(knots, observed, 1e6)
+    observed = path.observe(times, cloud.time_s, cloud.xyz_m, bearing, 40)
+    system = path._normal_equations(knots, observed, 1e6, 0.01)
 
     def cost(moved: path.Knots) -> float:
-        fit = path._normal_equations(moved, observed, 1e6)
+        fit = path._normal_equations(moved, observed, 1e6, 0.01)
         squares = observed.weight * (fit.in_plane_m**2 + fit.across_m**2)
         return 0.5 * float(squares.sum())
 
