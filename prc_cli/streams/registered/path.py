@@ -248,7 +248,7 @@ def _stepped(knots: Knots, step: F64) -> Knots:
 
 @dataclass(frozen=True, slots=True)
 class _System:
-    """Normal equations in blocks of six (turn in the frame, move of the station), with one unknown for all: the cone."""
+    """Normal equations: blocks of six (turn in the frame, move of the station), and the cone for all of them."""
 
     banded: F64
     """(18, 6 k) float64, lower diagonals; see :func:`scipy.linalg.cholesky_banded`."""
