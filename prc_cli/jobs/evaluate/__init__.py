@@ -28,7 +28,7 @@ from prc_cli.jobs.evaluate.counts import (
     reliability_notes,
     scored_parts,
 )
-from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options, mapping_of_runs, tolerance_of
+from prc_cli.jobs.evaluate.options import PLACE_BY_POSES, EvaluateOptions, check_options, mapping_of_runs, tolerance_of
 from prc_cli.jobs.evaluate.registered import Registered
 from prc_cli.matching.join import (
     CODE,
@@ -550,7 +550,6 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
         share = f"{share} ({100 * found / max(of, 1):.1f} %), expected at least {100 * options.min_matched:g} %"
     hints = {
         "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
-        "nearest": "register both in one coordinate system, or give a larger tolerance; shots that are relative to the "
-        "scanner: add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW",
+        "nearest": f"register both in one coordinate system, or give a larger tolerance; {PLACE_BY_POSES}",
     }
     raise InputError(smaller.path, share, hints.get(options.match, "check that the ids come from one run"))

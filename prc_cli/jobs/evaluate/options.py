@@ -21,6 +21,11 @@ TIME_TOLERANCE_S = 6e-7
 """Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s. Shots of scanners up to 1 MHz
 are further apart, so none is paired with its neighbour."""
 
+PLACE_BY_POSES = (
+    "shots that are relative to the scanner: add --trajectory POSES and, if it leans, --mount ROLL,PITCH,YAW"
+)
+"""What makes raw shots find registered points."""
+
 
 @dataclass(frozen=True, slots=True)
 class EvaluateOptions:

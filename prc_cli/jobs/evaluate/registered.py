@@ -17,7 +17,7 @@ from prc_cli.formats.las.vlrs import same_crs, short_crs
 from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.jobs.evaluate.counts import Compared, Counts, Plan
 from prc_cli.jobs.evaluate.cuts import Area, Cover, Ground, Trees
-from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.evaluate.options import PLACE_BY_POSES, EvaluateOptions
 from prc_cli.matching.join import CODE, Columns, JoinTally, columns_of
 from prc_cli.matching.keys import AXES
 from prc_cli.matching.nearest import Cloud, Nearest, fit_of, nearest_join, nearest_of
@@ -305,7 +305,11 @@ def _refuse_apart(left: tuple[str, Cloud], right: tuple[str, Cloud]) -> None:
     is_swapped = bool((ours.low[:2] <= swapped[1]).all() and (swapped[0] <= ours.high[:2]).all())
     places = [f"x {c.low[0]:.9g} to {c.high[0]:.9g}, y {c.low[1]:.9g} to {c.high[1]:.9g}" for c in (theirs, ours)]
     problem = f"{places[0]}, but {left[0]} has {places[1]}: nothing overlaps"
-    hint = "x and y are swapped in one of them" if is_swapped else "check that both are registered in one system"
+    hint = (
+        "x and y are swapped in one of them"
+        if is_swapped
+        else f"check that both are registered in one system; {PLACE_BY_POSES}"
+    )
     raise InputError(path, problem, hint)
 
 
