@@ -120,6 +120,7 @@ def join(parts: list[ScanBlock]) -> ScanBlock:
         np.concatenate([part.extra.column for part in parts]),
         np.concatenate([part.extra.range_m for part in parts]),
         np.concatenate([part.extra.record for part in parts]),
+        _join_field([part.extra.intensity for part in parts]),
     )
     tally = ReadTally()
     for part in parts:

@@ -124,6 +124,8 @@ class ExtraReturns(Brief):
     """(n,) float32, slant range [m]."""
     record: I64
     """(n,) int64, record index in the input."""
+    intensity: F32 | None = None
+    """(n,) float32, NaN = unknown; None where the reader keeps that of the main returns alone."""
 
     @classmethod
     def none(cls) -> ExtraReturns:
@@ -196,6 +198,7 @@ def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
         block.extra.column[inside],
         block.extra.range_m[inside],
         block.extra.record[inside],
+        None if block.extra.intensity is None else block.extra.intensity[inside],
     )
     lines = slice(start, stop)
     return replace(

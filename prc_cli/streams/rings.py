@@ -462,7 +462,11 @@ def _fill(frame: Table, line: I64, column: I64, in_order: Mask, shape: tuple[int
         intensity=cells[INTENSITY].reshape(shape) if INTENSITY in cells else None,
         has_rings=True,
         extra=ExtraReturns(
-            line[other].astype(np.int32), column[other].astype(np.int32), frame[RANGE][other], frame[RECORD][other]
+            line[other].astype(np.int32),
+            column[other].astype(np.int32),
+            frame[RANGE][other],
+            frame[RECORD][other],
+            frame[INTENSITY][other] if INTENSITY in frame else None,
         ),
         tally=tally + ReadTally(n_collisions=len(other)),
     )

@@ -62,6 +62,17 @@ def test_a_folder_of_frames_keeps_every_frame(tmp_path: Path) -> None:
     assert not (tmp_path / "numbered" / "000002.bin").stat().st_size
 
 
+def test_points_that_share_a_cell_keep_their_intensities(tmp_path: Path) -> None:
+    points = frame(tmp_path / "f.bin")
+    twice = np.repeat(points, 1 + (np.arange(len(points)) % 40 == 7), axis=0)
+    twice[:, 3] = np.arange(1, len(twice) + 1)
+    twice.astype("<f4").tofile(tmp_path / "f.bin")
+    codes = np.where(np.arange(len(twice)) % 3 == 0, 5, 2)
+    codes.astype("<u4").tofile(tmp_path / "f.label")
+    thin(tmp_path / "f.bin", tmp_path / "thin.bin", GROUND, DOUBTED, labels=tmp_path / "f.label")
+    np.testing.assert_array_equal(read(tmp_path / "thin.bin"), twice[codes == 2])
+
+
 def test_folders_that_cannot_be_thinned_leave_nothing(tmp_path: Path) -> None:
     source, labels, _ = folder_of(tmp_path)
     out = tmp_path / "out"

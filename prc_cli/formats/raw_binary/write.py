@@ -53,6 +53,8 @@ class FrameStream(StreamWriter):
         points[:, :3] = np.concatenate([own[seen], further])
         if block.intensity is not None:
             points[: int(seen.sum()), 3] = np.nan_to_num(block.intensity[seen])
+        if extra.intensity is not None:
+            points[int(seen.sum()) :, 3] = np.nan_to_num(extra.intensity)
         self._records.append(np.concatenate([block.records()[seen], extra.record]))
         self._handle.write(points.data)
 

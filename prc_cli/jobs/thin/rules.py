@@ -233,6 +233,8 @@ def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
         heirs = _first_of_cell(extra, orphans, block.points_per_line)
         at = (extra.line[heirs], extra.column[heirs])
         range_m[at] = extra.range_m[heirs]
+        if intensity is not None and extra.intensity is not None:
+            intensity[at] = extra.intensity[heirs]
         if xyz is not None and block.xyz_m is not None:
             beam = block.xyz_m[at] * (extra.range_m[heirs] / block.range_m[at])[:, None]
             xyz[at] = beam if registered is not None or further is None else further[heirs]
@@ -241,7 +243,8 @@ def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
         if registered is not None and further is not None:
             registered[at] = further[heirs]
         stays = np.setdiff1d(stays, heirs)
-    left = ExtraReturns(extra.line[stays], extra.column[stays], extra.range_m[stays], extra.record[stays])
+    lights = None if extra.intensity is None else extra.intensity[stays]
+    left = ExtraReturns(extra.line[stays], extra.column[stays], extra.range_m[stays], extra.record[stays], lights)
     return StreamItem(
         replace(block, range_m=range_m, xyz_m=xyz, intensity=intensity, extra=left),
         codes,
