@@ -77,6 +77,8 @@ class OrderEvidence:
     """Latest time less the earliest [s]."""
     begins_anew: int | None = None
     """First record whose times run a second time over those before; None if there is none."""
+    unset: float | None = None
+    """The time that every step back goes to, before all others: that of records without a time; None if none is."""
 
     @property
     def share_back(self) -> float:
@@ -217,6 +219,14 @@ class OrderWatch:
         if self._policy == "require":
             self._judge()
 
+    def _unset(self) -> float | None:
+        """Return the time of records without one: every step back goes to it, and the first record has a later one."""
+        if not 2 <= self._n_back == len(self._tops):
+            return None
+        (_, first), *others = self._starts
+        is_one = all(time == self._low for _, time in others)
+        return self._low if is_one and self._low < first else None
+
     def evidence(self) -> OrderEvidence:
         """Return the figures so far."""
         found = OrderEvidence(
@@ -225,6 +235,7 @@ class OrderWatch:
             n_back=self._n_back,
             n_equal=self._n_equal,
             n_not_finite=self._n_records - self._n_finite,
+            unset=self._unset(),
             first=self._first,
             largest=self._largest,
             span=self._high - self._low if self._n_finite else 0.0,
@@ -304,6 +315,9 @@ def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> st
     """Return what to do with an input whose times are out of order."""
     if evidence.n_back == 1 and abs(evidence.largest_back - WEEK_S) < WEEK_S / 100:
         return "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
+    if evidence.unset is not None:
+        of_records = f"the time {evidence.unset:g} comes {evidence.n_back} times, as where a record has none"
+        return f"{of_records}: leave these records unclassified with --trust-order, or take them out"
     if path.lower().endswith(".copc.laz"):
         # every node of the octree begins anew
         return "COPC files lie in the order of their octree: sort with --sort-by-time"

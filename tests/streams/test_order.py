@@ -109,6 +109,16 @@ def test_a_single_large_step_back_is_refused_however_small_its_share(kind: str, 
         watch.finish()
 
 
+@pytest.mark.parametrize("chunk", [1, 7000, 100_000])
+def test_records_without_a_time_are_not_to_be_sorted(chunk: int) -> None:
+    """Sorted, they would come first, and lines would be counted from them."""
+    times = stamps(20_000) + 5.0
+    times[[7, 900, 15_000]] = -1.0
+    watch = watch_in_chunks(times, chunk, "require")
+    with pytest.raises(OrderError, match=r"the time -1 comes 3 times.*with --trust-order"):
+        watch.finish()
+
+
 BY_TIME: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
 MIDDLE_S = 11.4 / LINE_HZ
 """From the begin of the scene to the end of the week [s]."""
