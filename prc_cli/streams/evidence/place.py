@@ -43,7 +43,7 @@ CLOSE_SCORE = 0.03
 """So near to it the kind is in doubt."""
 BUILT_SHARE = 0.42
 """Where less than this share of what stands higher is smooth, a place with a smooth floor may be a park, or a forest
-whose floor is level: of 35 simulated streets one has less in 256 lines, forests have 0.05 to 0.41, a park 0.2."""
+whose floor is level: of 48 simulated streets one has less in 256 lines, forests have 0.05 to 0.41, a park 0.2."""
 
 
 Kind = Literal["street", "forest", "unknown"]
