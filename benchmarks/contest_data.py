@@ -211,7 +211,9 @@ def simulated(spec: Simulated) -> Scan:
 
 def joined(extras: list[ExtraReturns]) -> ExtraReturns:
     """Join further returns with common line numbers."""
-    return ExtraReturns(*[np.concatenate([getattr(each, f.name) for each in extras]) for f in fields(ExtraReturns)])
+    columns = {field.name: [getattr(extra, field.name) for extra in extras] for field in fields(ExtraReturns)}
+    known = {name: parts for name, parts in columns.items() if all(part is not None for part in parts)}
+    return ExtraReturns(**{name: np.concatenate(parts) for name, parts in known.items()})
 
 
 def _with_background(item: SimulatedBlock, scan: SimulatedScan, spec: Simulated) -> tuple[SimulatedBlock, F64]:

@@ -67,7 +67,8 @@ def test_profiler_ply(here: Path, real_data: Path) -> None:
     shutil.copy(real_data / "riegl/sample_riegl_18_03.ply", here / "drive.ply")
     walk = Walk()
     walk.type("prc info drive.ply")
-    walk.type(walk.told("type"))
+    # fourteen lines are too few to judge
+    walk.type(walk.told("type"), code=4)
     assert "compare it: prc evaluate drive_classified.ply REFERENCE" in walk.said
     walk.type(walk.told("draw it"))
     assert is_drawn(here / "drive_classified.png")
@@ -79,8 +80,8 @@ def test_laz_with_times_alone(here: Path, real_data: Path) -> None:
     write_registered(sorted((real_data / "riegl").glob("*.ply"))[:2], here / "drive.laz", here / "path.csv")
     walk = Walk()
     walk.type("prc info drive.laz")
-    assert "--range trajectory:FILE" in walk.told("type")
-    walk.type(walk.told("type").replace("FILE", "path.csv"))
+    assert walk.told("type").endswith("--range points")
+    walk.type(walk.told("type"))
     assert "method: fused" in walk.said
     with laspy.open(here / "drive_classified.laz") as file:
         codes = np.asarray(file.read().classification)

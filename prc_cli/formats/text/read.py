@@ -135,10 +135,7 @@ class TextBody:
             if not text.is_row(line):
                 continue
             row = line.rstrip(b"\r").decode("utf-8", errors="surrogateescape")
-            cells = split(self._path, number, row, text.delimiter)
-            if len(cells) != text.n_columns:
-                problem = f"{len(cells)} cells, expected {text.n_columns} as in line {text.first_row}: {shorten(row)!r}"
-                raise InputError(f"{self._path}: line {number}", problem, "correct the row; an empty cell is missing")
+            cells = self._split(number, row)
             for index, values in zip(used, found, strict=True):
                 value = to_number(with_point(cells[index], text.decimal))
                 if value is None:
@@ -154,7 +151,16 @@ class TextBody:
             rows = [
                 (number, line.rstrip(b"\r").decode(errors="replace")) for number, line in numbered if text.is_row(line)
             ]
-            yield [(number, split(self._path, number, row, text.delimiter)[index]) for number, row in rows]
+            yield [(number, self._split(number, row)[index]) for number, row in rows]
+
+    def _split(self, number: int, row: str) -> list[str]:
+        """Return the cells of a row, as many as there are columns."""
+        text = self.text
+        cells = split(self._path, number, row, text.delimiter)
+        if len(cells) != text.n_columns:
+            problem = f"{len(cells)} cells, expected {text.n_columns} as in line {text.first_row}: {shorten(row)!r}"
+            raise InputError(f"{self._path}: line {number}", problem, "correct the row; an empty cell is missing")
+        return cells
 
     def _not_a_number(self, number: int, index: int, cell: str) -> InputError:
         name = self.text.names[index]

@@ -436,10 +436,10 @@ step, n = sys.argv[1], 0
 def die():
     os.kill(os.getpid(), signal.SIGKILL)
 
-place = files.place
-def dying(temporary, path, *, overwrite):
+link = files._link
+def dying(temporary, path):
     global n
-    place(temporary, path, overwrite=overwrite)
+    link(temporary, path)
     n += 1
     if n == int(step):
         die()
@@ -447,7 +447,7 @@ def dying(temporary, path, *, overwrite):
 if step == "3":
     worker._done = lambda *_: die()
 else:
-    files.place = dying
+    files._link = dying
 worker.run_task(pickle.load(sys.stdin.buffer))
 """
 
