@@ -22,6 +22,7 @@ from prc_cli.streams.registered.evidence import (
     no_clock,
     no_rotation,
     no_stations,
+    too_many_passes,
 )
 from prc_cli.streams.registered.fit import (
     KNOT_S,
@@ -39,6 +40,8 @@ from prc_cli.streams.registered.spool import Spool
 
 GAP_S = 1.0
 """A longer time without a point ends a pass [s]."""
+MOST_PASSES = 256
+"""Passes of one cloud: each is a stream, whose state is kept to the end."""
 LEAST_PASS_POINTS = 2000
 """Passes of fewer points are not placed."""
 SAMPLE_BLOCKS = 96
@@ -177,6 +180,8 @@ def reconstruct(path: str, spools: dict[int, Spool], *, split: str = "", places:
     passes = _Passes()
     for number, points in sorted(spools.items()):
         heads.append(_reconstruct_head(path, points, passes, number if len(spools) > 1 else 0, places))
+    if len(passes.scans) > MOST_PASSES:
+        raise too_many_passes(path, len(passes.scans), MOST_PASSES)
     findings = judge(path, passes.figures, passes.n_unplaced, sum(len(spool) for spool in spools.values()))
     scans, tracks, figures = tuple(passes.scans), tuple(passes.tracks), tuple(passes.figures)
     return Drive(tuple(heads), scans, tracks, figures, findings, passes.n_unplaced, split)

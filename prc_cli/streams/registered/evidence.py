@@ -243,3 +243,9 @@ def no_clock(path: str) -> EvidenceError:
     """Return the error of times without steps."""
     problem = "the times show no steps from shot to shot"
     return EvidenceError(path, problem, "give the points with the times of their shots")
+
+
+def too_many_passes(path: str, n_passes: int, most: int) -> EvidenceError:
+    """Return the error of a cloud that was seen too often for one run."""
+    problem = f"the times have gaps that part them into {n_passes} passes, expected at most {most}"
+    return EvidenceError(path, problem, "classify fewer tiles together, or every tile by itself")
