@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import inspect
 import io
 import re
 import tomllib
@@ -57,6 +58,8 @@ def _dump(path: Path) -> int:
 
 def _e57(path: Path) -> int:
     pye57 = pytest.importorskip("pye57")
+    if "ignore_unsupported_fields" not in inspect.signature(pye57.E57.read_scan_raw).parameters:
+        pytest.skip("this pye57 reads no scan with times or several returns")
     with pye57.E57(str(path)) as file:
         points = file.read_scan_raw(0, ignore_unsupported_fields=True)
         return len(points["cartesianX"])
