@@ -57,6 +57,8 @@ SAME_STEP = 1e-4
 """Scans whose shots in a turn differ by less have the same columns."""
 SAME_START_RAD = 0.02
 """Arcs of one scanner begin within this of each other in all passes: the platform rolls [rad]."""
+PASS = "pass"
+"""Dimension that tells apart what was seen at different times or by different scanners."""
 MOST_RETURNS = 255
 """Returns of a shot that are told apart."""
 CELL = np.dtype(
@@ -64,7 +66,7 @@ CELL = np.dtype(
         ("scan_line", "i4"),
         ("column", "i4"),
         ("range", "f8"),
-        ("pass", "i4"),
+        (PASS, "i4"),
         ("angle", "f8"),
         ("return_number", "u1"),
         ("number_of_returns", "u1"),
@@ -356,7 +358,7 @@ def _put(cells: Spool, records: NDArray[np.void], scan: Scan, number: int, seen:
     row["scan_line"] = placed.line
     row["column"] = placed.column
     row["range"] = placed.range_m
-    row["pass"] = number
+    row[PASS] = number
     row["angle"] = scan.angle_start_rad + scan.step_rad * placed.column
     row["return_number"], row["number_of_returns"] = returns_of(records, placed.range_m, by_time=not scan.by_bearing)
     cells.append(row)

@@ -20,7 +20,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.streams.order import sorted_by_time
 from prc_cli.streams.ranges import XYZ, open_ranges
-from prc_cli.streams.registered.drive import Drive, reconstruct
+from prc_cli.streams.registered.drive import PASS, Drive, reconstruct
 from prc_cli.streams.registered.spinning import NoScan
 from prc_cli.streams.registered.spinning_drive import SpinningDrive, SpinningSource, reconstruct_spinning
 from prc_cli.streams.registered.spool import Spool
@@ -28,8 +28,6 @@ from prc_cli.streams.rules import only_times_tell
 
 CARRIED = ("intensity", "return_number", "number_of_returns")
 """Dimensions that are handed on where the cloud has them."""
-PASS = "pass"
-"""Dimension that tells apart what was seen at different times or by different scanners."""
 HEADS = ("scanner_channel", "point_source_id", "user_data")
 """Dimensions that may tell scanners apart."""
 LOOKED_AT = 1 << 22
@@ -199,9 +197,7 @@ def lost_records(source: RecordSource, n_usable: int) -> I64:
     """Return the numbers of the records that have no time or no coordinates, (n,) int64."""
     if source.n_records == n_usable:
         return np.empty(0, np.int64)
-    parts = [
-        chunk.records()[~_is_usable(chunk)] for chunk in source.chunks((*XYZ, "time")) if not _is_usable(chunk).all()
-    ]
+    parts = [chunk.records()[~_is_usable(chunk)] for chunk in source.chunks((*XYZ, "time"))]
     return np.concatenate([np.empty(0, np.int64), *parts])
 
 
@@ -267,8 +263,10 @@ def _spooled(
                 records[name] = chunk.values[name]
         heads = np.zeros(chunk.n, np.int64) if split is None else chunk.values[split].astype(np.int64)
         for head in np.unique(heads).tolist():
-            spool = spools.setdefault(head, Spool(dtype))
-            spool.append(records if split is None else records[heads == head])
+            # a spool opens a file: only one for every scanner
+            if head not in spools:
+                spools[head] = Spool(dtype)
+            spools[head].append(records if split is None else records[heads == head])
     return spools
 
 

@@ -109,11 +109,6 @@ class TurnRate:
         """Return the azimuth of the head, (n,) float64 in [0, 2 pi) [rad]."""
         return turned(self.hz, time_s - self.origin_s)
 
-    @property
-    def window_s(self) -> float:
-        """Length of a window: a turn, and .1 s at most [s]."""
-        return min(1.0 / self.hz, 0.1)
-
 
 def sample_middles(time_s: F64, n_windows: int) -> F64:
     """Return middles of windows, spread over the points unevenly, so that no period of the drive is met again."""

@@ -14,7 +14,7 @@ from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F64
 from prc_cli.formats.records import DerivedSource, RecordChunk
-from prc_cli.streams.registered.drive import coordinates, find_passes, sample
+from prc_cli.streams.registered.drive import MOST_RETURNS, PASS, coordinates, find_passes, sample
 from prc_cli.streams.registered.evidence import CHECK, PathFigures, Placed, judge
 from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, FoundPath, positions_at
 from prc_cli.streams.registered.spinning import (
@@ -30,14 +30,11 @@ from prc_cli.streams.registered.spool import Spool
 PIECE_POINTS = 1 << 20
 """Points whose lines are found at once."""
 NO_COLUMN = -1
-PASS = "pass"
 LEAST_CLEAR, WORST_CLEAR = 0.9, 0.5
 """Share of points that lie clearly on one ring, doubtful and refused below: half of them do by chance."""
 LEAST_STATIONS = 5
 COURSE_S, STANDS_M_S = 1.0, 0.2
 """The course is that over this time [s]; slower platforms keep it [m/s]."""
-MOST_RETURNS = 255
-"""Returns of a shot that are told apart."""
 _CELL = (
     ("scan_line", "i4"),
     ("column", "i4"),
